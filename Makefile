@@ -7,9 +7,10 @@ CHECKING := .venv/.checking
 DOCUMENTING := .venv/.documenting
 MUTATING := .venv/.mutating
 
-.PHONY: run test thorough refine bench blind blind-fmu crash fuzz mutants seed check docs english clean fmus
+.PHONY: run test thorough refine bench blind blind-fmu crash kills fuzz mutants seed check docs english clean fmus
 N ?= 24
 CRASHES ?= 200
+KILLS ?= 200
 EXAMPLES ?= 10000
 SEEDS ?= 200
 .DEFAULT_GOAL := run
@@ -61,6 +62,9 @@ blind-fmu: $(TESTING)
 
 crash: $(TESTING)
 	$(BIN)/python -m tests.crash $(CRASHES)
+
+kills: $(TESTING)
+	$(BIN)/python -m tests.kills $(KILLS)
 
 # EXAMPLES in all; SEED of an earlier run finds the same again
 fuzz: $(TESTING)

@@ -127,11 +127,22 @@ class Component(Protocol):
     def close(self) -> None:
         """Free all resources; repeated calls are harmless."""
 
+    @property
+    def saves(self) -> bool:
+        """Return whether `checkpoint` gives a state; otherwise a resumed run replays the inputs of the component."""
+
+    def checkpoint(self) -> Any:
+        """Return the state between two steps in JSON types and bytes; None if it cannot be saved."""
+
+    def restore(self, state: Any) -> None:
+        """Restore a state that was saved in another process. The component is initialized as it was there."""
+
 
 class RowComponent(Component):
     """Base of a component with all its signals in the row; `get` or `advance` reads the inputs."""
 
     nominal_step = True
+    saves = True
     inputs: tuple[Signal, ...] = ()
     exact_inputs: tuple[Signal, ...] = ()
     exact_outputs: tuple[Signal, ...] = ()

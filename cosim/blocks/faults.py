@@ -58,6 +58,16 @@ class LinkFunction(Protocol):
         """Return the equivalent of this fault for the loop in C, which continues from the last point."""
 
 
+class Remembering(LinkFunction, Protocol):
+    """A function whose value depends on earlier values."""
+
+    def save(self, k: int) -> Any:
+        """Return the memory after point k, in JSON types and bytes; the loop in C may have filled it."""
+
+    def restore(self, memory: Any) -> None:
+        """Restore the memory of a stopped run."""
+
+
 @dataclass(frozen=True)
 class Scaling:
     """Conversion of a value v to v·factor + offset."""
@@ -125,6 +135,7 @@ class Hold:
     def __init__(self, window: tuple[int, int], marks: bytearray) -> None:
         self.window, self.marks = window, marks
         self._value: Any = None
+        self._in_c: array[float] | None = None
 
     def __call__(self, k: int, v: Any) -> Any:
         first, last = self.window
@@ -133,7 +144,14 @@ class Hold:
         return self._value
 
     def link(self) -> ConvertedLink:
-        return link(LinkKind.HELD, self.window, marks=self.marks, past=array("d", [self._value]))
+        self._in_c = array("d", [self._value])
+        return link(LinkKind.HELD, self.window, marks=self.marks, past=self._in_c)
+
+    def save(self, k: int) -> Any:
+        return self._value if self._in_c is None else self._in_c[0]
+
+    def restore(self, memory: Any) -> None:
+        self._value = memory
 
 
 class Delay:
@@ -142,6 +160,7 @@ class Delay:
     def __init__(self, window: tuple[int, int], delay: int) -> None:
         self.window, self.delay = window, delay
         self._past: dict[int, Any] = {}
+        self._in_c: array[float] | None = None
 
     def __call__(self, k: int, v: Any) -> Any:
         first, last = self.window
@@ -151,8 +170,18 @@ class Delay:
         return past.get(k - delay, past[min(past)]) if first <= k <= last else v
 
     def link(self) -> ConvertedLink:
-        ring = array("d", [self._past[0], *[0.0] * self.delay])
+        self._in_c = ring = array("d", bytes(8 * (self.delay + 1)))
+        for k, value in self._past.items():
+            ring[k % len(ring)] = value
         return link(LinkKind.DELAYED, self.window, past=ring, count=len(ring))
+
+    def save(self, k: int) -> Any:
+        if (ring := self._in_c) is None:
+            return [*self._past.items()]
+        return [(j, ring[j % len(ring)]) for j in range(max(0, k - self.delay), k + 1)]
+
+    def restore(self, memory: Any) -> None:
+        self._past = dict(memory)
 
 
 def points(begin: float | None, end: float | None, start: float, step: float, count: int) -> tuple[int, int]:

@@ -6,6 +6,9 @@ import math
 from collections import deque
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
 
 from cosim.blocks.component import RowComponent, Signal
 from cosim.blocks.noise import stream
@@ -90,6 +93,27 @@ class Fixes(RowComponent):
         while self._queue and self._queue[0][0] <= self._point:
             self._values = self._queue.popleft()[1]
             self._count += 1
+
+    def checkpoint(self) -> dict[str, Any]:
+        return {
+            "counts": [self._point, self._measured, self._count],
+            "values": self._values,
+            "queue": [*self._queue],
+            "errors": self._errors,
+            "opening": self._opening,
+            "random": [rng.bit_generator.state for rng in self._streams],
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        self._point, self._measured, self._count = state["counts"]
+        self._values, self._errors, self._opening = state["values"], state["errors"], state["opening"]
+        self._queue = deque((point, values) for point, values in state["queue"])
+        for rng, saved in zip(self._streams, state["random"], strict=True):
+            rng.bit_generator.state = saved
+
+    @property
+    def _streams(self) -> list[np.random.Generator]:
+        return [*(rng for rng, _, _ in self._noise), self._losses]
 
     def slot(self) -> str:
         """Return the reason why the C loop cannot step this component."""

@@ -125,6 +125,14 @@ class Calls(ABC):
         """Return the end time if the FMU discarded a step to end."""
         return None
 
+    def save(self) -> Any:
+        """Return what these calls remember between steps, in JSON types and bytes."""
+        return None
+
+    def restore(self, memory: Any) -> None:
+        """Restore what the calls remembered."""
+        assert memory is None
+
 
 class CoSimulation2(Calls):
     """FMI 2.0 co-simulation."""

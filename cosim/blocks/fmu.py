@@ -314,6 +314,30 @@ class FmuBlock:
         self.instance.free()
         self.instance.remove()
 
+    # -- state --------------------------------------------------------------------------
+
+    @property
+    def saves(self) -> bool:
+        return self.instance.serializes
+
+    def checkpoint(self) -> dict[str, Any] | None:
+        log = [*self.log]
+        state = self.instance.serialize()
+        if state is None:
+            return None
+        self._set_log(log)  # Messages of these calls are none of the run.
+        return {"state": state, "calls": self._calls.save(), "time": self.instance.time, "log": log}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        self.instance.deserialize(state["state"])
+        self._calls.restore(state["calls"])
+        self.instance.time = state["time"]
+        self._set_log(state["log"])
+
+    def _set_log(self, log: Sequence[str]) -> None:
+        self.log.clear()
+        self.log.extend(log)
+
     # -- fast step -----------------------------------------------------------------------
 
     def stepping(self, doing: MutableSequence[int], first: int) -> Callable[[float, float], None]:

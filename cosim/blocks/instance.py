@@ -59,6 +59,7 @@ class Instance:
         self._folder: Path | None = None
         self._stop: BaseException | None = None
         self._words = ""  # last message
+        self._refuses = False  # to serialize its state, though it declares that it can
 
     # -- life cycle ---------------------------------------------------------------------------------
 
@@ -183,6 +184,34 @@ class Instance:
         """Free a state that is not restored."""
         with self.check_calls():
             (self.fmu.freeFMUState if self.fmi3 else self.fmu.freeFMUstate)(state)
+
+    @property
+    def serializes(self) -> bool:
+        """Return whether the FMU can save its state as bytes. In model exchange the solver has a state too."""
+        part = self.description.coSimulation
+        declared = bool(getattr(part, "canGetAndSetFMUstate", False) and getattr(part, "canSerializeFMUstate", False))
+        return declared and not self._refuses and isinstance(self.calls, CoSimulation2 | CoSimulation3)
+
+    def serialize(self) -> bytes | None:
+        """Return the state as bytes; None if the FMU cannot or does not do so."""
+        if not self.serializes:
+            return None
+        fmu = self.fmu
+        try:
+            state = fmu.getFMUState() if self.fmi3 else fmu.getFMUstate()
+            content = fmu.serializeFMUState(state) if self.fmi3 else fmu.serializeFMUstate(state)
+            fmu.freeFMUState(state) if self.fmi3 else fmu.freeFMUstate(state)
+        except Exception:  # FMPy raises its own and bare ones. The run goes on; a resumed run replays this FMU.
+            self._refuses = True
+            return None
+        return bytes(content)
+
+    def deserialize(self, content: bytes) -> None:
+        """Restore a state from bytes."""
+        fmu = self.fmu
+        with self.check_calls():
+            state = fmu.deserializeFMUState(content) if self.fmi3 else fmu.deSerializeFMUstate(content)
+        self.restore_state(state)
 
     # -- messages -------------------------------------------------------------------------
 

@@ -55,6 +55,12 @@ class SourceBlock(RowComponent):
         """Note the time [s] after C steps."""
         self._t = t
 
+    def checkpoint(self) -> float:
+        return self._t
+
+    def restore(self, state: float) -> None:
+        self._t = state
+
 
 def reference(name: str, profiles: Mapping[str, Profile]) -> SourceBlock:
     """Return a source of reference signals that follow profiles; degrees become radians."""

@@ -77,6 +77,7 @@ typedef struct {
     const double *row;
     double *table;
     volatile int64_t *counter, *doing; /* for observers: number of complete rows, current call */
+    const volatile int64_t *asked;     /* not 0: Python is wanted after this step */
     int64_t place, phase, move;     /* where to go on */
     int64_t called, moving;         /* what was called, with which of its moves, and its status: for Python to judge */
     int32_t status;
@@ -280,7 +281,7 @@ int run(Plan *p)
         memcpy(p->table + k * p->width, p->row, (size_t)p->width * sizeof(double));
         *p->counter = k + 1;
         p->place = 0;
-        if (time(NULL) != now) { /* so that Python sees signals, once a second */
+        if (*p->asked || time(NULL) != now) { /* so that Python sees signals, once a second */
             p->next++;
             return LATER;
         }

@@ -11,6 +11,7 @@ previous values. The caller allocates everything. A step gives the same bytes as
 from __future__ import annotations
 
 import ctypes
+from array import array
 from collections.abc import Callable, Sequence
 from ctypes import c_void_p
 from enum import IntEnum
@@ -41,7 +42,8 @@ class StopReason(IntEnum):
 
     STATUS: a call returned a status other than OK; NOT_FINITE: an output is not finite; UNFIT: an input does not fit
     its type; NO_ITEM: a value is no item of the target enumeration; TERMINATED: an FMU ended the simulation; PAUSED:
-    the row of a point is complete but not stored; LATER: a second has passed; FAILED: a function of Python failed
+    the row of a point is complete but not stored; LATER: a second has passed, or Python is asked for; FAILED: a
+    function of Python failed
     """
 
     FINISHED, STATUS, NOT_FINITE, UNFIT, NO_ITEM, TERMINATED, PAUSED, LATER, FAILED = range(9)
@@ -116,7 +118,7 @@ class Plan(ctypes.Structure):
 
     _fields_ = _fields(
         "double begin, h; int64 slots, holds, width, next, last, pause; "
-        "pointer slot, hold, row, table, counter, doing; int64 place, phase, move, called, moving; int32 status"
+        "pointer slot, hold, row, table, counter, doing, asked; int64 place, phase, move, called, moving; int32 status"
     )
 
 
@@ -222,6 +224,8 @@ class Loop:
         row: Current signals.
         table: Rows of all communication points, with point 0 filled.
         counter: Number of completed points, for observers; `doing` counts calls.
+        asked: Cell that is not 0 if `run` shall return after the current step.
+        first: First point to make.
     """
 
     def __init__(
@@ -235,17 +239,20 @@ class Loop:
         h: float,
         counter: Any,
         doing: Any,
+        asked: Any = None,
+        first: int = 1,
     ) -> None:
+        asked = asked if asked is not None else array("q", [0])
         self._run = library()
         pulls = [(Transfer * len(transfers))(*transfers) for _, transfers in slots]
         for (slot, _), pull in zip(slots, pulls, strict=True):
             slot.pulls, slot.pull = len(pull), ctypes.addressof(pull)
         self.slots, hold = (Slot * len(slots))(*(slot for slot, _ in slots)), (Transfer * len(holds))(*holds)
-        self._keeping = slots, pulls, holds, hold, row, table, counter, doing
-        self.plan = plan = Plan(begin, h, len(self.slots), len(hold), len(row), next=1)
+        self._keeping = slots, pulls, holds, hold, row, table, counter, doing, asked
+        self.plan = plan = Plan(begin, h, len(self.slots), len(hold), len(row), next=first)
         plan.slot, plan.hold = ctypes.addressof(self.slots), ctypes.addressof(hold)
         plan.row, plan.table = ctypes.addressof(row), table.ctypes.data
-        plan.counter, plan.doing = _address(counter), _address(doing)
+        plan.counter, plan.doing, plan.asked = _address(counter), _address(doing), _address(asked)
 
     def prepare(self, slot: int, values: Array, since: int) -> None:
         """Set prepared values of a slot of version 0, without copying.

@@ -14,7 +14,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO, Self
 
-from cosim.base.errors import Crashed, SimulationError
+from cosim.base.errors import Crashed, SimulationError, Terminated
 from cosim.base.scratch import ScratchFolder, scratch
 from cosim.isolation import messages
 from cosim.isolation.rows import NOTHING, Progress, mapped_progress
@@ -110,6 +110,7 @@ class Worker:
         """
         self.start()
         self.progress.made[0], self.progress.doing[0], self.progress.named[0] = 0, doing, 0
+        self.progress.asked[0] = self.progress.ending[0] = 0
         self.progress.words = b""
         clock = Clock(watch or Watch(), self.progress)
         try:
@@ -119,8 +120,10 @@ class Worker:
         self._ask(content)
         try:
             content = self._wait(clock)
-        except BaseException:
+        except BaseException as stop:
             with delay_stops():
+                if isinstance(stop, (KeyboardInterrupt, Terminated)):
+                    self._wait_for_end(clock.watch.grace)
                 self.end(kill=True)
             raise
         answer, error = pickle.loads(content)
@@ -181,6 +184,13 @@ class Worker:
             if content is None:
                 raise self._crash(clock)
             return content
+
+    def _wait_for_end(self, grace: float) -> None:
+        """Ask a stopped job for its checkpoint, and wait up to `grace` [s] for its end."""
+        if grace and self.running and self.progress.made[0]:
+            self.progress.ending[0] = self.progress.asked[0] = 1
+            with suppress(queue.Empty):
+                self._answers.get(timeout=grace)
 
     def _crash(self, clock: Clock) -> SimulationError:
         """Return the crash with cause, call and last message."""

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import ctypes
 import errno
+import itertools
+import json
 import mmap
 import os
-import pickle
 from array import array
-from collections.abc import Callable, MutableSequence
+from collections.abc import Callable, MutableSequence, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -34,14 +35,14 @@ class ExactValues(Protocol):
 
 
 class ExactFile:
-    """Values beyond doubles in a file, readable by another process after a crash."""
+    """Values beyond doubles in a file, one row of JSON a line, readable by another process after a crash."""
 
     def __init__(self, path: Path) -> None:
         self._stream = path.open("ab", buffering=0)
 
     def append(self, row: tuple[Any, ...]) -> None:
         """Append the values of a row; raise OSError on a full disk."""
-        content = pickle.dumps(row)
+        content = exact_line(row)
         if self._stream.write(content) < len(content):
             raise OSError(errno.ENOSPC, "no room for the exact values of a row")
 
@@ -53,10 +54,15 @@ class ExactFile:
 def read_exact(path: Path, rows: int) -> list[tuple[Any, ...]]:
     """Return the values of the first rows, as far as complete."""
     values: list[tuple[Any, ...]] = []
-    with suppress(FileNotFoundError, EOFError, pickle.UnpicklingError), path.open("rb") as stream:
-        while len(values) < rows:
-            values.append(pickle.load(stream))
+    with suppress(FileNotFoundError, ValueError), path.open("rb") as stream:
+        for line in itertools.islice(stream, rows):
+            values.append(tuple(bytes.fromhex(v["hex"]) if isinstance(v, dict) else v for v in json.loads(line)))
     return values
+
+
+def exact_line(row: Sequence[Any]) -> bytes:
+    """Return a row of exact values as a line of JSON."""
+    return json.dumps([{"hex": v.hex()} if isinstance(v, bytes) else v for v in row]).encode() + b"\n"
 
 
 @dataclass(frozen=True)
@@ -68,6 +74,9 @@ class Rows:
         made: [number of complete rows], updated after each row.
         doing: [current call], updated before each call.
         tell_loop: Function called with the kind of loop before its start.
+        asked: [whether the loop calls `keeper.look` after the current step].
+        keeper: Keeper of the run's checkpoints, if any.
+        given: Number of rows of a stopped run that are already there.
     """
 
     table: Array
@@ -75,6 +84,9 @@ class Rows:
     made: MutableSequence[int] = field(default_factory=lambda: array("q", [0]))
     doing: MutableSequence[int] = field(default_factory=lambda: array("q", [NOTHING]))
     tell_loop: Callable[[str], None] = lambda loop: None
+    asked: MutableSequence[int] = field(default_factory=lambda: array("q", [0]))
+    keeper: Any = None
+    given: int = 0
 
     @classmethod
     def in_memory(cls, rows: int, columns: int) -> Rows:
@@ -122,6 +134,8 @@ class Progress(ctypes.Structure):
         stop: Whether the observer requests an early end.
         hold: Whether the observer requests a pause.
         sent: Number of changes that the observer has sent.
+        asked: As in `Rows`.
+        ending: Whether the caller requests a checkpoint and an end at once.
         words: Last message of an FMU.
         loop: Kind of stepping loop.
     """
@@ -133,6 +147,8 @@ class Progress(ctypes.Structure):
         ("stop", ctypes.c_int64 * 1),
         ("hold", ctypes.c_int64 * 1),
         ("sent", ctypes.c_int64 * 1),
+        ("asked", ctypes.c_int64 * 1),
+        ("ending", ctypes.c_int64 * 1),
         ("call", ctypes.c_char * 128),
         ("words", ctypes.c_char * 512),
         ("loop", ctypes.c_char * 256),

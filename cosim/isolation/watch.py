@@ -47,6 +47,7 @@ class Watch:
         width: Size of a row [bytes], excluded from the memory limit.
         spent: [total time without loading [s]], increased by this job.
         progress: Function called with the number of rows.
+        grace: Time [s] for a stopped job to end by itself, for a checkpoint.
     """
 
     components: Sequence[str] = ()
@@ -56,6 +57,7 @@ class Watch:
     width: int = 0
     spent: list[float] = field(default_factory=lambda: [0.0])
     progress: Callable[[int], None] | None = None
+    grace: float = 0.0
 
 
 def fmi_calls(description: Any) -> Sequence[str]:

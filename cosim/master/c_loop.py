@@ -36,6 +36,8 @@ class LoopData:
         links: Conversions of a transfer's value, in order.
         calls: Functions called with each requested point, before its row is stored.
         next_call: Function returning the next requested point at or after a point, or `NEVER`.
+        later: Function called with the last complete point, at least once a second.
+        first: First point to make.
     """
 
     system: System
@@ -47,6 +49,8 @@ class LoopData:
     links: Callable[[Transfer], Sequence[LinkFunction]]
     calls: Sequence[Callable[[int], None]]
     next_call: Callable[[int], int]
+    later: Callable[[int], None] = lambda k: None
+    first: int = 1
 
 
 def prepare_steps(run: LoopData) -> CompiledSteps:
@@ -97,6 +101,8 @@ class CompiledSteps:
             h=run.h,
             counter=run.rows.made,
             doing=run.rows.doing,
+            asked=run.rows.asked,
+            first=run.first,
         )
         self.sources = {k: c for k, c in enumerate(run.components) if isinstance(c, SourceBlock)}
         self._values: list[Array] = []
@@ -104,7 +110,7 @@ class CompiledSteps:
     def make_all(self) -> None:
         """Make all steps; errors are those of the Python loop."""
         run, chunk = self.run, PREPARED_POINTS if self.sources else self.run.steps
-        for first in range(1, run.steps + 1, max(1, chunk)):
+        for first in range(run.first, run.steps + 1, max(1, chunk)):
             last = min(first + chunk - 1, run.steps)
             if self.sources:
                 self._prepare(first, last)
@@ -130,6 +136,7 @@ class CompiledSteps:
             elif why == StopReason.FAILED:  # without an error after Ctrl-C between C and Python
                 raise next(iter(self.slots[loop.plan.place].failures), KeyboardInterrupt())
             elif why == StopReason.LATER:
+                run.later(loop.plan.next - 1)
                 pause = run.next_call(loop.plan.next)  # Steps may have become slower.
             else:
                 run.components[loop.plan.place].raise_error(why, loop.plan, loop.slots[loop.plan.place])

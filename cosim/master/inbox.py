@@ -104,6 +104,11 @@ class FileChannel:
         self._changes: Sequence[Change] = ()  # also after the end, when the files are gone
         self._lock = threading.Lock()
 
+    def clear(self) -> None:
+        """Remove the records of an earlier run."""
+        self._sent.unlink(missing_ok=True)
+        self._noted.unlink(missing_ok=True)
+
     @property
     def paused(self) -> bool:
         """Return whether the run is to wait."""
@@ -170,6 +175,11 @@ class Inbox:
         self._channel, self.most = channel, MOST_STEPS
         self._point, self._due, self._time = 0, 0, -1.0
 
+    @property
+    def changes(self) -> Sequence[Change]:
+        """Return all changes so far."""
+        return self._channel.noted()
+
     def next_look(self, k: int) -> int:
         """Return the next point, from k on, at which to look; sooner if steps take long."""
         now = time.perf_counter()
@@ -185,12 +195,12 @@ class Inbox:
         received = self._channel.receive()
         if not received:
             return events
-        changes = _merge(*received)
+        changes = merge(*received)
         self._channel.note(Change(k, changes))
-        return _merge(events, changes)
+        return merge(events, changes)
 
 
-def _merge(*every: Values) -> Values:
+def merge(*every: Values) -> Values:
     """Return the values of all mappings; later ones take precedence."""
     merged: dict[str, dict[str, Any]] = {}
     for values in every:

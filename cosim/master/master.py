@@ -25,6 +25,7 @@ from cosim.blocks.stepping import NEVER, NotCompiled
 from cosim.isolation.rows import CALLS, OTHER, Rows
 from cosim.master import messages
 from cosim.master.c_loop import CompiledSteps, LoopData, prepare_steps
+from cosim.master.checkpoint import Keeper
 from cosim.master.copying import Copying, Noisy, Plain, Through, doubles
 from cosim.master.inbox import MOST_IN_C, Inbox
 from cosim.master.initialization import Initialization
@@ -99,6 +100,7 @@ class Master:
         self.components = [stage.component for stage in system.stages]
         self.row = (ctypes.c_double * len(system.columns))()
         self.view = doubles(self.row)
+        self._place, self._place_beside = _first_places(system.columns), _first_places(system.beside)
         self.beside: list[Any] = [None] * len(system.beside)
         self.rows, self.progress, self.in_c, self.loop = rows, progress, in_c, "none"
         self.beside_rows = rows.beside  # values beside the row, by row
@@ -127,7 +129,13 @@ class Master:
                 self.instants = Instants(self)
                 self.instants.at_start()
             self._record_first()
+            keeper: Keeper | None = self.rows.keeper
+            if keeper is not None:
+                self.done = max(1, self.rows.given)
+                keeper.begin(self)
             self._step_on()
+            if keeper is not None:
+                keeper.end(self)
             hold_stops()  # The rows must be saved.
         except EarlyEnd as end:
             if not self.done:
@@ -137,6 +145,8 @@ class Master:
             error = stop_error(stop, float(self.time[max(0, self.done - 1)]))
             raise StoppedRun(error, self._rows_so_far()) from None
         finally:
+            if self.rows.keeper is not None:
+                self.rows.keeper.close()
             for component in self.components:
                 self.announce(component)
                 component.close()
@@ -145,11 +155,9 @@ class Master:
     # -- call sequence -----------------------------------------------------------------------------
 
     def _open(self) -> None:
-        place = _first_places(self.system.columns)
-        place_beside = _first_places(self.system.beside)
         for component in self.components:
-            name = component.name
-            component.bind(self.row, place.get(name, 0), self.beside, place_beside.get(name, 0))
+            first, first_beside = self.first_places(component.name)
+            component.bind(self.row, first, self.beside, first_beside)
         for component in self.components:
             self.announce(component)
             component.open(self.system.start, float(self.time[-1]))
@@ -186,11 +194,12 @@ class Master:
         """Make all steps in Python. The calls in its inner loop determine the run time."""
         row, h, begin, calls = self.view, self.h, self.system.start, self.calls
         table, width = doubles(self.table), len(row)
-        rounds = itertools.islice(itertools.cycle(self._cycle()), 1, None)  # The first round belongs to point 0.
-        row_count, call_point = self.row_count, self._next_call(1)
-        done, next_t = self.done, begin
+        cycle, done = self._cycle(), self.done  # The first round belongs to point 0.
+        rounds = itertools.islice(itertools.cycle(cycle), done % len(cycle), None)
+        row_count, call_point, asked = self.row_count, self._next_call(done), self.rows.asked
+        next_t = begin + (done - 1) * h
         try:
-            for k, actives in zip(range(1, self.steps + 1), rounds, strict=False):
+            for k, actives in zip(range(done, self.steps + 1), rounds, strict=False):
                 t, next_t = next_t, begin + k * h
                 for step, every, length, plain, noisy, through in actives:
                     for target_places, places in plain:
@@ -210,6 +219,8 @@ class Master:
                     call_point = self._next_call(k + 1)
                 table[k * width : k * width + width] = row
                 done = row_count[0] = k + 1
+                if asked[0]:
+                    self._look(k)
         finally:
             self.done = done
 
@@ -241,11 +252,21 @@ class Master:
             raise NotCompiled("algebraic loops are solved")
         links = self.copying.links
         data = self.system, self.components, self.steps, self.h, self.row, self.rows
-        return prepare_steps(LoopData(*data, lambda t: links[t.name], self.calls, self._next_call))
+        calls = self.calls, self._next_call, self._look
+        return prepare_steps(LoopData(*data, lambda t: links[t.name], *calls, first=self.done))
 
     def announce(self, component: Any, call: int = OTHER) -> None:
         """Store the next call, so that a crash or a hang is blamed on its component."""
         self.doing[0] = CALLS * self.components.index(component) + call
+
+    def _look(self, k: int) -> None:
+        """Make a checkpoint after point k if one is due."""
+        if self.rows.asked[0] and self.rows.keeper is not None:
+            self.rows.keeper.look(self, k)
+
+    def first_places(self, name: str) -> tuple[int, int]:
+        """Return the first places of a component's signals, in the row and beside the row."""
+        return self._place.get(name, 0), self._place_beside.get(name, 0)
 
     def _store_loop(self, loop: str) -> None:
         self.loop = loop
@@ -269,11 +290,15 @@ class Master:
         if self.system.events or self.inbox is not None:
             calls.append(self._apply_events)
         if self.beside:
-            calls.append(lambda k: self.beside_rows.append(tuple(self.beside)))
+            calls.append(self._record_exact)
         if progress is not None:
             every = PROGRESS_EVERY if self.inbox is None else 1
             calls.append(lambda k: progress(k) if k and k % every == 0 else None)
         return tuple(calls)
+
+    def _record_exact(self, k: int) -> None:
+        if k >= self.rows.given:
+            self.beside_rows.append(tuple(self.beside))
 
     def _apply_events(self, k: int) -> None:
         changes: Mapping[str, Mapping[str, Any]] = self.system.events.get(k, {})
@@ -297,12 +322,13 @@ class Master:
             key = tuple(stage.component.name for stage in stepping)
             if key not in rounds:
                 waiting = self.copying.of(t for t in held if k % every[t.name.partition(".")[0]] == 0)
-                rounds[key] = (*map(self._active, stepping), (lambda t, h: None, 1, 0.0, *waiting))
+                rounds[key] = (*map(self.active, stepping), (lambda t, h: None, 1, 0.0, *waiting))
             return rounds[key]
 
         return [round_at(k) for k in range(period)]
 
-    def _active(self, stage: Stage) -> Active:
+    def active(self, stage: Stage) -> Active:
+        """Return the step of a component, and the transfers before it."""
         component = stage.component
         for solver in self.solvers:
             if component.name in {member.component.name for member in solver.members}:

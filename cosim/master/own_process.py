@@ -75,6 +75,16 @@ def change(name: str, values: dict[str, Any]) -> Values:
     return _components[name].inputs()
 
 
+def checkpoint(name: str) -> Any:
+    """Return the state of a component."""
+    return _components[name].component.checkpoint()
+
+
+def restore(name: str, state: Any) -> None:
+    """Restore the state of a component."""
+    _components[name].component.restore(state)
+
+
 def close(name: str) -> list[str]:
     """Free the component; return its messages."""
     component = _components.pop(name).component
@@ -149,6 +159,19 @@ class OwnProcess:
         """Write the outputs of the last step, or of the current inputs."""
         outputs, self._outputs = self._outputs, None
         self._write_outputs(self._exchange(GET, None) if outputs is None else outputs)
+
+    @property
+    def saves(self) -> bool:
+        """Return the component's answer."""
+        return self._component.saves
+
+    def checkpoint(self) -> Any:
+        """Return the state of the component."""
+        return self._call(OTHER, checkpoint, self.name)
+
+    def restore(self, state: Any) -> None:
+        """Restore the state of the component."""
+        self._call(OTHER, restore, self.name, state)
 
     def close(self) -> None:
         """Free the component and end its process."""

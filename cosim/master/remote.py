@@ -2,26 +2,40 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from cosim.base.arrays import Array
 from cosim.base.drafts import is_full
 from cosim.base.errors import CosimError, DiskFull, SimulationError, Terminated, stop_error
-from cosim.base.scratch import ScratchFolder, scratch
+from cosim.base.scratch import ScratchFolder, lock_file, scratch
 from cosim.blocks.component import EarlyEnd
 from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
-from cosim.isolation.rows import GET, ExactFile, Progress, Rows, allocate, mapped_table, read_exact, read_table
+from cosim.isolation.rows import (
+    GET,
+    ExactFile,
+    Progress,
+    Rows,
+    allocate,
+    exact_line,
+    mapped_table,
+    read_exact,
+    read_table,
+)
 from cosim.isolation.watch import Clock, Watch, fmi_calls
 from cosim.master import messages
 from cosim.master.c_loop import compile_beforehand
+from cosim.master.checkpoint import BESIDE, ROWS, STATE, Continuation, Keeper, Keeping
 from cosim.master.halving import Halved
 from cosim.master.inbox import Change, Channel, Control, FileChannel, Inbox, MemoryChannel
 from cosim.master.master import StoppedRun, results_of, simulate
@@ -29,21 +43,32 @@ from cosim.master.observer import MAX_CHARACTERS, Feed, ObservedRun, Observer
 from cosim.master.own_process import in_own_processes
 from cosim.storage.files import hold_stops
 from cosim.storage.results import Results
+from cosim.storage.state_file import write_durable
 from cosim.system.system import System
 
 MODULES = ("cosim.master.remote", "fmpy.fmi2", "fmpy.logging")
-PREFIX, ROWS, BESIDE = ".rows-", "rows", "beside"
+PREFIX = ".rows-"
+IN_USE = "in-use"  # file that a worker locks while it writes into a folder of checkpoints
+GRACE, SHORT_GRACE = 10.0, 2.0  # time [s] for a checkpoint at a stop, with and without checkpoints on request
 DISK_RETRY_SHARE = 0.9  # share of rows to try next on a full disk
 
 
 @dataclass(frozen=True)
 class SteppedRun:
-    """Outcome of a stepped run: results, messages of the FMUs, the failure, if any, and changes by observers."""
+    """Outcome of a stepped run.
+
+    Attributes:
+        log: Messages of the FMUs.
+        failure: The failure, if any.
+        changes: Changes by observers.
+        state: Checkpoint at a stop, unless a folder keeps checkpoints.
+    """
 
     results: Results
     log: Sequence[str]
     failure: SimulationError | None = None
     changes: Sequence[Change] = ()
+    state: bytes | None = None
 
 
 def _log_lines(system: System) -> list[str]:
@@ -51,12 +76,17 @@ def _log_lines(system: System) -> list[str]:
     return [f"{s.component.name}: {text}" for s in system.stages for text in getattr(s.component, "log", ())]
 
 
-def simulate_here(system: System, steps: int, h: float, observers: Sequence[Observer] = ()) -> SteppedRun:
-    """Step a system in this process; raise FmuError if an FMU does not load."""
+def simulate_here(
+    system: System, steps: int, h: float, observers: Sequence[Observer] = (), *, start: Continuation | None = None
+) -> SteppedRun:
+    """Step a system in this process, from `start` on if given; raise FmuError if an FMU does not load."""
     channel = MemoryChannel()
     feed = _feed(observers, system, steps, h, channel)
     rows = Rows.in_memory(steps + 1, len(system.columns))
     feed.table = rows.table
+    if start is not None:
+        rows.beside.extend(start.exact)  # type: ignore[attr-defined]
+        rows = replace(rows, given=start.count, keeper=Keeper(Path(), rows.asked, [0], start=start))
 
     def give(done: int) -> None:
         feed(done)
@@ -111,6 +141,28 @@ def _run(
 
 
 @dataclass(frozen=True)
+class RowsJob:
+    """Files and settings of a run in a worker.
+
+    Attributes:
+        table: File of the rows; further files are beside it.
+        observed: Whether the caller may request an early end.
+        interval: As in `Keeping`.
+        given: Number of rows of a stopped run that are in the files.
+        keeps: Whether a stop makes a checkpoint.
+        channel: Folder of the changes by observers.
+    """
+
+    table: Path
+    limits: Limits
+    channel: Path
+    observed: bool = False
+    interval: float | None = None
+    given: int = 0
+    keeps: bool = False
+
+
+@dataclass(frozen=True)
 class WorkerEnd:
     """The end of the steps in a worker; the rows are in files.
 
@@ -128,27 +180,26 @@ class WorkerEnd:
     details: Mapping[str, Any] = field(default_factory=dict)
 
 
-def simulate_rows(system: System, steps: int, h: float, table: Path, limits: Limits, observed: bool) -> WorkerEnd:
-    """Simulate into a table file.
-
-    Args:
-        observed: Whether the caller may request an early end.
-    """
+def simulate_rows(system: System, steps: int, h: float, job: RowsJob) -> WorkerEnd:
+    """Simulate into a table file."""
+    table = job.table
 
     def obey(done: int) -> None:
         if here.progress.stop[0]:
             raise _early_end(system, h, done)
 
-    system = in_own_processes(system, limits)
+    system = in_own_processes(system, job.limits)
     for stage in system.stages:
         here.share_log(stage.component)
     progress = here.progress
+    lock = lock_file(table.with_name(IN_USE), create=True) if job.interval is not None else None
     mapped, beside = mapped_table(table, steps + 1, len(system.columns)), ExactFile(table.with_name(BESIDE))
     failure: SimulationError | None = None
     try:
-        rows = Rows(mapped, beside, progress.made, progress.doing, _store_loop)
-        inbox = Inbox(FileChannel(table.parent, progress)) if observed else None
-        results = _run(system, steps, h, obey if observed else None, rows, inbox)
+        keeper = _keeper(job, mapped) if job.keeps else None
+        rows = Rows(mapped, beside, progress.made, progress.doing, _store_loop, progress.asked, keeper, job.given)
+        inbox = Inbox(FileChannel(job.channel, progress)) if job.observed else None
+        results = _run(system, steps, h, obey if job.observed else None, rows, inbox)
     except StoppedRun as run:
         results, failure = run.results, run.error
     except OSError as error:
@@ -158,9 +209,24 @@ def simulate_rows(system: System, steps: int, h: float, table: Path, limits: Lim
         return WorkerEnd(_log_lines(system), _disk_full(_last_time(system, h, count), count, steps + 1))
     finally:
         beside.close()
+        if lock is not None:
+            os.close(lock)
     last = float(results.time[-1]) if len(results.time) else None
     ends = results.events, results.event_counts, results.details
     return WorkerEnd(_log_lines(system), failure, last, results.notes, *ends)
+
+
+def _keeper(job: RowsJob, mapped: Array) -> Keeper:
+    """Return the keeper of a run's checkpoints; the state to go on from is in a file beside the rows."""
+    progress, place = here.progress, job.table.parent
+    start = None
+    if job.given:
+        exact = read_exact(place / BESIDE, job.given)
+        state = place / STATE
+        content = state.read_bytes() if state.is_file() else None
+        start = Continuation(mapped[: job.given].copy(), exact, content)
+    exact_rows = partial(read_exact, place / BESIDE)
+    return Keeper(place, progress.asked, progress.ending, job.interval, start, exact_rows)
 
 
 def _store_loop(loop: str) -> None:
@@ -180,15 +246,18 @@ def simulate_apart(
     limits: Limits | None = None,
     *,
     observers: Sequence[Observer] = (),
+    keeping: Keeping | None = None,
 ) -> SteppedRun:
     """Step a system in a worker process.
 
-    The rows are in a file within `folder` until the end.
+    The rows are in a file within `folder` until the end, or in the folder of the checkpoints.
 
     Raises:
         FmuError: An FMU does not load.
     """
     columns, limits = len(system.columns), limits or Limits()
+    start = None if keeping is None else keeping.start
+    given = 0 if start is None else start.count
 
     def give(rows: int) -> None:
         feed(rows)
@@ -201,6 +270,7 @@ def simulate_apart(
         limits,
         8 * columns,
         progress=give,
+        grace=0.0 if keeping is None else SHORT_GRACE if keeping.interval is None else GRACE,
     )
     end = WorkerEnd()
     compile_beforehand(system)
@@ -208,15 +278,25 @@ def simulate_apart(
         worker.start()
         counters = worker.progress
         counters.loop, counters.stop[0], counters.hold[0], counters.sent[0] = b"", 0, 0, 0
-        rows_folder, count = _allocate_rows((folder, Path(tempfile.gettempdir())), steps + 1, 8 * columns)
-        stack.callback(rows_folder.remove)
-        worker.take_along(rows_folder.path)
-        table, channel = rows_folder.path / ROWS, FileChannel(rows_folder.path, counters)
+        channel = FileChannel(worker.folder, counters)
+        channel.clear()
+        if keeping is not None and keeping.folder is not None:
+            table = keeping.folder / ROWS
+            count = _allocate_kept(keeping.folder, steps + 1, 8 * columns, start)
+        else:
+            rows_folder, count = _allocate_rows((folder, Path(tempfile.gettempdir())), steps + 1, 8 * columns)
+            stack.callback(rows_folder.remove)
+            worker.take_along(rows_folder.path)
+            table = rows_folder.path / ROWS
+            if start is not None:
+                _write_start(rows_folder.path, start)
         feed = _feed(observers, system, steps, h, channel)
         if observers and columns:
             feed.table = np.memmap(table, np.float64, "r", shape=(count, columns))
         try:
-            end = worker.call(simulate_rows, system, count - 1, h, table, limits, bool(observers), watch=watch)
+            interval = None if keeping is None else keeping.interval
+            job = RowsJob(table, limits, worker.folder, bool(observers), interval, given, keeping is not None)
+            end = worker.call(simulate_rows, system, count - 1, h, job, watch=watch)
             hold_stops()  # The rows must be saved.
         except (SimulationError, KeyboardInterrupt, Terminated) as stop:
             end = WorkerEnd(failure=stop_error(stop, _last_time(system, h, counters.made[0])))
@@ -224,7 +304,8 @@ def simulate_apart(
             raise
         except Exception as error:  # An unexpected error of a library is no reason to lose the rows.
             end = WorkerEnd(failure=_convert_unexpected(error, watch, counters))
-        done = counters.made[0]
+        done = max(counters.made[0], given)  # A failure before the last given row loses none.
+        state = None if keeping is None or keeping.folder is not None else read_state(table.with_name(STATE))
         values, beside = read_table(table, done, columns), read_exact(table.with_name(BESIDE), done)
         changes = channel.noted()
     feed.end(values)
@@ -237,7 +318,7 @@ def simulate_apart(
     loop = counters.loop.decode("utf-8", "ignore")
     results = results_of(system, time[:done], values, beside, end.notes, loop, details=end.details)
     results = replace(results, events=end.events, event_counts=end.event_counts)
-    return SteppedRun(results, end.log, failure, changes)
+    return SteppedRun(results, end.log, failure, changes, state)
 
 
 def _convert_unexpected(error: Exception, watch: Watch, counters: Progress) -> SimulationError:
@@ -246,6 +327,46 @@ def _convert_unexpected(error: Exception, watch: Watch, counters: Progress) -> S
     reason = " ".join(str(error).split())[:MAX_CHARACTERS]
     message = messages.UNEXPECTED_ERROR(call=call, error=type(error).__name__, reason=reason)
     return SimulationError(component, at, message)
+
+
+def read_state(path: Path) -> bytes | None:
+    """Return the content of a state file, None without one."""
+    return path.read_bytes() if path.is_file() else None
+
+
+def _allocate_kept(folder: Path, rows: int, width: int, start: Continuation | None) -> int:
+    """Create the files of a run that keeps checkpoints, with the rows so far; return the number of rows that fit.
+
+    Raises:
+        DiskFull: No further row fits.
+    """
+    count, given = rows, 0 if start is None else start.count
+    while count and count >= given:
+        try:
+            allocate(folder / f"{ROWS}.new", count * width)
+            if start is None:
+                (folder / STATE).unlink(missing_ok=True)
+                (folder / BESIDE).unlink(missing_ok=True)
+            else:
+                _write_start(folder, start, f"{ROWS}.new")
+        except OSError as error:
+            (folder / f"{ROWS}.new").unlink(missing_ok=True)
+            if not is_full(error):
+                raise
+            count = int(DISK_RETRY_SHARE * count)
+        else:
+            (folder / f"{ROWS}.new").replace(folder / ROWS)
+            return count
+    raise _disk_full(0.0, given, rows)
+
+
+def _write_start(folder: Path, start: Continuation, rows: str = ROWS) -> None:
+    """Write the rows and the state from which a run goes on."""
+    with (folder / rows).open("r+b") as stream:
+        stream.write(start.values.tobytes())
+    write_durable(folder / BESIDE, b"".join(map(exact_line, start.exact)))
+    if start.state is not None:
+        write_durable(folder / STATE, start.state)
 
 
 def _disk_full(time: float, count: int, rows: int) -> DiskFull:

@@ -310,6 +310,7 @@ class Scenario(Part):
     faults:      faults on connections
     criteria:    required figures of merit; a missed one leads to exit code 5
     limits:      limits on time and memory of a run
+    checkpoint:  wall-clock time [s] between two checkpoints, from which `cosim run FOLDER --resume` goes on
     """
 
     name: str
@@ -331,6 +332,7 @@ class Scenario(Part):
     faults: list[Disturbance] = Field(default_factory=list)
     criteria: Criteria = Field(default_factory=dict)
     limits: Limits | None = None
+    checkpoint: PositiveSeconds | None = None
 
     @property
     def steps(self) -> int:

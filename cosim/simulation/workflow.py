@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import time
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from cosim.base.drafts import is_full
-from cosim.base.errors import DiskFull, SimulationError, Terminated, stop_error
+from cosim.base.errors import DiskFull, InputError, SimulationError, Terminated, stop_error
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import allocate
+from cosim.master.checkpoint import Continuation, Keeping
 from cosim.master.observer import Observer, ProgressObserver
 from cosim.master.remote import MODULES, SteppedRun, simulate_apart, simulate_here
 from cosim.scenario.controller_design import designed_apart
@@ -26,6 +28,18 @@ from cosim.simulation import messages
 from cosim.simulation.criteria import evaluate
 from cosim.simulation.manifest import add_changes, check_pinned, manifest, software_versions
 from cosim.simulation.packaged import is_ssp, lay_out
+from cosim.simulation.stopped_run import (
+    MANIFEST,
+    StoppedRun,
+    begin_keeping,
+    end_keeping,
+    exchanged_names,
+    keep_state,
+    open_stopped,
+    replayed_names,
+    unsaved_names,
+    write_run,
+)
 from cosim.storage import kinds
 from cosim.storage.files import (
     FilePath,
@@ -41,9 +55,8 @@ from cosim.storage.folder_lock import folder_locks
 from cosim.storage.folders import check_run_folder, folder_named, keep_earlier
 from cosim.storage.kinds import check_form
 from cosim.storage.results import Results, remove_rows, rows_name
-from cosim.system.system import build_system
+from cosim.system.system import System, build_system
 
-MANIFEST = "manifest.json"
 SPARE = 8192  # room beyond the size of the manifest [bytes]
 
 
@@ -66,6 +79,55 @@ class Outcome:
         return [c for c in self.manifest["criteria"] if not c["met"]]
 
 
+@dataclass
+class _Prepared:
+    """A run before its steps.
+
+    Attributes:
+        record: Manifest without timings and outcome; None until it is needed.
+        start: Where a stopped run goes on; None for a new run.
+        keep: Whether an earlier run in the folder moves to `runs`.
+    """
+
+    file: ScenarioFile
+    place: Path
+    system: System
+    designed: Mapping[str, Mapping[str, Any]]
+    rows_file: str
+    software: Future[dict[str, Any]]
+    warnings: list[str] = field(default_factory=list)
+    ssp: Path | None = None
+    keep: bool = False
+    start: Continuation | None = None
+    record: dict[str, Any] | None = None
+
+    @property
+    def interval(self) -> float | None:
+        """Return the wall time between two checkpoints [s]."""
+        return self.file.scenario.checkpoint
+
+    def base(self) -> dict[str, Any]:
+        """Return the manifest without timings and outcome."""
+        if self.record is None:
+            self.record = manifest(self.file, self.designed, self.system, {}, self.software.result())
+            if self.ssp is not None:
+                self.record["ssp"] = {"path": str(self.ssp.resolve()), "sha256": sha256(self.ssp)}
+            self.record["warnings"] += self.warnings
+        return copy.deepcopy(self.record)
+
+    def keeping(self) -> Keeping:
+        """Return the settings of the checkpoints; their folder is ready."""
+        if self.interval is None:
+            return Keeping(start=self.start)
+        if self.start is not None:
+            folder = write_run(self.place, self.base(), self.rows_file, self.warnings)
+            return Keeping(folder, self.interval, self.start)
+        if self.keep:
+            keep_earlier(self.place, "cosim run")
+            self.keep = False
+        return Keeping(begin_keeping(self.place, self.base(), self.rows_file, self.warnings), self.interval)
+
+
 @one_stop()
 @folder_locks()
 def run(
@@ -81,13 +143,17 @@ def run(
     format_: str = "csv",
     progress: Callable[[int, int], None] | None = None,
     observers: Sequence[Observer] = (),
+    resume: bool = False,
+    until: float | None = None,
+    tell: Callable[[str], None] = lambda text: None,
 ) -> Outcome:
-    """Run a scenario or an SSP, or repeat a manifest.
+    """Run a scenario or an SSP, repeat a manifest, or go on with a stopped run.
 
     Writes results.csv, manifest.json and report.html. After a failure the rows so far are written before the error is
     raised.
 
     Args:
+        scenario: File; with `resume` or `until` the folder of a run.
         folder: Output folder. The default is results/NAME, where an earlier run moves to `runs`. An SSP's generated
             scenario and FMUs go to `system` in the folder.
         force: Whether to overwrite the run of a different scenario.
@@ -95,6 +161,9 @@ def run(
         observers: Receive rows during the run; `progress`, a function of (steps done, total), is added to them.
         format_: Format of the rows, e.g. parquet for results.parquet instead of results.csv.
         in_process: Load FMUs into this process, for a debugger; a crash of an FMU then loses all rows.
+        resume: Whether to go on with the stopped run in a folder.
+        until: End [s] of a longer run that goes on with the run in a folder.
+        tell: Function that shows a note before the steps.
 
     Raises:
         InputError: The input is faulty.
@@ -102,46 +171,121 @@ def run(
         SimulationError: The simulation stopped early.
     """
     observers = [*observers, *([] if progress is None else [ProgressObserver(progress)])]
-    begin, path, rows_file = time.perf_counter(), Path(scenario), rows_name("results", format_)
-    is_package = is_ssp(path)
-    if not is_package:
+    begin, path = time.perf_counter(), Path(scenario)
+    goes_on = resume or until is not None
+    if not goes_on and not is_ssp(path):
         check_form(path, kinds.SCENARIO, kinds.MANIFEST)  # before the worker is started
     with ExitStack() as stack:
         worker = None if in_process else stack.enter_context(Worker(*MODULES))
         if worker is not None:
             worker.start()  # The worker starts up while files are read.
-        file, place, warnings = _read(path, folder, overrides, force=force)
-        keep = folder is None and not is_package  # lay_out has already moved the earlier run of an SSP.
-        if nearest:
-            take_nearest(file)
-        check_pinned(file)
-        designed = designed_apart(file, worker)
-        system = build_system(file, designed)
-        if not is_package:
-            check_run_folder(place, file.scenario.name, force=force, keep=keep)
-        check_writable(place, (rows_file, MANIFEST, "report.html"), file.files)
         software = stack.enter_context(ThreadPoolExecutor(1)).submit(software_versions)  # parallel to the loading
-        loaded, steps, h = time.perf_counter(), file.scenario.steps, file.scenario.step
-        if worker is None:
-            stepped = simulate_here(system, steps, h, observers)
+        if goes_on:
+            prepared = _prepare_stopped(path, until, software, tell)
         else:
-            stepped = simulate_apart(worker, system, steps, h, place, file.scenario.limits, observers=observers)
-            worker.finish()
+            options = force, nearest, rows_name("results", format_)
+            prepared = _prepare_new(path, folder, overrides, options, software, worker)
+        loaded = time.perf_counter()
+        stepped = _step(prepared, worker, observers, tell)
         stepping = time.perf_counter() - loaded
-        speed = file.scenario.duration / stepping
-        timings = {"load": loaded - begin, "simulate": stepping, "real_time_factor": speed}
-        record = manifest(file, designed, system, timings, software.result(), stepped.results.loop)
-        if is_package:
-            record["ssp"] = {"path": str(path.resolve()), "sha256": sha256(path)}
-        record["warnings"] += warnings
-        add_changes(record, file.scenario, stepped.changes)
-        _add_outcome(record, file.scenario, stepped, watched=worker is not None)
-        files = _Files(place / rows_file, file.scenario, stepped, record)
-        failure = files.write(report=report, figures=figures, keep=keep)
+        record, limits = prepared.base(), prepared.file.scenario.limits
+        record["loop"] = stepped.results.loop
+        speed = _simulated(prepared) / stepping
+        record["timings"] = {"load": loaded - begin, "simulate": stepping, "real_time_factor": speed}
+        add_changes(record, prepared.file.scenario, [*prepared.changes, *stepped.changes])
+        _add_outcome(record, prepared.file.scenario, stepped)
+        if worker is None and limits is not None:
+            record["warnings"].append(messages.LIMITS_NOT_WATCHED())
+        files = _Files(prepared, stepped, record, is_kept=worker is not None and prepared.interval is not None)
+        failure = files.write(report=report, figures=figures)
     if failure is not None:
-        failure.left = place
+        failure.left = prepared.place
         raise failure
-    return Outcome(stepped.results, record, place / rows_file)
+    return Outcome(stepped.results, record, files.rows)
+
+
+def _prepare_new(
+    path: Path,
+    folder: FilePath | None,
+    overrides: Sequence[str],
+    options: tuple[bool, bool, str],
+    software: Future[dict[str, Any]],
+    worker: Worker | None,
+) -> _Prepared:
+    """Return a new run.
+
+    Args:
+        options: Whether to overwrite another run, whether to use the nearest models, and the name of the rows file.
+    """
+    force, nearest, rows_file = options
+    is_package = is_ssp(path)
+    file, place, warnings = _read(path, folder, overrides, force=force)
+    keep = folder is None and not is_package  # lay_out has already moved the earlier run of an SSP.
+    if nearest:
+        take_nearest(file)
+    check_pinned(file)
+    designed = designed_apart(file, worker)
+    system = build_system(file, designed)
+    if not is_package:
+        check_run_folder(place, file.scenario.name, force=force, keep=keep)
+    check_writable(place, (rows_file, MANIFEST, "report.html"), file.files)
+    ssp = path if is_package else None
+    return _Prepared(file, place, system, designed, rows_file, software, warnings, ssp, keep)
+
+
+def _prepare_stopped(
+    path: Path, until: float | None, software: Future[dict[str, Any]], tell: Callable[[str], None]
+) -> _Prepared:
+    """Return the run in a folder, ready to go on; tell how and at which cost."""
+    stopped = open_stopped(path)
+    stopped.check_end(until)
+    file = stopped.scenario(until)
+    check_pinned(file)
+    system = build_system(file)
+    if until is not None and (names := exchanged_names(system)):
+        message = messages.NOT_EXTENDABLE(names=", ".join(names), duration=file.scenario.duration)
+        raise InputError.at(stopped.folder, message)
+    start = stopped.start(system, file.scenario)
+    check_writable(stopped.folder, (stopped.rows_file, MANIFEST, "report.html"), file.files)
+    record = stopped.base(system.warnings if until is not None or stopped.has_outcome else None)
+    record["scenario"]["duration"] = file.scenario.duration
+    tell(_how_it_goes_on(stopped, system, start, file.scenario))
+    files, extra = stopped.rows_file, stopped.warnings
+    return _Prepared(file, stopped.folder, system, {}, files, software, extra, start=start, record=record)
+
+
+def _how_it_goes_on(stopped: StoppedRun, system: System, start: Continuation, scenario: Scenario) -> str:
+    """Return the note on where a run goes on, and on what is replayed at which cost."""
+    time = scenario.start_time + (start.count - 1) * scenario.step
+    names = replayed_names(system, stopped.checkpoint)
+    cost = messages.REPLAY_COST(names=", ".join(names), seconds=stopped.lasted) if names else ""
+    return messages.GOES_ON(time=time, row=start.count, rows=scenario.steps + 1, replay=cost)
+
+
+def _step(
+    prepared: _Prepared, worker: Worker | None, observers: Sequence[Observer], tell: Callable[[str], None]
+) -> SteppedRun:
+    """Make the steps of a run."""
+    scenario, system, place = prepared.file.scenario, prepared.system, prepared.place
+    if worker is None:
+        if prepared.interval is not None:
+            tell(messages.NO_CHECKPOINT_IN_PROCESS())
+        return simulate_here(system, scenario.steps, scenario.step, observers, start=prepared.start)
+    keeping = prepared.keeping()
+    if keeping.folder is not None and prepared.start is None and (names := unsaved_names(system)):
+        tell(messages.REPLAY_ON_RESUME(names=", ".join(names)))
+    limits = scenario.limits
+    stepped = simulate_apart(
+        worker, system, scenario.steps, scenario.step, place, limits, observers=observers, keeping=keeping
+    )
+    worker.finish()
+    return stepped
+
+
+def _simulated(prepared: _Prepared) -> float:
+    """Return the simulated time [s] that this command makes."""
+    scenario, start = prepared.file.scenario, prepared.start
+    return scenario.duration if start is None else (scenario.steps + 1 - start.count) * scenario.step
 
 
 def _read(
@@ -157,7 +301,7 @@ def _read(
     return file, place, warnings
 
 
-def _add_outcome(record: dict[str, Any], scenario: Scenario, stepped: SteppedRun, *, watched: bool) -> None:
+def _add_outcome(record: dict[str, Any], scenario: Scenario, stepped: SteppedRun) -> None:
     """Add the outcome of the steps to the manifest."""
     record |= stepped.results.details
     if stepped.failure is None:
@@ -168,21 +312,34 @@ def _add_outcome(record: dict[str, Any], scenario: Scenario, stepped: SteppedRun
     if stepped.results.event_counts:
         record["event_counts"] = stepped.results.event_counts
         record["first_events"] = [list(event) for event in stepped.results.events]
-    if not watched and scenario.limits is not None:
-        record["warnings"].append(messages.LIMITS_NOT_WATCHED())
 
 
 @dataclass
 class _Files:
-    """Files of a run; `written` holds the names of complete files."""
+    """Files of a run.
 
-    rows: Path
-    scenario: Scenario
+    Attributes:
+        is_kept: Whether the folder has checkpoints of the run.
+        written: Names of complete files.
+    """
+
+    prepared: _Prepared
     stepped: SteppedRun
     record: dict[str, Any]
+    is_kept: bool
     written: list[str] = field(default_factory=list)
 
-    def write(self, *, report: bool, figures: bool, keep: bool) -> SimulationError | None:
+    @property
+    def rows(self) -> Path:
+        """Return the file of the rows."""
+        return self.prepared.place / self.prepared.rows_file
+
+    @property
+    def scenario(self) -> Scenario:
+        """Return the scenario."""
+        return self.prepared.file.scenario
+
+    def write(self, *, report: bool, figures: bool) -> SimulationError | None:
         """Write all files of a run, or as many as fit.
 
         Returns:
@@ -190,7 +347,7 @@ class _Files:
         """
         failure, time = self.stepped.failure, self.stepped.results.time
         try:
-            if keep:
+            if self.prepared.keep:
                 keep_earlier(self.rows.parent, "cosim run")
             self._write_rows()
             release_stops()
@@ -215,6 +372,9 @@ class _Files:
             self.written.append(self.rows.name)
             write_json(self.rows.with_name(MANIFEST), self.record)
             self.written.append(MANIFEST)
+            end_keeping(self.rows.parent, is_kept=self.is_kept)
+            if self.stepped.state is not None and self.stepped.failure is not None:
+                keep_state(self.rows, self.prepared.base(), self.prepared.warnings, self.stepped.state)
 
     def _draw(self, *, report: bool, figures: bool) -> None:
         """Draw report and figures of a written run."""

@@ -18,10 +18,22 @@ from cosim.base.settings import Given, Seed, texts
 from cosim.storage.files import FilePath
 from cosim.verbs import messages
 from cosim.verbs.live_option import Live, Port, live_page
-from cosim.verbs.options import Compile, Force, Format, InProcess, Json, Nearest, Open, Overrides, Report, out_option
+from cosim.verbs.options import (
+    Compile,
+    Force,
+    Format,
+    InProcess,
+    Json,
+    Nearest,
+    Open,
+    Overrides,
+    Report,
+    out_option,
+    time_option,
+)
 from cosim.verbs.outcome import say_outcome
 from cosim.verbs.scratch_results import results_in
-from cosim.verbs.terminal import progress_bar, say, say_finding
+from cosim.verbs.terminal import progress_bar, say, say_finding, warn
 
 if TYPE_CHECKING:
     from cosim.master.observer import Observers
@@ -43,13 +55,16 @@ def run(
     format: str = "csv",
     progress: Callable[[int, int], None] | None = None,
     observers: Observers = (),
+    resume: bool = False,
+    until: float | None = None,
 ) -> Run:
     """Simulate a scenario or an SSP.
 
     A criterion that is not met is not an error: see `Run.missed`.
 
     Args:
-        scenario: File, manifest.json, or the content as a mapping with paths relative to the current folder.
+        scenario: File, manifest.json, or the content as a mapping with paths relative to the current folder. With
+            `resume` or `until`: the folder of a run.
         out: Folder for results.csv, manifest.json and report.html; None writes nothing.
         set: Path → value, for example {"noise": False, "components.plant.start.mass": 2}, or texts "path=value".
         seed: Seed for all random numbers.
@@ -62,6 +77,8 @@ def run(
         format: File format of the rows: "csv", "parquet", "mat", "hdf5", "mcap", or one of an installed package.
         progress: Function of (completed steps, all steps).
         observers: Objects that receive the rows during the run (`cosim.master.observer.Observer`).
+        resume: Go on with the stopped run in a folder, to the bytes that an uninterrupted run gives.
+        until: End [s] of a longer run that goes on with the run in a folder.
 
     Returns:
         The signals, the manifest and the criteria.
@@ -77,11 +94,28 @@ def run(
 
     overrides = [*texts(set)]
     overrides += [] if seed is None else [f"seed={seed}"]
+    if (resume or until is not None) and not isinstance(scenario, Mapping):
+        options = {"out": out is not None, "set": bool(set), "seed": seed is not None, "nearest": nearest}
+        _refuse_options(Path(scenario), options)
+        with compiling(compile):
+            outcome = run_file(
+                scenario, report=report, figures=figures, in_process=in_process, progress=progress,
+                observers=observers, resume=resume, until=until,
+            )  # fmt: skip
+        return run_of(outcome.results, outcome.manifest, outcome.folder)
     with compiling(compile), results_in(out) as folder, _scenario_file(scenario) as path:
         steps = partial(run_file, in_process=in_process, progress=progress, observers=observers)
         leaves = partial(steps, report=report and out is not None, figures=figures and out is not None)
         outcome = leaves(path, folder, overrides, force=force, nearest=nearest, format_=format)
     return run_of(outcome.results, outcome.manifest, None if out is None else outcome.folder)
+
+
+def _refuse_options(path: Path, options: Mapping[str, bool]) -> None:
+    """Raise InputError for options that a run that goes on does not take."""
+    if given := [name for name, is_given in options.items() if is_given]:
+        from cosim.simulation.messages import RESUME_WITH_OPTION
+
+        raise InputError.at(path, RESUME_WITH_OPTION(option=given[0]))
 
 
 @contextmanager
@@ -107,7 +141,13 @@ def _scenario_file(scenario: FilePath | Mapping[str, Any]) -> Iterator[Path]:
 
 
 def command(
-    scenario: Annotated[Path, typer.Argument(help="A scenario, an SSP, or the manifest.json of a run to repeat.")],
+    scenario: Annotated[
+        Path,
+        typer.Argument(
+            help="A scenario, an SSP, or the manifest.json of a run to repeat; with --resume or --until the folder of "
+            "a run."
+        ),
+    ],
     *,
     out: Annotated[Path | None, out_option("results/NAME of the scenario")] = None,
     set_: Overrides = None,
@@ -123,6 +163,12 @@ def command(
     in_process: InProcess = False,
     format_: Format = "csv",
     compile_: Compile = False,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with the stopped run in a folder, to the same bytes.")
+    ] = False,
+    until: Annotated[
+        float | None, time_option("Go on with the run in a folder to this simulated time, in seconds or with a unit.")
+    ] = None,
     coupling: Annotated[
         bool,
         typer.Option(
@@ -142,9 +188,13 @@ def command(
     from cosim.simulation.workflow import run as run_scenario
 
     overrides = [*(set_ or []), *([] if seed is None else [f"seed={seed}"])]
+    if resume or until is not None:
+        given = {"--out": out is not None, "--set": bool(set_), "--seed": seed is not None, "--nearest": nearest}
+        _refuse_options(scenario, {**given, "--format": format_ != "csv"})
     with compiling(compile_), progress_bar() as progress, live_page("run", scenario.stem, live=live, port=port) as page:
         observers = () if page is None else (page,)
         steps = partial(run_scenario, nearest=nearest, in_process=in_process, progress=progress, observers=observers)
+        steps = partial(steps, resume=resume, until=until, tell=warn)
         outcome = steps(scenario, out, overrides, force=force, report=report, figures=figures, format_=format_)
         if page is not None:
             page.show_outcome(outcome)

@@ -1,0 +1,209 @@
+"""Checkpoints of a run: what determines its future, saved between two steps, and a run that goes on from one.
+
+A checkpoint holds the state of every component that can save it, the memory of the connections, and a hash of the rows
+so far. The rows are in a file of their own, to which the run adds them anyway. Components that cannot save their state
+are replayed from the start. Anything with `save` and `restore` as in `cosim.blocks.component` takes part.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import threading
+import time
+from collections.abc import Callable, Mapping, MutableSequence, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.base.errors import Interrupted, SimulationError
+from cosim.isolation.rows import GET, NOTHING, exact_line
+from cosim.master import messages
+from cosim.master.replay import Replay, is_same
+from cosim.storage.state_file import pack, sync, unpack, write_durable
+
+if TYPE_CHECKING:
+    from cosim.master.master import Master
+
+ROWS, BESIDE, STATE = "rows", "beside", "state"  # files of a run, in one folder
+FORMAT = 1  # version of the content of a checkpoint
+HASHED = 1 << 20  # values hashed at a time
+
+
+@dataclass(frozen=True)
+class Continuation:
+    """The rows and the state from which a run goes on.
+
+    Attributes:
+        exact: Values beside the rows, by row.
+        state: Content of a state file; None if everything is replayed.
+    """
+
+    values: Array
+    exact: Sequence[tuple[Any, ...]] = ()
+    state: bytes | None = None
+
+    @property
+    def count(self) -> int:
+        """Return the number of rows."""
+        return len(self.values)
+
+
+@dataclass(frozen=True)
+class Keeping:
+    """Settings of the checkpoints of a run.
+
+    Attributes:
+        folder: Folder that keeps rows and state while the run lasts; None if only a stop makes a checkpoint.
+        interval: Wall time [s] between two checkpoints.
+        start: Where the run goes on; None for a new run.
+    """
+
+    folder: Path | None = None
+    interval: float | None = None
+    start: Continuation | None = None
+
+
+class RowsHash:
+    """SHA-256 of the first rows of a run, continued from call to call."""
+
+    def __init__(self) -> None:
+        self._rows, self._lines, self._count = hashlib.sha256(), hashlib.sha256(), 0
+
+    def of(self, values: Array, exact: Sequence[tuple[Any, ...]], count: int) -> str:
+        """Return the hash of the first `count` rows; −0 counts as 0, and every NaN as the same."""
+        width = max(1, values.shape[1])
+        for first in range(self._count, count, max(1, HASHED // width)):
+            part = values[first : min(count, first + max(1, HASHED // width))] + 0.0
+            part[np.isnan(part)] = np.nan
+            self._rows.update(part.tobytes())
+        for row in exact[self._count : count]:
+            self._lines.update(exact_line(row))
+        self._count = count
+        return f"{self._rows.hexdigest()}{self._lines.hexdigest()}"
+
+
+@dataclass
+class Keeper:
+    """Keeper of a run's checkpoints, in the process that steps it.
+
+    Attributes:
+        place: Folder of the files.
+        asked: Cell that makes the loop call `look`; `ending` tells that the caller wants an end too.
+        interval: Wall time [s] between two checkpoints; None if only a stop makes one.
+        start: Where the run goes on, if it does.
+        exact: Function that returns the values beside the first rows.
+        elapsed: Wall time [s] that the run took before.
+    """
+
+    place: Path
+    asked: MutableSequence[int]
+    ending: MutableSequence[int]
+    interval: float | None = None
+    start: Continuation | None = None
+    exact: Callable[[int], Sequence[tuple[Any, ...]]] = lambda count: ()
+    elapsed: float = 0.0
+    hash: RowsHash = field(default_factory=RowsHash)
+    _over: threading.Event = field(default_factory=threading.Event)
+
+    def begin(self, master: Master) -> None:
+        """Go on from a stopped run, if there is one, and begin to keep checkpoints; the first row is complete."""
+        if self.start is not None:
+            self.elapsed = go_on(master, self.start)
+        self._begin = self._last = time.monotonic()
+        if self.interval is not None:
+            threading.Thread(target=self._tick, args=(self.interval,), daemon=True).start()
+
+    def look(self, master: Master, k: int) -> None:
+        """Make a checkpoint after point k if it is due; raise Interrupted if the caller wants an end."""
+        self.asked[0] = 0
+        if self.ending[0]:
+            self.save(master, k)
+            raise Interrupted("the run", float(master.time[k]), messages.STOPPED_AFTER_CHECKPOINT())
+        if self.interval is not None and time.monotonic() - self._last >= 0.5 * self.interval:
+            self.save(master, k)
+
+    def end(self, master: Master) -> None:
+        """Make the last checkpoint of a complete run, from which a longer run goes on."""
+        if self.interval is not None:
+            self.save(master, master.done - 1)
+
+    def close(self) -> None:
+        """End the timer."""
+        self._over.set()
+
+    def save(self, master: Master, k: int) -> None:
+        """Write the checkpoint of point k, whose row is complete."""
+        components = {}
+        for component in master.components:
+            master.announce(component)
+            components[component.name] = component.save() if hasattr(component, "save") else None
+        master.doing[0] = NOTHING
+        links = {
+            name: [link.save(k) if hasattr(link, "save") else None for link in chain]
+            for name, chain in master.copying.links.items()
+        }
+        for name in (ROWS, BESIDE):
+            sync(self.place / name)
+        content = {
+            "format": FORMAT,
+            "point": k,
+            "time": float(master.time[k]),
+            "rows": self.hash.of(master.table, self.exact(k + 1), k + 1),
+            "components": components,
+            "links": links,
+            "elapsed": self.elapsed + time.monotonic() - self._begin,
+        }
+        write_durable(self.place / STATE, pack(content))
+        self._last = time.monotonic()
+
+    def _tick(self, interval: float) -> None:
+        while not self._over.wait(interval):
+            self.asked[0] = 1
+
+
+def go_on(master: Master, start: Continuation) -> float:
+    """Bring an initialized system to the last row of a stopped run.
+
+    Returns:
+        The wall time [s] that the run took to there.
+
+    Raises:
+        SimulationError: The system does not repeat what was recorded.
+    """
+    state: Mapping[str, Any] = {} if start.state is None else unpack(start.state)
+    states: Mapping[str, Any] = state.get("components", {})
+    if not is_same(master.row[:], start.values[0]):
+        raise SimulationError("the run", float(master.time[0]), messages.OTHER_BEGINNING())
+    master.table[: start.count] = start.values
+    last = start.count - 1
+    names = {c.name for c in master.components if states.get(c.name) is None}
+    Replay(master, start.exact, names, transfers=not state).run(last)
+    for name, memories in state.get("links", {}).items():
+        for link, memory in zip(master.copying.links[name], memories, strict=True):
+            if hasattr(link, "restore"):
+                link.restore(memory)
+    for component in master.components:
+        if component.name not in names:
+            _restore(master, component, states[component.name], last)
+    master.view[:] = start.values[last]
+    if start.exact:
+        master.beside[:] = start.exact[last]
+    master.row_count[0] = start.count
+    return float(state.get("elapsed", 0.0))
+
+
+def _restore(master: Master, component: Any, state: Any, last: int) -> None:
+    """Restore the state of a component; raise SimulationError if its outputs are not those of the last row."""
+    master.announce(component)
+    component.restore(state)
+    if last == 0 or component.name in master.system.events.get(last, {}):
+        return  # An event may change outputs after they are recorded.
+    first, _ = master.first_places(component.name)
+    outputs = slice(first + len(component.inputs), first + len(component.inputs) + len(component.outputs))
+    master.announce(component, GET)
+    component.get()
+    if not is_same(master.row[outputs], master.table[last][outputs]):
+        raise SimulationError(component.name, float(master.time[last]), messages.STATE_NOT_RESTORED())

@@ -1,0 +1,276 @@
+"""Stopped and finished runs in their folders, from which `cosim run FOLDER --resume` and `--until` go on.
+
+results/NAME/checkpoint/run.json   manifest of the run before its outcome
+                        state      last checkpoint
+                        rows       rows while the run lasts, then in results.csv; `beside` holds text and the like
+"""
+
+from __future__ import annotations
+
+import copy
+import os
+import shutil
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.base.drafts import remove_drafts
+from cosim.base.errors import InputError
+from cosim.base.scratch import lock_file
+from cosim.base.version import __version__
+from cosim.blocks.component import Signal
+from cosim.blocks.fmu import FmuBlock
+from cosim.isolation.rows import read_exact, read_table
+from cosim.master.checkpoint import BESIDE, FORMAT, ROWS, STATE, Continuation, RowsHash
+from cosim.master.remote import IN_USE, read_state
+from cosim.scenario.scenario import Scenario
+from cosim.scenario.scenario_file import ScenarioFile
+from cosim.simulation import messages
+from cosim.storage.files import write_json
+from cosim.storage.folders import content_of, prepare_folder
+from cosim.storage.results import Results, read_results, rows_in
+from cosim.storage.state_file import BadState, sync, unpack, write_durable
+from cosim.system.system import System
+
+FOLDER, RUN, MANIFEST = "checkpoint", "run.json", "manifest.json"
+PATIENCE, PAUSE = 15.0, 0.05  # time [s] for the worker of a killed command to end, and between two looks
+ROUNDING = 1e-9  # relative tolerance of times on the grid of communication points
+EXTRA = "files"  # key of run.json beside those of a manifest: name of the rows file, warnings of an SSP
+
+
+@dataclass(frozen=True)
+class StoppedRun:
+    """A run in its folder.
+
+    Attributes:
+        source: File of the record: checkpoint/run.json or manifest.json.
+        record: Manifest.
+        rows_file: Name of the file of the rows.
+        state: Content of the last checkpoint, if any.
+        lasted: Wall time [s] of the steps so far, if known.
+    """
+
+    folder: Path
+    source: Path
+    record: dict[str, Any]
+    rows_file: str
+    state: bytes | None
+    lasted: float
+
+    def base(self, warnings: Sequence[str] | None) -> dict[str, Any]:
+        """Return the manifest without timings and outcome.
+
+        Args:
+            warnings: Warnings of the system; None for those of the record.
+        """
+        record = copy.deepcopy(self.record)
+        record.pop(EXTRA, None)
+        if warnings is not None:
+            record["warnings"] = [*warnings, *self.warnings]
+        return record | {"status": "ok", "loop": "", "timings": {}, "criteria": []}
+
+    @property
+    def warnings(self) -> list[str]:
+        """Return the warnings that do not come from the scenario."""
+        return list(self.record.get(EXTRA, {}).get("warnings", ()))
+
+    @property
+    def has_outcome(self) -> bool:
+        """Return whether the record has the warnings of the outcome too."""
+        return EXTRA not in self.record
+
+    @property
+    def checkpoint(self) -> Mapping[str, Any]:
+        """Return the content of the last checkpoint."""
+        checkpoint: Mapping[str, Any] = {} if self.state is None else unpack(self.state)
+        return checkpoint
+
+    def scenario(self, until: float | None) -> ScenarioFile:
+        """Return the scenario, ending at `until` [s] if given."""
+        start = self.record["scenario"].get("start_time", 0.0)
+        overrides = [] if until is None else [f"duration={until - start!r}"]
+        return ScenarioFile(self.source, overrides, option="--until")
+
+    @cached_property
+    def results(self) -> Results:
+        """Return the rows of the results; raise InputError if there are none."""
+        rows = rows_in(self.folder)
+        if rows is None:
+            raise InputError.at(self.folder, messages.NOTHING_TO_RESUME())
+        return read_results(rows, {}, self.record.get("beside", ()))
+
+    def check_end(self, until: float | None) -> None:
+        """Raise InputError if a later end is not later than the time that the run has reached."""
+        if until is None:
+            return
+        if self.state is not None:
+            reached = float(self.checkpoint["time"])
+        else:
+            reached = float(self.results.time[-1]) if len(self.results.time) else -np.inf
+        if until <= reached:
+            raise InputError.at(self.folder, messages.END_NOT_LATER(time=reached, end=until))
+
+    def start(self, system: System, scenario: Scenario) -> Continuation:
+        """Return rows and state to go on from.
+
+        Raises:
+            InputError: The run is finished, or its files do not belong together.
+        """
+        kept = self.folder / FOLDER
+        width, checkpoint = len(system.columns), self.checkpoint
+        count = checkpoint["point"] + 1 if checkpoint else 0
+        if (kept / ROWS).is_file():
+            if not count:
+                raise InputError.at(kept, messages.STOPPED_BEFORE_ROWS())
+            start = Continuation(read_table(kept / ROWS, count, width), read_exact(kept / BESIDE, count), self.state)
+        else:
+            start = self._from_results(system, scenario, count)
+        if checkpoint and RowsHash().of(start.values, start.exact, start.count) != checkpoint["rows"]:
+            raise InputError.at(self.folder, messages.ROWS_OF_ANOTHER_RUN())
+        if start.count > scenario.steps and not (kept / ROWS).is_file():
+            reached = scenario.start_time + (start.count - 1) * scenario.step
+            raise InputError.at(self.folder, messages.ALREADY_FINISHED(time=reached))
+        return start
+
+    def _from_results(self, system: System, scenario: Scenario, count: int) -> Continuation:
+        """Return the first `count` rows of the results, or all."""
+        results, rows = self.results, self.folder / self.rows_file
+        expected = scenario.start_time + scenario.step * np.arange(len(results.time))
+        on_grid = np.abs(results.time - expected) <= ROUNDING * (1.0 + np.abs(expected))
+        complete = len(results.time) if on_grid.all() else int(np.argmin(on_grid))  # An FMU may end a run between.
+        count = count or complete
+        if not complete:
+            raise InputError.at(rows, messages.STOPPED_BEFORE_ROWS())
+        if results.columns != system.columns or complete < count:
+            raise InputError.at(rows, messages.ROWS_OF_ANOTHER_RUN())
+        columns = [[_exact(v, system.signals[n]) for v in results.exact[n][:count]] for n in system.beside]
+        return Continuation(np.ascontiguousarray(results.values[:count]), [*zip(*columns, strict=True)], self.state)
+
+
+def _exact(value: Any, signal: Signal) -> Any:
+    """Return a value beside the row from its text in the results."""
+    if signal.kind == "Binary":
+        return bytes.fromhex(str(value))
+    return str(value) if signal.kind == "String" else int(value)
+
+
+def open_stopped(path: Path) -> StoppedRun:
+    """Lock the folder of a run; return the run.
+
+    Raises:
+        InputError: The folder holds no run to go on with, or a checkpoint that is damaged or of another version.
+    """
+    folder = path.parent if path.name == MANIFEST and path.is_file() else path
+    if not folder.is_dir():
+        raise InputError.at(path, messages.NO_RUN_FOLDER())
+    prepare_folder(folder, keep=False)
+    kept = folder / FOLDER
+    wait_for_worker(kept)
+    remove_drafts(kept, (STATE, BESIDE, RUN))
+    source = next((file for file in (kept / RUN, folder / MANIFEST) if file.is_file()), None)
+    record = {} if source is None else content_of(source)
+    if source is None or not isinstance(record.get("scenario"), dict):
+        raise InputError.at(folder, messages.NOTHING_TO_RESUME())
+    if (version := record.get("cosim_version")) != __version__:
+        raise InputError.at(source, messages.OTHER_VERSION(version=version, own=__version__))
+    timings = record.get("timings")
+    lasted = float(timings.get("simulate", 0.0)) if isinstance(timings, dict) else 0.0
+    state = read_state(kept / STATE)
+    if state is not None:
+        checkpoint = _unpack(kept / STATE, state)
+        lasted = float(checkpoint["elapsed"])
+    rows = rows_in(folder)
+    rows_file = record.get(EXTRA, {}).get("rows", "results.csv" if rows is None else rows.name)
+    return StoppedRun(folder, source, record, rows_file, state, lasted)
+
+
+def _unpack(path: Path, state: bytes) -> Mapping[str, Any]:
+    """Return a checkpoint; raise InputError if it is damaged or of another version."""
+    try:
+        checkpoint = unpack(state)
+        if checkpoint["format"] != FORMAT:
+            raise InputError.at(path, messages.OTHER_VERSION(version=f"format {checkpoint['format']}", own=FORMAT))
+    except (BadState, ValueError, LookupError, TypeError) as error:
+        raise InputError.at(path, messages.DAMAGED_CHECKPOINT(reason=str(error))) from None
+    return dict(checkpoint)
+
+
+def wait_for_worker(kept: Path) -> None:
+    """Wait until no worker of a killed command writes into a folder of checkpoints; raise InputError after a while."""
+    path = kept / IN_USE
+    for _ in range(round(PATIENCE / PAUSE)):
+        if not path.is_file():
+            return
+        lock = lock_file(path)
+        if lock is not None:
+            os.close(lock)
+            return
+        time.sleep(PAUSE)
+    raise InputError.at(kept, messages.WORKER_STILL_ENDS())
+
+
+def begin_keeping(folder: Path, record: Mapping[str, Any], rows_file: str, warnings: Sequence[str]) -> Path:
+    """Prepare the folder of the checkpoints of a new run; return it."""
+    kept = folder / FOLDER
+    wait_for_worker(kept)
+    kept.mkdir(exist_ok=True)
+    for name in (STATE, ROWS, BESIDE, RUN):  # A kill in between leaves no checkpoint with the rows of another run.
+        (kept / name).unlink(missing_ok=True)
+    remove_drafts(kept, (STATE, BESIDE, RUN))
+    return write_run(folder, record, rows_file, warnings)
+
+
+def write_run(folder: Path, record: Mapping[str, Any], rows_file: str, warnings: Sequence[str]) -> Path:
+    """Write what a run is into the folder of its checkpoints; return that folder.
+
+    Args:
+        warnings: Those of the record that do not come from the scenario.
+    """
+    kept = folder / FOLDER
+    kept.mkdir(exist_ok=True)
+    write_json(kept / RUN, {**record, EXTRA: {"rows": rows_file, "warnings": list(warnings)}})
+    sync(kept / RUN)
+    sync(kept)
+    return kept
+
+
+def end_keeping(folder: Path, *, is_kept: bool) -> None:
+    """Remove what the files of results replace.
+
+    Args:
+        is_kept: Whether the folder has checkpoints of this run, not of another one.
+    """
+    kept = folder / FOLDER
+    if not is_kept and kept.is_dir() and not kept.is_symlink():
+        shutil.rmtree(kept, ignore_errors=True)
+    for name in (ROWS, BESIDE, IN_USE):
+        with suppress(OSError):
+            (kept / name).unlink(missing_ok=True)
+
+
+def keep_state(rows: Path, record: Mapping[str, Any], warnings: Sequence[str], state: bytes) -> None:
+    """Write the checkpoint of a stopped run beside its rows."""
+    write_durable(write_run(rows.parent, record, rows.name, warnings) / STATE, state)
+
+
+def replayed_names(system: System, checkpoint: Mapping[str, Any]) -> Sequence[str]:
+    """Return the FMUs whose inputs are replayed from the start in a run that goes on."""
+    states = checkpoint.get("components", {})
+    return [name for name in system.fmus if states.get(name) is None]
+
+
+def unsaved_names(system: System) -> Sequence[str]:
+    """Return the components that cannot save their state."""
+    return [s.component.name for s in system.stages if not getattr(s.component, "saves", False)]
+
+
+def exchanged_names(system: System) -> Sequence[str]:
+    """Return the FMUs in model exchange."""
+    blocks = [s.component for s in system.stages if isinstance(s.component, FmuBlock)]
+    return [block.name for block in blocks if block.calls.way == "model-exchange"]

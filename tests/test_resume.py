@@ -1,0 +1,307 @@
+"""A stopped run goes on to the bytes of an uninterrupted one, and a finished run is extended."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import cosim
+from cosim.base.arrays import Array
+from cosim.base.errors import CosimError, InputError, Interrupted, SimulationError
+from cosim.base.version import __version__
+from cosim.master.observer import Observer
+from cosim.simulation.workflow import run
+from cosim.storage.state_file import BadState, pack, unpack
+from tests.conftest import ROOT
+from tests.walker import walker_scenario
+
+PAUSE = 3000.0  # wall time of a step [us], so that a run is stopped on its way
+
+
+class Stop(Observer):
+    """Stops a run from the keyboard after some rows."""
+
+    def __init__(self, after: float) -> None:
+        self.after = after
+
+    def rows(self, time: Array, values: Array) -> None:
+        if time[-1] >= self.after:
+            self.after = math.inf  # rows after a stop are delivered too
+            raise KeyboardInterrupt
+
+
+def stopped(scenario: Path, folder: Path, overrides: list[str] | None = None, after: float = 0.3) -> Path:
+    """Return the folder of a run that was stopped from the keyboard."""
+    with pytest.raises(Interrupted):
+        run(scenario, folder, overrides or [], observers=[Stop(after)], report=False)
+    return folder
+
+
+def check_equal(one: Path, other: Path) -> None:
+    """Compare rows and manifest, apart from times."""
+    assert (one / "results.csv").read_bytes() == (other / "results.csv").read_bytes()
+    manifests = [json.loads((folder / "manifest.json").read_text()) for folder in (one, other)]
+    for manifest in manifests:
+        del manifest["timings"]
+    assert manifests[0] == manifests[1]
+    assert [*manifests[0]] == [*manifests[1]]
+
+
+Walk = tuple[Path, Path, Path]
+
+
+def made(folder: Path, loop: str) -> Walk:
+    """Return a scenario, its uninterrupted run, and a run of it that was stopped."""
+    scenario = walker_scenario(folder, python=loop == "Python", pause=PAUSE)
+    whole = run(scenario, folder / "whole", report=False)
+    assert whole.results.loop.startswith(loop)
+    return scenario, folder / "whole", stopped(scenario, folder / "part")
+
+
+@pytest.fixture(scope="module")
+def in_c(tmp_path_factory: pytest.TempPathFactory) -> Walk:
+    return made(tmp_path_factory.mktemp("c"), "C")
+
+
+@pytest.fixture(scope="module")
+def in_python(tmp_path_factory: pytest.TempPathFactory) -> Walk:
+    return made(tmp_path_factory.mktemp("python"), "Python")
+
+
+@pytest.fixture(params=["in_c", "in_python"])
+def walk(request: pytest.FixtureRequest) -> Walk:
+    loaded: Walk = request.getfixturevalue(request.param)
+    return loaded
+
+
+def test_a_run_stopped_from_the_keyboard_goes_on_to_the_same_bytes(walk: Walk, tmp_path: Path) -> None:
+    _, whole, part = walk
+    said: list[str] = []
+    again = shutil.copytree(part, tmp_path / "again")
+    rows = (again / "results.csv").read_bytes()
+    assert (whole / "results.csv").read_bytes().startswith(rows)
+    run(again, resume=True, report=False, tell=said.append)
+    check_equal(again, whole)
+    assert "saving" not in said[0]
+    assert "other" in said[0]
+    assert sorted(path.name for path in again.iterdir()) == ["manifest.json", "results.csv"]
+
+
+def test_a_run_without_a_checkpoint_goes_on_by_a_replay_of_all(walk: Walk, tmp_path: Path) -> None:
+    _, whole, part = walk
+    again = shutil.copytree(part, tmp_path / "again")
+    shutil.rmtree(again / "checkpoint")
+    cosim.run(again, resume=True, report=False, in_process=True)
+    assert (again / "results.csv").read_bytes() == (whole / "results.csv").read_bytes()
+
+
+def test_a_finished_run_is_extended_with_and_without_its_last_state(walk: Walk, tmp_path: Path) -> None:
+    scenario, whole, _ = walk
+    longer = run(scenario, tmp_path / "longer", ["duration=1.3"], report=False).folder
+    if longer.joinpath("results.csv").read_bytes().find(b"decay") >= 0:
+        with pytest.raises(InputError) as refused:
+            run(whole, until=1.3, report=False)
+        assert refused.value.code == "E-SIM-033"  # The longest step of its solver depends on the end.
+        return
+    extended = shutil.copytree(whole, tmp_path / "extended")
+    run(extended, until=1.3, report=False)
+    check_equal(extended, longer)
+    kept = run(scenario, tmp_path / "kept", ["checkpoint=10 min"], report=False).folder
+    assert sorted(path.name for path in (kept / "checkpoint").iterdir()) == ["run.json", "state"]
+    said: list[str] = []
+    run(kept, until=1.3, report=False, tell=said.append)
+    assert (kept / "results.csv").read_bytes() == (longer / "results.csv").read_bytes()
+    assert "saving" not in said[0]
+
+
+def test_a_run_is_stopped_again_and_again(walk: Walk, tmp_path: Path) -> None:
+    scenario, whole, _ = walk
+    part = stopped(scenario, tmp_path / "part", ["checkpoint=40 ms"], after=0.2)
+    for after in (0.4, 0.6):
+        with pytest.raises(Interrupted):
+            run(part, resume=True, observers=[Stop(after)], report=False)
+    run(part, resume=True, report=False)
+    assert (part / "results.csv").read_bytes() == (whole / "results.csv").read_bytes()
+
+
+def test_the_example_is_stopped_goes_on_and_gets_longer(project: Path) -> None:
+    scenario = project / "scenarios" / "endurance.yaml"
+    whole = run(scenario, project / "whole", ["duration=20"], report=False).folder
+    part = stopped(scenario, project / "part", ["duration=20"], after=0.5)
+    assert 26 < len((part / "results.csv").read_text().splitlines()) < 1002
+    said: list[str] = []
+    run(part, resume=True, report=False, tell=said.append)
+    assert "replayed" not in said[0]  # Both FMUs save their state.
+    check_equal(part, whole)
+    longer = run(scenario, project / "longer", ["duration=25"], report=False).folder
+    run(part, until=25.0, report=False)
+    check_equal(part, longer)
+
+
+@pytest.mark.thorough
+def test_a_component_in_its_own_process_goes_on(tmp_path: Path) -> None:
+    scenario = walker_scenario(tmp_path, pause=PAUSE)
+    own = ["components.saving.process=own", "components.other.process=own"]
+    whole = run(scenario, tmp_path / "whole", own, report=False).folder
+    part = stopped(scenario, tmp_path / "part", own)
+    run(part, resume=True, report=False)
+    check_equal(part, whole)
+
+
+def test_runs_killed_by_the_system_go_on_to_the_same_bytes() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "tests.kills", "3"], cwd=ROOT, capture_output=True, text=True, timeout=300
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    counts = json.loads(done.stdout)
+    assert (counts["kills"], counts["wrong"]) == (3, 0)
+
+
+# -- bad input ------------------------------------------------------------------------------------
+
+
+def changed_version(folder: Path) -> None:
+    record = json.loads((folder / "checkpoint" / "run.json").read_text())
+    (folder / "checkpoint" / "run.json").write_text(json.dumps({**record, "cosim_version": "0.1"}))
+
+
+def half_written(folder: Path) -> None:
+    state = folder / "checkpoint" / "state"
+    state.write_bytes(state.read_bytes()[:-100])
+
+
+def other_format(folder: Path) -> None:
+    state = folder / "checkpoint" / "state"
+    state.write_bytes(pack({**unpack(state.read_bytes()), "format": 99}))
+
+
+def changed_row(folder: Path) -> None:
+    rows = folder / "results.csv"
+    rows.write_text(rows.read_text().replace("\n0.05,", "\n0.05,7", 1))
+
+
+def changed_fmu(folder: Path) -> None:
+    record = json.loads((folder / "checkpoint" / "run.json").read_text())
+    other = folder.parent / "elsewhere.fmu"
+    other.write_bytes(b"another")
+    record["scenario"]["components"]["other"]["fmu"] = str(other)
+    (folder / "checkpoint" / "run.json").write_text(json.dumps(record))
+
+
+def removed_rows(folder: Path) -> None:
+    (folder / "results.csv").unlink()
+
+
+def removed_all(folder: Path) -> None:
+    for path in [*folder.rglob("*.*"), folder / "checkpoint" / "state"]:
+        path.unlink()
+
+
+@pytest.mark.parametrize(
+    ("damage", "code"),
+    [
+        (changed_version, "E-SIM-023"),
+        (other_format, "E-SIM-023"),
+        (half_written, "E-SIM-024"),
+        (changed_row, "E-SIM-025"),
+        (changed_fmu, "E-SIM-001"),
+        (removed_rows, "E-SIM-020"),
+        (removed_all, "E-SIM-020"),
+    ],
+)
+def test_a_folder_that_does_not_belong_together_is_refused_and_left_alone(
+    in_c: Walk, tmp_path: Path, damage: Callable[[Path], None], code: str
+) -> None:
+    part = shutil.copytree(in_c[2], tmp_path / "part")
+    damage(part)
+    before = {path: path.read_bytes() for path in part.rglob("*") if path.is_file()}
+    with pytest.raises(InputError) as refused:
+        run(part, resume=True, report=False)
+    assert refused.value.code == code
+    assert refused.value.exit_code == 2
+    assert before == {path: path.read_bytes() for path in part.rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize(
+    ("options", "code"),
+    [({"resume": True}, "E-SIM-021"), ({"until": 1.0}, "E-SIM-022"), ({"until": 0.5}, "E-SIM-022")],
+)
+def test_a_finished_run_has_nothing_to_resume(in_c: Walk, options: dict[str, Any], code: str) -> None:
+    with pytest.raises(InputError) as refused:
+        run(in_c[1], report=False, **options)
+    assert refused.value.code == code
+
+
+def test_an_end_between_two_communication_points_is_refused(in_c: Walk) -> None:
+    with pytest.raises(InputError, match=r"use a whole divisor of duration 1\.005 s"):
+        run(in_c[1], until=1.005, report=False)
+
+
+def test_a_run_that_goes_on_takes_no_other_settings(in_c: Walk, tmp_path: Path) -> None:
+    for options in ({"out": tmp_path / "other"}, {"seed": 3}, {"set": {"noise": False}}):
+        with pytest.raises(InputError) as refused:
+            cosim.run(in_c[1], until=2.0, **options)  # type: ignore[arg-type]
+        assert refused.value.code == "E-SIM-028"
+    with pytest.raises(InputError) as refused:
+        run(tmp_path / "none", resume=True)
+    assert refused.value.code == "E-SIM-034"
+
+
+def test_a_state_that_an_fmu_does_not_restore_ends_the_run_with_its_rows_kept(in_c: Walk, tmp_path: Path) -> None:
+    part = shutil.copytree(in_c[2], tmp_path / "part")
+    state = part / "checkpoint" / "state"
+    content = unpack(state.read_bytes())
+    saved = bytearray(content["components"]["saving"]["state"])
+    saved[8] ^= 1  # the lowest bit of the output
+    content["components"]["saving"]["state"] = bytes(saved)
+    state.write_bytes(pack(content))
+    rows = (part / "results.csv").read_bytes()
+    with pytest.raises(SimulationError) as failed:
+        run(part, resume=True, report=False)
+    assert (failed.value.code, failed.value.component, failed.value.exit_code) == ("E-MAS-002", "saving", 4)
+    assert (part / "results.csv").read_bytes() == rows
+
+
+def test_an_fmu_that_does_not_repeat_itself_is_found(in_c: Walk, tmp_path: Path) -> None:
+    part = shutil.copytree(in_c[2], tmp_path / "part")
+    shutil.rmtree(part / "checkpoint")
+    rows = (part / "results.csv").read_text().splitlines()
+    column = rows[0].split(",").index("other.y")
+    cells = rows[9].split(",")
+    rows[9] = ",".join([*cells[:column], "0.5", *cells[column + 1 :]])
+    (part / "results.csv").write_text("\n".join(rows) + "\n")
+    with pytest.raises(SimulationError) as failed:
+        run(part, resume=True, report=False)
+    assert (failed.value.code, failed.value.component) == ("E-MAS-008", "other")
+    assert failed.value.time == pytest.approx(0.08)
+
+
+def test_a_new_run_in_the_folder_removes_the_checkpoint_of_another(in_c: Walk, tmp_path: Path) -> None:
+    part = shutil.copytree(in_c[2], tmp_path / "part")
+    run(in_c[0], part, ["duration=0.1", "components.saving.start.pause=0", "events=[]", "faults=[]"], report=False)
+    assert not (part / "checkpoint").exists()
+    with pytest.raises(CosimError, match="finished"):
+        run(part, resume=True)
+
+
+# -- state files ----------------------------------------------------------------------------------
+
+
+def test_a_state_file_gives_its_content_back_bit_for_bit() -> None:
+    content = {"a": [1, -0.0, 1e-300, float("inf"), None, "é"], "b": {"state": b"\0\1{}", "more": [b"", b"x" * 999]}}
+    assert repr(unpack(pack(content))) == repr(content)
+    assert __version__
+
+
+@pytest.mark.parametrize("damage", [lambda d: d[:-1], lambda d: b"x" + d, lambda d: d[:90] + b"?" + d[91:]])
+def test_a_damaged_state_file_is_refused(damage: Callable[[bytes], bytes]) -> None:
+    with pytest.raises(BadState):
+        unpack(damage(pack({"a": b"1234567890" * 20})))
