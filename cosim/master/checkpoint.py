@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Mapping, MutableSequence, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -21,11 +21,8 @@ from cosim.base.arrays import Array
 from cosim.base.errors import Interrupted, SimulationError
 from cosim.isolation.rows import GET, NOTHING, exact_line
 from cosim.master import messages
-from cosim.master.replay import Replay, is_same
+from cosim.master.replay import Replay, SteppedSystem, is_same
 from cosim.storage.state_file import pack, sync, unpack, write_durable
-
-if TYPE_CHECKING:
-    from cosim.master.master import Master
 
 ROWS, BESIDE, STATE = "rows", "beside", "state"  # files of a run, in one folder
 FORMAT = 1  # version of the content of a checkpoint
@@ -108,7 +105,7 @@ class Keeper:
     hash: RowsHash = field(default_factory=RowsHash)
     _over: threading.Event = field(default_factory=threading.Event)
 
-    def begin(self, master: Master) -> None:
+    def begin(self, master: SteppedSystem) -> None:
         """Go on from a stopped run, if there is one, and begin to keep checkpoints; the first row is complete."""
         if self.start is not None:
             self.elapsed = go_on(master, self.start)
@@ -116,7 +113,7 @@ class Keeper:
         if self.interval is not None:
             threading.Thread(target=self._tick, args=(self.interval,), daemon=True).start()
 
-    def look(self, master: Master, k: int) -> None:
+    def look(self, master: SteppedSystem, k: int) -> None:
         """Make a checkpoint after point k if it is due; raise Interrupted if the caller wants an end."""
         self.asked[0] = 0
         if self.ending[0]:
@@ -125,7 +122,7 @@ class Keeper:
         if self.interval is not None and time.monotonic() - self._last >= 0.5 * self.interval:
             self.save(master, k)
 
-    def end(self, master: Master) -> None:
+    def end(self, master: SteppedSystem) -> None:
         """Make the last checkpoint of a complete run, from which a longer run goes on."""
         if self.interval is not None:
             self.save(master, master.done - 1)
@@ -134,7 +131,7 @@ class Keeper:
         """End the timer."""
         self._over.set()
 
-    def save(self, master: Master, k: int) -> None:
+    def save(self, master: SteppedSystem, k: int) -> None:
         """Write the checkpoint of point k, whose row is complete."""
         components = {}
         for component in master.components:
@@ -164,7 +161,7 @@ class Keeper:
             self.asked[0] = 1
 
 
-def go_on(master: Master, start: Continuation) -> float:
+def go_on(master: SteppedSystem, start: Continuation) -> float:
     """Bring an initialized system to the last row of a stopped run.
 
     Returns:
@@ -195,7 +192,7 @@ def go_on(master: Master, start: Continuation) -> float:
     return float(state.get("elapsed", 0.0))
 
 
-def _restore(master: Master, component: Any, state: Any, last: int) -> None:
+def _restore(master: SteppedSystem, component: Any, state: Any, last: int) -> None:
     """Restore the state of a component; raise SimulationError if its outputs are not those of the last row."""
     master.announce(component)
     component.restore(state)

@@ -6,19 +6,48 @@ are in row k. Every step is compared with the recorded outputs, so a component t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, MutableSequence, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
+from cosim.base.arrays import Array
 from cosim.base.errors import SimulationError
 from cosim.blocks.component import EarlyEnd
+from cosim.isolation.rows import OTHER
 from cosim.master import messages
-from cosim.master.copying import doubles
+from cosim.master.copying import Copying, doubles
 from cosim.system.schedule import Stage
+from cosim.system.system import System
 
 Copy = Callable[[int], None]
+
+
+class SteppedSystem(Protocol):
+    """What checkpoints and replays use of a master: its system, signals, rows and counters."""
+
+    system: System
+    components: list[Any]
+    h: float
+    done: int
+    time: Array
+    row: Any
+    view: memoryview[float]
+    beside: list[Any]
+    table: Array
+    row_count: MutableSequence[int]
+    doing: MutableSequence[int]
+    copying: Copying
+
+    def announce(self, component: Any, call: int = OTHER) -> None:
+        """Store the next call."""
+
+    def first_places(self, name: str) -> tuple[int, int]:
+        """Return the first places of a component's signals, in the row and beside the row."""
+
+    def active(self, stage: Stage) -> tuple[Any, ...]:
+        """Return the step of a component, its length in steps of the run, and its length [s]."""
 
 
 def is_same(one: Any, other: Any) -> bool:
@@ -53,7 +82,9 @@ class Replay:
         transfers: Whether transfers that remember values, such as delays, are replayed too.
     """
 
-    def __init__(self, master: Any, exact: Sequence[tuple[Any, ...]], names: Collection[str], transfers: bool) -> None:
+    def __init__(
+        self, master: SteppedSystem, exact: Sequence[tuple[Any, ...]], names: Collection[str], transfers: bool
+    ) -> None:
         self.master, self.exact = master, exact
         self.row, self.table, self.width = master.view, doubles(master.table), len(master.view)
         stages = [stage for stage in master.system.stages if stage.component.name in names]
