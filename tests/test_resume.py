@@ -17,10 +17,11 @@ import cosim
 from cosim.base.arrays import Array
 from cosim.base.errors import CosimError, InputError, Interrupted, SimulationError
 from cosim.base.version import __version__
-from cosim.master.observer import Observer
+from cosim.master.observer import ObservedRun, Observer
 from cosim.simulation.workflow import run
 from cosim.storage.state_file import BadState, pack, unpack
 from tests.conftest import ROOT
+from tests.instants import CONSTANT, instants_fmu
 from tests.walker import walker_scenario
 
 PAUSE = 3000.0  # wall time of a step [us], so that a run is stopped on its way
@@ -305,3 +306,47 @@ def test_a_state_file_gives_its_content_back_bit_for_bit() -> None:
 def test_a_damaged_state_file_is_refused(damage: Callable[[bytes], bytes]) -> None:
     with pytest.raises(BadState):
         unpack(damage(pack({"a": b"1234567890" * 20})))
+
+
+# -- changes while a run is stepped, and event mode -----------------------------------------------
+
+
+class Change(Stop):
+    """Sets a parameter once, and stops a run later."""
+
+    def begin(self, run: ObservedRun) -> None:
+        self.control = run.control
+
+    def rows(self, time: Array, values: Array) -> None:
+        if self.control is not None:
+            self.control.set({"saving.gain": 3.0, "other.gain": 2.0})
+            self.control = None
+        super().rows(time, values)
+
+
+def test_changes_by_an_observer_are_in_the_checkpoint(walk: Walk, tmp_path: Path) -> None:
+    with pytest.raises(Interrupted):
+        run(walk[0], tmp_path / "part", observers=[Change(0.4)], report=False)
+    assert unpack((tmp_path / "part" / "checkpoint" / "state").read_bytes())["changes"]
+    gone_on = run(tmp_path / "part", resume=True, report=False)
+    assert len(gone_on.manifest["changes"]) == 1
+    again = run(tmp_path / "part" / "manifest.json", tmp_path / "again", report=False)
+    assert (again.file).read_bytes() == gone_on.file.read_bytes() != (walk[1] / "results.csv").read_bytes()
+
+
+def test_a_run_with_event_mode_is_made_again_and_compared(tmp_path: Path) -> None:
+    instants_fmu(tmp_path / "plain.fmu")
+    instants_fmu(tmp_path / "clocked.fmu", CONSTANT)
+    components = {"a": {"fmu": "plain.fmu", "event_mode": True, "start": {"u": 3.0}}, "b": {"fmu": "clocked.fmu"}}
+    content = {"name": "s", "duration": 4, "step": 0.001, "components": components}
+    scenario = tmp_path / "s.json"
+    scenario.write_text(json.dumps({**content, "connections": [{"from": "a.x", "to": "b.w"}]}))
+    whole = run(scenario, tmp_path / "whole", report=False)
+    assert whole.results.loop == "Python: event mode"
+    part = stopped(scenario, tmp_path / "part", ["checkpoint=20 ms"], after=0.1)
+    assert len((part / "results.csv").read_text().splitlines()) < 4002
+    run(part, resume=True, report=False)
+    assert (part / "results.csv").read_bytes() == whole.file.read_bytes()
+    longer = run(scenario, tmp_path / "longer", ["duration=5"], report=False)
+    run(part, until=5.0, report=False)
+    assert (part / "results.csv").read_bytes() == longer.file.read_bytes()

@@ -21,6 +21,7 @@ from cosim.base.arrays import Array
 from cosim.base.errors import Interrupted, SimulationError
 from cosim.isolation.rows import GET, NOTHING, exact_line
 from cosim.master import messages
+from cosim.master.inbox import Change
 from cosim.master.replay import Replay, SteppedSystem, is_same
 from cosim.storage.state_file import pack, sync, unpack, write_durable
 
@@ -36,11 +37,13 @@ class Continuation:
     Attributes:
         exact: Values beside the rows, by row.
         state: Content of a state file; None if everything is replayed.
+        changes: Changes by observers so far, which are among the events of the system.
     """
 
     values: Array
     exact: Sequence[tuple[Any, ...]] = ()
     state: bytes | None = None
+    changes: Sequence[Change] = ()
 
     @property
     def count(self) -> int:
@@ -108,7 +111,8 @@ class Keeper:
     def begin(self, master: SteppedSystem) -> None:
         """Go on from a stopped run, if there is one, and begin to keep checkpoints; the first row is complete."""
         if self.start is not None:
-            self.elapsed = go_on(master, self.start)
+            master.done = 1 if master.reruns else self.start.count
+            self.elapsed = 0.0 if master.reruns else go_on(master, self.start)
         self._begin = self._last = time.monotonic()
         if self.interval is not None:
             threading.Thread(target=self._tick, args=(self.interval,), daemon=True).start()
@@ -124,19 +128,27 @@ class Keeper:
 
     def end(self, master: SteppedSystem) -> None:
         """Make the last checkpoint of a complete run, from which a longer run goes on."""
+        self._check_rows(master)
         if self.interval is not None:
             self.save(master, master.done - 1)
+
+    def _earlier(self) -> Sequence[Change]:
+        return () if self.start is None else self.start.changes
 
     def close(self) -> None:
         """End the timer."""
         self._over.set()
 
     def save(self, master: SteppedSystem, k: int) -> None:
-        """Write the checkpoint of point k, whose row is complete."""
+        """Write the checkpoint of point k, whose row is complete; none before the point of the last checkpoint."""
+        if self.start is not None and k + 1 < self.start.count:
+            return
+        self._check_rows(master)
         components = {}
         for component in master.components:
             master.announce(component)
-            components[component.name] = component.save() if hasattr(component, "save") else None
+            can_save = hasattr(component, "checkpoint") and not master.reruns
+            components[component.name] = component.checkpoint() if can_save else None
         master.doing[0] = NOTHING
         links = {
             name: [link.save(k) if hasattr(link, "save") else None for link in chain]
@@ -151,10 +163,19 @@ class Keeper:
             "rows": self.hash.of(master.table, self.exact(k + 1), k + 1),
             "components": components,
             "links": links,
+            "changes": [
+                [c.point, c.values] for c in (*self._earlier(), *(master.inbox.changes if master.inbox else ()))
+            ],
             "elapsed": self.elapsed + time.monotonic() - self._begin,
         }
         write_durable(self.place / STATE, pack(content))
         self._last = time.monotonic()
+
+    def _check_rows(self, master: SteppedSystem) -> None:
+        """Raise SimulationError if steps that were made again have given other rows."""
+        start = self.start
+        if start is not None and master.reruns and not is_same(master.table[: start.count], start.values):
+            raise SimulationError("the run", float(master.time[start.count - 1]), messages.NOT_REPEATED())
 
     def _tick(self, interval: float) -> None:
         while not self._over.wait(interval):

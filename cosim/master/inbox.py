@@ -200,6 +200,14 @@ class Inbox:
         return merge(events, changes)
 
 
+def with_changes(events: Mapping[int, Values], changes: Sequence[Change]) -> Mapping[int, Values]:
+    """Return the events of a run, over them the changes that were made while it was stepped."""
+    merged = dict(events)
+    for change in changes:
+        merged[change.point] = merge(merged.get(change.point, {}), change.values)
+    return merged
+
+
 def merge(*every: Values) -> Values:
     """Return the values of all mappings; later ones take precedence."""
     merged: dict[str, dict[str, Any]] = {}

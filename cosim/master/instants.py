@@ -65,6 +65,9 @@ class EventRun(Protocol):
 
     def _apply_events(self, k: int) -> None: ...
 
+    def look(self, k: int) -> None:
+        """Make a checkpoint after point k if one is due."""
+
 
 @dataclass(eq=False)
 class Part:
@@ -265,6 +268,7 @@ class Instants:
                     call_point = master._next_call(k + 1)
                 table[k * width : k * width + width] = row
                 master.done = master.row_count[0] = k + 1
+                master.look(k)
         finally:
             master.done = master.row_count[0]
             self._note_leads()

@@ -131,7 +131,6 @@ class Master:
             self._record_first()
             keeper: Keeper | None = self.rows.keeper
             if keeper is not None:
-                self.done = max(1, self.rows.given)
                 keeper.begin(self)
             self._step_on()
             if keeper is not None:
@@ -220,7 +219,7 @@ class Master:
                 table[k * width : k * width + width] = row
                 done = row_count[0] = k + 1
                 if asked[0]:
-                    self._look(k)
+                    self.look(k)
         finally:
             self.done = done
 
@@ -252,14 +251,19 @@ class Master:
             raise NotCompiled("algebraic loops are solved")
         links = self.copying.links
         data = self.system, self.components, self.steps, self.h, self.row, self.rows
-        calls = self.calls, self._next_call, self._look
+        calls = self.calls, self._next_call, self.look
         return prepare_steps(LoopData(*data, lambda t: links[t.name], *calls, first=self.done))
 
     def announce(self, component: Any, call: int = OTHER) -> None:
         """Store the next call, so that a crash or a hang is blamed on its component."""
         self.doing[0] = CALLS * self.components.index(component) + call
 
-    def _look(self, k: int) -> None:
+    @property
+    def reruns(self) -> bool:
+        """Return whether a run goes on by making all steps again, because no component can be stepped alone."""
+        return self.has_events
+
+    def look(self, k: int) -> None:
         """Make a checkpoint after point k if one is due."""
         if self.rows.asked[0] and self.rows.keeper is not None:
             self.rows.keeper.look(self, k)

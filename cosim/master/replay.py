@@ -18,6 +18,7 @@ from cosim.blocks.component import EarlyEnd
 from cosim.isolation.rows import OTHER
 from cosim.master import messages
 from cosim.master.copying import Copying, doubles
+from cosim.master.inbox import Inbox
 from cosim.system.schedule import Stage
 from cosim.system.system import System
 
@@ -39,6 +40,11 @@ class SteppedSystem(Protocol):
     row_count: MutableSequence[int]
     doing: MutableSequence[int]
     copying: Copying
+    inbox: Inbox | None
+
+    @property
+    def reruns(self) -> bool:
+        """Return whether a run goes on by making all steps again, because no component can be stepped alone."""
 
     def announce(self, component: Any, call: int = OTHER) -> None:
         """Store the next call."""

@@ -28,6 +28,7 @@ from cosim.blocks.component import Signal
 from cosim.blocks.fmu import FmuBlock
 from cosim.isolation.rows import read_exact, read_table
 from cosim.master.checkpoint import BESIDE, FORMAT, ROWS, STATE, Continuation, RowsHash
+from cosim.master.inbox import Change
 from cosim.master.remote import IN_USE, read_state
 from cosim.scenario.scenario import Scenario
 from cosim.scenario.scenario_file import ScenarioFile
@@ -79,6 +80,11 @@ class StoppedRun:
     def warnings(self) -> list[str]:
         """Return the warnings that do not come from the scenario."""
         return list(self.record.get(EXTRA, {}).get("warnings", ()))
+
+    @property
+    def changes(self) -> Sequence[Change]:
+        """Return the changes by observers so far."""
+        return [Change(point, values) for point, values in self.checkpoint.get("changes", ())]
 
     @property
     def has_outcome(self) -> bool:

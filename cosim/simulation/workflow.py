@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from cosim.base.errors import DiskFull, InputError, SimulationError, Terminated,
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import allocate
 from cosim.master.checkpoint import Continuation, Keeping
+from cosim.master.inbox import Change, with_changes
 from cosim.master.observer import Observer, ProgressObserver
 from cosim.master.remote import MODULES, SteppedRun, simulate_apart, simulate_here
 from cosim.scenario.controller_design import designed_apart
@@ -85,6 +86,7 @@ class _Prepared:
 
     Attributes:
         record: Manifest without timings and outcome; None until it is needed.
+        changes: Changes by observers before the run was stopped.
         start: Where a stopped run goes on; None for a new run.
         keep: Whether an earlier run in the folder moves to `runs`.
     """
@@ -100,6 +102,7 @@ class _Prepared:
     keep: bool = False
     start: Continuation | None = None
     record: dict[str, Any] | None = None
+    changes: Sequence[Change] = ()
 
     @property
     def interval(self) -> float | None:
@@ -247,11 +250,16 @@ def _prepare_stopped(
         raise InputError.at(stopped.folder, message)
     start = stopped.start(system, file.scenario)
     check_writable(stopped.folder, (stopped.rows_file, MANIFEST, "report.html"), file.files)
+    if changes := stopped.changes:
+        system = replace(system, events=with_changes(system.events, changes))
+        start = replace(start, changes=changes)
     record = stopped.base(system.warnings if until is not None or stopped.has_outcome else None)
     record["scenario"]["duration"] = file.scenario.duration
     tell(_how_it_goes_on(stopped, system, start, file.scenario))
     files, extra = stopped.rows_file, stopped.warnings
-    return _Prepared(file, stopped.folder, system, {}, files, software, extra, start=start, record=record)
+    return _Prepared(
+        file, stopped.folder, system, {}, files, software, extra, start=start, record=record, changes=changes
+    )
 
 
 def _how_it_goes_on(stopped: StoppedRun, system: System, start: Continuation, scenario: Scenario) -> str:
