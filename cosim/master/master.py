@@ -261,7 +261,7 @@ class Master:
     @property
     def reruns(self) -> bool:
         """Return whether a run goes on by making all steps again, because no component can be stepped alone."""
-        return self.has_events
+        return self.has_events or bool(self.solvers)
 
     def look(self, k: int) -> None:
         """Make a checkpoint after point k if one is due."""
