@@ -22,7 +22,7 @@ HEAD2 = """<?xml version="1.0" encoding="UTF-8"?>
     <ScalarVariable name="y" valueReference="2" causality="output"><Real/></ScalarVariable>
     <ScalarVariable name="gain" valueReference="3" causality="parameter" variability="tunable"><Real start="1"/>
     </ScalarVariable>
-    <ScalarVariable name="pause" valueReference="4" causality="parameter" variability="fixed"><Real start="0"/>
+    <ScalarVariable name="pause" valueReference="4" causality="parameter" variability="tunable"><Real start="0"/>
     </ScalarVariable>
     <ScalarVariable name="kicks" valueReference="5" causality="local"><Real/></ScalarVariable>
     {mood}

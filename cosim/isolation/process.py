@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -172,11 +173,17 @@ class Worker:
                 answers.put(content)
 
     def _wait(self, clock: Clock) -> bytes:
+        times, next_look = clock.watch.times, 0.0
         while True:
             try:
-                content = self._answers.get(timeout=POLL)
+                content = self._answers.get(timeout=POLL if times is None else times.pause())
             except queue.Empty:
                 assert self._process is not None
+                if times is not None:
+                    times.read(self.progress.made[0], self.progress.doing[0])
+                    if time.monotonic() < next_look:
+                        continue
+                    next_look = time.monotonic() + POLL
                 clock.look(self._process.pid)
                 if self._process.poll() is None or not self._answers.empty():
                     continue

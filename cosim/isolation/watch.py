@@ -10,6 +10,7 @@ from typing import Any
 
 from cosim.base.errors import SimulationError, TimedOut
 from cosim.isolation import messages
+from cosim.isolation.component_times import ComponentTimes
 from cosim.isolation.limits import Limits
 from cosim.isolation.memory import resident
 from cosim.isolation.rows import CALLS, NOTHING, OTHER, Progress
@@ -48,6 +49,7 @@ class Watch:
         spent: [total time without loading [s]], increased by this job.
         progress: Function called with the number of rows.
         grace: Time [s] for a stopped job to end by itself, for a checkpoint.
+        times: Wall time of components and calls, sampled while the job lasts.
     """
 
     components: Sequence[str] = ()
@@ -58,6 +60,7 @@ class Watch:
     spent: list[float] = field(default_factory=lambda: [0.0])
     progress: Callable[[int], None] | None = None
     grace: float = 0.0
+    times: ComponentTimes | None = None
 
 
 def fmi_calls(description: Any) -> Sequence[str]:

@@ -19,6 +19,7 @@ from cosim.base.errors import CosimError, DiskFull, SimulationError, Terminated,
 from cosim.base.scratch import ScratchFolder, lock_file, scratch
 from cosim.blocks.component import EarlyEnd
 from cosim.isolation import worker as here
+from cosim.isolation.component_times import ComponentTimes, Slower
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import (
@@ -62,6 +63,7 @@ class SteppedRun:
         failure: The failure, if any.
         changes: Changes by observers.
         state: Checkpoint at a stop, unless a folder keeps checkpoints.
+        times: Wall times of components and calls, as for a manifest.
     """
 
     results: Results
@@ -69,6 +71,7 @@ class SteppedRun:
     failure: SimulationError | None = None
     changes: Sequence[Change] = ()
     state: bytes | None = None
+    times: Mapping[str, Any] = field(default_factory=dict)
 
 
 def _log_lines(system: System) -> list[str]:
@@ -247,10 +250,14 @@ def simulate_apart(
     *,
     observers: Sequence[Observer] = (),
     keeping: Keeping | None = None,
+    warn: Callable[[Slower], None] | None = None,
 ) -> SteppedRun:
     """Step a system in a worker process.
 
     The rows are in a file within `folder` until the end, or in the folder of the checkpoints.
+
+    Args:
+        warn: Function called when a component gets much slower; None measures no times of components.
 
     Raises:
         FmuError: An FMU does not load.
@@ -263,13 +270,16 @@ def simulate_apart(
         feed(rows)
         worker.progress.stop[0] = feed.is_over
 
+    names = [stage.component.name for stage in system.stages]
+    times = ComponentTimes(names, steps + 1, partial(_last_time, system, h), warn) if warn is not None else None
     watch = Watch(
-        [stage.component.name for stage in system.stages],
+        names,
         [fmi_calls(getattr(stage.component, "description", None)) for stage in system.stages],
         lambda rows, call: system.start + h * (max(0, rows - 1) + (call == GET and 0 < rows <= steps)),
         limits,
         8 * columns,
         progress=give,
+        times=times,
         grace=0.0 if keeping is None else SHORT_GRACE if keeping.interval is None else GRACE,
     )
     end = WorkerEnd()
@@ -318,7 +328,8 @@ def simulate_apart(
     loop = counters.loop.decode("utf-8", "ignore")
     results = results_of(system, time[:done], values, beside, end.notes, loop, details=end.details)
     results = replace(results, events=end.events, event_counts=end.event_counts)
-    return SteppedRun(results, end.log, failure, changes, state)
+    component_times = {} if times is None else times.record()
+    return SteppedRun(results, end.log, failure, changes, state, component_times)
 
 
 def _convert_unexpected(error: Exception, watch: Watch, counters: Progress) -> SimulationError:

@@ -67,6 +67,9 @@ NOT_EXTENDABLE = Template(
     "{names}: the longest step of the solver of model exchange depends on the end, so a longer run has other rows; run "
     "the scenario with --set duration={duration:g}",
 )
+GETS_SLOWER = Template(
+    "W-SIM-075", "{component} takes {factor:.2g} times longer for a step since t = {since:g} s than before"
+)
 REPLAY_COST = Template(
     "N-SIM-032", "; {names}: inputs replayed from the start, which takes up to about {seconds:.2g} s (the run so far)"
 )

@@ -194,7 +194,7 @@ def run(
         record, limits = prepared.base(), prepared.file.scenario.limits
         record["loop"] = stepped.results.loop
         speed = _simulated(prepared) / stepping
-        record["timings"] = {"load": loaded - begin, "simulate": stepping, "real_time_factor": speed}
+        record["timings"] = {"load": loaded - begin, "simulate": stepping, "real_time_factor": speed, **stepped.times}
         add_changes(record, prepared.file.scenario, [*prepared.changes, *stepped.changes])
         _add_outcome(record, prepared.file.scenario, stepped)
         if worker is None and limits is not None:
@@ -284,7 +284,15 @@ def _step(
         tell(messages.REPLAY_ON_RESUME(names=", ".join(names)))
     limits = scenario.limits
     stepped = simulate_apart(
-        worker, system, scenario.steps, scenario.step, place, limits, observers=observers, keeping=keeping
+        worker,
+        system,
+        scenario.steps,
+        scenario.step,
+        place,
+        limits,
+        observers=observers,
+        keeping=keeping,
+        warn=lambda slower: tell(messages.GETS_SLOWER(**vars(slower))),
     )
     worker.finish()
     return stepped

@@ -23,6 +23,7 @@ def say_outcome(
 ) -> None:
     """Print warnings, `lines`, criteria and files of a run; raise CriterionMissed if a criterion is not met."""
     from cosim.simulation.criteria import sentence
+    from cosim.simulation.report.time_rows import time_sentence
 
     criteria: list[dict[str, Any]] = outcome.manifest["criteria"]
     page = outcome.folder / "report.html"
@@ -35,6 +36,7 @@ def say_outcome(
         timings = outcome.manifest["timings"]
         speed = f"simulated in {timings['simulate']:.2f} s ({timings['real_time_factor']:.3g} × real time)"
         say_more(f"order: {', '.join(outcome.manifest['order'])}; loaded in {timings['load']:.2f} s, {speed}")
+        say_more(time_sentence(timings))
         say(f"results: {outcome.file}")
         if report:
             say(f"report:  {page}")

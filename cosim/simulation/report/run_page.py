@@ -21,7 +21,7 @@ from cosim.report.svg import extent
 from cosim.report.template import render
 from cosim.simulation.report.component_page import ComponentPage, component_page
 from cosim.simulation.report.fmi_kinds import fmi_kinds
-from cosim.simulation.report.recorded import Run, mappings, number, texts
+from cosim.simulation.report.recorded import Run, mapping, mappings, number, texts
 from cosim.simulation.report.run_rows import (
     ConnectionRow,
     badges,
@@ -35,6 +35,7 @@ from cosim.simulation.report.run_rows import (
     spelled_values,
 )
 from cosim.simulation.report.system_diagram import graph_of_run
+from cosim.simulation.report.time_rows import time_rows, time_sentence
 from cosim.simulation.report.verdicts import CriterionText, criteria, has_failed, outcome
 from cosim.storage.files import write_text
 from cosim.storage.results import Results
@@ -95,6 +96,8 @@ def context(run: Run, drawing: Drawing, page: ComponentPage) -> Mapping[str, Any
         "unlisted": max(0, len(connected) - MAX_LISTED),
         "components": component_rows(run, kinds),
         "events": event_rows(run),
+        "times": time_rows(run),
+        "time_sentence": time_sentence(mapping(run.manifest.get("timings"))),
         "warnings": texts(run.manifest.get("warnings")),
         "repeat": shlex.join(["cosim", "run", "manifest.json"]),
         "version": str(run.manifest.get("cosim_version") or ""),

@@ -1,0 +1,54 @@
+"""Where the wall time of a run went: rows of the report, and a sentence."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from cosim.base.text import plain
+from cosim.simulation.report.recorded import Run, mapping, mappings, number
+
+MIN_READINGS = 100  # about half a second, below which shares say little
+MIN_SHARE = 0.01  # of a component with a row
+
+
+@dataclass(frozen=True)
+class TimeRow:
+    """Wall time of a component by calls [s], as text."""
+
+    label: str
+    share: str
+    step: str
+    set: str
+    get: str
+    other: str
+
+
+def time_rows(run: Run) -> list[TimeRow]:
+    """Return the components with their times, the longest first; none for a run that was too short to measure."""
+    timings = mapping(run.manifest.get("timings"))
+    if not number(timings.get("readings")) >= MIN_READINGS:
+        return []
+    rows = []
+    for name, entry in mapping(timings.get("components")).items():
+        times = mapping(entry)
+        if number(times.get("share")) >= MIN_SHARE:
+            seconds = (f"{plain(number(times.get(call)), 2)} s" for call in ("step", "set", "get", "other"))
+            rows.append(TimeRow(str(name), f"{number(times.get('share')):.0%}", *seconds))
+    return rows
+
+
+def time_sentence(timings: Mapping[str, Any]) -> str:
+    """Return which component takes most of the time, and which one gets slower; "" if neither is known."""
+    if not number(timings.get("readings")) >= MIN_READINGS:
+        return ""
+    parts: dict[str, list[str]] = {}
+    for name, entry in mapping(timings.get("components")).items():
+        parts[str(name)] = [f"{number(mapping(entry).get('share')):.0%} of the time"]
+        break
+    for slower in mappings(timings.get("slower")):
+        factor, since = number(slower.get("factor")), number(slower.get("since"))
+        words = f"{plain(factor, 2)} times longer for a step after {since:g} s"
+        parts.setdefault(str(slower.get("component")), []).append(words)
+    return "; ".join(f"{name} takes {', and '.join(words)}" for name, words in parts.items()) + "." if parts else ""

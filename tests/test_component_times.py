@@ -1,0 +1,131 @@
+"""Wall time of components and calls: sampled, in manifest and report, with a warning if a component gets slower."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cosim.isolation.component_times import ComponentTimes, Slower
+from cosim.isolation.rows import ADVANCE, CALLS, GET, NOTHING, OTHER, PUT
+from cosim.simulation.report.time_rows import time_sentence
+from cosim.simulation.workflow import run
+from tests.walker import walker_scenario
+
+ROWS = 1001
+
+
+class Clock:
+    """A clock that is set."""
+
+    now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def sampled(
+    lengths: Callable[[int], list[tuple[int, float]]], seed: int = 1, warn: Callable[[Slower], None] = lambda s: None
+) -> ComponentTimes:
+    """Sample a run of which each step consists of calls with their lengths [s]."""
+    clock, rng = Clock(), np.random.default_rng(seed)
+    times = ComponentTimes(["wheel", "road"], ROWS, lambda rows: 0.02 * max(0, rows - 1), warn, clock)
+    end = due = 0.0
+    for k in range(1, ROWS):
+        for doing, length in lengths(k):
+            end += length
+            while due < end:
+                clock.now = due
+                times.read(k, doing)
+                due += times.pause() * rng.uniform(0.9, 1.1)
+    return times
+
+
+def call(component: int, kind: int) -> int:
+    return CALLS * component + kind
+
+
+def steady(k: int) -> list[tuple[int, float]]:
+    return [(call(0, PUT), 0.0004), (call(0, ADVANCE), 0.0086), (call(1, GET), 0.001)]
+
+
+def slowing(k: int) -> list[tuple[int, float]]:
+    return [(call(0, ADVANCE), 0.002 if k <= 950 else 0.028), (call(1, ADVANCE), 0.001)]
+
+
+def test_shares_and_calls_are_those_of_the_run() -> None:
+    record = sampled(steady).record()
+    assert [*record["components"]] == ["wheel", "road"]
+    # 10 s of 5 ms: 2000 readings, so a share of 90 % has a standard error of 0.7 %
+    assert record["components"]["wheel"]["share"] == pytest.approx(0.9, abs=0.02)
+    assert record["components"]["wheel"]["step"] == pytest.approx(8.6, abs=0.3)
+    assert record["components"]["wheel"]["set"] == pytest.approx(0.4, abs=0.2)
+    assert record["components"]["road"]["get"] == pytest.approx(1.0, abs=0.25)
+    assert record["slower"] == []
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_component_that_gets_slower_is_named_with_factor_and_time(seed: int) -> None:
+    (slower,) = sampled(slowing, seed).slower()
+    assert slower.component == "wheel"
+    assert slower.factor == pytest.approx(14.0, rel=0.15)
+    assert slower.since == pytest.approx(19.0, abs=0.4)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_interruptions_of_a_steady_run_are_no_change(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    interrupted = {*rng.choice(ROWS, 5).tolist()}
+
+    def lengths(k: int) -> list[tuple[int, float]]:
+        return [(call(0, ADVANCE), 0.8 if k in interrupted else 0.003), (call(1, ADVANCE), rng.exponential(0.002))]
+
+    assert sampled(lengths, seed).slower() == []
+
+
+def test_a_warning_comes_while_the_run_is_slow_and_only_once() -> None:
+    warnings: list[Slower] = []
+    sampled(lambda k: [(call(0, ADVANCE), 0.002 if k <= 500 else 0.03)], warn=warnings.append)
+    (slower,) = warnings
+    assert slower.component == "wheel"
+    assert 5.0 <= slower.factor <= 20.0
+    assert 9.0 <= slower.since <= 11.0
+    warnings.clear()
+    sampled(steady, warn=warnings.append)
+    assert warnings == []
+
+
+def test_time_outside_of_components_and_of_loading_is_told_apart() -> None:
+    record = sampled(lambda k: [(NOTHING, 0.002), (call(1, OTHER), 0.002)]).record()
+    assert record["rest"] == pytest.approx(2.0, abs=0.2)
+    assert record["components"]["road"]["other"] == pytest.approx(2.0, abs=0.2)
+    assert record["slower"] == []
+
+
+def test_the_sentence_names_the_slow_component() -> None:
+    components = {"wheel": {"share": 0.96}, "road": {"share": 0.04}}
+    timings = {"readings": 2000, "components": components}
+    slower = [{"component": "wheel", "factor": 14.1, "since": 19.0}]
+    words = "wheel takes 96% of the time, and 14 times longer for a step after 19 s."
+    assert time_sentence({**timings, "slower": slower}) == words
+    assert time_sentence({**timings, "slower": []}) == "wheel takes 96% of the time."
+    assert time_sentence({**timings, "readings": 20, "slower": slower}) == ""
+
+
+def test_a_run_tells_its_slow_component_in_manifest_and_report(tmp_path: Path) -> None:
+    # 1 ms of each step, and 25 ms from t = 0.5 s on
+    scenario = walker_scenario(tmp_path, pause=1000.0)
+    slow = ["events=[{at: 0.5, set: {saving.pause: 25000}}]"]
+    outcome = run(scenario, tmp_path / "out", slow)
+    timings = json.loads((tmp_path / "out" / "manifest.json").read_text())["timings"]
+    assert next(iter(timings["components"])) == "saving"
+    assert timings["components"]["saving"]["step"] > 1.0
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "Where the time went" in page
+    assert "saving takes" in page
+    quiet = run(scenario, tmp_path / "quiet", [*slow, "components.saving.start.pause=0"], report=False, in_process=True)
+    assert "components" not in quiet.manifest["timings"]
+    assert outcome.file.read_bytes() == quiet.file.read_bytes()
