@@ -9,7 +9,7 @@ import tempfile
 import time
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -20,6 +20,8 @@ from benchmarks.bench_library import library_figures
 from benchmarks.bench_native import native_figures
 from controller.gains import Settings
 from controller.loop import Loop
+from cosim.base.arrays import Array
+from cosim.base.errors import Interrupted
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.noise import gaussian, stream
 from cosim.fmi.fmu_build import build
@@ -30,8 +32,10 @@ from cosim.isolation.process import Worker
 from cosim.isolation.rows import Rows, allocate, mapped_table
 from cosim.isolation.watch import Watch
 from cosim.master.master import PROGRESS_EVERY, simulate
+from cosim.master.observer import Observer
 from cosim.model import Stepper
 from cosim.scenario.scenario_file import ScenarioFile
+from cosim.simulation.workflow import run
 from cosim.sweeps.batch import Batch, kinds_of
 from cosim.system.system import System, build_system
 from fmus.recipes import controller_recipe, plant_recipe
@@ -101,6 +105,7 @@ def bench() -> dict[str, float | str]:
             "dormant_over_base": dormant_over_base(),
             "startup_over_import": startup_over_import(place),
             "ten_times_the_steps": ten_times_the_steps(place),
+            "resume_equal": resume_equal(place),
             "sweep_over_fmpy_without_compiler": sweep_over_fmpy(place, compiled=False),
         }
         if compiler() is not None:
@@ -249,6 +254,28 @@ def ten_times_the_steps(place: Path) -> float:
     return ratio(
         lambda: loop_seconds(build_system(long), 10 * STEPS), lambda: loop_seconds(build_system(short), STEPS), rounds=5
     )
+
+
+class _Stop(Observer):
+    """Stops a run as a person at the keyboard does, at its first rows."""
+
+    is_stopped = False
+
+    def rows(self, time: Array, values: Array) -> None:
+        """Stop once."""
+        if not self.is_stopped:
+            self.is_stopped = True
+            raise KeyboardInterrupt
+
+
+def resume_equal(place: Path) -> float:
+    """Return 1 if a run that was stopped and went on has the bytes of an uninterrupted one, else 0."""
+    scenario = place / "long.yaml"
+    whole = run(scenario, place / "whole", report=False)
+    with suppress(Interrupted):
+        run(scenario, place / "part", observers=[_Stop()], report=False)
+    part = run(place / "part", resume=True, report=False)
+    return float(part.file.read_bytes() == whole.file.read_bytes())
 
 
 def sweep_over_fmpy(place: Path, *, compiled: bool) -> float:

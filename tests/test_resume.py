@@ -136,6 +136,7 @@ def test_a_run_is_stopped_again_and_again(walk: Walk, tmp_path: Path) -> None:
 def test_the_example_is_stopped_goes_on_and_gets_longer(project: Path) -> None:
     scenario = project / "scenarios" / "endurance.yaml"
     whole = run(scenario, project / "whole", ["duration=20"], report=False).folder
+    assert {"plant", "controller"} <= json.loads((whole / "manifest.json").read_text())["timings"]["components"].keys()
     part = stopped(scenario, project / "part", ["duration=20"], after=0.5)
     assert 26 < len((part / "results.csv").read_text().splitlines()) < 1002
     said: list[str] = []
