@@ -31,7 +31,7 @@ SEED = 27
 PAUSE, STEPS = 6000.0, 100  # wall time of a step [us], and steps of a run
 LONGEST = 60.0  # [s] of a command
 MOST_KILLS = 5  # of one run
-NOT_YET = ("E-SIM-020", "E-SIM-026")  # nothing is there to resume
+NOT_YET = ("E-SIM-060", "E-SIM-066")  # nothing is there to resume
 
 
 class Fork:
@@ -132,7 +132,7 @@ class Killed:
                 counts["nothing to resume"] += 1
                 arguments = self.begin
                 continue
-            if code == 0 or said.get("code") == "E-SIM-021":
+            if code == 0 or said.get("code") == "E-SIM-061":
                 counts["ended before"] += 1
             elif code not in (-signal.SIGKILL, 4):
                 return [f"exit {code}: {said}"]
@@ -146,7 +146,7 @@ class Killed:
             code, said = process.wait(LONGEST), self._said(process)
             if code == 2 and said.get("code") in NOT_YET:
                 arguments = self.begin
-        if code and said.get("code") != "E-SIM-021":
+        if code and said.get("code") != "E-SIM-061":
             return [f"exit {code}: {said}"]
         return self._differences(part)
 

@@ -110,7 +110,7 @@ def test_a_finished_run_is_extended_with_and_without_its_last_state(walk: Walk, 
     if longer.joinpath("results.csv").read_bytes().find(b"decay") >= 0:
         with pytest.raises(InputError) as refused:
             run(whole, until=1.3, report=False)
-        assert refused.value.code == "E-SIM-033"  # The longest step of its solver depends on the end.
+        assert refused.value.code == "E-SIM-073"  # The longest step of its solver depends on the end.
         return
     extended = shutil.copytree(whole, tmp_path / "extended")
     run(extended, until=1.3, report=False)
@@ -210,13 +210,13 @@ def removed_all(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("damage", "code"),
     [
-        (changed_version, "E-SIM-023"),
-        (other_format, "E-SIM-023"),
-        (half_written, "E-SIM-024"),
-        (changed_row, "E-SIM-025"),
+        (changed_version, "E-SIM-063"),
+        (other_format, "E-SIM-063"),
+        (half_written, "E-SIM-064"),
+        (changed_row, "E-SIM-065"),
         (changed_fmu, "E-SIM-001"),
-        (removed_rows, "E-SIM-020"),
-        (removed_all, "E-SIM-020"),
+        (removed_rows, "E-SIM-060"),
+        (removed_all, "E-SIM-060"),
     ],
 )
 def test_a_folder_that_does_not_belong_together_is_refused_and_left_alone(
@@ -234,7 +234,7 @@ def test_a_folder_that_does_not_belong_together_is_refused_and_left_alone(
 
 @pytest.mark.parametrize(
     ("options", "code"),
-    [({"resume": True}, "E-SIM-021"), ({"until": 1.0}, "E-SIM-022"), ({"until": 0.5}, "E-SIM-022")],
+    [({"resume": True}, "E-SIM-061"), ({"until": 1.0}, "E-SIM-062"), ({"until": 0.5}, "E-SIM-062")],
 )
 def test_a_finished_run_has_nothing_to_resume(in_c: Walk, options: dict[str, Any], code: str) -> None:
     with pytest.raises(InputError) as refused:
@@ -251,10 +251,10 @@ def test_a_run_that_goes_on_takes_no_other_settings(in_c: Walk, tmp_path: Path) 
     for options in ({"out": tmp_path / "other"}, {"seed": 3}, {"set": {"noise": False}}):
         with pytest.raises(InputError) as refused:
             cosim.run(in_c[1], until=2.0, **options)  # type: ignore[arg-type]
-        assert refused.value.code == "E-SIM-028"
+        assert refused.value.code == "E-SIM-068"
     with pytest.raises(InputError) as refused:
         run(tmp_path / "none", resume=True)
-    assert refused.value.code == "E-SIM-034"
+    assert refused.value.code == "E-SIM-074"
 
 
 def test_a_state_that_an_fmu_does_not_restore_ends_the_run_with_its_rows_kept(in_c: Walk, tmp_path: Path) -> None:
@@ -282,7 +282,7 @@ def test_an_fmu_that_does_not_repeat_itself_is_found(in_c: Walk, tmp_path: Path)
     (part / "results.csv").write_text("\n".join(rows) + "\n")
     with pytest.raises(SimulationError) as failed:
         run(part, resume=True, report=False)
-    assert (failed.value.code, failed.value.component) == ("E-MAS-008", "other")
+    assert (failed.value.code, failed.value.component) == ("E-MAS-060", "other")
     assert failed.value.time == pytest.approx(0.08)
 
 

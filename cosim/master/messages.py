@@ -17,15 +17,15 @@ UNEXPECTED_ERROR = Template("E-MAS-004", "{call}: {error}: {reason} (--in-proces
 DISK_FULL = Template("E-MAS-005", "the disk is full: it has room for {count} of {rows} rows while the run lasts")
 END_REQUESTED = Template("N-MAS-006", "it asked for the end")
 NOT_REPEATED = Template(
-    "E-MAS-008",
+    "E-MAS-060",
     "its outputs differ from the recorded ones when its recorded inputs are replayed, so the run cannot go on; run the "
     "scenario again from its start",
 )
 OTHER_BEGINNING = Template(
-    "E-MAS-009",
+    "E-MAS-061",
     "the components begin with other values than in the run that was to go on; run the scenario again from its start",
 )
-STOPPED_AFTER_CHECKPOINT = Template("N-MAS-010", "stopped after a checkpoint")
+STOPPED_AFTER_CHECKPOINT = Template("N-MAS-062", "stopped after a checkpoint")
 ENDED_EARLY = Template("N-MAS-007", "{component} ended the simulation at t = {time:.6g} s: {reason}")
 LOOP_NOT_SOLVED = Template(
     "E-MAS-008",

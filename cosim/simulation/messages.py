@@ -28,42 +28,42 @@ COUPLING_ERROR = Template("N-SIM-018", "half the step changes at most {changes}{
 CHANGED_WHILE_RUNNING = Template(
     "N-SIM-019", "{count} made while it ran; the manifest holds them as events, so that it repeats the run"
 )
-NO_RUN_FOLDER = Template("E-SIM-034", "no such folder; --resume and --until take the folder of a run, as results/NAME")
+NO_RUN_FOLDER = Template("E-SIM-074", "no such folder; --resume and --until take the folder of a run, as results/NAME")
 NOTHING_TO_RESUME = Template(
-    "E-SIM-020",
+    "E-SIM-060",
     "no run is in it that could go on; `cosim run SCENARIO` begins one, `checkpoint: 60 s` keeps checkpoints",
 )
 ALREADY_FINISHED = Template(
-    "E-SIM-021", "its run is finished, at t = {time:g} s; --until T with a later time T extends it"
+    "E-SIM-061", "its run is finished, at t = {time:g} s; --until T with a later time T extends it"
 )
-END_NOT_LATER = Template("E-SIM-022", "--until {end:g} s is not after t = {time:g} s, which the run has reached")
+END_NOT_LATER = Template("E-SIM-062", "--until {end:g} s is not after t = {time:g} s, which the run has reached")
 OTHER_VERSION = Template(
-    "E-SIM-023",
+    "E-SIM-063",
     "its run is of cosim {version}, and this is {own}: the same bytes cannot be promised; go on with that version, or "
     "run the scenario again from its start",
 )
-DAMAGED_CHECKPOINT = Template("E-SIM-024", "the checkpoint is damaged: {reason}; run the scenario again from its start")
+DAMAGED_CHECKPOINT = Template("E-SIM-064", "the checkpoint is damaged: {reason}; run the scenario again from its start")
 ROWS_OF_ANOTHER_RUN = Template(
-    "E-SIM-025",
+    "E-SIM-065",
     "its rows are not those of the checkpoint: a file was changed or removed; put it back, or run the scenario again "
     "from its start",
 )
 STOPPED_BEFORE_ROWS = Template(
-    "E-SIM-026", "its run was stopped before its first row or checkpoint; run the scenario again from its start"
+    "E-SIM-066", "its run was stopped before its first row or checkpoint; run the scenario again from its start"
 )
-WORKER_STILL_ENDS = Template("E-SIM-027", "a process of the killed run still writes into it; try again in a moment")
+WORKER_STILL_ENDS = Template("E-SIM-067", "a process of the killed run still writes into it; try again in a moment")
 RESUME_WITH_OPTION = Template(
-    "E-SIM-028", "a run goes on as it began, so --resume and --until take no {option}; leave it out"
+    "E-SIM-068", "a run goes on as it began, so --resume and --until take no {option}; leave it out"
 )
-NO_CHECKPOINT_IN_PROCESS = Template("W-SIM-029", "no checkpoints are made where FMUs run in this process")
-GOES_ON = Template("N-SIM-030", "the run goes on from t = {time:g} s, row {row} of {rows}{replay}")
+NO_CHECKPOINT_IN_PROCESS = Template("W-SIM-069", "no checkpoints are made where FMUs run in this process")
+GOES_ON = Template("N-SIM-070", "the run goes on from t = {time:g} s, row {row} of {rows}{replay}")
 REPLAY_ON_RESUME = Template(
-    "N-SIM-031",
+    "N-SIM-071",
     "{names} cannot save the state: a resumed run replays the recorded inputs from the start, which takes as long as "
     "these steps took",
 )
 NOT_EXTENDABLE = Template(
-    "E-SIM-033",
+    "E-SIM-073",
     "{names}: the longest step of the solver of model exchange depends on the end, so a longer run has other rows; run "
     "the scenario with --set duration={duration:g}",
 )
@@ -71,5 +71,5 @@ GETS_SLOWER = Template(
     "W-SIM-075", "{component} takes {factor:.2g} times longer for a step since t = {since:g} s than before"
 )
 REPLAY_COST = Template(
-    "N-SIM-032", "; {names}: inputs replayed from the start, which takes up to about {seconds:.2g} s (the run so far)"
+    "N-SIM-072", "; {names}: inputs replayed from the start, which takes up to about {seconds:.2g} s (the run so far)"
 )
