@@ -269,7 +269,7 @@ class _Stop(Observer):
 
 
 def resume_equal(place: Path) -> float:
-    """Return 1 if a run that was stopped and went on has the bytes of an uninterrupted one, else 0."""
+    """Return 1 if a resumed run repeats the bytes, else 0."""
     scenario = place / "long.yaml"
     whole = run(scenario, place / "whole", report=False)
     with suppress(Interrupted):

@@ -129,13 +129,13 @@ class Component(Protocol):
 
     @property
     def saves(self) -> bool:
-        """Return whether `checkpoint` gives a state; otherwise a resumed run replays the inputs of the component."""
+        """Return whether `checkpoint` gives a state; otherwise inputs are replayed."""
 
     def checkpoint(self) -> Any:
-        """Return the state between two steps in JSON types and bytes; None if it cannot be saved."""
+        """Return the state in JSON types and bytes, if possible."""
 
     def restore(self, state: Any) -> None:
-        """Restore a state that was saved in another process. The component is initialized as it was there."""
+        """Restore a state of another process, after initialization."""
 
 
 class RowComponent(Component):

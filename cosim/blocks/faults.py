@@ -62,7 +62,7 @@ class Remembering(LinkFunction, Protocol):
     """A function whose value depends on earlier values."""
 
     def save(self, k: int) -> Any:
-        """Return the memory after point k, in JSON types and bytes; the loop in C may have filled it."""
+        """Return the memory after point k in JSON types."""
 
     def restore(self, memory: Any) -> None:
         """Restore the memory of a stopped run."""

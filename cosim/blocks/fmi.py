@@ -126,7 +126,7 @@ class Calls(ABC):
         return None
 
     def save(self) -> Any:
-        """Return what these calls remember between steps, in JSON types and bytes."""
+        """Return the memory of these calls between steps."""
         return None
 
     def restore(self, memory: Any) -> None:

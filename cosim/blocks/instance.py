@@ -187,13 +187,13 @@ class Instance:
 
     @property
     def serializes(self) -> bool:
-        """Return whether the FMU can save its state as bytes. In model exchange the solver has a state too."""
+        """Return whether bytes hold the whole state."""
         part = self.description.coSimulation
         declared = bool(getattr(part, "canGetAndSetFMUstate", False) and getattr(part, "canSerializeFMUstate", False))
         return declared and not self._refuses and isinstance(self.calls, CoSimulation2 | CoSimulation3)
 
     def serialize(self) -> bytes | None:
-        """Return the state as bytes; None if the FMU cannot or does not do so."""
+        """Return the state as bytes, if possible."""
         if not self.serializes:
             return None
         fmu = self.fmu

@@ -72,11 +72,11 @@ class ComponentTimes:
         self._warned = np.ones(len(self.components))  # factors of the last warnings
 
     def pause(self) -> float:
-        """Return the time [s] to the next reading. It varies, so that no period of the steps is met."""
+        """Return the irregular time [s] to the next reading."""
         return self._random.uniform(SHORTEST, LONGEST)
 
     def read(self, made: int, doing: int) -> None:
-        """Count the time since the last reading for the current call."""
+        """Count the elapsed time for the current call."""
         now = self.clock()
         elapsed, self._last = now - self._last, now
         number, call = divmod(doing, CALLS)
@@ -90,7 +90,7 @@ class ComponentTimes:
             self._mark(now, made)
 
     def record(self) -> dict[str, Any]:
-        """Return the times for a manifest [s], the component that takes longest first."""
+        """Return the times for a manifest [s]."""
         total = self._bins.sum(axis=0)
         whole = float(total.sum()) + self.rest
         order = sorted(range(len(self.components)), key=lambda k: -total[k].sum())
@@ -102,7 +102,7 @@ class ComponentTimes:
         return {"components": components, "rest": round(self.rest, 4), "readings": self.readings, "slower": slower}
 
     def slower(self) -> list[Slower]:
-        """Return the components whose steps take longer from a time on, by their extra time."""
+        """Return components that get slower, by extra time."""
         reached = self._bin(self._reached)
         found = []
         for k, name in enumerate(self.components):
@@ -113,11 +113,11 @@ class ComponentTimes:
         return [slower for _, slower in sorted(found, key=lambda pair: -pair[0])]
 
     def _bin(self, made: int) -> int:
-        """Return the part of the rows in which a row is made."""
+        """Return the part that contains a row."""
         return made * len(self._bins) // max(1, self.rows)
 
     def _mark(self, now: float, made: int) -> None:
-        """Compare the last seconds with all before; warn of a component that has become much slower."""
+        """Warn of components that have become much slower."""
         own = self._bins[:, :, :OTHER].sum(axis=(0, 2))
         self._marks.append((now, made, own))
         begin = next((m for m in reversed(self._marks) if now - m[0] >= WINDOW), None)
@@ -135,7 +135,7 @@ class ComponentTimes:
 
 
 def _change(seconds: Array) -> tuple[int, float, float] | None:
-    """Return the part at which times rise, the factor and the extra time [s]; None without a rise.
+    """Return part, factor and extra time [s] of a rise.
 
     The readings of a part are counts of a Poisson process. The change has the largest likelihood; medians on both sides
     keep single interruptions from being changes.

@@ -193,7 +193,7 @@ class Worker:
             return content
 
     def _wait_for_end(self, grace: float) -> None:
-        """Ask a stopped job for its checkpoint, and wait up to `grace` [s] for its end."""
+        """Wait up to `grace` [s] for a last checkpoint."""
         if grace and self.running and self.progress.made[0]:
             self.progress.ending[0] = self.progress.asked[0] = 1
             with suppress(queue.Empty):

@@ -61,7 +61,7 @@ def read_exact(path: Path, rows: int) -> list[tuple[Any, ...]]:
 
 
 def exact_line(row: Sequence[Any]) -> bytes:
-    """Return a row of exact values as a line of JSON."""
+    """Return exact values as a line of JSON."""
     return json.dumps([{"hex": v.hex()} if isinstance(v, bytes) else v for v in row]).encode() + b"\n"
 
 

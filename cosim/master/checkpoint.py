@@ -73,7 +73,7 @@ class RowsHash:
         self._rows, self._lines, self._count = hashlib.sha256(), hashlib.sha256(), 0
 
     def of(self, values: Array, exact: Sequence[tuple[Any, ...]], count: int) -> str:
-        """Return the hash of the first `count` rows; −0 counts as 0, and every NaN as the same."""
+        """Return the hash of the first `count` rows."""
         width = max(1, values.shape[1])
         for first in range(self._count, count, max(1, HASHED // width)):
             part = values[first : min(count, first + max(1, HASHED // width))] + 0.0
@@ -109,7 +109,7 @@ class Keeper:
     _over: threading.Event = field(default_factory=threading.Event)
 
     def begin(self, master: SteppedSystem) -> None:
-        """Go on from a stopped run, if there is one, and begin to keep checkpoints; the first row is complete."""
+        """Go on from `start`, and begin to keep checkpoints."""
         if self.start is not None:
             master.done = 1 if master.reruns else self.start.count
             self.elapsed = 0.0 if master.reruns else go_on(master, self.start)
@@ -118,7 +118,7 @@ class Keeper:
             threading.Thread(target=self._tick, args=(self.interval,), daemon=True).start()
 
     def look(self, master: SteppedSystem, k: int) -> None:
-        """Make a checkpoint after point k if it is due; raise Interrupted if the caller wants an end."""
+        """Make a due checkpoint; raise Interrupted on request."""
         self.asked[0] = 0
         if self.ending[0]:
             self.save(master, k)
@@ -127,7 +127,7 @@ class Keeper:
             self.save(master, k)
 
     def end(self, master: SteppedSystem) -> None:
-        """Make the last checkpoint of a complete run, from which a longer run goes on."""
+        """Make the last checkpoint of a complete run."""
         self._check_rows(master)
         if self.interval is not None:
             self.save(master, master.done - 1)
@@ -140,7 +140,7 @@ class Keeper:
         self._over.set()
 
     def save(self, master: SteppedSystem, k: int) -> None:
-        """Write the checkpoint of point k, whose row is complete; none before the point of the last checkpoint."""
+        """Write the checkpoint of point k."""
         if self.start is not None and k + 1 < self.start.count:
             return
         self._check_rows(master)
@@ -172,7 +172,7 @@ class Keeper:
         self._last = time.monotonic()
 
     def _check_rows(self, master: SteppedSystem) -> None:
-        """Raise SimulationError if steps that were made again have given other rows."""
+        """Raise SimulationError if repeated steps give other rows."""
         start = self.start
         if start is not None and master.reruns and not is_same(master.table[: start.count], start.values):
             raise SimulationError("the run", float(master.time[start.count - 1]), messages.NOT_REPEATED())
@@ -183,7 +183,7 @@ class Keeper:
 
 
 def go_on(master: SteppedSystem, start: Continuation) -> float:
-    """Bring an initialized system to the last row of a stopped run.
+    """Bring a system to a stopped run's last row.
 
     Returns:
         The wall time [s] that the run took to there.
@@ -214,7 +214,7 @@ def go_on(master: SteppedSystem, start: Continuation) -> float:
 
 
 def _restore(master: SteppedSystem, component: Any, state: Any, last: int) -> None:
-    """Restore the state of a component; raise SimulationError if its outputs are not those of the last row."""
+    """Restore a component; raise SimulationError for other outputs."""
     master.announce(component)
     component.restore(state)
     if last == 0 or component.name in master.system.events.get(last, {}):

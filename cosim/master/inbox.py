@@ -201,7 +201,7 @@ class Inbox:
 
 
 def with_changes(events: Mapping[int, Values], changes: Sequence[Change]) -> Mapping[int, Values]:
-    """Return the events of a run, over them the changes that were made while it was stepped."""
+    """Return events overlaid with changes."""
     merged = dict(events)
     for change in changes:
         merged[change.point] = merge(merged.get(change.point, {}), change.values)

@@ -66,7 +66,7 @@ class EventRun(Protocol):
     def _apply_events(self, k: int) -> None: ...
 
     def look(self, k: int) -> None:
-        """Make a checkpoint after point k if one is due."""
+        """Make a due checkpoint after point k."""
 
 
 @dataclass(eq=False)

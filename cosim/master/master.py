@@ -260,16 +260,16 @@ class Master:
 
     @property
     def reruns(self) -> bool:
-        """Return whether a run goes on by making all steps again, because no component can be stepped alone."""
+        """Return whether a resumed run repeats all steps."""
         return self.has_events or bool(self.solvers)
 
     def look(self, k: int) -> None:
-        """Make a checkpoint after point k if one is due."""
+        """Make a due checkpoint after point k."""
         if self.rows.asked[0] and self.rows.keeper is not None:
             self.rows.keeper.look(self, k)
 
     def first_places(self, name: str) -> tuple[int, int]:
-        """Return the first places of a component's signals, in the row and beside the row."""
+        """Return a component's first places, in and beside the row."""
         return self._place.get(name, 0), self._place_beside.get(name, 0)
 
     def _store_loop(self, loop: str) -> None:
@@ -332,7 +332,7 @@ class Master:
         return [round_at(k) for k in range(period)]
 
     def active(self, stage: Stage) -> Active:
-        """Return the step of a component, and the transfers before it."""
+        """Return a component's step and its transfers."""
         component = stage.component
         for solver in self.solvers:
             if component.name in {member.component.name for member in solver.members}:

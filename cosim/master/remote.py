@@ -82,7 +82,7 @@ def _log_lines(system: System) -> list[str]:
 def simulate_here(
     system: System, steps: int, h: float, observers: Sequence[Observer] = (), *, start: Continuation | None = None
 ) -> SteppedRun:
-    """Step a system in this process, from `start` on if given; raise FmuError if an FMU does not load."""
+    """Step a system in this process."""
     channel = MemoryChannel()
     feed = _feed(observers, system, steps, h, channel)
     rows = Rows.in_memory(steps + 1, len(system.columns))
@@ -220,7 +220,7 @@ def simulate_rows(system: System, steps: int, h: float, job: RowsJob) -> WorkerE
 
 
 def _keeper(job: RowsJob, mapped: Array) -> Keeper:
-    """Return the keeper of a run's checkpoints; the state to go on from is in a file beside the rows."""
+    """Return the keeper of a run's checkpoints."""
     progress, place = here.progress, job.table.parent
     start = None
     if job.given:
@@ -341,12 +341,12 @@ def _convert_unexpected(error: Exception, watch: Watch, counters: Progress) -> S
 
 
 def read_state(path: Path) -> bytes | None:
-    """Return the content of a state file, None without one."""
+    """Return the content of a state file, if any."""
     return path.read_bytes() if path.is_file() else None
 
 
 def _allocate_kept(folder: Path, rows: int, width: int, start: Continuation | None) -> int:
-    """Create the files of a run that keeps checkpoints, with the rows so far; return the number of rows that fit.
+    """Create the kept files; return the number of rows.
 
     Raises:
         DiskFull: No further row fits.
@@ -372,7 +372,7 @@ def _allocate_kept(folder: Path, rows: int, width: int, start: Continuation | No
 
 
 def _write_start(folder: Path, start: Continuation, rows: str = ROWS) -> None:
-    """Write the rows and the state from which a run goes on."""
+    """Write the rows and the state of `start`."""
     with (folder / rows).open("r+b") as stream:
         stream.write(start.values.tobytes())
     write_durable(folder / BESIDE, b"".join(map(exact_line, start.exact)))

@@ -44,20 +44,20 @@ class SteppedSystem(Protocol):
 
     @property
     def reruns(self) -> bool:
-        """Return whether a run goes on by making all steps again, because no component can be stepped alone."""
+        """Return whether a resumed run repeats all steps."""
 
     def announce(self, component: Any, call: int = OTHER) -> None:
         """Store the next call."""
 
     def first_places(self, name: str) -> tuple[int, int]:
-        """Return the first places of a component's signals, in the row and beside the row."""
+        """Return a component's first places, in and beside the row."""
 
     def active(self, stage: Stage) -> tuple[Any, ...]:
-        """Return the step of a component, its length in steps of the run, and its length [s]."""
+        """Return a component's step and its lengths."""
 
 
 def is_same(one: Any, other: Any) -> bool:
-    """Return whether two sets of values are equal; NaN equals NaN."""
+    """Return whether values are equal; NaN equals NaN."""
     return bool(np.array_equal(np.asarray(one, float), np.asarray(other, float), equal_nan=True))
 
 
@@ -98,7 +98,7 @@ class Replay:
         self.copies = [*self._remembering()] if transfers else []
 
     def run(self, last: int) -> None:
-        """Replay up to a point; raise SimulationError if a component does not repeat its outputs."""
+        """Replay up to a point; raise SimulationError for other outputs."""
         master = self.master
         count, events = master.row_count, master.system.events
         for k in range(1, last + 1):
@@ -158,7 +158,7 @@ class Replay:
                 part.stage.component.change(values)  # type: ignore[attr-defined]
 
     def _remembering(self) -> list[Copy]:
-        """Return the transfers that remember values, as functions of the point."""
+        """Return the remembering transfers as functions."""
         system, links = self.master.system, self.master.copying.links
         transfers = (*system.held, *(transfer for stage in system.stages for transfer in stage.pulls))
         return [

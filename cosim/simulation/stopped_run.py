@@ -78,7 +78,7 @@ class StoppedRun:
 
     @property
     def warnings(self) -> list[str]:
-        """Return the warnings that do not come from the scenario."""
+        """Return warnings from outside the scenario."""
         return list(self.record.get(EXTRA, {}).get("warnings", ()))
 
     @property
@@ -88,7 +88,7 @@ class StoppedRun:
 
     @property
     def has_outcome(self) -> bool:
-        """Return whether the record has the warnings of the outcome too."""
+        """Return whether the record has an outcome."""
         return EXTRA not in self.record
 
     @property
@@ -105,14 +105,14 @@ class StoppedRun:
 
     @cached_property
     def results(self) -> Results:
-        """Return the rows of the results; raise InputError if there are none."""
+        """Return the results; raise InputError if there are none."""
         rows = rows_in(self.folder)
         if rows is None:
             raise InputError.at(self.folder, messages.NOTHING_TO_RESUME())
         return read_results(rows, {}, self.record.get("beside", ()))
 
     def check_end(self, until: float | None) -> None:
-        """Raise InputError if a later end is not later than the time that the run has reached."""
+        """Raise InputError if the end is not later."""
         if until is None:
             return
         if self.state is not None:
@@ -145,7 +145,7 @@ class StoppedRun:
         return start
 
     def _from_results(self, system: System, scenario: Scenario, count: int) -> Continuation:
-        """Return the first `count` rows of the results, or all."""
+        """Return the first rows of the results."""
         results, rows = self.results, self.folder / self.rows_file
         expected = scenario.start_time + scenario.step * np.arange(len(results.time))
         on_grid = np.abs(results.time - expected) <= ROUNDING * (1.0 + np.abs(expected))
@@ -160,7 +160,7 @@ class StoppedRun:
 
 
 def _exact(value: Any, signal: Signal) -> Any:
-    """Return a value beside the row from its text in the results."""
+    """Return an exact value from its text."""
     if signal.kind == "Binary":
         return bytes.fromhex(str(value))
     return str(value) if signal.kind == "String" else int(value)
@@ -197,7 +197,7 @@ def open_stopped(path: Path) -> StoppedRun:
 
 
 def _unpack(path: Path, state: bytes) -> Mapping[str, Any]:
-    """Return a checkpoint; raise InputError if it is damaged or of another version."""
+    """Return a checkpoint; raise InputError if it is unusable."""
     try:
         checkpoint = unpack(state)
         if checkpoint["format"] != FORMAT:
@@ -208,7 +208,7 @@ def _unpack(path: Path, state: bytes) -> Mapping[str, Any]:
 
 
 def wait_for_worker(kept: Path) -> None:
-    """Wait until no worker of a killed command writes into a folder of checkpoints; raise InputError after a while."""
+    """Wait for the end of a killed command's worker."""
     path = kept / IN_USE
     for _ in range(round(PATIENCE / PAUSE)):
         if not path.is_file():
@@ -222,7 +222,7 @@ def wait_for_worker(kept: Path) -> None:
 
 
 def begin_keeping(folder: Path, record: Mapping[str, Any], rows_file: str, warnings: Sequence[str]) -> Path:
-    """Prepare the folder of the checkpoints of a new run; return it."""
+    """Prepare and return the folder of checkpoints."""
     kept = folder / FOLDER
     wait_for_worker(kept)
     kept.mkdir(exist_ok=True)
@@ -233,7 +233,7 @@ def begin_keeping(folder: Path, record: Mapping[str, Any], rows_file: str, warni
 
 
 def write_run(folder: Path, record: Mapping[str, Any], rows_file: str, warnings: Sequence[str]) -> Path:
-    """Write what a run is into the folder of its checkpoints; return that folder.
+    """Write the record; return the folder of checkpoints.
 
     Args:
         warnings: Those of the record that do not come from the scenario.
@@ -261,12 +261,12 @@ def end_keeping(folder: Path, *, is_kept: bool) -> None:
 
 
 def keep_state(rows: Path, record: Mapping[str, Any], warnings: Sequence[str], state: bytes) -> None:
-    """Write the checkpoint of a stopped run beside its rows."""
+    """Write a stopped run's checkpoint beside its rows."""
     write_durable(write_run(rows.parent, record, rows.name, warnings) / STATE, state)
 
 
 def replayed_names(system: System, checkpoint: Mapping[str, Any]) -> Sequence[str]:
-    """Return the FMUs whose inputs are replayed from the start in a run that goes on."""
+    """Return the FMUs that are replayed."""
     states = checkpoint.get("components", {})
     return [name for name in system.fmus if states.get(name) is None]
 

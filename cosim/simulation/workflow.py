@@ -119,7 +119,7 @@ class _Prepared:
         return copy.deepcopy(self.record)
 
     def keeping(self) -> Keeping:
-        """Return the settings of the checkpoints; their folder is ready."""
+        """Return the settings of the checkpoints."""
         if self.interval is None:
             return Keeping(start=self.start)
         if self.start is not None:
@@ -239,7 +239,7 @@ def _prepare_new(
 def _prepare_stopped(
     path: Path, until: float | None, software: Future[dict[str, Any]], tell: Callable[[str], None]
 ) -> _Prepared:
-    """Return the run in a folder, ready to go on; tell how and at which cost."""
+    """Return a stopped run; tell how it goes on."""
     stopped = open_stopped(path)
     stopped.check_end(until)
     file = stopped.scenario(until)
@@ -263,7 +263,7 @@ def _prepare_stopped(
 
 
 def _how_it_goes_on(stopped: StoppedRun, system: System, start: Continuation, scenario: Scenario) -> str:
-    """Return the note on where a run goes on, and on what is replayed at which cost."""
+    """Return the note on start and cost."""
     time = scenario.start_time + (start.count - 1) * scenario.step
     names = replayed_names(system, stopped.checkpoint)
     cost = messages.REPLAY_COST(names=", ".join(names), seconds=stopped.lasted) if names else ""

@@ -28,7 +28,7 @@ class BadState(ValueError):
 
 
 def pack(content: Any) -> bytes:
-    """Return JSON types with bytes values as the content of a state file."""
+    """Return the content of a state file."""
     blobs: list[bytes] = []
 
     def reference(value: Any) -> Any:
@@ -44,7 +44,7 @@ def pack(content: Any) -> bytes:
 
 
 def unpack(data: bytes) -> Any:
-    """Return the content of a state file; raise BadState if it is damaged."""
+    """Return the values; raise BadState if damaged."""
     if not data.startswith(MAGIC):
         raise BadState("it does not begin as a state file of this version")
     digest, _, body = data[len(MAGIC) :].partition(b"\n")
@@ -64,7 +64,7 @@ def unpack(data: bytes) -> Any:
 
 
 def write_durable(path: Path, content: bytes) -> None:
-    """Replace a file so that it survives a power failure, before or after the replacement."""
+    """Replace a file, safe against power failures."""
     with draft_of(path) as draft, draft.open("wb") as stream:
         stream.write(content)
         stream.flush()
@@ -73,7 +73,7 @@ def write_durable(path: Path, content: bytes) -> None:
 
 
 def sync(path: Path) -> None:
-    """Write a file or folder to the disk, also pages changed through a mapping."""
+    """Write a file or folder to the disk."""
     with suppress(OSError):  # Some systems do not open folders; a disk that cannot sync keeps the file anyway.
         descriptor = os.open(path, os.O_RDONLY)
         try:

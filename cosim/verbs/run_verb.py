@@ -111,7 +111,7 @@ def run(
 
 
 def _refuse_options(path: Path, options: Mapping[str, bool]) -> None:
-    """Raise InputError for options that a run that goes on does not take."""
+    """Raise InputError for options of new runs."""
     if given := [name for name, is_given in options.items() if is_given]:
         from cosim.simulation.messages import RESUME_WITH_OPTION
 

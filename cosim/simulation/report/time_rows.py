@@ -26,7 +26,7 @@ class TimeRow:
 
 
 def time_rows(run: Run) -> list[TimeRow]:
-    """Return the components with their times, the longest first; none for a run that was too short to measure."""
+    """Return the components with their times, if measured."""
     timings = mapping(run.manifest.get("timings"))
     if not number(timings.get("readings")) >= MIN_READINGS:
         return []
@@ -40,7 +40,7 @@ def time_rows(run: Run) -> list[TimeRow]:
 
 
 def time_sentence(timings: Mapping[str, Any]) -> str:
-    """Return which component takes most of the time, and which one gets slower; "" if neither is known."""
+    """Return a sentence on slow components, if measured."""
     if not number(timings.get("readings")) >= MIN_READINGS:
         return ""
     parts: dict[str, list[str]] = {}
