@@ -12,6 +12,7 @@ from cosim.estimation import fit as fitting
 from cosim.estimation.posing import build_problem, halve_log
 from cosim.estimation.problem import Problem
 from cosim.estimation.start_states import with_likely_starts
+from cosim.kernel.kernel import Begin, simulate_all
 from cosim.kernel.remote_kernel import RemoteLibraryKernel
 from cosim.refinement.decision.evidence import Replays
 from cosim.refinement.search.missing import unknown_inputs
@@ -106,3 +107,11 @@ def test_slopes_that_serve_two_steps_lead_to_the_same_values(problem: Problem, m
     assert results[0].objective == pytest.approx(results[1].objective, abs=0.5)
     for name in ("motor_b", "load_J"):
         assert abs(results[0].values[name] - results[1].values[name]) < 0.3 * results[1].sigma(name)
+
+
+def test_simulations_in_one_call_are_those_of_single_calls(problem: Problem) -> None:
+    data, memory = problem.logs[0], np.zeros(problem.layout.memory)
+    p, x0 = problem.numbers(problem.values), problem.x0[0]
+    begins: list[Begin] = [(data.rows(0, rows), p, x0, memory, None, 0) for rows in (50, 100)]
+    for begin, run in zip(begins, simulate_all(problem.kernel, begins), strict=True):
+        np.testing.assert_array_equal(run.outputs, problem.kernel.simulate(*begin[:5], first=0).outputs)

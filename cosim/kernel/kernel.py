@@ -183,6 +183,18 @@ def run_all(kernel: Kernel, inputs: Sequence[Inputs]) -> Sequence[Filtered]:
     return [kernel.run(*each) for each in inputs] if together is None else together(inputs)
 
 
+Begin = tuple[Data, Array, Array, Array, "Array | None", int]  # arguments of `Kernel.simulate`, the last is `first`
+
+
+def simulate_all(kernel: Kernel, begins: Sequence[Begin]) -> Sequence[Simulated]:
+    """Simulate several times, in one call if the kernel offers it."""
+    together = getattr(kernel, "simulate_all", None)
+    if together is None:
+        return [kernel.simulate(*each[:5], first=each[5]) for each in begins]
+    simulated: Sequence[Simulated] = together(begins)
+    return simulated
+
+
 def single_steps(
     kernel: Kernel, data: Data, p: Array, points: tuple[Rows, Array, Array], back: int
 ) -> tuple[Array, Array]:

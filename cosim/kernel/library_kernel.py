@@ -19,7 +19,7 @@ from cosim.blocks.fmu import FmuBlock
 from cosim.isolation.limits import Limits
 from cosim.kernel.c_filter import CompiledKernel
 from cosim.kernel.generate import Generated
-from cosim.kernel.kernel import MEMORY, Data, Filtered, Inputs, Simulated, single_steps
+from cosim.kernel.kernel import MEMORY, Begin, Data, Filtered, Inputs, Simulated, single_steps
 
 NAME = "model"  # component name in messages
 RUNS = 16  # kept free runs
@@ -146,6 +146,10 @@ class LibraryKernel(CompiledKernel):
         """Simulate with the commands of a log, as `Kernel.simulate`."""
         self._use(p, data, x0)
         return super().simulate(data, p, x0, memory, kicks, first=first)
+
+    def simulate_all(self, begins: Sequence[Begin]) -> list[Simulated]:
+        """Simulate several times."""
+        return [self.simulate(*each[:5], first=each[5]) for each in begins]
 
     def step(self, data: Data, p: Array, points: tuple[Rows, Array, Array], back: int) -> tuple[Array, Array]:
         """Return single steps from rows of a log, as `single_steps`."""

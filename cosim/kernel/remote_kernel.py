@@ -21,7 +21,7 @@ from cosim.isolation.process import Worker
 from cosim.isolation.rows import OTHER
 from cosim.isolation.watch import Watch
 from cosim.kernel.generate import Generated
-from cosim.kernel.kernel import Data, Filtered, Inputs, Simulated
+from cosim.kernel.kernel import Begin, Data, Filtered, Inputs, Simulated
 from cosim.kernel.library_kernel import NAME, LibraryKernel, LibraryOf
 
 MODULES = ("cosim.kernel.remote_kernel", "fmpy.fmi2")
@@ -198,6 +198,14 @@ class RemoteLibraryKernel:
             self.failures.append(error)
             rows, counts = len(data.u), (len(self.layout.outputs), len(self.layout.states), self.layout.memory)
             return Simulated(*(np.full((rows, count), np.nan) for count in counts))
+        return simulated
+
+    def simulate_all(self, begins: Sequence[Begin]) -> Sequence[Simulated]:
+        """Simulate several times, one after the other if the FMU fails."""
+        try:
+            simulated: Sequence[Simulated] = workers.call(self, "simulate_all", [*begins])
+        except SimulationError:
+            return [self.simulate(*each[:5], first=each[5]) for each in begins]
         return simulated
 
     def step(self, data: Data, p: Array, points: tuple[Rows, Array, Array], back: int) -> tuple[Array, Array]:

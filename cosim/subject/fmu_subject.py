@@ -22,7 +22,7 @@ from cosim.fmi.native.compiler import CompilerFailed, NoCompiler
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.kernel.backend import kernel
-from cosim.kernel.kernel import DISTURBANCE, START, Data, Kernel
+from cosim.kernel.kernel import DISTURBANCE, START, Begin, Data, Kernel, simulate_all
 from cosim.kernel.library_kernel import NO_LIMITS, LibraryOf
 from cosim.kernel.messages import NO_CONSTANTS
 from cosim.loading.file import LoadedModel
@@ -248,11 +248,12 @@ class LibraryReplayer(Replayer):
     def _fill_windows(self, table: Array, data: Data, grid: Rows, p: Array, begins: Mapping[int, Start]) -> None:
         """Write the outputs of the run from each start to the next one into `table`."""
         layout, rows = self.kernel.layout, sorted(begins)
-        for k, last in zip(rows, [*rows[1:], len(grid) - 1], strict=False):
+        ends, runs = [*rows[1:], len(grid) - 1], list[Begin]()
+        for k, last in zip(rows, ends, strict=False):
             known = [0.0 if n.startswith(DISTURBANCE) else begins[k].states.get(n, 0.0) for n in layout.states]
             memory = np.asarray(begins[k].memory, float)[: layout.memory]
-            part = data.rows(0, int(grid[last]) + 1), p, np.array(known), memory
-            run = self.kernel.simulate(*part, first=int(grid[k]))
+            runs.append((data.rows(0, int(grid[last]) + 1), p, np.array(known), memory, None, int(grid[k])))
+        for k, last, run in zip(rows, ends, simulate_all(self.kernel, runs), strict=False):
             table[k + 1 : last + 1] = run.outputs[grid[k + 1 : last + 1]]
 
 

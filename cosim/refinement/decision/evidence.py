@@ -26,6 +26,7 @@ from cosim.estimation.parallel import in_parallel
 from cosim.estimation.past_readings import lagged_table
 from cosim.estimation.posing import halve_log
 from cosim.estimation.problem import Problem, Scored
+from cosim.kernel.kernel import Begin, simulate_all
 from cosim.logs.channel_noise import NORMAL_95
 from cosim.refinement.search.fits import SCREEN_ITERATIONS, Search
 from cosim.refinement.search.hypotheses import Hypothesis
@@ -331,9 +332,13 @@ class Replays:
             whole = data.y - lagged_table(problem.kernel.simulate(data, p, begin, memory).outputs, data.lags)
             residuals[:] = [whole[row + 1 : row + 1 + self.length] for row in self.rows]
             return np.where(np.abs(residuals) < 1e30, residuals, np.nan)
-        for replay, row, (state, memory) in zip(residuals, self.rows, self.starts, strict=True):
-            back, end = min(row, BACK), row + self.length + 1
-            predicted = problem.kernel.simulate(data.rows(row - back, end), p, state, memory, first=back).outputs
+        begins: list[Begin] = []
+        for row, (state, memory) in zip(self.rows, self.starts, strict=True):
+            back = min(row, BACK)
+            begins.append((data.rows(row - back, row + self.length + 1), p, state, memory, None, back))
+        runs = simulate_all(problem.kernel, begins)
+        for replay, row, of_row, run in zip(residuals, self.rows, begins, runs, strict=True):
+            back, end, predicted = of_row[-1], row + self.length + 1, run.outputs
             replay[:] = data.y[row + 1 : end] - lagged_table(predicted[back:], data.lags)[1:]
         return np.where(np.abs(residuals) < 1e30, residuals, np.nan)
 

@@ -24,7 +24,7 @@ from cosim.estimation.problem import Problem
 from cosim.estimation.readings import readings_of
 from cosim.estimation.start_states import with_likely_starts
 from cosim.kernel.kernel import MEMORY as LASTS
-from cosim.kernel.kernel import Data, Filtered
+from cosim.kernel.kernel import Begin, Data, Filtered, simulate_all
 from cosim.logs.log import Log
 from cosim.model.namespaces import arrays
 from cosim.model.sensors import SensorError
@@ -343,10 +343,10 @@ class _KernelReplays:
         problem, data, horizon = self.problem, self.data, self.variant.subject.horizon
         length = len(data.u) if horizon == FREE_RUN else round(horizon / data.step)
         p, outputs = problem.numbers(problem.of_log(values, self.index)), np.full(data.y.shape, np.nan)
-        for k in self.rows:
-            end = min(k + length, len(data.u) - 1)
-            part = data.rows(0, end + 1)
-            run = problem.kernel.simulate(part, p, starts[k], self.filtered.memory[k], kicks, first=k)
+        parts = {k: data.rows(0, min(k + length, len(data.u) - 1) + 1) for k in self.rows}
+        begins: list[Begin] = [(part, p, starts[k], self.filtered.memory[k], kicks, k) for k, part in parts.items()]
+        for (k, part), run in zip(parts.items(), simulate_all(problem.kernel, begins), strict=True):
+            end = len(part.u) - 1
             outputs[k + 1 : end + 1] = _shift(run.outputs[k:], None if part.late is None else part.late[k:])[1:]
         return lagged_table(outputs, data.lags)
 
