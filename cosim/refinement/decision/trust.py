@@ -42,8 +42,8 @@ def attribute(subject: Subject, problem: Problem, candidates: Sequence[Candidate
     progress("predicting with the equations trusted", 0.0)
     trusted = with_equations_trusted(subject, problem)
     free = error(result.search, result.best)
-    # A model judged by a free run skips this shortcut, but for additions to a free run the search was one of free runs.
-    if math.isfinite(subject.horizon) or problem.layout.additions:
+    # A model judged by a free run skips this shortcut: unknown inputs explain its slow effects, such as a drift.
+    if math.isfinite(subject.horizon):
         search = Search(subject, coarsen(trusted), len(candidates), progress)
         if error(search, search.hypothesis(result.best.candidates, result.best.fit)) > free - CLEARLY:
             return result
