@@ -172,7 +172,7 @@ DAMAGED_LIST = Template("E-STO-097", "is damaged; move {folder} away")
 NAME_OUTSIDE = Template("E-STO-098", "names {name}, outside {results} or no result; move {folder} away")
 LINK_IN_EARLIER_RUNS = Template("E-STO-099", "is a link, and earlier runs hold none; move {folder} away")
 LARGE_MAT = Template(
-    "E-STO-100", "{rows} rows of {columns} columns are more than the 2 GB of a MAT variable; take another format"
+    "E-STO-104", "{rows} rows of {columns} columns are more than the 2 GB of a MAT variable; take another format"
 )
 MAT_73 = Template("E-STO-101", "is a MAT file of version 7.3; write it with -v7, or as HDF5 with one dataset a signal")
 BAD_TABLE = Template("E-STO-102", "is no {format} file that can be read: {reason}; write it again")
