@@ -96,7 +96,7 @@ READ = {  # command → what it reads
     "fit log.csv --fmu": FMUS,
     "fit": LOGS | {"study.yaml", "fit.yaml"},
     "refine": {"study.yaml"},
-    "excite": MODELS,
+    "excite": MODELS | FMUS,
     "linearize": (MODELS | FMUS) - {"study.yaml", "fit.yaml"},
     "build --model": MODELS,
     "identify": {"protocol.yaml"},

@@ -24,7 +24,7 @@ from cosim.model.model import Model
 from cosim.refinement.decision.judgement import SIGNIFICANT
 from cosim.refinement.search.hypotheses import TOGETHER
 from cosim.refinement.study import StudyFile, read_study
-from cosim.storage.kinds import ANSWER, CODE, FMU, MODEL, check_form, check_given
+from cosim.storage.kinds import ANSWER, CODE, FMU, MODEL, check_form, check_given, kind_by_form
 from cosim.storage.yaml_file import YamlFile, did_you_mean
 from cosim.subject.candidates import Candidate
 from cosim.subject.fmu_subject import FmuSubject
@@ -116,7 +116,7 @@ def ask(
     Raises:
         InputError: An argument has faults, or the model has no states.
     """
-    if Path(text).suffix.lower() == FMU_SUFFIX:
+    if Path(text).is_file() and kind_by_form(Path(text)) == FMU:
         path, question = Path(text), _question_of_fmu(Path(text), against, limits, ranges, duration)
     else:
         path, question = _read_question(text, against)
