@@ -31,7 +31,7 @@ SEED = 27
 PAUSE, STEPS = 6000.0, 100  # wall time of a step [us], and steps of a run
 LONGEST = 60.0  # [s] of a command
 MOST_KILLS = 5  # of one run
-NOT_YET = ("E-SIM-060", "E-SIM-066")  # nothing is there to resume
+NOT_YET = ("E-SIM-060", "E-SIM-066", "E-SIM-074")  # nothing is there to resume, or no folder
 
 
 class Fork:
