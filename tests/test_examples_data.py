@@ -11,8 +11,9 @@ import hashlib
 import importlib.util
 import os
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import ModuleType
+from types import MappingProxyType, ModuleType
 from typing import Any
 
 import numpy as np
@@ -34,7 +35,7 @@ MODELS = {
 }
 FILES = {"ur10e": "elbow"}  # others bear the name of the example
 YARDSTICKS = ("ur10e", "ballbeam")  # examples with a least_squares.py
-FOLDERS = {"propeller": ("propeller", "uiuc_apcsf")}  # others bear the name of the example
+FOLDERS = {"propeller": ("propeller", "uiuc_apcsf"), "drive": ("drive", "emps")}  # others bear the name of the example
 
 
 def _loaded(path: Path) -> ModuleType:
@@ -53,19 +54,27 @@ def model_of(example: str) -> Model:
     return load_model(f"{FILES.get(example, example)}.py:{MODELS[example]}", EXAMPLES / example).model
 
 
-def logs_of(example: str, folder: Path) -> Path:
-    """The study of an example, made of its recordings; skips without them."""
+def data_of(example: str, files: Sequence[str], copies: Mapping[str, Sequence[str]] = MappingProxyType({})) -> Path:
+    """The folder with the recordings of an example; skips without them.
+
+    copies: File → further names of it.
+    """
     roots = [
         ROOT.parent / "shared" / "data",
         *([Path(os.environ["EXAMPLES_DATA"])] if "EXAMPLES_DATA" in os.environ else []),
     ]
+    for data in (root / name for root in roots for name in FOLDERS.get(example, (example,))):
+        if all(any((data / name).is_file() for name in (file, *copies.get(file, ()))) for file in files):
+            return data
+    pytest.skip(f"{' and '.join(files)} of examples/{example} not in {', '.join(map(str, roots))}")
+
+
+def logs_of(example: str, folder: Path) -> Path:
+    """The study of an example, made of its recordings; skips without them."""
     script = _loaded(EXAMPLES / example / "make_logs.py")
     wanted = [r for r in vars(script).values() if type(r).__name__ == "Recording"]
-    for data in (root / name for root in roots for name in FOLDERS.get(example, (example,))):
-        if all(any((data / name).is_file() for name in (r.name, *r.copies)) for r in wanted):
-            return Path(script.make_logs(data, folder))
-    names = " and ".join(r.name for r in wanted)
-    pytest.skip(f"{names} of examples/{example} not in {', '.join(map(str, roots))}")
+    data = data_of(example, [r.name for r in wanted], {r.name: [*r.copies] for r in wanted})
+    return Path(script.make_logs(data, folder))
 
 
 def columns(path: Path) -> dict[str, np.ndarray]:

@@ -17,6 +17,7 @@ import cosim
 from cosim.base.errors import InputError
 from cosim.estimation.posing import build_problem
 from cosim.estimation.problem import Problem
+from cosim.estimation.sensor_noise import first_noise, sensor_noise
 from cosim.experiment.excite import excite
 from cosim.experiment.question import ask
 from cosim.kernel.remote_kernel import RemoteLibraryKernel
@@ -29,6 +30,7 @@ from cosim.subject.fmu_subject import FmuSubject
 from cosim.subject.model_subject import ModelSubject
 from tests.blind.fmu_build import build
 from tests.logs import write_log
+from tests.slider import slider_fmu, slider_log
 from tests.users import cosim as command
 
 STEP, NOISE = 0.02, {"current": 0.01, "angle": 0.002, "speed": 0.05}
@@ -203,6 +205,34 @@ def test_names_of_the_fmu_are_those_of_study_and_log(tmp_path: Path) -> None:
     study = read_study(write_study(tmp_path, fmu, logs, tolerance={"motor.J": 0.1}, noise={"motor.phi": 1e-3}))
     assert study.content.tolerance == {"motor_J": 0.1}
     assert set(study.logs[0].outputs) == {with_underscore.replace(".", "_") for with_underscore in outputs}
+
+
+def test_outputs_called_position_and_velocity_are_a_pair_by_probing(tmp_path: Path) -> None:
+    fmu, log = slider_fmu(tmp_path / "slider.fmu", exchange=True), slider_log(tmp_path / "e1.csv", seconds=10.0)
+    subject = read_study(write_study(tmp_path, fmu, [log])).subject
+    assert isinstance(subject, FmuSubject)
+    assert subject.traits.rates == {"position": "velocity"}
+
+
+def test_a_study_sets_the_horizon_of_its_replays(folder: Path) -> None:
+    fmu = build(folder / "model_exchange2.fmu", "dc_motor")
+
+    def horizon(**keys: Any) -> float:
+        return float(read_study(write_study(folder, fmu, [folder / "e1.csv"], noise=NOISE, **keys)).subject.horizon)
+
+    assert (horizon(horizon="free run"), horizon(horizon="500 ms")) == (math.inf, 0.5)
+    assert horizon() == 1.0  # 50 rows
+    with pytest.raises(InputError, match="free run"):
+        horizon(horizon="long")
+
+
+def test_noise_hidden_by_motion_begins_at_the_level_of_both(folder: Path) -> None:
+    fmu = build(folder / "model_exchange2.fmu", "dc_motor")
+    time = STEP * np.arange(400)
+    columns = {"time": time, "voltage": np.sin(time), "load_torque": 0.0 * time, "angle": 1e-6 * np.sin(40.0 * time)}
+    problem = problem_of(read_study(write_study(folder, fmu, [write_log(folder / "small.csv", columns)])))
+    assert "angle" not in sensor_noise(problem)
+    assert 1e-9 < first_noise(problem)["angle"] < 1e-6
 
 
 def test_faults_of_a_study_of_an_fmu(folder: Path) -> None:

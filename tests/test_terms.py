@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -198,3 +199,19 @@ def test_a_file_without_terms_is_refused(tmp_path: Path) -> None:
 
 def test_names_of_variables_become_parts_of_names() -> None:
     assert with_place("load.w[1]") == "load_w_1_"
+
+
+def test_a_sensor_that_never_reads_below_zero_may_show_the_magnitude() -> None:
+    speed = Quantity("speed", "rad/s", "")
+    signed, unsigned = ({e.name: e for e in sensor_errors(speed, 3.0, 0.1, 10.0, signed=s)} for s in (True, False))
+    assert unsigned.keys() - signed.keys() == {"magnitude_at_speed"}
+    reading = unsigned["magnitude_at_speed"](value=1.0)
+    assert [reading.read(SCALAR, 0.0, {"speed": y}) for y in (-2.0, 0.0, 2.0)] == [2.0, 0.0, 2.0]
+    assert unsigned["magnitude_at_speed"]().read(SCALAR, 0.0, {"speed": -2.0}) == -2.0
+    assert not reading.is_straight()
+
+
+def test_the_transition_of_friction_is_not_finer_than_the_integration() -> None:
+    softness = {p.name: p for p in parameters_of(bind(Coulomb, replace(PAIR, resolution=0.05)))}["softness"]
+    assert softness.bounds[0] == 0.05
+    assert {p.name: p for p in parameters_of(bind(Coulomb, PAIR))}["softness"].bounds[0] == pytest.approx(1e-3)

@@ -23,16 +23,33 @@ def past_reading(sensor: Any, time: Array, values: Array) -> Array:
     return lagged(time, values, sensor.value)
 
 
-def lagged(time: Array, values: Array, constant: float) -> Array:
-    """Return the response of T·l̇ = y − l to an output that is straight from row to row, from l = y at its first value.
+def lagged_table(outputs: Array, lags: Array | None, begin: Array | None = None) -> Array:
+    """Return the readings of simulated outputs, shape (rows, outputs), by sensors with lags.
+
+    Args:
+        lags: Time constant of each sensor in rows; None without lags.
+        begin: Readings at the first row, NaN where missing; by default the outputs of that row.
+    """
+    if lags is None:
+        return outputs
+    rows, readings = np.arange(len(outputs), dtype=np.float64), outputs.copy()
+    for j in np.flatnonzero(lags):
+        readings[:, j] = lagged(rows, outputs[:, j], float(lags[j]), math.nan if begin is None else float(begin[j]))
+    return readings
+
+
+def lagged(time: Array, values: Array, constant: float, begin: float = math.nan) -> Array:
+    """Return the response of T·l̇ = y − l to an output that is straight from row to row.
 
     Args:
         constant: Time constant T [s].
+        begin: Reading at the first value; NaN for l = y.
     """
     known = np.flatnonzero(np.isfinite(values))
     if constant <= 0.0 or known.size < 2:
         return values
-    result, before = values.copy(), float(values[known[0]])
+    result, before = values.copy(), float(values[known[0]]) if math.isnan(begin) else begin
+    result[known[0]] = before
     for last, k in pairwise(known):
         rows = constant / (time[k] - time[last])
         fades = math.exp(-1.0 / rows)
@@ -40,15 +57,3 @@ def lagged(time: Array, values: Array, constant: float) -> Array:
         before = values[k] - slope + fades * (before - values[last] + slope)
         result[k] = before
     return result
-
-
-def lagged_table(outputs: Array, lags: Array | None) -> Array:
-    """Return the readings of lagging sensors.
-
-    Args:
-        lags: Time constant of each output's sensor in rows.
-    """
-    if lags is None:
-        return outputs
-    rows = np.arange(len(outputs), dtype=np.float64)
-    return np.column_stack([lagged(rows, y, constant) for y, constant in zip(outputs.T, lags, strict=True)])

@@ -29,17 +29,29 @@ def sensor_noise(problem: Problem) -> dict[str, float]:
     The level is the deviation of readings from four neighbours, which also contains fast motion. The model's own run
     estimates the share of motion. Outputs with a large share, such as sensors slower than the motion, are omitted.
     """
-    levels = {}
-    runs = [problem.own_run(index).outputs for index in range(len(problem.logs))]
     if problem.table:  # A table has no neighbours, so the first guess is the residual of the given model.
+        runs = [problem.own_run(index).outputs for index in range(len(problem.logs))]
         residuals = np.vstack([log.y - run for log, run in zip(problem.logs, runs, strict=True)])
         return dict(zip(problem.layout.outputs, np.sqrt(np.nanmean(residuals**2, axis=0)).tolist(), strict=True))
+    levels = _deviations(problem).items()
+    return {name: math.sqrt(read**2 - motion**2) for name, (read, motion) in levels if motion < SMOOTH * read}
+
+
+def first_noise(problem: Problem) -> dict[str, float]:
+    """Return output → first guess of its noise; where motion hides the noise, the level of both together."""
+    both = {} if problem.table else {name: read for name, (read, _) in _deviations(problem).items()}
+    return both | sensor_noise(problem)
+
+
+def _deviations(problem: Problem) -> dict[str, tuple[float, float]]:
+    """Return output → deviation of its readings from four neighbours, and that of the model's own run."""
+    levels = {}
+    runs = [problem.own_run(index).outputs for index in range(len(problem.logs))]
     for j, name in enumerate(problem.layout.outputs):
         columns = [log.y[:, j] for log in problem.logs]
         simulated = [np.where(np.isfinite(y), run[:, j], np.nan) for y, run in zip(columns, runs, strict=True)]
-        measured, motion = (white_noise(np.concatenate([surprise(y) for y in each])) for each in (columns, simulated))
-        if motion < SMOOTH * measured:
-            levels[name] = math.sqrt(measured**2 - motion**2)
+        read, motion = (white_noise(np.concatenate([surprise(y) for y in each])) for each in (columns, simulated))
+        levels[name] = read, motion
     return levels
 
 

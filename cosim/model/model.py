@@ -48,6 +48,7 @@ class Effect(Parametric):
             of commands, with one quantity in `memory` per input; with a whole log, the late command is looked up there.
         starts: Additional start values of fits, for likelihoods with several maxima.
         at_least: Parameter → lower-bound parameter of the same effect, a physical constraint of every fit.
+        resolved: Parameters whose lower limit is the resolution of the integration, where a fit may end.
     """
 
     name: ClassVar[str]
@@ -57,6 +58,7 @@ class Effect(Parametric):
     delay: ClassVar[str | None] = None
     starts: ClassVar[tuple[Mapping[str, float], ...]] = ()
     at_least: ClassVar[Mapping[str, str]] = {}
+    resolved: ClassVar[tuple[str, ...]] = ()
 
     @property
     def prefix(self) -> str:

@@ -86,6 +86,20 @@ class Scale(SensorError):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Magnitude(SensorError):
+    """Magnitude in place of the signed value: reading (1 − m)·y + m·|y|, m = 1 for a sensor without direction."""
+
+    equation = "reading (1 − m)·y + m·|y|"
+
+    value: float
+
+    def read(self, m: Namespace, t: Number, outputs: Mapping[str, Number]) -> Number:
+        """Return the true value, with a part of its magnitude in place of the value."""
+        value = outputs[self.output]
+        return m.where(value >= 0.0, value, (1.0 - 2.0 * self.value) * value)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Drift(SensorError):
     """Drift: reading y + d·t, t from the start of the log's clock."""
 

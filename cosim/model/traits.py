@@ -31,11 +31,15 @@ class Traits:
     static: bool = False
 
     @classmethod
-    def of(cls, model: Model) -> Traits:
-        """Return the traits of a model."""
+    def of(cls, model: Model, rates: Mapping[str, str] | None = None) -> Traits:
+        """Return the traits of a model.
+
+        Args:
+            rates: Output → output that is its time derivative; by default from the equations.
+        """
         signals = {q.name: q for q in (*model.outputs, *model.inputs)}
         bounds = {n: q.bounds for n, q in signals.items() if q.is_bounded}
-        return cls(rates_of(model), bounds, model.planar, model.static)
+        return cls(rates_of(model) if rates is None else rates, bounds, model.planar, model.static)
 
 
 def rate_of(name: str, names: Container[str]) -> str | None:

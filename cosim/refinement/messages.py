@@ -45,6 +45,7 @@ IMPLAUSIBLE_NOISE = Template(
     "E-REF-014", "noise.{output}: {level} is no noise of readings of up to {largest}; state it in their unit"
 )
 UNKNOWN_OUTPUT = Template("E-REF-015", 'no output "{name}"{hint}')
+UNKNOWN_STATE = Template("E-REF-049", 'no state "{name}"{hint}')
 UNKNOWN_BASE_PARAMETER = Template("E-REF-016", 'no base parameter "{name}"{hint}')
 UNKNOWN_INPUT = Template("E-REF-017", 'no input "{name}"{hint}')
 UNKNOWN_CANDIDATE = Template("E-REF-018", 'no candidate "{name}"{hint}')

@@ -7,9 +7,10 @@ import math
 import os.path
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
+from copy import copy
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Discriminator, Tag, ValidationError
@@ -37,7 +38,7 @@ from cosim.residuals.windows import SKIPPED
 from cosim.storage.artefact import kind_by_keys
 from cosim.storage.files import FilePath
 from cosim.storage.kinds import STUDY, check_form, refuse_other
-from cosim.storage.yaml_file import UNIT_OF_KEY, Positive, YamlFile, did_you_mean
+from cosim.storage.yaml_file import UNIT_OF_KEY, Positive, PositiveSeconds, YamlFile, did_you_mean
 from cosim.subject.base_parameters import tolerances
 from cosim.subject.fmu_subject import FmuSubject
 from cosim.subject.interface import Subject
@@ -48,6 +49,7 @@ SCORED = 1.0  # [s] least scored time, beside the skipped start and one horizon
 SPARE = 3  # rows of tables beyond the estimated parameters, to estimate the noise
 FINEST, COARSEST = 1e-12, 1e3  # share of the largest reading outside which a standard deviation is implausible
 Interpolation = Literal["held", "interpolated"]
+AnySubject = TypeVar("AnySubject", bound=Subject)
 NARROWEST, WIDEST = 1e-6, 2.0  # share of a parameter: stricter than any data sheet; without information
 
 
@@ -97,6 +99,7 @@ class StudyFile(BaseModel):
     model:      A registered name, a model.yaml, `file.py:Class`, or an FMU.
     logs:       Files, relative to the study.
     noise:      Output → standard deviation of its sensor, if different from the model's, in its unit or `2 deg`.
+    start_noise: State → standard deviation of its start value in every log, without a measurement.
     tolerance:  Relative tolerance of base parameters, for all or by name.
     inputs:     Held from row to row, or interpolated, for all or by name.
     candidates: Effects, sensor errors and parameters on trial; default: all.
@@ -104,6 +107,7 @@ class StudyFile(BaseModel):
     per_log:    Parameters with a separate value for each log.
     groups:     Name → logs with common values of per_log.
     limits:     Limits of each FMU call; `total` ends a search that takes longer.
+    horizon:    Duration of the replays that measure errors, if different from the model's, or `free run` [s].
     terms:      File with further terms for an FMU, subclasses of `cosim.terms.Force`, `InputTerm` or `RateTerm`.
     carry_logs: Whether the refined FMU carries the validation logs, with the errors before and after.
     """
@@ -113,6 +117,7 @@ class StudyFile(BaseModel):
     model: str = BASE
     logs: LogLists
     noise: dict[str, Annotated[Positive, UNIT_OF_KEY]] = {}
+    start_noise: dict[str, Annotated[Positive, UNIT_OF_KEY]] = {}
     tolerance: Annotated[
         Annotated[Share, Tag("«all»")] | Annotated[dict[str, Share], Tag("«by name»")], Discriminator(_setting_tag)
     ] = {}
@@ -127,6 +132,14 @@ class StudyFile(BaseModel):
     limits: Limits | None = None
     terms: FileName = ""
     carry_logs: bool = False
+    horizon: PositiveSeconds | Literal["free run"] | None = None
+
+    def judged(self, subject: AnySubject) -> AnySubject:
+        """Return a new subject with the horizon and the start values of the study."""
+        subject.start_variance = {**subject.start_variance, **{n: s * s for n, s in self.start_noise.items()}}
+        if self.horizon is not None:
+            subject.horizon = math.inf if self.horizon == "free run" else self.horizon
+        return subject
 
     def find_interpolated(self, subject: Subject) -> frozenset[str]:
         """Return the interpolated inputs."""
@@ -214,13 +227,12 @@ def read_study(path: Path) -> Study:
         refuse([*faults, *_repeated_logs(yaml, content.logs, {})])
         raise
     subject = ModelSubject(loaded)
-    units = {q.name: q.unit for q in subject.outputs}
-    noise, unit_faults = yaml.in_units(("noise",), content.noise, units, difference=True)
-    content = content.model_copy(update={"noise": noise})
+    content, unit_faults = _in_units(yaml, content, subject)
+    subject = content.judged(subject)
     faults += unit_faults
     faults += _key_faults(yaml, content, subject, unlisted=yaml.root["logs"].get("estimation", []) == [])
     try:
-        stepping = ModelSubject(with_substep(loaded)[0])
+        stepping = content.judged(ModelSubject(with_substep(loaded)[0]))
     except InputError as error:
         faults, stepping = [*faults, *error.faults], subject
     logs, warnings, log_faults = _read_logs(yaml, content, stepping)
@@ -228,7 +240,7 @@ def read_study(path: Path) -> Study:
     refuse([*faults, *log_faults, *latency_faults])
     loaded, notes = with_substep(loaded, logs["estimation"])
     warnings += [with_prefix(f"{content.model}: ", text) for text in notes]
-    return Study(path, content, ModelSubject(loaded), tuple(logs["estimation"]), tuple(warnings))
+    return Study(path, content, content.judged(ModelSubject(loaded)), tuple(logs["estimation"]), tuple(warnings))
 
 
 def keys_of(path: Path) -> tuple[YamlFile, StudyFile, list[Fault]]:
@@ -293,10 +305,8 @@ def _of_fmu(yaml: YamlFile, content: StudyFile, faults: list[Fault]) -> Study:
         raise InputError([yaml.fault(("model",), message)])
     subject = FmuSubject.of_fmu(probed.structure, logs, terms, content.limits or Limits())
     subject.source += f", because {probed.reason}"
-    content = _in_names_of(subject, content)
-    units = {q.name: q.unit for q in subject.outputs}
-    noise, unit_faults = yaml.in_units(("noise",), content.noise, units, difference=True)
-    content = content.model_copy(update={"noise": noise})
+    content, unit_faults = _in_units(yaml, _in_names_of(subject, content), subject)
+    subject = content.judged(subject)
     faults += [*unit_faults, *_key_faults(yaml, content, subject, unlisted=False)]
     read, warnings, log_faults = _read_logs(yaml, content, subject)
     refuse([*faults, *log_faults])
@@ -304,11 +314,21 @@ def _of_fmu(yaml: YamlFile, content: StudyFile, faults: list[Fault]) -> Study:
     return Study(yaml.path, content, subject, tuple(read["estimation"]), (*found, *warnings))
 
 
+def _in_units(yaml: YamlFile, content: StudyFile, subject: Subject) -> tuple[StudyFile, list[Fault]]:
+    """Return the study with standard deviations in the units of the subject, and faults."""
+    update, faults = {}, list[Fault]()
+    for key, signals in (("noise", subject.outputs), ("start_noise", subject.states)):
+        units = {q.name: q.unit for q in signals}
+        update[key], wrong = yaml.in_units((key,), getattr(content, key), units, difference=True)
+        faults += wrong
+    return content.model_copy(update=update), faults
+
+
 def _in_names_of(subject: FmuSubject, content: StudyFile) -> StudyFile:
     """Return the study with the names of the subject in place of the FMU's variables."""
     names = subject.names
     update: dict[str, Any] = {}
-    for key in ("noise", "tolerance", "inputs"):
+    for key in ("noise", "start_noise", "tolerance", "inputs"):
         setting = getattr(content, key)
         if isinstance(setting, dict):
             update[key] = {names.get(n, n): value for n, value in setting.items()}
@@ -354,6 +374,7 @@ def study_of(
         raise InputError(
             [places.fault(e["loc"], messages.INVALID_SETTING(reason=e["msg"])) for e in error.errors()]
         ) from None
+    subject = content.judged(copy(subject))
     usable, warnings, log_faults = _read_logs(places, content, subject)
     refuse([*_key_faults(places, content, subject, unlisted=not logs), *log_faults])
     return Study(None, content, subject, tuple(usable["estimation"]), tuple(warnings))
@@ -519,11 +540,12 @@ def _implausible_noise(places: Places, noise: Mapping[str, float], logs: Sequenc
 
 
 def _unknown_names(places: Places, content: StudyFile, subject: Subject) -> Iterator[Fault]:
-    """Yield faults of unknown outputs, base parameters, inputs and candidates."""
+    """Yield faults of unknown outputs, states, base parameters, inputs and candidates."""
     inputs, outputs = ([q.name for q in signals] for signals in (subject.inputs, subject.outputs))
     parameters = [p.name for p in subject.parameters if not isinstance(p.default, bool)]
     for key, names, message in (
         ("noise", outputs, messages.UNKNOWN_OUTPUT),
+        ("start_noise", [q.name for q in subject.states], messages.UNKNOWN_STATE),
         ("tolerance", parameters, messages.UNKNOWN_BASE_PARAMETER),
         ("inputs", inputs, messages.UNKNOWN_INPUT),
     ):

@@ -23,7 +23,7 @@ from cosim.estimation.per_log import drop_own_parameters
 from cosim.estimation.posing import build_problem, coarsen, varied_inputs
 from cosim.estimation.predictability import predictable_horizon
 from cosim.estimation.problem import Problem
-from cosim.estimation.sensor_noise import at_rest, noise_warnings, sensor_noise
+from cosim.estimation.sensor_noise import at_rest, first_noise, noise_warnings
 from cosim.estimation.start_states import with_likely_starts
 from cosim.isolation.limits import Limits
 from cosim.loading.refined import ANSWER, NEAREST, REFINED
@@ -199,7 +199,7 @@ def _build_problem(study: Study) -> Problem:
     noise = study.content.noise
     problem = build_problem(study.subject, study.logs, noise=noise, settings=study.settings)
     stated = {*study.subject.sensor_variance, *noise}
-    problem = problem.with_noise({n: s for n, s in sensor_noise(problem).items() if n not in stated and s > 0.0})
+    problem = problem.with_noise({n: s for n, s in first_noise(problem).items() if n not in stated and s > 0.0})
     return with_likely_starts(problem)
 
 

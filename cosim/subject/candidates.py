@@ -39,6 +39,7 @@ def effect(
     kind: Kind = "effect",
     starts: Sequence[Mapping[str, float]] = (),
     above: Mapping[str, str] | None = None,
+    resolved: Sequence[str] = (),
     gain: bool = False,
 ) -> Candidate:
     """Return an effect or sensor error as a candidate with parameters `name.parameter`.
@@ -48,13 +49,23 @@ def effect(
         values: Values of the subject by full names.
         starts: Additional start values by short names; the first start is zero or the usual size.
         above: Parameter → lower-bound parameter of the same effect.
+        resolved: Parameters whose lower limit is the resolution of the integration.
     """
 
     lower = {own: f"{name}.{bound}" for own, bound in (above or {}).items()}
     free, first = [], {}
     for p in declared:
         full = f"{name}.{p.name}"
-        free.append(Free(full, *p.bounds, usual_size(p), neutral=p.neutral, above=lower.get(p.name, "")))
+        free.append(
+            Free(
+                full,
+                *p.bounds,
+                usual_size(p),
+                neutral=p.neutral,
+                above=lower.get(p.name, ""),
+                resolved=p.name in resolved,
+            )
+        )
         is_one_sided = p.neutral is not None and p.neutral == p.bounds[0]
         first[full] = p.typical if is_one_sided and p.typical else values[full]  # detectable if one-sided
     others = ({f"{name}.{own}": value for own, value in start.items()} for start in starts)
@@ -79,6 +90,7 @@ class Free:
         parameter: Name of the parameter if the value is for a group of logs; "" if common to all logs.
         group: Name of the group of logs.
         above: Name of a parameter as lower bound.
+        resolved: True if the lower limit is the resolution of the integration, so that a fit may end there.
     """
 
     name: str
@@ -90,3 +102,4 @@ class Free:
     parameter: str = ""
     group: str = ""
     above: str = ""
+    resolved: bool = False

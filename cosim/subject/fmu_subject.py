@@ -27,6 +27,7 @@ from cosim.kernel.library_kernel import NO_LIMITS, LibraryOf
 from cosim.kernel.messages import NO_CONSTANTS
 from cosim.loading.file import LoadedModel
 from cosim.logs.log import Log
+from cosim.model.traits import Traits
 from cosim.probing.fmu_structure import StartValue, Structure
 from cosim.residuals.remote_drive import MODULES, DriveApart
 from cosim.residuals.starts import StartParameter, start_parameters
@@ -93,6 +94,13 @@ class FmuSubject(ModelSubject):
         """Return variable of the FMU → name in the model."""
         variables: Mapping[str, str] = self.model.variables  # type: ignore[attr-defined]
         return {variable: name for name, variable in variables.items()}
+
+    @property
+    def traits(self) -> Traits:
+        """Return the signal properties, with rates from the probed pairs."""
+        outputs = {**{q.name: q.name for q in self.structure.outputs}, **self.structure.shown}
+        pairs = [p for p in self.structure.pairs if p.gain == 1.0 and {p.position, p.velocity} <= outputs.keys()]
+        return Traits.of(self.model, {with_place(outputs[p.position]): with_place(outputs[p.velocity]) for p in pairs})
 
     @property
     def measured_states(self) -> frozenset[str]:

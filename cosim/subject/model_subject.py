@@ -89,8 +89,16 @@ class ModelSubject(Subject):
     def _candidate(self, kind: type[Any]) -> Candidate:
         """Return an effect or sensor error as a candidate."""
         of: Kind = "sensor" if kind in self.model.sensors else "effect"
-        above, gain = kind.at_least, issubclass(kind, Gain)
-        c = effect(kind.name, parameters_of(kind), self.values, kind=of, starts=kind.starts, above=above, gain=gain)
+        c = effect(
+            kind.name,
+            parameters_of(kind),
+            self.values,
+            kind=of,
+            starts=kind.starts,
+            above=kind.at_least,
+            resolved=kind.resolved,
+            gain=issubclass(kind, Gain),
+        )
         if c.name not in self.present:
             return c
         # an effect of the model is recalibrated from its values

@@ -22,6 +22,7 @@ HORIZON_ROWS, HORIZON_SHARE = 50, 0.1  # duration of replays: least in rows, and
 LATEST = 20  # longest delay of the inputs, in rows
 SLOPE_ROWS = 5  # rows over which the rate of readings is taken
 WIDEST = 100.0  # factor on a parameter without bounds, up and down
+RESOLVED = 0.25  # transition of friction of half the usual force, in steps: Runge-Kutta is stable from 0.18 on
 FINEST = 0.25  # substep times largest eigenvalue; a fit takes the coarsest with equal likelihood
 
 
@@ -107,7 +108,8 @@ class ProbedModel:
         units = {"u": self._rate_unit(v), "v": self.units[v], "q": self.units[q], "d": self.units[q]}
         travel = math.sqrt(12.0) * self.size(q)  # of a position that takes every value equally often
         sizes = {"u": self.rate(v), "v": self.size(v), "q": self.size(q), "d": travel}
-        place = Place(with_place(v), units, sizes, -1, names.index(q), names.index(v))
+        resolution = RESOLVED * self.rate(v) * self.step
+        place = Place(with_place(v), units, sizes, -1, names.index(q), names.index(v), resolution=resolution)
         if port is None:
             return place
         units["u"], sizes["u"] = self.units[port.input], self.rate(v) / abs(port.gain)
@@ -173,7 +175,8 @@ class ProbedModel:
 
     def _sensors(self, output: Quantity) -> Iterator[type[Any]]:
         name = next(q.name for q in self.structure.outputs if with_place(q.name) == output.name)
-        return sensor_errors(output, self.size(name), self.step, self.duration)
+        signed = any(float(np.nanmin(log.outputs[name])) < 0.0 for log in self.logs if name in log.outputs)
+        return sensor_errors(output, self.size(name), self.step, self.duration, signed=signed)
 
     def _horizon(self) -> float:
         return float(f"{max(HORIZON_ROWS * self.step, HORIZON_SHARE * self.duration):.2g}")

@@ -11,7 +11,7 @@ from cosim.model.delay import Delay
 from cosim.model.model import Number, Values
 from cosim.model.namespaces import Namespace
 from cosim.model.quantities import Quantity, parameter
-from cosim.model.sensors import Bias, Drift, Lag, Latency, Scale
+from cosim.model.sensors import Bias, Drift, Lag, Latency, Magnitude, Scale
 from cosim.terms.language import Force, InputTerm, Place, RateTerm, RememberingTerm, bind, scaled
 
 BEGUN = Quantity("begun", "1", "whether the memory holds values")
@@ -173,6 +173,7 @@ class Coulomb(Force):
 
     kind = "coulomb"
     equation = "−F·tanh(v/ε)"
+    resolved = ("softness",)
 
     level: float = scaled("u", neutral=0.0, typical=0.1, low=0.0, high=5.0, doc="level F")
     softness: float = scaled("v", default=0.02, typical=0.01, low=1e-4, high=0.2, doc="velocity ε of the transition")
@@ -189,6 +190,7 @@ class Stribeck(Force):
     kind = "stribeck"
     equation = "−(F + (B − F)·exp(−(v/w)²))·tanh(v/ε)"
     at_least: ClassVar[Mapping[str, str]] = {"breakaway": "level"}
+    resolved = ("softness",)
 
     level: float = scaled("u", neutral=0.0, typical=0.1, low=0.0, high=5.0, doc="level F at speed")
     breakaway: float = scaled("u", neutral=0.0, typical=0.2, low=0.0, high=10.0, doc="level B at rest")
@@ -347,14 +349,19 @@ def delay_of(inputs: Sequence[Quantity], longest: float) -> type[Delay]:
     return InputDelay
 
 
-def sensor_errors(output: Quantity, size: float, step: float, duration: float) -> Iterator[type[Any]]:
+def sensor_errors(
+    output: Quantity, size: float, step: float, duration: float, *, signed: bool = True
+) -> Iterator[type[Any]]:
     """Yield the possible sensor errors of an output.
 
     Args:
         size: Spread of the output along the logs.
         step, duration: Time between rows, and of a log [s].
+        signed: True if some reading is negative, so that the sensor shows the direction.
     """
+    magnitude = (Magnitude, "magnitude", "1", 0.0, 0.5, (0.0, 1.0), "share m of the magnitude")
     errors = (
+        *(() if signed else (magnitude,)),
         (Bias, "bias", output.unit, 0.0, 0.02 * size, (-2.0 * size, 2.0 * size), "bias b"),
         (Scale, "scale", "1", 1.0, 0.02, (0.2, 5.0), "scale s"),
         (Drift, "drift", f"{output.unit}/s", 0.0, 0.05 * size / duration, (-size, size), "drift d"),

@@ -27,6 +27,7 @@ class Place:
         input: Index of the input of an input term, or of the port of a force; −1 for a force on a rate.
         position, state: Indices of the position, and of the velocity or storage state.
         middle: Mean of the storage state.
+        resolution: Least change of the velocity that an integration step resolves, for the transition of friction.
         sign: Sign of the port's effect on the derivative of the velocity.
     """
 
@@ -38,6 +39,7 @@ class Place:
     state: int = -1
     middle: float = 0.0
     sign: float = 1.0
+    resolution: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,7 +131,8 @@ def scaled(
 
 def bind(kind: type[Any], place: Place) -> type[Any]:
     """Return a term for a place: a class with name, units, bounds and usual sizes."""
-    own = {p.name: _bound(p, place, _middle(kind, p.name, place)) for p in parameters_of(kind)}
+    least = {p.name: place.resolution if p.name in kind.resolved else -math.inf for p in parameters_of(kind)}
+    own = {p.name: _bound(p, place, _middle(kind, p.name, place), least[p.name]) for p in parameters_of(kind)}
     starts = tuple(
         {n: _middle(kind, n, place) + v * _size(_declared(kind, n).unit, place) for n, v in start.items()}
         for start in kind.starts
@@ -155,14 +158,15 @@ def _middle(kind: type[Any], name: str, place: Place) -> float:
     return place.middle if any(f.name == name and f.metadata.get(ABSOLUTE) for f in fields(kind)) else 0.0
 
 
-def _bound(p: Parameter, place: Place, middle: float) -> Any:
+def _bound(p: Parameter, place: Place, middle: float, least: float) -> Any:
     size = _size(p.unit, place)
     low, high = p.bounds
+    low, high = max(middle + low * size, least), max(middle + high * size, 2.0 * least)
     return parameter(
-        middle + float(p.default) * size,
+        max(middle + float(p.default) * size, least),
         unit=unit_of(p.unit, place.units),
         doc=p.doc,
-        bounds=(middle + low * size, middle + high * size),
+        bounds=(low, high),
         neutral=None if p.neutral is None else p.neutral * size,
         typical=None if p.typical is None else p.typical * size,
     )

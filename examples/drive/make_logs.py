@@ -7,10 +7,14 @@ position loses by it is at most h²/8 times a jump of the acceleration (9 µm at
 
 import argparse
 import os
+import sys
 from pathlib import Path
 
 import numpy as np
 import scipy.io
+
+sys.path.append(str(Path(__file__).resolve().parents[1]))
+from compiled_fmu import compiled_fmu
 
 RECORDINGS = {"e1.csv": "DATA_EMPS.mat", "v1.csv": "DATA_EMPS_PULSES.mat"}
 EVERY = 5  # recorded samples a row
@@ -44,6 +48,18 @@ def write_study(folder: Path, estimation: list[str], validation: list[str]) -> P
     return path
 
 
+def write_fmu_study(folder: Path) -> Path:
+    """drive.fmu, which is compiled here, and fmu.yaml, its study."""
+    path = folder / "fmu.yaml"
+    compiled_fmu(Path(__file__).with_name("fmu"), folder / "drive.fmu")
+    path.write_text(
+        "model: drive.fmu\nhorizon: free run\nnoise: {position: 0.1 mm}\nstart_noise: {velocity: 0.1 mm/s}\n"
+        "logs:\n  estimation: [e1.csv]\n  validation: [v1.csv]\n",
+        encoding="utf-8",
+    )
+    return path
+
+
 def make_logs(data: Path, folder: Path) -> Path:
     """Write logs and study.yaml to `folder`; return the study."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -56,5 +72,8 @@ if __name__ == "__main__":
     arguments = argparse.ArgumentParser(description="Logs and a study from the EMPS recordings")
     arguments.add_argument("data", type=Path, help="folder of DATA_EMPS.mat and DATA_EMPS_PULSES.mat")
     arguments.add_argument("out", type=Path, help="folder for e1.csv, v1.csv and study.yaml")
+    arguments.add_argument("--fmu", action="store_true", help="write the FMU of the drive and its study, too")
     given = arguments.parse_args()
     print(make_logs(given.data, given.out))
+    if given.fmu:
+        print(write_fmu_study(given.out))

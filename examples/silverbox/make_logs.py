@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
+from compiled_fmu import compiled_fmu
 from fetch import Recording, RecordingError, recorded
 
 RECORDING = Recording(
@@ -50,6 +51,19 @@ def write_study(folder: Path) -> Path:
     return path
 
 
+def write_fmu_study(folder: Path) -> Path:
+    """silverbox.fmu, which is compiled here, and fmu.yaml, its study."""
+    path = folder / "fmu.yaml"
+    compiled_fmu(Path(__file__).with_name("fmu"), folder / "silverbox.fmu")
+    path.write_text(
+        "model: silverbox.fmu\ninputs: interpolated\nnoise: {V2: 0.5 mV}\n"
+        "tolerance: {frequency: 5%, damping: 20%}\n"
+        "logs:\n  estimation: [multisine.csv]\n  validation: [arrow.csv]\n",
+        encoding="utf-8",
+    )
+    return path
+
+
 def make_logs(data: Path, folder: Path) -> Path:
     """Write logs and study.yaml to `folder`; return the study."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -63,8 +77,11 @@ if __name__ == "__main__":
     arguments = argparse.ArgumentParser(description="Logs and a study of the Silverbox")
     arguments.add_argument("data", type=Path, help=f"folder of {RECORDING.name}; downloaded into it if it is not there")
     arguments.add_argument("out", type=Path, help="folder for the logs and study.yaml")
+    arguments.add_argument("--fmu", action="store_true", help="write the FMU of the circuit and its study, too")
     given = arguments.parse_args()
     try:
         print(make_logs(given.data, given.out))
+        if given.fmu:
+            print(write_fmu_study(given.out))
     except RecordingError as error:
         sys.exit(str(error))

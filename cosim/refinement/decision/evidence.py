@@ -339,7 +339,7 @@ class Replays:
         runs = simulate_all(problem.kernel, begins)
         for replay, row, of_row, run in zip(residuals, self.rows, begins, runs, strict=True):
             back, end, predicted = of_row[-1], row + self.length + 1, run.outputs
-            replay[:] = data.y[row + 1 : end] - lagged_table(predicted[back:], data.lags)[1:]
+            replay[:] = data.y[row + 1 : end] - lagged_table(predicted[back:], data.lags, data.y[row])[1:]
         return np.where(np.abs(residuals) < 1e30, residuals, np.nan)
 
 

@@ -263,10 +263,10 @@ def noise_gain(problem: Problem, f: Fit) -> tuple[float, ...]:
 def is_at_limit(h: Hypothesis, f: Free, neutral: Mapping[str, float]) -> bool:
     """Return True if a parameter is at a limit other than its neutral value.
 
-    The neutral value is no limit, since it removes the effect.
+    The neutral value is no limit, since it removes the effect; nor is the resolution of the integration.
     """
     value = h.fit.values[f.name]
-    limits = f.low, f.high, h.fit.values.get(f.above)
+    limits = f.high, h.fit.values.get(f.above), *(() if f.resolved else (f.low,))
     return value in limits and value not in (neutral[f.name], f.neutral)
 
 
