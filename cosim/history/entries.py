@@ -1,0 +1,173 @@
+"""Entries of a folder of results: what, when, outcome, and the inputs that changed since the run before."""
+
+from __future__ import annotations
+
+import fnmatch
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from cosim.base.errors import InputError
+from cosim.history import messages
+from cosim.storage.artefact import Artefact, artefacts
+from cosim.storage.folders import EARLIER, RESULTS, content_of
+from cosim.storage.yaml_file import did_you_mean
+
+OUTCOMES = ("verdict", "status", "sentence")  # keys of a record whose text is an outcome
+UNCHANGED = {"sha256", "name", "description"}  # keys of a scenario that are no inputs
+MOST_CHANGES = 3  # in a text
+
+
+@dataclass(frozen=True)
+class Entry:
+    """Results of one command.
+
+    Attributes:
+        number: Number by age, from 1 for the oldest.
+        name: Name within the folder of results: `tank` for the newest, `tank/0001` for an earlier run.
+        verb: Command that wrote the results, without `cosim`.
+        time: Time of writing [s] since 1970.
+        outcome: Outcome of criteria, verdict or status; "" if the record has none.
+        changes: Input → value, where it differs from the run before of the same name; None for a removed input.
+    """
+
+    number: int
+    name: str
+    folder: Path
+    verb: str
+    time: float
+    outcome: str
+    changes: Mapping[str, Any]
+
+    @property
+    def is_newest(self) -> bool:
+        """Return whether no later run of the same name exists."""
+        return "/" not in self.name
+
+    @property
+    def label(self) -> str:
+        """Return a name that differs from those of other entries, with the changes: `run 3 (mass = 440)`."""
+        return f"run {self.number} ({self.changed})" if self.changes else f"run {self.number} ({self.name})"
+
+    @property
+    def changed(self) -> str:
+        """Return the changes as a text."""
+        texts = [f"{_short(key)} = {value}" if value is not None else f"no {_short(key)}" for key, value in self.pairs]
+        return ", ".join(texts[:MOST_CHANGES]) + (
+            f" and {len(texts) - MOST_CHANGES} more" * (len(texts) > MOST_CHANGES)
+        )
+
+    @property
+    def pairs(self) -> Sequence[tuple[str, Any]]:
+        """Return inputs and values that changed."""
+        return [*self.changes.items()]
+
+
+def entries(results: Path | None = None) -> list[Entry]:
+    """Return all results in a folder, the oldest first.
+
+    Folders that are links and folders without results of a command are left out.
+
+    Args:
+        results: Folder of results, by default `results`.
+    """
+    root = RESULTS if results is None else results
+    declared = [a for a in artefacts() if a.marks and a.verb]
+    marks: dict[str, Artefact] = {}
+    for artefact in declared:
+        for mark in artefact.marks:
+            marks.setdefault(mark, artefact)
+    every: list[Entry] = []
+    for name in sorted(_folders(root)):
+        before: Mapping[str, Any] | None = None
+        for entry, inputs in _of_name(root / name, name, marks):
+            changes = {} if before is None or not inputs else _changes(before, inputs)
+            before = inputs or before
+            every.append(replace(entry, changes=changes))
+    every.sort(key=lambda e: (e.time, e.name))
+    return [replace(entry, number=number) for number, entry in enumerate(every, 1)]
+
+
+def find_entries(texts: Sequence[str], results: Path | None = None) -> list[Entry]:
+    """Return the entries of numbers, names and patterns such as `tank/*`, in this order, each once.
+
+    Raises:
+        InputError: A text matches no entry.
+    """
+    every = entries(results)
+    root = RESULTS if results is None else results
+    if not every:
+        raise InputError.at(root, messages.NO_RESULTS())
+    found: dict[str, Entry] = {}
+    for text in texts:
+        name = text.removeprefix(f"{root}/").rstrip("/").replace(f"/{EARLIER}/", "/")
+        if text.isdecimal():
+            if not 1 <= int(text) <= len(every):
+                raise InputError.at(Path(text), messages.UNKNOWN_NUMBER(number=text, last=len(every)))
+            matches = [every[int(text) - 1]]
+        else:
+            exact = [e for e in every if e.name == name]
+            matches = exact or [e for e in every if fnmatch.fnmatchcase(e.name, name)]
+        if not matches:
+            raise InputError.at(Path(text), messages.NO_MATCH(hint=did_you_mean(text, [e.name for e in every])))
+        found |= {entry.name: entry for entry in matches}
+    return [*found.values()]
+
+
+def _folders(root: Path) -> Iterator[str]:
+    try:
+        with os.scandir(root) as items:
+            yield from (item.name for item in items if item.is_dir(follow_symlinks=False))
+    except OSError:
+        return
+
+
+def _of_name(folder: Path, name: str, marks: Mapping[str, Artefact]) -> Iterator[tuple[Entry, Mapping[str, Any]]]:
+    """Yield entries and inputs of a name, earlier runs first."""
+    numbers = sorted((n for n in _folders(folder / EARLIER) if n.isdecimal()), key=int)
+    for place, label in (*((folder / EARLIER / n, f"{name}/{n}") for n in numbers), (folder, name)):
+        try:
+            with os.scandir(place) as items:
+                there = {item.name: item.stat().st_mtime for item in items if item.name in marks}
+        except OSError:  # removed meanwhile
+            continue
+        mark = next((m for m in marks if m in there), None)
+        if mark is None:
+            continue
+        content = content_of(place / mark) if mark.endswith(".json") else {}
+        verb = marks[mark].verb.removeprefix("cosim ")
+        scenario = content.get("scenario")
+        inputs = _flatten(scenario) if isinstance(scenario, dict) else {}
+        yield Entry(0, label, place, verb, there[mark], _outcome(content), {}), inputs
+
+
+def _outcome(content: Mapping[str, Any]) -> str:
+    """Return the outcome in a record: criteria, else verdict, status or sentence."""
+    criteria = content.get("criteria")
+    judged = [c for c in criteria if isinstance(c, dict) and "met" in c] if isinstance(criteria, list) else []
+    if judged:
+        return f"{sum(bool(c['met']) for c in judged)} of {len(judged)} criteria met"
+    return next((content[key] for key in OUTCOMES if isinstance(content.get(key), str)), "")
+
+
+def _flatten(value: Any, place: str = "") -> dict[str, Any]:
+    """Return path → value of every leaf of a scenario that is an input."""
+    if isinstance(value, dict):
+        parts = ((f"{place}.{key}" if place else str(key), each) for key, each in value.items() if key not in UNCHANGED)
+    elif isinstance(value, list) and any(isinstance(each, (dict, list)) for each in value):
+        parts = ((f"{place}[{number}]", each) for number, each in enumerate(value))
+    else:
+        return {place: value}
+    return {name: leaf for part, each in parts for name, leaf in _flatten(each, part).items()}
+
+
+def _changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, Any]:
+    changed = {key: value for key, value in after.items() if key not in before or before[key] != value}
+    return changed | {key: None for key in before if key not in after}
+
+
+def _short(path: str) -> str:
+    """Return an input without the parts of its path that every component has."""
+    return path.removeprefix("components.").replace(".start.", ".")

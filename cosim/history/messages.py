@@ -1,0 +1,14 @@
+"""Messages about results that are there."""
+
+from cosim.base.messages import Template
+
+NO_RESULTS = Template(
+    "E-HIS-001", "no results here; run a command without --out first, or name their folder as --results"
+)
+UNKNOWN_NUMBER = Template("E-HIS-002", "no results with the number {number}; `cosim list` shows 1 to {last}")
+NO_MATCH = Template("E-HIS-003", "no results match{hint}; `cosim list` shows all")
+SEVERAL = Template("E-HIS-004", "{count} results match: {names}; name one")
+NO_REPORT = Template("E-HIS-005", "has no report.html; {cure}")
+NOT_CONFIRMED = Template("E-HIS-006", "nothing is removed without an answer; add --yes")
+REMOVED_BEFORE = Template("W-HIS-007", "{folder} is gone already")
+NOT_REMOVED = Template("W-HIS-008", "{folder} cannot be removed: {reason}")

@@ -1,0 +1,68 @@
+"""Removal of earlier runs."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import time
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from cosim.history import messages
+from cosim.history.entries import Entry
+from cosim.storage.folder_lock import folder_locks, take_folder
+
+DAY = 86_400.0  # [s]
+
+
+@dataclass(frozen=True)
+class Removal:
+    """Earlier runs to remove, and their size in bytes."""
+
+    entries: tuple[Entry, ...]
+    size: int
+
+
+def plan_removal(entries: Sequence[Entry], *, keep: int = 0, older: float = 0.0) -> Removal:
+    """Return the earlier runs to remove; the newest results of a name stay.
+
+    Args:
+        keep: Number of earlier runs of each name that stay.
+        older: Age [days] from which a run is removed.
+    """
+    by_name: dict[str, list[Entry]] = {}
+    for entry in entries:
+        if not entry.is_newest:
+            by_name.setdefault(entry.name.partition("/")[0], []).append(entry)
+    limit = time.time() - DAY * older
+    chosen = [e for runs in by_name.values() for e in runs[: len(runs) - keep if keep else None] if e.time <= limit]
+    return Removal(tuple(chosen), sum(_size(entry.folder) for entry in chosen))
+
+
+@folder_locks()
+def remove(entries: Iterable[Entry]) -> list[str]:
+    """Remove earlier runs while no command writes to their results; return warnings."""
+    warnings: list[str] = []
+    for entry in entries:
+        if not entry.folder.is_dir():
+            warnings.append(messages.REMOVED_BEFORE(folder=entry.folder))
+            continue
+        take_folder(entry.folder.parent.parent)
+        try:
+            shutil.rmtree(entry.folder)
+        except OSError as error:
+            warnings.append(messages.NOT_REMOVED(folder=entry.folder, reason=error.strerror or error))
+        with suppress(OSError):  # other runs are left
+            entry.folder.parent.rmdir()
+    return warnings
+
+
+def _size(folder: Path) -> int:
+    total = 0
+    for place, _, files in os.walk(folder):
+        for name in files:
+            with suppress(OSError):
+                total += os.lstat(os.path.join(place, name)).st_size
+    return total

@@ -1,0 +1,64 @@
+"""`cosim gc`: removal of earlier runs."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cosim.base.errors import InputError
+from cosim.base.text import counted
+from cosim.storage.folders import RESULTS
+from cosim.verbs.options import Json, Texts
+from cosim.verbs.terminal import say, say_json, some, warn
+
+MOST_NAMES = 10
+UNITS = ("B", "kB", "MB", "GB", "TB")
+
+
+def command(
+    names: Annotated[
+        Texts, typer.Argument(metavar="[RUN]...", help="Numbers, names or patterns such as 'tank/*' (default: all).")
+    ] = None,
+    keep: Annotated[int, typer.Option("--keep", min=0, help="Earlier runs of each name that stay.")] = 0,
+    older: Annotated[float, typer.Option("--older", min=0.0, help="Remove runs older than this number of days.")] = 0.0,
+    results: Annotated[Path, typer.Option("--results", help="Folder of results.")] = RESULTS,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Remove without a question.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Remove earlier runs; the newest results of each name stay.
+
+    Says how much it would remove, and asks.
+
+    Example: cosim gc --keep 5
+    """
+    from cosim.history import messages
+    from cosim.history.entries import entries, find_entries
+    from cosim.history.removal import plan_removal, remove
+
+    plan = plan_removal(find_entries(names, results) if names else entries(results), keep=keep, older=older)
+    amount = f"{counted(len(plan.entries), 'earlier run')}, {_size(plan.size)}"
+    removed = [entry.name for entry in plan.entries]
+    if removed:
+        say(f"to remove: {amount}: {some(removed, MOST_NAMES)}")
+        if not yes:
+            if as_json or not sys.stdin.isatty():
+                raise InputError.at(results, messages.NOT_CONFIRMED())
+            if not typer.confirm("Remove?"):
+                removed = []
+    warnings = remove(plan.entries) if removed else []
+    warn(*warnings)
+    say(f"removed: {amount}" if removed else "nothing is removed")
+    if as_json:
+        say_json({"removed": removed, "bytes": plan.size if removed else 0})
+
+
+def _size(count: float) -> str:
+    """Return a number of bytes as text."""
+    for unit in UNITS[:-1]:
+        if count < 1000:
+            return f"{count:.3g} {unit}"
+        count /= 1000
+    return f"{count:.3g} {UNITS[-1]}"

@@ -1,0 +1,56 @@
+"""`cosim list`: the results that are there."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from cosim.storage.folders import RESULTS
+from cosim.verbs.options import Json, Texts
+from cosim.verbs.terminal import say, say_json, table
+
+if TYPE_CHECKING:
+    from cosim.history.entries import Entry
+
+WIDEST = 60  # characters of the changes
+
+
+def command(
+    names: Annotated[
+        Texts, typer.Argument(metavar="[RUN]...", help="Numbers, names or patterns such as 'tank/*' (default: all).")
+    ] = None,
+    results: Annotated[Path, typer.Option("--results", help="Folder of results.")] = RESULTS,
+    as_json: Json = False,
+) -> None:
+    """List results: when, what, criteria, and the inputs that changed.
+
+    Example: cosim list 'tank*'
+    """
+    from cosim.history.entries import entries, find_entries
+
+    found = find_entries(names, results) if names else entries(results)
+    if as_json:
+        say_json({"results": [_as_json(entry) for entry in found]})
+        return
+    if not found:
+        say(f"no results in {results}")
+        return
+    rows = [(str(e.number), _when(e), e.verb, e.name, e.outcome, _cut(e.changed)) for e in found]
+    say(*table(("no.", "when", "command", "name", "outcome", "changed"), rows))
+
+
+def _when(entry: Entry) -> str:
+    return datetime.fromtimestamp(entry.time).strftime("%Y-%m-%d %H:%M")
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= WIDEST else f"{text[: WIDEST - 1]}…"
+
+
+def _as_json(entry: Entry) -> dict[str, Any]:
+    when = datetime.fromtimestamp(entry.time).astimezone().isoformat(timespec="seconds")
+    content = {"number": entry.number, "name": entry.name, "folder": str(entry.folder), "command": entry.verb}
+    return {**content, "time": when, "outcome": entry.outcome, "changes": dict(entry.changes)}

@@ -1,0 +1,48 @@
+"""`cosim open`: the report of results in a browser."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cosim.base.errors import InputError
+from cosim.storage.folders import RESULTS
+from cosim.verbs.options import Json
+from cosim.verbs.terminal import say, say_json, show, some
+
+PAGE = "report.html"
+MOST_NAMES = 5
+
+
+def command(
+    run: Annotated[str, typer.Argument(metavar="RUN", help="Number, name or pattern of results, or their folder.")],
+    results: Annotated[Path, typer.Option("--results", help="Folder of results.")] = RESULTS,
+    browser: Annotated[
+        bool, typer.Option("--browser/--no-browser", help="Open the page, or print its path only.")
+    ] = True,
+    as_json: Json = False,
+) -> None:
+    """Open the report of results in a browser.
+
+    Example: cosim open 3
+    """
+    from cosim.history import messages
+    from cosim.history.entries import find_entries
+
+    folder, verb = Path(run), ""
+    if run.isdecimal() or not folder.is_dir():
+        found = find_entries([run], results)
+        if len(found) > 1:
+            names = some([f"{e.number} {e.name}" for e in found], MOST_NAMES)
+            raise InputError.at(Path(run), messages.SEVERAL(count=len(found), names=names))
+        folder, verb = found[0].folder, found[0].verb
+    page = folder / PAGE
+    if not page.is_file():
+        cure = f"`cosim report {folder}` writes it" if verb in {"run", ""} else "run the command again with a report"
+        raise InputError.at(folder, messages.NO_REPORT(cure=cure))
+    say(f"report: {page}")
+    if as_json:
+        say_json({"report": str(page)})
+    show(page, open_=browser)
