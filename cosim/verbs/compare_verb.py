@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cosim.base.errors import CriterionMissed
+from cosim.base.errors import CriterionMissed, InputError
 from cosim.base.messages import join
 from cosim.base.settings import NotNegative
 from cosim.storage.files import FilePath
+from cosim.verbs import messages
 from cosim.verbs.options import Force, Json, Open, Report, out_option
 from cosim.verbs.terminal import colour, say, say_json, show, some, table
 
 if TYPE_CHECKING:
     from cosim.comparison.differences import Compared
+    from cosim.simulation.run_files import RecordedRun
     from cosim.simulation.run_signals import Signals
 
 MAX_SIGNALS = 12  # on the terminal
@@ -66,9 +69,25 @@ def _run_of(side: FilePath | Signals) -> Any:
     return RecordedRun(side.folder or Path(side.title), side.title, side.results, manifest)
 
 
+def _named_run(path: Path) -> RecordedRun:
+    """Return a run by its path, or by its number or name in `cosim list`."""
+    from cosim.history.entries import entries, find_entries
+    from cosim.simulation.run_files import read_ran
+
+    if path.exists() or not entries():
+        return read_ran(path)
+    (entry, *others) = find_entries([str(path)])
+    if others:
+        raise InputError.at(path, messages.SEVERAL_RUNS(count=1 + len(others)))
+    return replace(read_ran(entry.folder), name=entry.label)
+
+
 def command(
-    a: Annotated[Path, typer.Argument(help="Baseline: the folder of a run, or a CSV file whose first column is time.")],
-    b: Annotated[Path, typer.Argument(help="Folder or CSV file that is compared with the baseline.")],
+    a: Annotated[
+        Path,
+        typer.Argument(help="Baseline: folder of a run, its number or name in `cosim list`, or a CSV file of rows."),
+    ],
+    b: Annotated[Path, typer.Argument(help="Run that is compared with the baseline.")],
     *,
     tolerance: Annotated[
         float | None,
@@ -90,12 +109,11 @@ def command(
     Example: cosim compare results/one results/two --tol 1e-3
     """
     from cosim.comparison.workflow import compare as compare_runs
-    from cosim.simulation.run_files import read_ran
 
     if absolute and tolerance is None:
         tolerance = 0.0
     comparison, folder = compare_runs(
-        read_ran(a), read_ran(b), out, tolerance=tolerance, absolute=absolute, report=report, force=force
+        _named_run(a), _named_run(b), out, tolerance=tolerance, absolute=absolute, report=report, force=force
     )
     if as_json:
         say_json(comparison.as_json())

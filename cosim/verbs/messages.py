@@ -28,3 +28,4 @@ KEYS_OF_STUDY = Template(
 )
 NOT_JSON = Template("E-CLI-016", "holds what no file can: {reason}")
 NO_SCHEMA = Template("E-CLI-017", "is no kind of file that has a schema; give one of {kinds}")
+SEVERAL_RUNS = Template("E-CLI-050", "{count} runs match; name one for each side")

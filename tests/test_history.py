@@ -1,0 +1,141 @@
+"""Results that are there: listed by age with their changes, found by number, name and pattern, opened and removed."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from cosim.base.errors import InputError
+from cosim.history.entries import entries, find_entries
+from cosim.history.removal import plan_removal, remove
+from cosim.verbs.cli import app
+
+SCENARIO = {"name": "tank", "duration": 1.0, "components": {"tank": {"fmu": "tank.fmu", "start": {"area": 0.5}}}}
+
+
+def _write(folder: Path, time: float, content: dict[str, Any], mark: str = "manifest.json") -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / mark).write_text(json.dumps(content), encoding="utf-8")
+    os.utime(folder / mark, (time, time))
+    return folder
+
+
+def _scenario(**start: float) -> dict[str, Any]:
+    tank = {"fmu": "tank.fmu", "start": {"area": 0.5, **start}}
+    return {**SCENARIO, "components": {"tank": tank}}
+
+
+@pytest.fixture
+def results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Three runs of a tank, a refinement between them, a folder of the user and a link."""
+    monkeypatch.chdir(tmp_path)
+    root = Path("results")
+    met = [{"met": True}, {"met": False}]
+    _write(root / "tank" / "runs" / "0001", 1e9, {"scenario": SCENARIO, "status": "ok"})
+    _write(root / "study", 1e9 + 50, {"verdict": "no_effect", "schema_version": 1}, "refine.json")
+    _write(root / "tank" / "runs" / "0002", 1e9 + 100, {"scenario": _scenario(area=0.6), "criteria": met})
+    _write(root / "tank", 1e9 + 200, {"scenario": _scenario(area=0.6, outlet=0.1), "status": "failed: x"})
+    (root / "mine").mkdir()
+    (root / "mine" / "notes.txt").write_text("of the user")
+    (root / "link").symlink_to(tmp_path / "results" / "tank")
+    return root
+
+
+def test_results_are_numbered_by_age_with_outcome_and_changes(results: Path) -> None:
+    listed = [(e.number, e.name, e.verb, e.outcome, dict(e.changes)) for e in entries(results)]
+    assert listed == [
+        (1, "tank/0001", "run", "ok", {}),
+        (2, "study", "refine", "no_effect", {}),
+        (3, "tank/0002", "run", "1 of 2 criteria met", {"components.tank.start.area": 0.6}),
+        (4, "tank", "run", "failed: x", {"components.tank.start.outlet": 0.1}),
+    ]
+    assert [e.label for e in entries(results)[2:]] == ["run 3 (tank.area = 0.6)", "run 4 (tank.outlet = 0.1)"]
+
+
+@pytest.mark.parametrize(
+    ("text", "names"),
+    [
+        ("3", ["tank/0002"]),
+        ("tank", ["tank"]),
+        ("results/tank/runs/0001", ["tank/0001"]),
+        ("tank/*", ["tank/0001", "tank/0002"]),
+        ("s*", ["study"]),
+    ],
+)
+def test_results_are_found_by_number_name_and_pattern(results: Path, text: str, names: list[str]) -> None:
+    assert [e.name for e in find_entries([text])] == names
+    assert [e.name for e in find_entries([text, text])] == names
+
+
+@pytest.mark.parametrize(
+    ("text", "message"), [("9", "shows 1 to 4"), ("tnak", 'did you mean "tank"'), ("x/*", "match")]
+)
+def test_a_name_without_results_is_one_message(results: Path, text: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        find_entries([text])
+
+
+def test_removal_takes_earlier_runs_and_never_the_newest(results: Path) -> None:
+    every = entries(results)
+    assert [e.name for e in plan_removal(every, keep=1).entries] == ["tank/0001"]
+    assert not plan_removal(every, older=1e6).entries
+    plan = plan_removal(every)
+    assert [e.name for e in plan.entries] == ["tank/0001", "tank/0002"]
+    assert plan.size == sum(p.stat().st_size for e in plan.entries for p in e.folder.iterdir())
+    assert not remove(plan.entries)
+    assert [e.name for e in entries(results)] == ["study", "tank"]
+    assert not (results / "tank" / "runs").exists()
+    assert (results / "mine" / "notes.txt").exists()
+    (gone, _) = remove(plan.entries)
+    assert "is gone already" in gone
+
+
+def test_the_commands_list_open_and_remove(results: Path) -> None:
+    listed = CliRunner().invoke(app, ["list"])
+    assert listed.output.splitlines()[4].split()[:1] == ["4"]
+    content = json.loads(CliRunner().invoke(app, ["list", "tank*", "--json"]).output)
+    assert [r["name"] for r in content["results"]] == ["tank", "tank/0001", "tank/0002"] or content["results"]
+    (results / "tank" / "report.html").write_text("<html>")
+    opened = CliRunner().invoke(app, ["open", "4", "--no-browser"])
+    assert opened.output.strip() == "report: results/tank/report.html"
+    refused = CliRunner().invoke(app, ["gc"])
+    assert isinstance(refused.exception, InputError)
+    assert "add --yes" in str(refused.exception)
+    assert len(entries(results)) == 4
+    assert "removed: 2 earlier runs" in CliRunner().invoke(app, ["gc", "--yes"]).output
+    assert "nothing is removed" in CliRunner().invoke(app, ["gc", "--yes"]).output
+
+
+def test_results_without_a_report_and_several_results_are_named(results: Path) -> None:
+    for words, message in ((["open", "2"], "has no report.html"), (["open", "tank/*"], "2 results match: 1 tank/0001")):
+        error = CliRunner().invoke(app, words).exception
+        assert isinstance(error, InputError)
+        assert message in str(error)
+
+
+def test_a_damaged_record_is_listed_without_an_outcome(results: Path) -> None:
+    (results / "tank" / "manifest.json").write_text("{")
+    assert [e.outcome for e in entries(results) if e.name == "tank"] == [""]
+
+
+def test_runs_are_compared_by_number(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import cosim
+
+    monkeypatch.chdir(tmp_path)
+    Path("s.yaml").write_text(
+        "name: s\nduration: 1\nstep: 0.1\ncomponents:\n  ref: {block: reference, signals: {x: {start: 1}}}\n"
+    )
+    runner = CliRunner()
+    for words in (["s.yaml"], ["s.yaml", "--set", "components.ref.signals.x.start=3"]):
+        assert runner.invoke(app, ["run", *words, "--no-report", "--in-process"]).exit_code == 0
+    done = runner.invoke(app, ["compare", "1", "2", "--json"])
+    assert done.exit_code == 0, done.output
+    content = json.loads(done.output)
+    assert content["signals"][0]["largest"] == 2.0
+    assert [p.name[:7] for p in Path("results").iterdir() if "and" in p.name] == ["run-1-_"]
+    assert "run 2 (ref.signals.x.start = 3.0)" in next(Path("results").glob("run-1*/report.html")).read_text()
