@@ -43,7 +43,7 @@ CASES = {  # verb → its words, and a file that it writes
     "compare": ("e1.csv v1.csv", "results/e1-and-v1/comparison.json"),
     "report": ("ran", "ran/report.html"),
     "list": ("", ""),
-    "open": ("ran --no-browser", ""),
+    "open": ("reported --no-browser", ""),
     "gc": ("--yes", ""),
     "graph": ("run.yaml", "run.svg"),
     "schema": ("scenario", ""),
@@ -72,6 +72,8 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
     import cosim
 
     cosim.run(folder / "run.yaml", folder / "ran", report=False)
+    (folder / "reported").mkdir()
+    (folder / "reported" / "report.html").write_text("<html></html>")
     return folder
 
 
