@@ -124,7 +124,6 @@ def test_a_damaged_record_is_listed_without_an_outcome(results: Path) -> None:
 
 
 def test_runs_are_compared_by_number(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import cosim
 
     monkeypatch.chdir(tmp_path)
     Path("s.yaml").write_text(
