@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.bench_coupling import coupling_figures
 from benchmarks.bench_library import library_figures
 from benchmarks.bench_native import native_figures
 from controller.gains import Settings
@@ -113,7 +114,7 @@ def bench() -> dict[str, float | str]:
             figures["sweep_over_fmpy"] = sweep_over_fmpy(place, compiled=True)
         else:
             figures["sweep_over_fmpy"] = "no C compiler"
-        figures |= native_figures(place) | library_figures(place)
+        figures |= native_figures(place) | library_figures(place) | coupling_figures(place)
     return {name: value if isinstance(value, str) else round(value, 3) for name, value in figures.items()}
 
 

@@ -264,16 +264,16 @@ class FmuBlock:
         self._values.put()
 
     def try_inputs(self) -> None:
-        """Set the inputs without an event, to read outputs of the same time; `put` makes the event later."""
+        """Set the inputs without an event; `put` makes it."""
         self._values.put_all()
 
     @property
     def changes_by_events(self) -> bool:
-        """Return whether a change of inputs is an event, as in model exchange."""
+        """Return whether a change of inputs is an event."""
         return isinstance(self._calls, ModelExchange2)
 
     def slopes(self, outputs: Sequence[str], inputs: Sequence[str]) -> list[list[float]] | None:
-        """Return directional derivatives of outputs (rows) with respect to inputs (columns); None if unavailable."""
+        """Return directional derivatives of outputs, None if unavailable."""
         if not self._declares_slopes or not {*outputs, *inputs} <= self._variables.keys():
             return None  # Elements of arrays have no value reference of their own.
         unknowns, knowns = ([self._variables[n].valueReference for n in names] for names in (outputs, inputs))
@@ -287,7 +287,7 @@ class FmuBlock:
         return declares_slopes(self.path, self._calls.way)
 
     def nominal(self, name: str) -> float:
-        """Return the nominal value of a variable or array element, 1 without one."""
+        """Return the nominal value of a variable, by default 1."""
         variable = self._variables.get(name) or self._variables.get(name.rpartition("[")[0])
         own = getattr(variable, "nominal", None) or getattr(getattr(variable, "declaredType", None), "nominal", None)
         return abs(float(own or 1.0))

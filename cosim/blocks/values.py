@@ -101,7 +101,7 @@ class Values:
             self._calls.inputs_changed(self.put_all)
 
     def put_all(self) -> None:
-        """Set all connected inputs, without an event in model exchange."""
+        """Set all connected inputs, without an event."""
         if self._put_arguments is not None:
             status = self._set_real(self._component, *self._put_arguments)
             if status:

@@ -57,7 +57,7 @@ class Algorithm:
         *,
         undeclared: bool,
     ) -> Plan:
-        """Return the plan, with algebraic loops if the algorithm has them solved.
+        """Return the plan, with algebraic loops if supported.
 
         Args:
             undeclared: Whether inputs without declared dependencies may be part of a loop.

@@ -13,7 +13,7 @@ MOST_PERMUTED = 6  # components of a loop, beyond which their order is that of t
 def order_with_loops(
     components: Iterable[str], edges: Sequence[Edge], immediate: Sequence[bool]
 ) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]:
-    """Return an order of all components, and the strongly connected ones, each group consecutive in this order.
+    """Return an order of all components, and the loops.
 
     Args:
         immediate: For each connection, whether its target needs the value of the same time.
@@ -28,7 +28,7 @@ def order_with_loops(
 
 
 def _sort(groups: Sequence[tuple[str, ...]], ends: Iterable[tuple[str, str]]) -> list[tuple[str, ...]]:
-    """Return groups in the order of the connections between them."""
+    """Return groups in the order of their connections."""
     group_of = {name: k for k, group in enumerate(groups) for name in group}
     sorter: TopologicalSorter[int] = TopologicalSorter({k: set() for k in range(len(groups))})
     for source, target in ends:
@@ -38,7 +38,7 @@ def _sort(groups: Sequence[tuple[str, ...]], ends: Iterable[tuple[str, str]]) ->
 
 
 def strong_components(names: Sequence[str], ends: Collection[tuple[str, str]]) -> list[tuple[str, ...]]:
-    """Return the groups of names that reach each other, in the order of their first names."""
+    """Return the groups of names that reach each other."""
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import connected_components
 
@@ -53,13 +53,13 @@ def strong_components(names: Sequence[str], ends: Collection[tuple[str, str]]) -
 
 
 def torn(group: Sequence[str], ends: Iterable[tuple[str, str]]) -> list[bool]:
-    """Return for each connection within a group whether it leads back to a component at or before its source."""
+    """Return for each connection whether it leads back."""
     place = {name: k for k, name in enumerate(group)}
     return [place[source] >= place[target] for source, target in ends]
 
 
 def _order_within(group: tuple[str, ...], ends: Iterable[tuple[str, str]]) -> tuple[str, ...]:
-    """Return the order of a group with the fewest connections back to earlier components."""
+    """Return the order with the fewest connections back."""
     inner = [end for end in ends if set(end) <= set(group)]
     if not 1 < len(group) <= MOST_PERMUTED:
         return group

@@ -58,7 +58,7 @@ class Member:
         self._step: tuple[float, float] = (0.0, 0.0)
 
     def begin_step(self, doing: Any, t: float, h: float) -> None:
-        """Step with the current inputs, or save the state for repeated steps."""
+        """Step, or save the state for repeated steps."""
         if self.repeats:
             doing[0] = CALLS * self.number + OTHER
             self._state, self._is_stepped, self._step = self.component.instance.save_state(), False, (t, h)
@@ -83,7 +83,7 @@ class Member:
         self.component.get()
 
     def end_step(self, doing: Any) -> None:
-        """Make the event of changed inputs, and free a saved state."""
+        """Make the event of changed inputs; free the state."""
         if self._state is not None:
             state, self._state = self._state, None
             doing[0] = CALLS * self.number + OTHER
@@ -95,7 +95,7 @@ class Member:
             self.component.get()
 
     def try_at(self, doing: Any, place: int, value: float) -> Array | None:
-        """Return the outputs with another value of an input, None where the component refuses it."""
+        """Return the outputs to another input, None if refused."""
         before, self.row[place] = self.row[place], value
         try:
             self.evaluate(doing)
@@ -151,7 +151,7 @@ class LoopSolver:
         self._at_start += self._solve(self.start)
 
     def begin(self) -> list[str]:
-        """Find components whose outputs follow their inputs only after a step, once initialization has ended.
+        """Find components that answer only after a step.
 
         Returns:
             Warnings.
@@ -164,7 +164,7 @@ class LoopSolver:
         return [warning for member in members for warning in self._find_repeats(member)]
 
     def step(self, t: float, h: float, k: int) -> None:
-        """Step the components to communication point k, and solve the loop there."""
+        """Step to communication point k and solve the loop."""
         self._point = k
         for member in self.members:
             member.begin_step(self.doing, t, h)
@@ -201,7 +201,7 @@ class LoopSolver:
     # -- internal -------------------------------------------------------------------------------
 
     def _solve(self, t: float) -> int:
-        """Solve the loop from the current inputs; return the number of iterations.
+        """Solve the loop; return the number of iterations.
 
         Raises:
             SimulationError: The iterations do not converge.
@@ -220,7 +220,7 @@ class LoopSolver:
         raise SimulationError("algebraic loop", t, message)
 
     def _outcome(self, z: Array) -> Outcome:
-        """Return the end of the iterations from z, or from another point where a component refuses z."""
+        """Return the end of the iterations from z."""
         shifts = (z + s * self._roots.scale for k in range(*RANGE) for s in (2.0**k, -(2.0**k)))
         for start in (z, *self._guesses, *shifts):
             try:
@@ -254,7 +254,7 @@ class LoopSolver:
         return returned
 
     def _slopes(self, z: Array, g: Array, *, fresh: bool) -> Array:
-        """Return ∂g/∂z: slopes of components and transfers, chained in the order of the loop."""
+        """Return ∂g/∂z, chained from components and transfers."""
         for place, value in zip(self.unknowns, z.tolist(), strict=True):
             self.row[place] = value
         along = dict(zip(self.unknowns, np.eye(z.size), strict=True))
@@ -267,7 +267,7 @@ class LoopSolver:
         return np.array([self._gain(t) * along[t.source] for t in self.back])
 
     def _member_slopes(self, member: Member, *, fresh: bool) -> Array:
-        """Return the slopes of a component's outputs with respect to its inputs."""
+        """Return the slopes of a component's outputs."""
         shape = len(member.outputs), len(member.inputs)
         variables = [[self._columns[k].partition(".")[2] for k in ends] for ends in (member.outputs, member.inputs)]
         promise = getattr(member.component, "slopes", None)
@@ -293,7 +293,7 @@ class LoopSolver:
         return slopes
 
     def _gain(self, transfer: Transfer) -> float:
-        """Return the slope of a transfer at its current value."""
+        """Return the slope of a transfer."""
         value, at = self.row[transfer.source], self.row[transfer.target]
         results = []
         for shifted in (value + 1.0, value):  # The last one leaves the memory of faults as it was.
@@ -311,7 +311,7 @@ class LoopSolver:
     # -- outputs that follow inputs only after a step ------------------------------------------------
 
     def _probe_start(self) -> None:
-        """Note which outputs follow which inputs in initialization, each component at its own start values."""
+        """Note which outputs follow which inputs in initialization."""
         self._is_probed = True
         before = list(self.row)
         for member in self.members:
@@ -328,7 +328,7 @@ class LoopSolver:
             self.row[place] = before[place]
 
     def _reactions(self, member: Member) -> Any:
-        """Return whether an output (row) follows an input (column) without a step."""
+        """Return whether outputs follow inputs without a step."""
         base = member.values()
         reacts = np.zeros((len(member.outputs), len(member.inputs)), bool)
         least = REACTION * np.maximum(np.abs(base), 1e-300)
@@ -341,7 +341,7 @@ class LoopSolver:
         return reacts
 
     def _find_repeats(self, member: Member) -> list[str]:
-        """Note whether a component's steps must be repeated; return warnings."""
+        """Note whether steps must be repeated; return warnings."""
         member.evaluate(self.doing)
         reacts = self._reactions(member)
         member.evaluate(self.doing)
@@ -378,7 +378,7 @@ def solvers_of(system: System, copying: Copying, row: Any, doing: Any) -> tuple[
 
 
 def step_function(solver: LoopSolver, start: float, h: float) -> Callable[[float, float], None]:
-    """Return a function of (t, h) that steps the components of a loop and solves it.
+    """Return a function that steps and solves a loop.
 
     Args:
         h: Step of the run [s].

@@ -27,10 +27,12 @@ from cosim.master import messages
 from cosim.master.c_loop import CompiledSteps, LoopData, prepare_steps
 from cosim.master.checkpoint import Keeper
 from cosim.master.copying import Copying, Noisy, Plain, Through, doubles
+from cosim.master.extrapolation import with_courses
 from cosim.master.inbox import MOST_IN_C, Inbox
 from cosim.master.initialization import Initialization
 from cosim.master.instants import Instants
 from cosim.master.loops import solvers_of, step_function
+from cosim.master.step_control import ControlledSteps
 from cosim.storage.files import hold_stops
 from cosim.storage.results import Results
 from cosim.system.schedule import Stage
@@ -109,6 +111,7 @@ class Master:
         self.done = 0
         self.has_events = any(isinstance(c, EventFmu) for c in self.components)
         self.instants: Instants | None = None
+        self.controlled: ControlledSteps | None = None
         self.notes: list[str] = []
         self.events, self.inbox = sorted(system.events), inbox
         self.calls = self._calls(progress)
@@ -174,6 +177,11 @@ class Master:
         if self.instants is not None:
             self._store_loop("Python: event mode")
             self.instants.run()
+            return
+        if self.system.control is not None:
+            self.controlled = ControlledSteps(self, self.system.control)
+            self._store_loop("Python: steps are controlled")
+            self.controlled.make_all()
             return
         try:
             steps = self._prepare_c()
@@ -249,6 +257,8 @@ class Master:
             raise NotCompiled("asked for")
         if self.solvers:
             raise NotCompiled("algebraic loops are solved")
+        if any(self.system.courses):
+            raise NotCompiled("inputs follow polynomials during a step")
         links = self.copying.links
         data = self.system, self.components, self.steps, self.h, self.row, self.rows
         calls = self.calls, self._next_call, self.look
@@ -261,7 +271,8 @@ class Master:
     @property
     def reruns(self) -> bool:
         """Return whether a resumed run repeats all steps."""
-        return self.has_events or bool(self.solvers)
+        system = self.system
+        return self.has_events or bool(self.solvers) or system.control is not None or any(system.courses)
 
     def look(self, k: int) -> None:
         """Make a due checkpoint after point k."""
@@ -332,7 +343,7 @@ class Master:
         return [round_at(k) for k in range(period)]
 
     def active(self, stage: Stage) -> Active:
-        """Return a component's step and its transfers."""
+        """Return a component's step with the copies before it."""
         component = stage.component
         for solver in self.solvers:
             if component.name in {member.component.name for member in solver.members}:
@@ -341,6 +352,8 @@ class Master:
                 return loop, 1, 0.0, *self.pulls[component.name]
         length = stage.every * self.h if component.nominal_step else 0.0
         step = component.stepping(self.doing, CALLS * self.components.index(component))
+        if any(self.system.courses):
+            step = with_courses(step, self.system, stage, self.view)
         return step, stage.every, length, *self.pulls[component.name]
 
     def _rows_so_far(self) -> Results:
@@ -351,7 +364,8 @@ class Master:
 
     def details(self) -> dict[str, Any]:
         """Return entries of the manifest about the steps."""
-        return {"loops": [solver.record() for solver in self.solvers]} if self.solvers else {}
+        details: dict[str, Any] = {"loops": [s.record() for s in self.solvers]} if self.solvers else {}
+        return details if self.controlled is None else {**details, "steps": self.controlled.record()}
 
 
 def results_of(

@@ -33,6 +33,11 @@ LOOP_NOT_SOLVED = Template(
     "more (relative tolerance {tolerance:g}). Signals of the loop: {signals}. If it has a solution, start values near "
     "it help, or more iterations (loops: {{iterations: {more}}}); order: [...] or algorithm: jacobi do not solve it",
 )
+TOLERANCE_NOT_MET = Template(
+    "W-MAS-011",
+    "the error of {count} steps is above the tolerance {tolerance:g} although they are the shortest, {step:g} s: first "
+    "at t = {time:.6g} s, {error:.2g} of {signal}. Give a shorter min or a larger tolerance",
+)
 NO_WAY_BACK = Template(
     "E-MAS-009",
     "{output} follows {input} only after a step, which cannot be repeated, because the FMU saves no state; so the "

@@ -29,7 +29,7 @@ class Slopes(Protocol):
     """Source of the slopes of g."""
 
     def __call__(self, z: Array, g: Array, *, fresh: bool) -> Array:
-        """Return ∂g/∂z at z, where g is g(z); `fresh` demands differences instead of promised derivatives."""
+        """Return ∂g/∂z at z; `fresh` demands differences."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class RootFinding:
     computed: int = 0
 
     def size(self, z: Array, residual: Array) -> float:
-        """Return the largest residual relative to the magnitude of its unknown."""
+        """Return the largest relative residual."""
         return float(np.max(np.abs(residual) / np.maximum(np.abs(z), self.scale), initial=0.0))
 
     def newton(self, g: Map, z: Array, slopes: Slopes) -> Outcome:
@@ -134,7 +134,7 @@ class RootFinding:
         return value
 
     def _damped(self, g: Map, z: Array, direction: Array, size: float) -> tuple[Array, Array, float] | None:
-        """Return a point along a direction with a smaller residual, g there, and the share of the way; None if none."""
+        """Return a better point, g there, and its share."""
         share = 1.0
         while share >= SHORTEST and np.isfinite(direction).all():
             ahead = z + share * direction
@@ -146,7 +146,7 @@ class RootFinding:
 
 
 def _solve(matrix: Array, right: Array) -> Array:
-    """Return the solution of a linear system, of the least size for a singular one."""
+    """Return the smallest solution of a linear system."""
     try:
         return np.asarray(np.linalg.solve(matrix, right))
     except np.linalg.LinAlgError:

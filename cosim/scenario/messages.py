@@ -14,6 +14,14 @@ STEP_NOT_A_DIVISOR = Template(
     "E-SCN-004",
     "step is {step:g} s; use a whole divisor of duration {duration:g} s, {divisor:.6g} s for one",
 )
+CONTROL_OUT_OF_ORDER = Template(
+    "E-SCN-021",
+    "min is {min:g} s, max {max:g} s and rows {rows:g} s; min is at most max, and max at most rows",
+)
+BONDS_WITHOUT_ENERGY = Template(
+    "E-SCN-022", "bonds belong to estimator: energy, which this is not ({estimator}); leave one of them out"
+)
+ENERGY_WITHOUT_BONDS = Template("E-SCN-023", "estimator: energy needs bonds: [{{effort: a.force, flow: b.velocity}}]")
 NO_BAND = Template("E-SCN-005", "{kind} needs a band; add the allowed distance from its target")
 NEEDLESS_BAND = Template("E-SCN-006", "{kind} takes no band; leave it out")
 INTERVAL_OUTSIDE = Template(

@@ -25,6 +25,8 @@ from cosim.storage.yaml_file import (
     Share,
 )
 
+Course = Literal["hold", "linear", "quadratic"]
+COURSES: tuple[Course, ...] = ("hold", "linear", "quadratic")  # by degree
 LARGEST_NUMBER = 1e308  # approximate limit of doubles; FMI has no larger integers
 Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
 Variable = Annotated[str, Field(pattern=r"(?s)^[A-Za-z_][A-Za-z0-9_]*\..+$")]
@@ -235,6 +237,42 @@ class Design(Part):
     nearest: bool | None = None
 
 
+class Bond(Part):
+    """Power bond of two FMUs: two outputs, each connected to an input of the other, whose product is a power.
+
+    effort: a force, torque, voltage or pressure, `component.output`
+    flow:   the velocity, speed, current or flow that belongs to it, `component.output`
+    """
+
+    effort: Variable
+    flow: Variable
+
+
+class StepControl(Part):
+    """Communication steps controlled by their error.
+
+    max:       longest step [s]
+    min:       shortest step [s]
+    tolerance: largest error of a step, relative to a signal's magnitude or its nominal value, whichever is larger
+    rows:      time between rows of the results [s]; a step never crosses one; by default `max`
+    estimator: halving, residual or energy; by default energy with bonds, halving if all FMUs save and restore their
+        state, otherwise residual
+    bonds:     power bonds of the estimator energy
+    """
+
+    max: PositiveSeconds
+    min: PositiveSeconds
+    tolerance: Positive = 1e-4
+    rows: PositiveSeconds | None = None
+    estimator: Literal["halving", "residual", "energy"] | None = None
+    bonds: list[Bond] = Field(default_factory=list)
+
+
+def _kind_of_step(step: Any) -> str:
+    """Return the tag of a communication step."""
+    return "«controlled»" if isinstance(step, dict | StepControl) else "«equal»"
+
+
 class LoopSettings(Part):
     """Solution of algebraic loops at each communication point.
 
@@ -295,10 +333,12 @@ class Scenario(Part):
     name:        title in the report; results go to results/NAME
     description: text in the report
     duration:    [s], a whole number of steps
-    step:        communication step [s]
+    step:        communication step [s], or the control of its error
     start_time:  [s]
     seed:        seed of all random streams; the same seed gives the same bytes
     order:       stepping order of components with inputs, if their FMUs do not determine it
+    extrapolate: course of inputs during a step whose new value is not available; linear with controlled steps
+    interpolate: course of inputs that have the value of the step's end; linear with controlled steps
     loops:       solution of algebraic loops; inputs without declared dependencies may then be part of one
     noise:       on or off, for all connections
     tolerance:   relative tolerance of the solvers; by default each FMU's own
@@ -316,11 +356,16 @@ class Scenario(Part):
     name: str
     description: str = ""
     duration: PositiveSeconds
-    step: PositiveSeconds
+    stepping: Annotated[
+        Annotated[PositiveSeconds, Tag("«equal»")] | Annotated[StepControl, Tag("«controlled»")],
+        Discriminator(_kind_of_step),
+    ] = Field(alias="step")
     start_time: Seconds = 0.0
     seed: Annotated[int, Field(strict=True, ge=0)] = 0
     algorithm: Annotated[str, AlgorithmKey()] = DEFAULT.name  # The registered algorithms supply its description.
     order: list[Name] | None = None
+    extrapolate: Course | None = None
+    interpolate: Course | None = None
     loops: LoopSettings | None = None
     noise: bool = True
     tolerance: Positive | None = None
@@ -335,8 +380,26 @@ class Scenario(Part):
     checkpoint: PositiveSeconds | None = None
 
     @property
+    def control(self) -> StepControl | None:
+        """Return the step control, None for equal steps."""
+        return self.stepping if isinstance(self.stepping, StepControl) else None
+
+    @property
+    def step(self) -> float:
+        """Return the time between rows [s]."""
+        if isinstance(self.stepping, StepControl):
+            return self.stepping.max if self.stepping.rows is None else self.stepping.rows
+        return self.stepping
+
+    @property
+    def courses(self) -> tuple[int, int]:
+        """Return the degrees of extrapolation and interpolation."""
+        default = COURSES[0] if self.control is None else COURSES[1]
+        return COURSES.index(self.extrapolate or default), COURSES.index(self.interpolate or default)
+
+    @property
     def steps(self) -> int:
-        """Return the number of communication steps."""
+        """Return the number of rows after the first."""
         return round(min(self.duration / self.step, 1e18))  # more than any run accepts; infinity would have no integer
 
     @property

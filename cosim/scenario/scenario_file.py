@@ -17,7 +17,7 @@ from cosim.base.messages import Template
 from cosim.base.registry import BASE, is_model
 from cosim.scenario import messages
 from cosim.scenario.pinned import with_files_beside
-from cosim.scenario.scenario import Scenario
+from cosim.scenario.scenario import Scenario, StepControl
 from cosim.scenario.signal_units import convert_quantities
 from cosim.storage.artefact import kind_by_keys
 from cosim.storage.kinds import MANIFEST, SCENARIO, check_form, refuse_other
@@ -105,14 +105,32 @@ class ScenarioFile:
         s = self.scenario
         if self.stands_in:  # Duration or step is faulty itself.
             return []
+        if s.control is not None and (faults := self._control_faults(s.control)):
+            return faults
         count = s.duration / s.step
         if not count <= MOST_STEPS:
             return [self.fault(("step",), messages.MANY_STEPS(step=s.step, count=count, limit=MOST_STEPS))]
         if abs(count - round(count)) <= ROUNDING * max(1.0, count) and round(count) >= 1:
             return []
         divisor, overrides = s.duration / max(1, math.ceil(count)), self.yaml.overrides
+        if s.control is not None:
+            where = ("step", "max" if s.control.rows is None else "rows")
+            return [self.fault(where, messages.STEP_NOT_A_DIVISOR(step=s.step, duration=s.duration, divisor=divisor))]
         key = "duration" if ("duration",) in overrides and ("step",) not in overrides else "step"
         return [self.fault((key,), messages.STEP_NOT_A_DIVISOR(step=s.step, duration=s.duration, divisor=divisor))]
+
+    def _control_faults(self, control: StepControl) -> list[Fault]:
+        """Return the faults of contradicting keys of `step`."""
+        faults, rows = [], control.max if control.rows is None else control.rows
+        if not control.min <= control.max <= rows * (1.0 + ROUNDING):
+            where = ("step", "min" if control.min > control.max else "max")
+            message = messages.CONTROL_OUT_OF_ORDER(min=control.min, max=control.max, rows=rows)
+            faults.append(self.fault(where, message))
+        if control.bonds and control.estimator not in (None, "energy"):
+            faults.append(self.fault(("step", "bonds"), messages.BONDS_WITHOUT_ENERGY(estimator=control.estimator)))
+        if control.estimator == "energy" and not control.bonds:
+            faults.append(self.fault(("step", "estimator"), messages.ENERGY_WITHOUT_BONDS()))
+        return faults
 
     def _criteria_faults(self) -> list[Fault]:
         faults = []

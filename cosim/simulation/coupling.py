@@ -108,6 +108,8 @@ def _results(
         halved: Whether to record the differences made by halving each step.
     """
     original = ScenarioFile(path, overrides)
+    if original.scenario.control is not None:
+        raise InputError([original.fault(("step",), messages.ERROR_OF_CONTROLLED_STEPS())])
     step, steps = original.scenario.step / parts, original.scenario.steps * parts
     file = ScenarioFile(path, (*overrides, "noise=off", f"step={step!r}"))
     if nearest:

@@ -2,6 +2,10 @@
 
 from cosim.base.messages import Template
 
+ERROR_OF_CONTROLLED_STEPS = Template(
+    "E-SIM-021", "controls the error of each step; --coupling-error measures equal steps: set one, --set step=0.01"
+)
+
 FILE_OF_ANOTHER_RUN = Template(
     "E-SIM-001",
     "{path} is not the {kind} of this run: its SHA-256 differs; put that one back, or run the scenario",

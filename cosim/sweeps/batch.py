@@ -31,6 +31,7 @@ def kinds_of(system: System) -> dict[str, TwinMaker] | str:
         "signals are no doubles, or a component has a process of its own": system.apart or system.beside,
         "components have steps of their own": any(stage.every != 1 for stage in system.stages),
         "components form an algebraic loop": system.loops,
+        "communication steps are controlled, or inputs follow polynomials": system.control or any(system.courses),
         "faults are injected, or enumerations connected": any(
             t.faults or t.items is not None for t in _transfers(system)
         ),

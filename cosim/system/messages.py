@@ -40,6 +40,24 @@ STEP_NOT_OF_SAMPLING = Template(
     "components.{component}.start.{parameter}, or step: {sample:g}",
 )
 
+# Step control
+NO_OTHER_STEPS = Template(
+    "E-SYS-051",
+    "{component} takes steps of one length only, so that they cannot be controlled; give it a step of its own "
+    "(components.{component}.step)",
+)
+NO_HALVING = Template("E-SYS-052", "no step is repeated in halves: {reason}; leave estimator out, or set residual")
+NO_OUTPUT_OF_BOND = Template("E-SYS-053", 'no connected output "{signal}"{hint}')
+BOND_ONE_SIDED = Template("E-SYS-054", "{signal} is connected to no input of {owner}, the other side of the bond")
+BOND_CONVERTS = Template(
+    "E-SYS-055", "{signal} is converted on its way to {target}; a bond needs one unit on both sides"
+)
+CONTROL_AND_EVENT_MODE = Template(
+    "E-SYS-056",
+    "{component} runs in event mode, in which steps are not controlled and inputs are held; give one step: and leave "
+    "extrapolate and interpolate out, or set event_mode: false",
+)
+
 # Events
 EVENT_OUTSIDE_RUN = Template("E-SYS-017", "{time:g} s is not within {start:g} … {end:g} s")
 TWO_VALUES = Template("E-SYS-018", "two values at {time:g} s: {first!r} and {second!r}; keep one")

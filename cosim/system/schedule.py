@@ -92,7 +92,7 @@ def _clock_wires(transfers: Sequence[Sequence[Transfer]]) -> tuple[tuple[str, st
 def _sorted_transfers(
     plan: Plan, edges: Sequence[Edge], transfers: Sequence[Sequence[Transfer]]
 ) -> tuple[list[Transfer], dict[str, list[Transfer]], list[list[Transfer]]]:
-    """Return transfers at the end of a step, by component before its step, and by loop."""
+    """Return held transfers, pulls by component, and loops' transfers."""
     loop_of = {name: k for k, members in enumerate(plan.loops) for name in members}
     held: list[Transfer] = []
     solved: list[list[Transfer]] = [[] for _ in plan.loops]
@@ -110,7 +110,7 @@ def _sorted_transfers(
 def _keys_agree(
     scenario: Scenario, algorithm: Algorithm, order: Sequence[str] | None, components: Components, diagnosis: Diagnosis
 ) -> bool:
-    """Return whether the order names all components, and `loops` agrees with algorithm and order; note faults."""
+    """Return whether order, loops and algorithm agree; note faults."""
     if order is not None and not _names_all(order, components, diagnosis):
         return False
     if scenario.loops is None or (algorithm.solves_loops and order is None):
@@ -123,7 +123,7 @@ def _keys_agree(
 
 
 def _check_loops(loops: Sequence[Loop], components: Components, every: Mapping[str, int], diagnosis: Diagnosis) -> None:
-    """Note faults of loops that cannot be solved: signals without slopes, and steps of their own."""
+    """Note faults of loops that cannot be solved."""
     for loop in loops:
         for name in (n for n, component in components.items() if isinstance(component, EventFmu)):
             diagnosis.note(("components", name), messages.EVENT_MODE_IN_LOOP(component=name, loop=loop.name))

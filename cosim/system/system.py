@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from cosim.scenario.scenario_file import ScenarioFile
 from cosim.storage.yaml_file import did_you_mean
 from cosim.system import messages
 from cosim.system.components import Designed, build_components
+from cosim.system.control import Control, control_of
 from cosim.system.event_blocks import check_events
 from cosim.system.events import Events, changes_of
 from cosim.system.feasible import check_feasible
@@ -36,6 +38,8 @@ class System:
         events: Communication point → component → values to set.
         apart: Names of components with their own process.
         halved: Whether rows hold the differences made by halving each step, instead of signals.
+        control: Control of the communication steps, None for equal ones.
+        courses: Degrees of the courses of extrapolated and of interpolated inputs during a step.
         clock_wires: Connected clocks, output and input, as `component.clock`.
         loops: Algebraic loops to solve at each communication point.
         solving: Settings of their solution, None for the default.
@@ -55,6 +59,8 @@ class System:
     apart: frozenset[str] = frozenset()
     halved: bool = False
     clock_wires: tuple[tuple[str, str], ...] = ()
+    control: Control | None = None
+    courses: tuple[int, int] = (0, 0)
     loops: tuple[Loop, ...] = ()
     solving: LoopSettings | None = None
 
@@ -81,6 +87,7 @@ def build_system(file: ScenarioFile, start_values: Designed | None = None) -> Sy
     if is_whole and all(transfers):
         plan = schedule(scenario, components, transfers, diagnosis)
     check_events(file, plan.stages, diagnosis)
+    control = control_of(scenario, components, layout, list(chain.from_iterable(transfers)), diagnosis)
     blocks = {name: c for name, c in components.items() if isinstance(c, FmuBlock)}
     events = changes_of(file, blocks, diagnosis)
     _check_record(file, components, diagnosis)
@@ -103,6 +110,8 @@ def build_system(file: ScenarioFile, start_values: Designed | None = None) -> Sy
         clock_wires=plan.clock_wires,
         loops=plan.loops,
         solving=scenario.loops,
+        control=control,
+        courses=scenario.courses,
     )
 
 

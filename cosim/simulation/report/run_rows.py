@@ -14,12 +14,11 @@ from cosim.base.text import amount, counted, plain
 from cosim.coupling.algorithms import algorithms
 from cosim.report.html_tables import Badge, Row
 from cosim.simulation.report.recorded import Run, mapping, mappings, number, texts
-from cosim.simulation.report.step_rows import loop_rows
+from cosim.simulation.report.step_rows import loop_rows, step_rows
 from cosim.simulation.report.verdicts import CriterionText, has_failed
 from cosim.storage.yaml_file import short
 
 MAX_SPELLED, MAX_CHANGES = 200, 8  # signals on a page, and changes of each
-STEP = "time between two exchanges of values among the components"
 
 
 @dataclass(frozen=True)
@@ -230,7 +229,7 @@ def provenance(run: Run, kinds: Mapping[str, str]) -> list[Row]:
         Row("Versions", _pairs(mapping(manifest.get("versions")), " ")),
         Row("Git revision", str(git.get("revision") or ""), "with uncommitted changes" if dirty else "clean"),
         Row("Simulated time", f"{number(scenario['duration']):g} s" if "duration" in scenario else ""),
-        Row("Communication step", f"{number(scenario['step']):g} s" if "step" in scenario else "", STEP),
+        *step_rows(run),
         Row("Coupling algorithm", run.algorithm),
         Row("Seed", "" if seed is None else str(seed)),
         Row("Design", _pairs(design, " = ")),

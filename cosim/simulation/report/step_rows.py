@@ -4,12 +4,38 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from cosim.base.text import amount
 from cosim.report.html_tables import Row
 from cosim.simulation.report.recorded import Run, mapping, mappings, number, texts
 
+STEP = "time between two exchanges of values among the components"
+
+
+def step_rows(run: Run) -> Iterator[Row]:
+    """Yield the row of the communication step."""
+    step, rows = run.scenario.get("step"), mapping(run.scenario.get("step"))
+    if not rows:
+        if step is not None:
+            yield Row("Communication step", f"{number(step):g} s", STEP)
+        return
+    steps = mapping(run.manifest.get("steps"))
+    row = number(rows.get("rows"), number(rows.get("max")))
+    limits = f"{amount(number(rows.get('min')), 's')} to {amount(number(rows.get('max')), 's')}"
+    lines = [f"controlled, {limits}; a row every {amount(row, 's')}"]
+    if steps:
+        sizes = ", ".join(f"{share} {amount(number(size), 's')}" for share, size in mapping(steps.get("sizes")).items())
+        lines += [
+            f"estimator {steps.get('estimator')}, tolerance {number(steps.get('tolerance')):g}, largest error "
+            f"{number(steps.get('largest_error')):.2g}",
+            f"{steps.get('accepted')} steps accepted, {steps.get('rejected')} taken back, "
+            f"{steps.get('communication_points')} exchanges of values in all",
+            f"sizes by share of steps that are shorter: {sizes}",
+        ]
+    yield Row("Communication step", "\n".join(lines), STEP)
+
 
 def loop_rows(run: Run) -> Iterator[Row]:
-    """Yield a row for each algebraic loop: method, tolerance and iterations."""
+    """Yield a row for each algebraic loop."""
     for loop in mappings(run.manifest.get("loops")):
         counts, names = mapping(loop.get("iterations")), texts(loop.get("components"))
         repeated = ", ".join(texts(loop.get("repeated")))

@@ -1,0 +1,167 @@
+"""Step control of a scenario: which signals are watched, in which scale, and whether the FMUs allow it."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from cosim.blocks.component import Component
+from cosim.blocks.description import takes_any_step
+from cosim.blocks.event_mode import EventFmu
+from cosim.blocks.fmu import FmuBlock
+from cosim.blocks.sources import SourceBlock
+from cosim.fmi.sampled import sampled_by
+from cosim.scenario.diagnosis import Diagnosis
+from cosim.scenario.scenario import Bond, FixComponent, FmuComponent, Scenario, StepControl
+from cosim.storage.yaml_file import did_you_mean
+from cosim.system import messages
+from cosim.system.wiring import Components, RowLayout, Transfer
+
+
+@dataclass(frozen=True)
+class PowerBond:
+    """Two connections in opposite directions whose product is a power: places of both outputs and both inputs."""
+
+    effort: tuple[int, int]
+    flow: tuple[int, int]
+    name: str
+    nominal: float
+
+
+@dataclass(frozen=True)
+class Control:
+    """Control of the communication steps of a run.
+
+    Attributes:
+        estimator: halving, residual or energy.
+        shortest, longest: Limits of a step [s].
+        nominal: Column → nominal value, 1 by default.
+        outputs: Places of the real outputs of all FMUs that step under control.
+        at_rows: Components that step only at rows.
+    """
+
+    estimator: str
+    tolerance: float
+    shortest: float
+    longest: float
+    nominal: tuple[float, ...] = ()
+    outputs: tuple[int, ...] = ()
+    bonds: tuple[PowerBond, ...] = ()
+    at_rows: frozenset[str] = frozenset()
+
+
+def control_of(
+    scenario: Scenario,
+    components: Components,
+    layout: RowLayout,
+    transfers: Sequence[Transfer],
+    diagnosis: Diagnosis,
+) -> Control | None:
+    """Return the step control, None for equal steps."""
+    settings = scenario.control
+    _check_event_mode(scenario, components, diagnosis)
+    if settings is None:
+        return None
+    at_rows = frozenset(name for name, c in components.items() if _steps_at_rows(scenario, name))
+    controlled = {name: c for name, c in components.items() if name not in at_rows}
+    _check_step_lengths(controlled, diagnosis)
+    obstacle = next(_obstacles(scenario, controlled), "")
+    if settings.estimator == "halving" and obstacle:
+        diagnosis.note(("step", "estimator"), messages.NO_HALVING(reason=obstacle))
+    nominal = tuple(_nominal(components, column) for column in layout.columns)
+    bonds = _bonds(settings, layout, transfers, nominal, diagnosis)
+    estimator = settings.estimator or ("energy" if bonds else "residual" if obstacle else "halving")
+    outputs = tuple(k for k, column in enumerate(layout.columns) if _is_real_output(column, controlled))
+    limits = settings.tolerance, settings.min, settings.max
+    return Control(estimator, *limits, nominal, outputs, tuple(bonds), at_rows)
+
+
+def _check_event_mode(scenario: Scenario, components: Components, diagnosis: Diagnosis) -> None:
+    """Note FMUs in event mode, whose inputs are held."""
+    if scenario.control is not None or any(scenario.courses):
+        for name, component in components.items():
+            if isinstance(component, EventFmu):
+                diagnosis.note(("components", name), messages.CONTROL_AND_EVENT_MODE(component=name))
+
+
+def _steps_at_rows(scenario: Scenario, name: str) -> bool:
+    """Return whether a component steps only at rows."""
+    component = scenario.components[name]
+    return isinstance(component, FixComponent) or getattr(component, "step", None) is not None
+
+
+def _check_step_lengths(components: Mapping[str, Component], diagnosis: Diagnosis) -> None:
+    """Note FMUs that take no steps of other lengths."""
+    for name, component in components.items():
+        if not isinstance(component, FmuBlock) or component.changes_by_events:
+            continue
+        if not takes_any_step(component.description) or sampled_by(component.path) is not None:
+            diagnosis.note(("components", name), messages.NO_OTHER_STEPS(component=name))
+
+
+def _obstacles(scenario: Scenario, components: Mapping[str, Component]) -> Iterator[str]:
+    """Yield reasons against taking steps back."""
+    for name, component in components.items():
+        declared = scenario.components[name]
+        if isinstance(declared, FmuComponent) and declared.process == "own":
+            yield f"{name} has a process of its own"
+        elif isinstance(component, FmuBlock) and not component.instance.rolls_back:
+            yield f"{name} saves no state"
+        elif not isinstance(component, FmuBlock | SourceBlock):
+            yield f"{name} cannot be taken back"
+
+
+def _is_real_output(column: str, components: Mapping[str, Component]) -> bool:
+    """Return whether a column is an FMU's real output."""
+    name, _, variable = column.partition(".")
+    component = components.get(name)
+    if not isinstance(component, FmuBlock):
+        return False
+    return any(s.name == variable and not (s.local or s.is_whole) for s in component.outputs)
+
+
+def _nominal(components: Components, column: str) -> float:
+    name, _, variable = column.partition(".")
+    component = components[name]
+    return component.nominal(variable) if isinstance(component, FmuBlock) else 1.0
+
+
+def _bonds(
+    settings: StepControl,
+    layout: RowLayout,
+    transfers: Sequence[Transfer],
+    nominal: Sequence[float],
+    diagnosis: Diagnosis,
+) -> list[PowerBond]:
+    """Return the power bonds; note faults."""
+    by_source: dict[str, list[Transfer]] = {}
+    for transfer in transfers:
+        by_source.setdefault(layout.columns[transfer.source] if not transfer.beside[0] else "", []).append(transfer)
+    bonds = []
+    for k, bond in enumerate(settings.bonds):
+        effort, flow = (_ends(bond, side, k, by_source, diagnosis) for side in ("effort", "flow"))
+        if effort is not None and flow is not None:
+            power = nominal[effort[0]] * nominal[flow[0]]
+            bonds.append(PowerBond(effort, flow, f"{bond.effort}·{bond.flow}", power))
+    return bonds
+
+
+def _ends(
+    bond: Bond, side: str, k: int, by_source: Mapping[str, Collection[Transfer]], diagnosis: Diagnosis
+) -> tuple[int, int] | None:
+    """Return both ends of one signal of a bond."""
+    output, other = (bond.effort, bond.flow) if side == "effort" else (bond.flow, bond.effort)
+    where = ("step", "bonds", k, side)
+    if output not in by_source:
+        hint = did_you_mean(output, by_source)
+        diagnosis.note(where, messages.NO_OUTPUT_OF_BOND(signal=output, hint=hint))
+        return None
+    owner = other.partition(".")[0]
+    for transfer in by_source[output]:
+        if transfer.name.partition(".")[0] == owner:
+            if (transfer.factor, transfer.offset) != (1.0, 0.0):
+                diagnosis.note(where, messages.BOND_CONVERTS(signal=output, target=transfer.name))
+                return None
+            return transfer.source, transfer.target
+    diagnosis.note(where, messages.BOND_ONE_SIDED(signal=output, owner=owner))
+    return None

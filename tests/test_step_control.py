@@ -1,0 +1,259 @@
+"""Controlled communication steps and courses of inputs: errors, counts, and their limits."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from cosim.base.errors import InputError, SimulationError
+from cosim.master.extrapolation import Polynomial
+from cosim.simulation.workflow import run
+from tests.coupled import CHASSIS, LINEAR, TRUCK, WHEEL, coupled_fmu
+
+SECONDS, ROW = 5.0, 0.02
+SIGNALS = ("chassis.y0", "chassis.y1", "wheel.y0", "wheel.y1")
+HALVING = "step: {max: 20 ms, min: 0.1 ms, tolerance: 1e-4}\n"
+
+
+def truck(folder: Path, **options: Any) -> Path:
+    """Build the FMUs of a quarter truck; return the folder."""
+    coupled_fmu(folder / "chassis.fmu", CHASSIS, **options)
+    coupled_fmu(folder / "wheel.fmu", WHEEL, **options)
+    return folder
+
+
+def ran(folder: Path, step: str, more: str = "", seconds: float = SECONDS) -> Any:
+    """Run the truck; return its results and its manifest."""
+    components = "".join(
+        f"  {name}: {{fmu: {name}.fmu, start: {TRUCK[law]}}}\n"
+        for name, law in (("chassis", CHASSIS), ("wheel", WHEEL))
+    )
+    ends = "connections: [{from: chassis.y0, to: wheel.u0}, {from: wheel.y0, to: chassis.u0}]\n"
+    file = folder / "truck.yaml"
+    file.write_text(f"name: truck\nduration: {seconds:g}\n{step}components:\n{components}{ends}{more}")
+    outcome = run(file, folder / "out", report=False, in_process=True)
+    return outcome.results, outcome.manifest
+
+
+@cache
+def exact() -> NDArray[np.float64]:
+    """Return the outputs at rows by the equations of both FMUs in one system."""
+    from scipy.integrate import solve_ivp
+
+    c, w = TRUCK[CHASSIS], TRUCK[WHEEL]
+
+    def road(t: float) -> float:
+        return 0.5 * w["p4"] * (1.0 - np.cos(2.0 * np.pi * (t - 1.0) / w["p5"])) if 1.0 < t < 1.0 + w["p5"] else 0.0
+
+    def rates(t: float, s: Any) -> list[float]:
+        v, x, vw, xw = s
+        f = w["p2"] * (xw - x) + w["p3"] * (vw - v)
+        return [f / c["p0"], v, (w["p1"] * (road(t) - xw) - f) / w["p0"], vw]
+
+    times = ROW * np.arange(round(SECONDS / ROW) + 1)
+    s = solve_ivp(rates, (0.0, SECONDS), np.zeros(4), "DOP853", times, rtol=1e-11, atol=1e-13, max_step=1e-3).y
+    v, x, vw, xw = s
+    return np.array([v, x, w["p2"] * (xw - x) + w["p3"] * (vw - v), xw]).T
+
+
+def error(results: Any, every: int = 1) -> float:
+    """Return the largest error over all signals, each relative to its largest magnitude."""
+    values = np.array([results[name] for name in SIGNALS]).T[::every]
+    return float(np.max(np.abs(values - exact()) / np.abs(exact()).max(axis=0)))
+
+
+# -- controlled steps ---------------------------------------------------------------------------------
+
+
+def test_halving_needs_less_than_a_fifth_of_the_points_of_equal_steps_at_equal_error(tmp_path: Path) -> None:
+    results, manifest = ran(truck(tmp_path), HALVING)
+    steps = manifest["steps"]
+    assert steps["estimator"] == "halving"
+    assert results.time.tolist() == pytest.approx([ROW * k for k in range(251)])
+    assert error(results) < 2e-3
+    assert steps["communication_points"] >= 3 * steps["accepted"]  # whole and two halves
+    parts = 5 * steps["communication_points"] // 250  # five times as many points
+    equal, _ = ran(tmp_path, f"step: {ROW / parts!r}\n")
+    assert error(equal, parts) > error(results)
+    linear, _ = ran(tmp_path, f"step: {ROW / 8!r}\n", "extrapolate: linear\ninterpolate: linear\n")
+    assert error(linear, 8) > error(results)  # 2000 points, while the controlled run has two for each accepted step
+    assert 2 * steps["accepted"] < 0.55 * 2000
+
+
+@pytest.mark.parametrize(
+    ("estimator", "goal"), [("residual", 1e-3), ("energy, bonds: [{effort: wheel.y0, flow: chassis.y0}]", 4e-3)]
+)
+def test_fmus_without_states_are_controlled_by_residuals_of_inputs_or_power(
+    estimator: str, goal: float, tmp_path: Path
+) -> None:
+    truck(tmp_path, saves=False)
+    step = f"step: {{max: 4 ms, min: 0.05 ms, rows: 20 ms, tolerance: 1e-3, estimator: {estimator}}}\n"
+    results, manifest = ran(tmp_path, step)
+    steps = manifest["steps"]
+    assert steps["estimator"] == estimator.partition(",")[0]
+    assert len(results.time) == 251
+    assert error(results) < goal
+    assert steps["communication_points"] == steps["accepted"]
+    parts = 5 * steps["accepted"] // 250
+    equal, _ = ran(tmp_path, f"step: {ROW / parts!r}\n")
+    assert error(equal, parts) > error(results)
+
+
+def test_a_smaller_tolerance_gives_a_smaller_error(tmp_path: Path) -> None:
+    truck(tmp_path)
+    errors = [
+        error(ran(tmp_path, f"step: {{max: 20 ms, min: 0.05 ms, tolerance: {tolerance}}}\n")[0])
+        for tolerance in (1e-2, 1e-3, 1e-4)
+    ]
+    assert errors[0] > 2.0 * errors[1] > 4.0 * errors[2]
+
+
+def test_the_estimator_follows_from_what_the_fmus_can_do(tmp_path: Path) -> None:
+    truck(tmp_path)
+    coupled_fmu(tmp_path / "wheel.fmu", WHEEL, saves=False)
+    _, manifest = ran(tmp_path, HALVING, seconds=0.1)
+    assert manifest["steps"]["estimator"] == "residual"
+    with pytest.raises(InputError, match=r"truck\.yaml:3:.*wheel saves no state"):
+        ran(tmp_path, HALVING.replace("1e-4", "1e-4, estimator: halving"), seconds=0.1)
+
+
+def test_a_run_is_the_same_each_time(tmp_path: Path) -> None:
+    truck(tmp_path)
+    first, second = (ran(tmp_path, HALVING, seconds=1.5)[0].values.tobytes() for _ in range(2))
+    assert first == second
+
+
+def test_steps_at_their_minimum_with_too_large_an_error_are_told(tmp_path: Path) -> None:
+    step = "step: {max: 20 ms, min: 10 ms, tolerance: 1e-6}\n"
+    results, manifest = ran(truck(tmp_path), step, seconds=1.5)
+    assert len(results.time) == 76
+    assert manifest["steps"]["above_tolerance"] > 0
+    (warning,) = [w for w in manifest["warnings"] if "above the tolerance" in w]
+    assert "0.01 s: first at t = 1" in warning
+
+
+def test_components_with_a_step_of_their_own_step_at_rows(tmp_path: Path) -> None:
+    """A sampled FMU counts its steps: one for each two rows."""
+    truck(tmp_path)
+    coupled_fmu(tmp_path / "count.fmu", LINEAR, variable_step=False)
+    file = tmp_path / "own.yaml"
+    components = (
+        "components:\n  chassis: {fmu: chassis.fmu, start: {p0: 400}}\n  count: {fmu: count.fmu, step: 40 ms}\n"
+    )
+    file.write_text(f"name: own\nduration: 0.4\nrecord: [count.steps]\n{HALVING}{components}")
+    results = run(file, tmp_path / "out", report=False, in_process=True).results
+    assert results["count.steps"].tolist() == [k // 2 for k in range(21)]
+    file.write_text(f"name: own\nduration: 0.4\n{HALVING}{components.replace(', step: 40 ms', '')}")
+    with pytest.raises(InputError, match=r"count takes steps of one length only"):
+        run(file, tmp_path / "out", report=False, in_process=True)
+
+
+def test_manifest_and_report_state_steps_and_sizes(tmp_path: Path) -> None:
+    truck(tmp_path)
+    ran(tmp_path, HALVING, seconds=0.2)
+    outcome = run(tmp_path / "truck.yaml", tmp_path / "out")  # in a process of its own
+    steps = outcome.manifest["steps"]
+    assert steps["accepted"] == len(outcome.results.time) - 1 or steps["accepted"] > 10
+    assert list(steps["sizes"]) == ["0 %", "10 %", "50 %", "90 %", "100 %"]
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "estimator halving, tolerance 0.0001" in page
+    again = run(tmp_path / "out" / "manifest.json", tmp_path / "again", report=False)
+    assert again.results.values.tobytes() == outcome.results.values.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("step", "words"),
+    [
+        ("{max: 10 ms, min: 20 ms}", r"truck\.yaml:3:25.*min is at most max"),
+        ("{max: 20 ms, min: 1 ms, rows: 10 ms}", "max at most rows"),
+        ("{max: 20 ms}", "step.min"),
+        ("{max: 20 ms, min: 0}", "step.min"),
+        ("{max: 20 ms, min: 1 ms, tolerance: -1}", "step.tolerance"),
+        ("{max: 20 ms, min: 1 ms, estimator: guess}", "step.estimator"),
+        ("{max: 20 ms, min: 1 ms, estimator: energy}", "needs bonds"),
+        ("{max: 30 ms, min: 1 ms}", "divisor"),
+        ("{max: 20 ms, min: 1 ms, most: 1}", "most"),
+        ("soon", "step is 'soon'"),
+        (
+            "{max: 20 ms, min: 1 ms, estimator: residual, bonds: [{effort: wheel.y0, flow: chassis.y0}]}",
+            "leave one of them out",
+        ),
+        ("{max: 20 ms, min: 1 ms, bonds: [{effort: wheel.y9, flow: chassis.y0}]}", 'no connected output "wheel.y9"'),
+        ("{max: 20 ms, min: 1 ms, bonds: [{effort: wheel.y0, flow: wheel.y0}]}", "the other side of the bond"),
+    ],
+)
+def test_keys_that_contradict_each_other_are_named(step: str, words: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=words):
+        ran(truck(tmp_path), f"step: {step}\n", seconds=0.1)
+
+
+# -- courses of inputs ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("late", [0.0, 1.0])
+def test_linear_courses_give_the_second_order(late: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An FMU that answers only after a step (late) makes a last part of it with the inputs of its end."""
+    truck(tmp_path)
+    monkeypatch.setitem(TRUCK[WHEEL], "late", late)
+    linear = "extrapolate: linear\ninterpolate: linear\n"
+    orders = {}
+    for more in ("", linear):
+        coarse, fine = (ran(tmp_path, f"step: {ROW / parts!r}\n", more)[0] for parts in (4, 8))
+        orders[more] = np.log2(error(coarse, 4) / error(fine, 8))
+    assert orders[""] == pytest.approx(1.0, abs=0.15)
+    assert orders[linear] == pytest.approx(2.0, abs=0.15)
+
+
+def test_held_inputs_are_the_default_and_step_in_c(tmp_path: Path) -> None:
+    truck(tmp_path)
+    plain, first = ran(tmp_path, "step: 20 ms\n", seconds=0.4)
+    held, second = ran(tmp_path, "step: 20 ms\n", "extrapolate: hold\ninterpolate: hold\n", seconds=0.4)
+    assert (first["loop"], second["loop"]) == ("C", "C")
+    assert plain.values.tobytes() == held.values.tobytes()
+
+
+def test_polynomials_pass_through_the_last_values_and_forget_steps_taken_back() -> None:
+    def values(t: float) -> Any:
+        return np.array([1.0 + t, t * t])
+
+    for degree in (0, 1, 2):
+        p = Polynomial(degree)
+        for t in (0.0, 0.5, 0.7, 1.5):
+            p.add(t, values(t))
+        p.add(0.7, values(0.7))
+        p.add(1.0, values(1.0))
+        assert p(1.0) == pytest.approx(values(1.0))
+        if degree:
+            assert p(2.0)[0] == pytest.approx(3.0)
+        if degree == 2:
+            assert p(2.0)[1] == pytest.approx(4.0)
+            assert p.mean(1.0, 1.0)[1] == pytest.approx(7.0 / 3.0)  # of t² over 1 … 2
+
+
+def test_a_loop_is_solved_between_rows_too(tmp_path: Path) -> None:
+    """y_a = 0.5·u + 1 + x_a with x_a' = u − x_a, y_b = −2·u."""
+    for name in "ab":
+        coupled_fmu(tmp_path / f"{name}.fmu", LINEAR)
+    file = tmp_path / "loop.yaml"
+    starts = {"a": {"p0": 0.5, "p1": 1.0, "p2": 1.0, "p3": 1.0}, "b": {"p0": -2.0}}
+    components = "".join(f"  {n}: {{fmu: {n}.fmu, start: {s}}}\n" for n, s in starts.items())
+    ends = "connections: [{from: a.y0, to: b.u0}, {from: b.y0, to: a.u0}]\n"
+    file.write_text(f"name: loop\nduration: 2\nstep: {{max: 100 ms, min: 1 ms}}\ncomponents:\n{components}{ends}")
+    outcome = run(file, tmp_path / "out", report=False, in_process=True)
+    y = outcome.results["a.y0"]
+    x = 0.5 * (np.exp(-2.0 * outcome.results.time) - 1.0)  # x' = −2·y − x with 2·y = 1 + x
+    assert y == pytest.approx(0.5 * (1.0 + x), abs=2e-3)
+    assert outcome.manifest["loops"][0]["points"] == outcome.manifest["steps"]["communication_points"]
+
+
+def test_an_fmu_that_does_not_restore_its_state_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from cosim.blocks.instance import Instance
+
+    monkeypatch.setattr(Instance, "restore_state", lambda self, state, keep=False: None)
+    with pytest.raises(SimulationError, match=r"(chassis|wheel) at .* its outputs differ after a saved state"):
+        ran(truck(tmp_path), HALVING.replace("min: 0.1 ms", "min: 20 ms"), seconds=1.2)
