@@ -25,7 +25,14 @@ class DrivenModel(FmuModel):  # type: ignore[misc]  # estim8 is untyped
     """A model of estim8 with recorded inputs: name of a log → its rows."""
 
     tables: ClassVar[dict[str, Any]] = {}
+    log = ""
     runs = 0
+
+    def retrieve_variables(self) -> None:
+        """Read parameters and outputs; estim8 takes an output that is a state for a parameter."""
+        variables = self._model_description.modelVariables
+        self.parameters = {v.name: float(v.start) for v in variables if v.causality == "parameter"}
+        self.observables = [v.name for v in variables if v.causality == "output"]
 
     def simulate(
         self,
@@ -34,7 +41,6 @@ class DrivenModel(FmuModel):  # type: ignore[misc]  # estim8 is untyped
         stepsize: float,
         parameters: dict[str, float],
         observe: Any = None,
-        replicate_ID: Any = None,
         **_: Any,
     ) -> Any:
         """Simulate one log."""
@@ -47,14 +53,23 @@ class DrivenModel(FmuModel):  # type: ignore[misc]  # estim8 is untyped
             output_interval=stepsize,
             output=observe,
             start_values={n: v for n, v in parameters.items() if n in self.parameters},
-            input=self.tables[replicate_ID],
+            input=self.tables[self.log],
             fmi_type="CoSimulation",
             validate=False,
             model_description=self._model_description,
             fmu_instance=self._fmu,
             terminate=False,
         )
-        return Simulation({n: np.array(rows[n]) for n in ("time", *observe)}, replicate_ID=replicate_ID)
+        return Simulation({n: np.array(rows[n]) for n in ("time", *observe)})
+
+
+class DrivenEstimator(Estimator):  # type: ignore[misc]
+    """An estimator that tells the model the log of each experiment, which estim8 does not."""
+
+    def objective_for_replicate(self, parameters: Any, data: Any, metric: Any = None) -> Any:
+        """Return the loss of one experiment."""
+        self.model.log = data.replicate_ID
+        return super().objective_for_replicate(parameters=parameters, data=data, metric=metric)
 
 
 def main(request: dict[str, Any]) -> dict[str, Any]:
@@ -72,7 +87,7 @@ def main(request: dict[str, Any]) -> dict[str, Any]:
     model = DrivenModel(request["fmu"], fmi_type="CoSimulation")
     bounds = {n: list(ends) for n, ends in request["bounds"].items()}
     begin = time.monotonic()
-    estimator = Estimator(model, bounds=bounds, data=data, t=span, metric="WSS")
+    estimator = DrivenEstimator(model, bounds=bounds, data=data, t=span, metric="WSS")
     values, _ = estimator.estimate(
         method="de", max_iter=GENERATIONS, optimizer_kwargs={"seed": 1, "polish": True, "disp": False}
     )
