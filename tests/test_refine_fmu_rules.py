@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from cosim.estimation.fit import Fit
-from cosim.refinement.decision import judgement
+from cosim.refinement.decision import judgement, trust
 from cosim.refinement.proof import replay_check
+from cosim.refinement.search.fits import SearchResult
 from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.subject.candidates import Candidate, Free
 from cosim.terms.alike import experiments_for
@@ -81,3 +82,29 @@ def test_rivals_that_look_alike_have_an_experiment() -> None:
     rows = experiments_for(names)
     (text,) = [text for row, text in rows.items() if {"delay", "lag_at_torque"} <= row]
     assert "a delay waits" in text
+
+
+@pytest.mark.parametrize(("count", "is_repeated"), [(2, True), (3, False)])
+def test_free_runs_name_two_terms_at_most_with_equations_trusted(
+    monkeypatch: pytest.MonkeyPatch, count: int, is_repeated: bool
+) -> None:
+    """Additions to the outputs absorb slow effects, so the search is repeated; many terms imitate what has no name."""
+    layout, noise = SimpleNamespace(additions=True), SimpleNamespace(sensors=None)
+    free_search, trusted_search = (SimpleNamespace(problem=SimpleNamespace(layout=layout)) for _ in range(2))
+    none: Any = replace(hypothesis({}), fit=replace(hypothesis({}).fit, noise=noise))  # type: ignore[arg-type]
+    many = hypothesis({f"drift_at_{k}": (1.0, 0.1) for k in range(count)})
+    results: Any = [
+        SearchResult(search, best, (), ())  # type: ignore[arg-type]
+        for search, best in ((free_search, none), (trusted_search, many))
+    ]
+    runs = iter(results)
+    monkeypatch.setattr(trust, "Attributor", lambda *given: SimpleNamespace(run=lambda: next(runs)))
+    monkeypatch.setattr(trust, "noise_gain", lambda problem, fit: (100.0,))
+    monkeypatch.setattr(trust, "with_equations_trusted", lambda subject, problem: problem)
+    monkeypatch.setattr(
+        trust, "log_error", lambda problem, horizon, fits: 0.0 if problem is free_search.problem else -1.0
+    )
+    subject: Any = SimpleNamespace(horizon=np.inf)
+    problem: Any = SimpleNamespace(layout=layout)
+    result = trust.attribute(subject, problem, (), lambda stage, share: None)
+    assert (result.best is many) is is_repeated
