@@ -60,10 +60,7 @@ def native_figures(place: Path) -> dict[str, float | str]:
     """Return each ratio by name, or the reason for a missing one."""
     if compiler() is None:
         return dict.fromkeys(FIGURES, "no C compiler")
-    build_native(place)
-    links = "".join(f"  - {{from: {a}.{name}, to: {b}.{name}}}\n" for a, name, b in LINKS)
-    scenario = place / "native.yaml"
-    scenario.write_text(SCENARIO.format(duration=STEPS * H, links=links))
+    scenario = native_scenario(place, STEPS * H)
     system = build_system(ScenarioFile(scenario))
     craft = {name: UnpackedFmu(place / f"{name}-native.fmu", name) for name in INPUTS}
     ours, python_loop = (partial(loop_seconds, system, in_c=in_c) for in_c in (True, False))
@@ -76,6 +73,15 @@ def native_figures(place: Path) -> dict[str, float | str]:
         "ecos_over_ours": ecos_over_ours(craft, ours),
     }
     return {name: figures[name] for name in FIGURES}
+
+
+def native_scenario(place: Path, duration: float) -> Path:
+    """Build the native craft and write the scenario of its loop; return its file."""
+    build_native(place)
+    links = "".join(f"  - {{from: {a}.{name}, to: {b}.{name}}}\n" for a, name, b in LINKS)
+    scenario = place / "native.yaml"
+    scenario.write_text(SCENARIO.format(duration=duration, links=links))
+    return scenario
 
 
 def median_ratio(one: Seconds, other: Seconds) -> float:

@@ -54,8 +54,8 @@ class Channel(Protocol):
     def noted(self) -> Sequence[Change]:
         """Return all changes so far."""
 
-    def wait(self) -> None:
-        """Wait for the end of a pause, in the master."""
+    def wait(self) -> float:
+        """Wait for the end of a pause, in the master; return its length [s]."""
 
 
 @dataclass
@@ -86,10 +86,14 @@ class MemoryChannel:
         """Return all changes so far."""
         return tuple(self._noted)
 
-    def wait(self) -> None:
-        """Wait for the end of a pause."""
+    def wait(self) -> float:
+        """Wait for the end of a pause; return its length [s]."""
+        if not self.paused:
+            return 0.0
+        since = time.perf_counter()
         while self.paused:
             time.sleep(PAUSE)
+        return time.perf_counter() - since
 
 
 class FileChannel:
@@ -141,15 +145,17 @@ class FileChannel:
         self._changes = tuple(_records(self._noted)) or self._changes
         return self._changes
 
-    def wait(self) -> None:
+    def wait(self) -> float:
         """Wait for the end of a pause, or for a requested end; meanwhile no call is running."""
         counters = self._counters
         if not counters.hold[0]:
-            return
+            return 0.0
+        since = time.perf_counter()
         doing, counters.doing[0] = counters.doing[0], NOTHING
         while counters.hold[0] and not counters.stop[0]:
             time.sleep(PAUSE)
         counters.doing[0] = doing
+        return time.perf_counter() - since
 
 
 def _append(path: Path, record: Any) -> None:
@@ -169,10 +175,11 @@ class Inbox:
 
     Attributes:
         most: Most steps between looks.
+        pause: Length of the pause at the last look [s].
     """
 
     def __init__(self, channel: Channel) -> None:
-        self._channel, self.most = channel, MOST_STEPS
+        self._channel, self.most, self.pause = channel, MOST_STEPS, 0.0
         self._point, self._due, self._time = 0, 0, -1.0
 
     @property
@@ -191,7 +198,7 @@ class Inbox:
 
     def take(self, k: int, events: Values) -> Values:
         """Return the values to set at point k: those of events, and over them those received."""
-        self._channel.wait()
+        self.pause = self._channel.wait()
         received = self._channel.receive()
         if not received:
             return events

@@ -32,6 +32,7 @@ from cosim.master.inbox import MOST_IN_C, Inbox
 from cosim.master.initialization import Initialization
 from cosim.master.instants import Instants
 from cosim.master.loops import solvers_of, step_function
+from cosim.master.pacing import Pacer
 from cosim.master.step_control import ControlledSteps
 from cosim.storage.files import hold_stops
 from cosim.storage.results import Results
@@ -114,6 +115,8 @@ class Master:
         self.controlled: ControlledSteps | None = None
         self.notes: list[str] = []
         self.events, self.inbox = sorted(system.events), inbox
+        pace = None if system.real_time is None else system.real_time.pace
+        self.pacer = None if pace is None else Pacer(pace, steps, h, rows.doing, progress)
         self.calls = self._calls(progress)
         self.copying = Copying(system, self.row, self.beside, steps, h)
         self.pulls = self.copying.by_component()
@@ -289,7 +292,7 @@ class Master:
 
     def _next_call(self, k: int) -> int:
         """Return the next communication point, from k on, that needs Python in the C loop, or `NEVER`."""
-        if self.beside:
+        if self.beside or self.pacer is not None:
             return k
         place = bisect.bisect_left(self.events, k)
         points = self.events[place : place + 1]
@@ -300,9 +303,9 @@ class Master:
         return min(points, default=NEVER)
 
     def _calls(self, progress: Progress | None) -> tuple[Progress, ...]:
-        """Return the functions to call at requested points before rows are stored: events, exact values, progress."""
+        """Return the functions to call at requested points before rows are stored: pace and events first."""
         calls: list[Progress] = []
-        if self.system.events or self.inbox is not None:
+        if self.system.events or self.inbox is not None or self.pacer is not None:
             calls.append(self._apply_events)
         if self.beside:
             calls.append(self._record_exact)
@@ -317,8 +320,12 @@ class Master:
 
     def _apply_events(self, k: int) -> None:
         changes: Mapping[str, Mapping[str, Any]] = self.system.events.get(k, {})
+        if self.pacer is not None:
+            self.pacer.wait(k)
         if self.inbox is not None:
             changes = self.inbox.take(k, changes)
+            if self.pacer is not None:
+                self.pacer.shift(self.inbox.pause)
         for component in self.components:
             if component.name in changes:
                 component.change(changes[component.name])  # type: ignore[attr-defined]
@@ -359,13 +366,18 @@ class Master:
     def _rows_so_far(self) -> Results:
         beside = self.beside_rows if isinstance(self.beside_rows, list) else []
         time, table = self.time[: self.done], self.table[: self.done]
-        results = results_of(self.system, time, table, beside, self.notes, self.loop, details=self.details())
+        notes = self.notes if self.pacer is None else [*self.notes, *self.pacer.notes(self.system.start)]
+        results = results_of(self.system, time, table, beside, notes, self.loop, details=self.details())
         return results if self.instants is None else self.instants.record.add_to(results)
 
     def details(self) -> dict[str, Any]:
         """Return entries of the manifest about the steps."""
         details: dict[str, Any] = {"loops": [s.record() for s in self.solvers]} if self.solvers else {}
-        return details if self.controlled is None else {**details, "steps": self.controlled.record()}
+        if self.controlled is not None:
+            details["steps"] = self.controlled.record()
+        if self.pacer is not None:
+            details["pacing"] = self.pacer.record(self.system.start)
+        return details
 
 
 def results_of(

@@ -70,3 +70,15 @@ AHEAD_OF_EVENT = Template(
     "{component} was up to {lead:.3g} s ahead of an event of another FMU, because both may return early from a step "
     "and it cannot go back: it got {count} such events that much later. A shorter step of the scenario shortens this",
 )
+
+# Real time
+PACE_LOST = Template(
+    "W-MAS-051",
+    "{count} of {points} communication points came more than a step behind the pace {pace:g}, at worst {worst:.3g} ms "
+    "at t = {at:.6g} s; the run caught up",
+)
+PACE_NOT_KEPT = Template(
+    "W-MAS-052",
+    "the pace {pace:g} is not kept: {count} of {points} communication points came more than a step late, at worst "
+    "{worst:.3g} ms at t = {at:.6g} s, and the last {end:.3g} ms; the run went on as fast as it could",
+)

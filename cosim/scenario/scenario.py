@@ -351,6 +351,7 @@ class Scenario(Part):
     criteria:    required figures of merit; a missed one leads to exit code 5
     limits:      limits on time and memory of a run
     checkpoint:  wall-clock time [s] between two checkpoints, from which `cosim run FOLDER --resume` goes on
+    pace:        simulated seconds per second: 1 for real time; by default as fast as possible
     """
 
     name: str
@@ -378,6 +379,7 @@ class Scenario(Part):
     criteria: Criteria = Field(default_factory=dict)
     limits: Limits | None = None
     checkpoint: PositiveSeconds | None = None
+    pace: Positive | None = None
 
     @property
     def control(self) -> StepControl | None:

@@ -28,7 +28,8 @@ PACKAGES = ("FMPy", "pythonfmu", "numpy", "scipy", "filterpy", "control", "pydan
 def resolve_scenario(file: ScenarioFile, designed: Mapping[str, Mapping[str, Any]], system: System) -> Scenario:
     """Return the executed scenario for the manifest.
 
-    The scenario has designed values in place of `design`, absolute paths, and the hash of each file.
+    The scenario has designed values in place of `design`, absolute paths, and the hash of each file. It repeats the run
+    from its record, as fast as possible: without `pace`.
     """
     components, changes = dict[str, Any](), dict[str, Any]()
     for name, component in file.scenario.components.items():
@@ -41,7 +42,7 @@ def resolve_scenario(file: ScenarioFile, designed: Mapping[str, Mapping[str, Any
         else:
             changes = {}
         components[name] = component.model_copy(update=changes)
-    return file.scenario.model_copy(update={"components": components, "design": None})
+    return file.scenario.model_copy(update={"components": components, "design": None, "pace": None})
 
 
 def check_pinned(file: ScenarioFile) -> None:

@@ -56,6 +56,7 @@ from cosim.storage.folder_lock import folder_locks
 from cosim.storage.folders import check_run_folder, folder_named, keep_earlier
 from cosim.storage.kinds import check_form
 from cosim.storage.results import Results, remove_rows, rows_name
+from cosim.system.real_time import real_time_of
 from cosim.system.system import System, build_system
 
 SPARE = 8192  # room beyond the size of the manifest [bytes]
@@ -228,7 +229,7 @@ def _prepare_new(
         take_nearest(file)
     check_pinned(file)
     designed = designed_apart(file, worker)
-    system = build_system(file, designed)
+    system = replace(build_system(file, designed), real_time=real_time_of(file.scenario))
     if not is_package:
         check_run_folder(place, file.scenario.name, force=force, keep=keep)
     check_writable(place, (rows_file, MANIFEST, "report.html"), file.files)

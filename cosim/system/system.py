@@ -23,6 +23,7 @@ from cosim.system.control import Control, control_of
 from cosim.system.event_blocks import check_events
 from cosim.system.events import Events, changes_of
 from cosim.system.feasible import check_feasible
+from cosim.system.real_time import RealTime
 from cosim.system.schedule import Loop, Schedule, Stage, schedule
 from cosim.system.wiring import Transfer, connect, connection_warnings, lay_out
 
@@ -43,6 +44,7 @@ class System:
         clock_wires: Connected clocks, output and input, as `component.clock`.
         loops: Algebraic loops to solve at each communication point.
         solving: Settings of their solution, None for the default.
+        real_time: What ties its steps to the clock, set by runs that it is to tie.
     """
 
     stages: tuple[Stage, ...]
@@ -63,6 +65,7 @@ class System:
     courses: tuple[int, int] = (0, 0)
     loops: tuple[Loop, ...] = ()
     solving: LoopSettings | None = None
+    real_time: RealTime | None = None
 
 
 def build_system(file: ScenarioFile, start_values: Designed | None = None) -> System:

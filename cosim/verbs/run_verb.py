@@ -46,6 +46,7 @@ def run(
     set: Given | None = None,
     *,
     seed: Seed | None = None,
+    pace: float | None = None,
     nearest: bool = False,
     report: bool = True,
     figures: bool = False,
@@ -68,6 +69,7 @@ def run(
         out: Folder for results.csv, manifest.json and report.html; None writes nothing.
         set: Path → value, for example {"noise": False, "components.plant.start.mass": 2}, or texts "path=value".
         seed: Seed for all random numbers.
+        pace: Simulated seconds per second: 1 for real time; None for the pace of the scenario.
         nearest: Use nearest.yaml instead of model.yaml of every refine folder that the scenario names.
         report: Write report.html.
         figures: Write figures/*.png.
@@ -92,10 +94,15 @@ def run(
     from cosim.simulation.run_signals import run_of
     from cosim.simulation.workflow import run as run_file
 
-    overrides = [*texts(set)]
-    overrides += [] if seed is None else [f"seed={seed}"]
+    overrides = [*texts(set), *_options(seed=seed, pace=pace)]
     if (resume or until is not None) and not isinstance(scenario, Mapping):
-        options = {"out": out is not None, "set": bool(set), "seed": seed is not None, "nearest": nearest}
+        options = {
+            "out": out is not None,
+            "set": bool(set),
+            "seed": seed is not None,
+            "pace": pace is not None,
+            "nearest": nearest,
+        }
         _refuse_options(Path(scenario), options)
         with compiling(compile):
             outcome = run_file(
@@ -116,6 +123,11 @@ def _refuse_options(path: Path, options: Mapping[str, bool]) -> None:
         from cosim.simulation.messages import RESUME_WITH_OPTION
 
         raise InputError.at(path, RESUME_WITH_OPTION(option=given[0]))
+
+
+def _options(**keys: Any) -> list[str]:
+    """Return the overrides that options make."""
+    return [f"{key}={value}" for key, value in keys.items() if value is not None]
 
 
 @contextmanager
@@ -154,6 +166,10 @@ def command(
     seed: Annotated[
         int | None, typer.Option(min=0, help="Seed for all random numbers (default: the seed of the scenario).")
     ] = None,
+    pace: Annotated[
+        float | None,
+        typer.Option(help="Simulated seconds per second: 1 for real time (default: that of the scenario)."),
+    ] = None,
     nearest: Nearest = False,
     report: Report = True,
     open_: Open = False,
@@ -187,9 +203,10 @@ def command(
     from cosim.blocks.compiling import compiling
     from cosim.simulation.workflow import run as run_scenario
 
-    overrides = [*(set_ or []), *([] if seed is None else [f"seed={seed}"])]
+    overrides = [*(set_ or []), *_options(seed=seed, pace=pace)]
     if resume or until is not None:
         given = {"--out": out is not None, "--set": bool(set_), "--seed": seed is not None, "--nearest": nearest}
+        given["--pace"] = pace is not None
         _refuse_options(scenario, {**given, "--format": format_ != "csv"})
     with compiling(compile_), progress_bar() as progress, live_page("run", scenario.stem, live=live, port=port) as page:
         observers = () if page is None else (page,)

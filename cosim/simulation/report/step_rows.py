@@ -1,4 +1,4 @@
-"""Rows of the report on communication steps and algebraic loops."""
+"""Rows of the report on communication steps, algebraic loops and the pace."""
 
 from __future__ import annotations
 
@@ -47,3 +47,21 @@ def loop_rows(run: Run) -> Iterator[Row]:
             *([f"repeated steps: {repeated}"] if repeated else []),
         ]
         yield Row(f"Algebraic loop {' → '.join((*names, *names[:1]))}", "\n".join(lines))
+
+
+def pace_rows(run: Run) -> Iterator[Row]:
+    """Yield a row with overruns and jitter of a paced run."""
+    if not (pacing := mapping(run.manifest.get("pacing"))):
+        return
+    overruns, jitter, points = mapping(pacing.get("overruns")), mapping(pacing.get("jitter")), pacing.get("points")
+    lines = [f"{overruns.get('count')} of {points} communication points reached after their time"]
+    if "worst" in overruns:
+        lines[0] += f", at worst {_ms(overruns['worst'])} at t = {number(overruns.get('at')):g} s"
+    if jitter:
+        names = {"p50": "50 %", "p99": "99 %", "p999": "99.9 %", "max": "all"}
+        lines.append("late by at most " + ", ".join(f"{_ms(jitter.get(k))} ({name})" for k, name in names.items()))
+    yield Row("Pace", "\n".join((f"{number(pacing.get('pace')):g} × real time", *lines)))
+
+
+def _ms(seconds: object) -> str:
+    return f"{1e3 * number(seconds):.3g} ms"

@@ -1,0 +1,123 @@
+"""Pace of a run: each communication point waits for its time on the clock."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, MutableSequence, Sequence
+from typing import Any
+
+import numpy as np
+
+from cosim.isolation.rows import NOTHING
+from cosim.master import messages
+
+SPIN = 2e-4  # [s] before the time, from which on to look at the clock instead of sleeping
+NAP = 0.1  # [s] of a longest sleep, after which a requested end counts
+PERCENTILES = {"p50": 50.0, "p99": 99.0, "p999": 99.9}
+Clock = Callable[[], float]
+
+
+class Pacer:
+    """Waits for the times of communication points, and how late each was.
+
+    The times are counted from the first point, so that a late point does not delay those after it. A run that is behind
+    waits for nothing until it has caught up.
+
+    Args:
+        pace: Simulated seconds per second.
+        h: Communication step [s].
+        doing: Current call, as in `Rows`; none while waiting.
+        progress: Function called with the point during long waits; it may raise.
+    """
+
+    def __init__(
+        self,
+        pace: float,
+        steps: int,
+        h: float,
+        doing: MutableSequence[int],
+        progress: Callable[[int], None] | None = None,
+        *,
+        clock: Clock = time.perf_counter,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        self.pace, self.length, self.h = pace, h / pace, h
+        self._doing, self._progress, self._clock, self._sleep = doing, progress, clock, sleep
+        self._late = np.zeros(steps + 1, np.float32)  # [s], by point
+        self._behind = np.zeros(steps + 1, np.bool_)  # points that the steps reached after their time
+        self._begin, self._points = 0.0, 0
+
+    def wait(self, k: int) -> None:
+        """Wait for the time of point k; the clock starts at point 0."""
+        now = self._clock()
+        if k == 0:
+            self._begin = now
+        due = self._begin + k * self.length
+        if now > due:
+            self._behind[k] = True
+        elif now < due:
+            now = self._until(due, now, k)
+        self._late[k] = now - due
+        self._points = k + 1
+
+    def shift(self, pause: float) -> None:
+        """Shift the times of all further points by a pause [s]."""
+        self._begin += pause
+
+    def _until(self, due: float, now: float, k: int) -> float:
+        """Sleep, then look at the clock; return the time."""
+        clock, doing = self._clock, self._doing
+        call, doing[0] = doing[0], NOTHING
+        while (rest := due - now - SPIN) > 0.0:
+            self._sleep(min(rest, NAP))
+            if rest > NAP and self._progress is not None:
+                self._progress(k)
+            now = clock()
+        while now < due:
+            now = clock()
+        doing[0] = call
+        return now
+
+    def record(self, start: float) -> dict[str, Any]:
+        """Return overruns and jitter [s] for the manifest.
+
+        Args:
+            start: Simulated time of point 0 [s].
+        """
+        late, behind = self._late[1 : self._points].astype(float), self._behind[1 : self._points]
+        if not late.size:
+            return {"pace": self.pace, "points": 0, "overruns": {"count": 0}}
+        overruns: dict[str, Any] = {"count": int(behind.sum())}
+        if behind.any():
+            places = np.flatnonzero(behind)
+            worst, first = int(places[late[places].argmax()]), int(places[0])
+            overruns |= {"worst": _rounded(late[worst]), "at": _rounded(start + (worst + 1) * self.h)}
+            overruns |= {"first_at": _rounded(start + (first + 1) * self.h)}
+            overruns["beyond_step"] = int((late[places] > self.length).sum())
+        jitter = {name: _rounded(np.percentile(late, share)) for name, share in PERCENTILES.items()}
+        jitter["max"] = _rounded(late.max())
+        within = float((late <= 1e-3).mean())
+        return {
+            "pace": self.pace,
+            "points": int(late.size),
+            "overruns": overruns,
+            "jitter": jitter,
+            "within_1_ms": within,
+            "behind_at_end": _rounded(late[-1]),
+        }
+
+    def notes(self, start: float) -> Sequence[str]:
+        """Return a warning about points more than a step late."""
+        record = self.record(start)
+        overruns = record["overruns"]
+        if not overruns.get("beyond_step"):
+            return ()
+        fields = {"count": overruns["beyond_step"], "points": record["points"], "worst": 1e3 * overruns["worst"]}
+        fields |= {"pace": self.pace, "at": overruns["at"]}
+        if (end := record["behind_at_end"]) > self.length:
+            return (messages.PACE_NOT_KEPT(end=1e3 * end, **fields),)
+        return (messages.PACE_LOST(**fields),)
+
+
+def _rounded(value: Any) -> float:
+    return float(f"{value:.9g}")
