@@ -170,16 +170,38 @@ def _records(path: Path) -> Iterator[Any]:
             yield pickle.load(stream)
 
 
+class Partners(Protocol):
+    """Partners outside with which a run exchanges values."""
+
+    sends: bool
+
+    def receive(self, k: int) -> Values:
+        """Return the values that are new at point k."""
+
+    def send(self, k: int, row: Sequence[float]) -> None:
+        """Send the values of point k."""
+
+    def finish(self, k: int) -> None:
+        """End the exchange after point k."""
+
+    def record(self) -> Sequence[Mapping[str, Any]]:
+        """Return what the partners did, for the manifest."""
+
+    def notes(self) -> Sequence[str]:
+        """Return warnings."""
+
+
 class Inbox:
     """Received changes for the master.
 
     Attributes:
         most: Most steps between looks.
         pause: Length of the pause at the last look [s].
+        partners: Partners that send values too.
     """
 
-    def __init__(self, channel: Channel) -> None:
-        self._channel, self.most, self.pause = channel, MOST_STEPS, 0.0
+    def __init__(self, channel: Channel, partners: Partners | None = None) -> None:
+        self._channel, self.partners, self.most, self.pause = channel, partners, MOST_STEPS, 0.0
         self._point, self._due, self._time = 0, 0, -1.0
 
     @property
@@ -200,6 +222,8 @@ class Inbox:
         """Return the values to set at point k: those of events, and over them those received."""
         self.pause = self._channel.wait()
         received = self._channel.receive()
+        if self.partners is not None and (values := self.partners.receive(k)):
+            received = [*received, values]
         if not received:
             return events
         changes = merge(*received)
@@ -224,6 +248,13 @@ def merge(*every: Values) -> Values:
     return merged
 
 
+def targets_of(system: System) -> Targets:
+    """Return the variables of a system that may be set during a run."""
+    parts = system.held, *(stage.pulls for stage in system.stages), *(loop.transfers for loop in system.loops)
+    names = {transfer.name for part in parts for transfer in part}
+    return Targets({name: description for name, (_, description) in system.fmus.items()}, names)
+
+
 class Control:
     """Control of a running simulation, for any thread."""
 
@@ -232,10 +263,7 @@ class Control:
 
     @cached_property
     def _targets(self) -> Targets:
-        system = self._system
-        parts = system.held, *(stage.pulls for stage in system.stages), *(loop.transfers for loop in system.loops)
-        names = {transfer.name for part in parts for transfer in part}
-        return Targets({name: description for name, (_, description) in system.fmus.items()}, names)
+        return targets_of(self._system)
 
     @cached_property
     def variables(self) -> Sequence[Variable]:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -99,10 +99,8 @@ def simulate_here(
             raise _early_end(system, h, done)
 
     try:
-        if observers:
-            results, failure = _run(system, steps, h, give, rows, Inbox(channel)), None
-        else:
-            results, failure = _run(system, steps, h, None, rows), None
+        with _inbox(system, h, channel, observed=bool(observers)) as inbox:
+            results, failure = _run(system, steps, h, give if observers else None, rows, inbox), None
     except StoppedRun as run:
         results, failure = run.results, run.error
     feed.end(results.values)
@@ -124,6 +122,19 @@ def _early_end(system: System, h: float, done: int) -> EarlyEnd:
 def _last_time(system: System, h: float, rows: int) -> float:
     """Return the time [s] of the last finished row."""
     return system.start + h * max(0, rows - 1)
+
+
+@contextmanager
+def _inbox(system: System, h: float, channel: Channel, *, observed: bool) -> Iterator[Inbox | None]:
+    """Yield the inbox of a run with observers or partners, None without; links to partners are open meanwhile."""
+    plan = None if system.real_time is None else system.real_time.live
+    if plan is None:
+        yield Inbox(channel) if observed else None
+        return
+    from cosim.master.live_values import LiveValues
+
+    with closing(LiveValues(system, plan, h)) as partners:
+        yield Inbox(channel, partners)
 
 
 def _run(
@@ -201,8 +212,8 @@ def simulate_rows(system: System, steps: int, h: float, job: RowsJob) -> WorkerE
     try:
         keeper = _keeper(job, mapped) if job.keeps else None
         rows = Rows(mapped, beside, progress.made, progress.doing, _store_loop, progress.asked, keeper, job.given)
-        inbox = Inbox(FileChannel(job.channel, progress)) if job.observed else None
-        results = _run(system, steps, h, obey if job.observed else None, rows, inbox)
+        with _inbox(system, h, FileChannel(job.channel, progress), observed=job.observed) as inbox:
+            results = _run(system, steps, h, obey if job.observed else None, rows, inbox)
     except StoppedRun as run:
         results, failure = run.results, run.error
     except OSError as error:

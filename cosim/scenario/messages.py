@@ -61,3 +61,6 @@ TWO_NUMBERS = Template(
     "{name} is {start:g} in components.{component}.start and {design:g} in design: it runs with the first and"
     " is designed with the second",
 )
+
+# -- real time ------------------------------------------------------------------------------------
+NO_ADDRESS = Template("E-SCN-051", "it is a port from 1 to 65535, such as 5005, or host:port, such as 192.168.0.7:5005")

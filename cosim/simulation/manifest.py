@@ -29,7 +29,7 @@ def resolve_scenario(file: ScenarioFile, designed: Mapping[str, Mapping[str, Any
     """Return the executed scenario for the manifest.
 
     The scenario has designed values in place of `design`, absolute paths, and the hash of each file. It repeats the run
-    from its record, as fast as possible: without `pace`.
+    from its record, as fast as possible: without `pace` and `live`.
     """
     components, changes = dict[str, Any](), dict[str, Any]()
     for name, component in file.scenario.components.items():
@@ -42,7 +42,7 @@ def resolve_scenario(file: ScenarioFile, designed: Mapping[str, Mapping[str, Any
         else:
             changes = {}
         components[name] = component.model_copy(update=changes)
-    return file.scenario.model_copy(update={"components": components, "design": None, "pace": None})
+    return file.scenario.model_copy(update={"components": components, "design": None, "pace": None, "live": None})
 
 
 def check_pinned(file: ScenarioFile) -> None:
@@ -80,6 +80,7 @@ def manifest(
         "source": str(file.path.resolve()),
         "scenario": resolve_defaults(scenario),
         "design": resolve_defaults(file.scenario).get("design"),
+        **_real_time(file.scenario),
         "seed": scenario.seed,
         "order": [stage.component.name for stage in system.stages],
         "held": [transfer.name for transfer in system.held],
@@ -105,6 +106,13 @@ def manifest(
     }
 
 
+def _real_time(scenario: Scenario) -> dict[str, Any]:
+    """Return what tied the run to the world outside, which its repetition does without."""
+    resolved = resolve_defaults(scenario)
+    settings = {key: resolved[key] for key in ("pace", "live") if key in resolved}
+    return {"real_time": settings} if settings else {}
+
+
 def add_changes(record: dict[str, Any], scenario: Scenario, changes: Sequence[Change]) -> None:
     """Add the changes that were made while a run went on to its manifest, as events at the same points.
 
@@ -114,15 +122,19 @@ def add_changes(record: dict[str, Any], scenario: Scenario, changes: Sequence[Ch
         return
     events: list[dict[str, Any]] = record["scenario"].setdefault("events", [])
     made = []
+    others: dict[int, list[dict[str, Any]]] = {}
+    for event in events:
+        others.setdefault(point_of(event["at"], scenario.start_time, scenario.step), []).append(event)
     for change in changes:
-        times = [e["at"] for e in events if point_of(e["at"], scenario.start_time, scenario.step) == change.point]
-        at = max([time_of(change.point, scenario.start_time, scenario.step), *times])
+        at_point = others.setdefault(change.point, [])
+        at = max([time_of(change.point, scenario.start_time, scenario.step), *(e["at"] for e in at_point)])
         values = {f"{name}.{variable}": v for name, values in change.values.items() for variable, v in values.items()}
         made.append({"at": at, "set": values})
-        for event in events:  # Two events at one time cannot set a variable twice; the change came last.
+        for event in at_point:  # Two events at one time cannot set a variable twice; the change came last.
             if event["at"] == at:
                 event["set"] = {name: values.get(name, value) for name, value in event["set"].items()}
-        events.append({"at": at, "set": dict(values)})
+        at_point.append({"at": at, "set": dict(values)})
+        events.append(at_point[-1])
     record["changes"] = made
     record["warnings"].append(messages.CHANGED_WHILE_RUNNING(count=counted(len(made), "change")))
 

@@ -18,6 +18,7 @@ from cosim.isolation.process import Worker
 from cosim.isolation.rows import allocate
 from cosim.master.checkpoint import Continuation, Keeping
 from cosim.master.inbox import Change, with_changes
+from cosim.master.input_functions import InputFunctions, NamedFunctions
 from cosim.master.observer import Observer, ProgressObserver
 from cosim.master.remote import MODULES, SteppedRun, simulate_apart, simulate_here
 from cosim.scenario.controller_design import designed_apart
@@ -147,6 +148,7 @@ def run(
     format_: str = "csv",
     progress: Callable[[int, int], None] | None = None,
     observers: Sequence[Observer] = (),
+    inputs: NamedFunctions | None = None,
     resume: bool = False,
     until: float | None = None,
     tell: Callable[[str], None] = lambda text: None,
@@ -162,6 +164,7 @@ def run(
             scenario and FMUs go to `system` in the folder.
         force: Whether to overwrite the run of a different scenario.
         nearest: Whether to use the nearest FMUs and model of a refine instead of its refined ones.
+        inputs: Input → function that returns its value while the run goes on.
         observers: Receive rows during the run; `progress`, a function of (steps done, total), is added to them.
         format_: Format of the rows, e.g. parquet for results.parquet instead of results.csv.
         in_process: Load FMUs into this process, for a debugger; a crash of an FMU then loses all rows.
@@ -189,6 +192,10 @@ def run(
         else:
             options = force, nearest, rows_name("results", format_)
             prepared = _prepare_new(path, folder, overrides, options, software, worker)
+        if inputs:
+            functions = InputFunctions(inputs)
+            functions.check(prepared.system)
+            observers.append(functions)
         loaded = time.perf_counter()
         stepped = _step(prepared, worker, observers, tell)
         stepping = time.perf_counter() - loaded
@@ -229,7 +236,7 @@ def _prepare_new(
         take_nearest(file)
     check_pinned(file)
     designed = designed_apart(file, worker)
-    system = replace(build_system(file, designed), real_time=real_time_of(file.scenario))
+    system = replace(build_system(file, designed), real_time=real_time_of(file))
     if not is_package:
         check_run_folder(place, file.scenario.name, force=force, keep=keep)
     check_writable(place, (rows_file, MANIFEST, "report.html"), file.files)

@@ -102,6 +102,21 @@ class Targets:
 
     def value(self, target: str, written: Any) -> Any:
         """Return a value in the FMI type of the variable `component.variable`, or a `Misfit` with the reason."""
+        variable = self._variable(target)
+        if isinstance(variable, Misfit):
+            return variable
+        value = convert_value(self._descriptions[target.partition(".")[0]], variable, written)
+        if isinstance(value, Misfit):
+            return Misfit(messages.VALUE_MISFIT(name=target, value=written, reason=value.reason))
+        return value
+
+    def objection(self, target: str) -> str:
+        """Return why `component.variable` cannot be set during a run, or ""."""
+        variable = self._variable(target)
+        return variable.reason if isinstance(variable, Misfit) else ""
+
+    def _variable(self, target: str) -> Any:
+        """Return the variable `component.variable`, or a `Misfit` if it cannot be set."""
         name, _, variable_name = target.partition(".")
         description = self._descriptions.get(name)
         if description is None:
@@ -116,10 +131,7 @@ class Targets:
             return Misfit(messages.NOT_CHANGEABLE(name=target, **kind))
         if self._is_connected(target):
             return Misfit(messages.SET_AND_CONNECTED(name=target))
-        value = convert_value(description, variable, written)
-        if isinstance(value, Misfit):
-            return Misfit(messages.VALUE_MISFIT(name=target, value=written, reason=value.reason))
-        return value
+        return variable
 
     def variables(self, starts: Mapping[str, Mapping[str, Any]]) -> list[Variable]:
         """Return all variables that may be set, with their start values in `starts` by component."""

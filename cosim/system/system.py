@@ -21,9 +21,9 @@ from cosim.system import messages
 from cosim.system.components import Designed, build_components
 from cosim.system.control import Control, control_of
 from cosim.system.event_blocks import check_events
-from cosim.system.events import Events, changes_of
+from cosim.system.events import Events, Targets, changes_of
 from cosim.system.feasible import check_feasible
-from cosim.system.real_time import RealTime
+from cosim.system.real_time import RealTime, check_live
 from cosim.system.schedule import Loop, Schedule, Stage, schedule
 from cosim.system.wiring import Transfer, connect, connection_warnings, lay_out
 
@@ -94,6 +94,9 @@ def build_system(file: ScenarioFile, start_values: Designed | None = None) -> Sy
     blocks = {name: c for name, c in components.items() if isinstance(c, FmuBlock)}
     events = changes_of(file, blocks, diagnosis)
     _check_record(file, components, diagnosis)
+    descriptions = {name: block.description for name, block in blocks.items()}
+    targets = Targets(descriptions, {c.target for c in scenario.connections})
+    check_live(file, targets, layout.columns, layout.beside, diagnosis)
     diagnosis.raise_any()
     warnings = [*diagnosis.warnings, *connection_warnings(file, components)]
     warnings += [warning for block in blocks.values() for warning in block.warnings]

@@ -36,6 +36,7 @@ from cosim.verbs.scratch_results import results_in
 from cosim.verbs.terminal import progress_bar, say, say_finding, warn
 
 if TYPE_CHECKING:
+    from cosim.master.input_functions import NamedFunctions
     from cosim.master.observer import Observers
     from cosim.simulation.run_signals import Run
 
@@ -56,6 +57,7 @@ def run(
     format: str = "csv",
     progress: Callable[[int, int], None] | None = None,
     observers: Observers = (),
+    inputs: NamedFunctions | None = None,
     resume: bool = False,
     until: float | None = None,
 ) -> Run:
@@ -79,6 +81,7 @@ def run(
         format: File format of the rows: "csv", "parquet", "mat", "hdf5", "mcap", or one of an installed package.
         progress: Function of (completed steps, all steps).
         observers: Objects that receive the rows during the run (`cosim.master.observer.Observer`).
+        inputs: Input → function of time and signals that returns its value while the run goes on, None to hold it.
         resume: Go on with the stopped run in a folder, to the bytes that an uninterrupted run gives.
         until: End [s] of a longer run that goes on with the run in a folder.
 
@@ -111,7 +114,7 @@ def run(
             )  # fmt: skip
         return run_of(outcome.results, outcome.manifest, outcome.folder)
     with compiling(compile), results_in(out) as folder, _scenario_file(scenario) as path:
-        steps = partial(run_file, in_process=in_process, progress=progress, observers=observers)
+        steps = partial(run_file, in_process=in_process, progress=progress, observers=observers, inputs=inputs)
         leaves = partial(steps, report=report and out is not None, figures=figures and out is not None)
         outcome = leaves(path, folder, overrides, force=force, nearest=nearest, format_=format)
     return run_of(outcome.results, outcome.manifest, None if out is None else outcome.folder)

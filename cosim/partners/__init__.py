@@ -1,0 +1,1 @@
+"""Messages between a run and its partners, over UDP and MQTT."""
