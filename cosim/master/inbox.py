@@ -173,12 +173,14 @@ def _records(path: Path) -> Iterator[Any]:
 class Partners(Protocol):
     """Partners outside with which a run exchanges values."""
 
-    sends: bool
+    @property
+    def sends(self) -> bool:
+        """Whether values are sent."""
 
     def receive(self, k: int) -> Values:
         """Return the values that are new at point k."""
 
-    def send(self, k: int, row: Sequence[float]) -> None:
+    def send(self, k: int, row: Any) -> None:
         """Send the values of point k."""
 
     def finish(self, k: int) -> None:

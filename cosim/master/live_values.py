@@ -135,7 +135,7 @@ class LiveValues:
                     changes.setdefault(component, {})[variable] = value
         return changes
 
-    def send(self, k: int, row: Sequence[float]) -> None:
+    def send(self, k: int, row: Any) -> None:
         """Send the values of point k."""
         if k % self._plan.every:
             return
@@ -167,7 +167,7 @@ class LiveValues:
 
     def notes(self) -> list[str]:
         """Return warnings on lost partners and refused messages."""
-        notes = []
+        notes: list[str] = []
         for each in self._inputs:
             fields = {"input": each.port.name, "partner": each.port.label}
             if each.lost_count:

@@ -311,8 +311,8 @@ class Master:
             calls.append(self._apply_events)
         if self.beside:
             calls.append(self._record_exact)
-        if self._sends is not None:
-            calls.append(lambda k: self._sends(k, self.row))
+        if (send := self._sends) is not None:
+            calls.append(lambda k: send(k, self.row))
         if progress is not None:
             every = PROGRESS_EVERY if self.inbox is None else 1
             calls.append(lambda k: progress(k) if k and k % every == 0 else None)
