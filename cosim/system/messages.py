@@ -171,6 +171,6 @@ CLOCK_NOT_TUNABLE = Template(
 NO_INTERVAL = Template("E-SYS-085", "{name} is {value!r}; give the interval of the clock, a time above 0 s")
 
 # Partners
-ONE_PARTNER = Template("E-SYS-051", "{name} needs one of udp and mqtt")
-NO_DOUBLE_OUTPUT = Template("E-SYS-052", "{name} is text or a 64-bit integer; only numbers are sent")
-SAME_FIELD = Template("E-SYS-053", "{name} and {other} would both be {field} of one message; name their fields")
+ONE_PARTNER = Template("E-SYS-091", "{name} needs one of udp and mqtt")
+NO_DOUBLE_OUTPUT = Template("E-SYS-092", "{name} is text or a 64-bit integer; only numbers are sent")
+SAME_FIELD = Template("E-SYS-093", "{name} and {other} would both be {field} of one message; name their fields")
