@@ -195,7 +195,8 @@ def test_a_claim_that_hangs_on_the_tolerance_has_a_rival() -> None:
     plain = Hypothesis((Candidate("a", "effect", (), ()),), made((mass,), {"mass": 1.0}, np.array([[1e6]])), 100.0)
     away = made((mass,), {"mass": 1.2}, np.array([[1e6]]), nll=-2.0)  # penalty 8
     strained = Hypothesis((Candidate("b", "effect", (), ()),), away, 106.0)
-    search = cast(Search, SimpleNamespace(problem=SimpleNamespace(scatter=1.0), cost=lambda parts: 100.0))
+    problem, subject = SimpleNamespace(scatter=1.0), SimpleNamespace(probed=False)
+    search = cast(Search, SimpleNamespace(problem=problem, cost=lambda parts: 100.0, subject=subject))
     assert plain.fit.objective < strained.fit.objective
     assert _is_rival(search, plain, strained)
 

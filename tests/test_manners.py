@@ -15,7 +15,7 @@ from tests.tank import MODEL as TANK
 from tests.typed import typed_fmu
 
 COMMANDS = sorted(c.name or c.callback.__name__ for c in app.registered_commands if c.callback)
-WITHOUT_FILES = {"bench", "consistency", "schema"}  # the first and the last print nothing but JSON
+WITHOUT_FILES = {"bench", "consistency", "gc", "list", "open", "schema"}  # some print JSON alone
 ASKED = {"build": ["--model"], "compare": ["none.csv"], "fit": ["--fmu", "none.fmu"]}
 
 

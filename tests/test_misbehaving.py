@@ -445,7 +445,7 @@ def test_a_replay_whose_fmu_crashes_as_it_is_freed_is_written_whole(tmp_path: Pa
     log, fmu = measured_log(tmp_path), deeds_fmu(tmp_path / "bad.fmu", "FreeInstance", "exit")
     with pytest.raises(Crashed, match="fmi2FreeInstance ended the process, exit code 0"):
         replay(log, tmp_path / "out", fmu)
-    left = ["replay.json", "report.html", "residual.csv", "results.csv"]
+    left = ["replay.json", "report.html", "residual.csv", "results.csv", "study.yaml"]
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == left
 
 

@@ -121,23 +121,6 @@ def test_faults_of_form_and_of_meaning_are_told_together(project: Path) -> None:
     assert lines == [5, 6, 19, 30, 32, 44]
 
 
-def test_components_that_need_each_other_at_once_are_an_algebraic_loop(project: Path) -> None:
-    text = (
-        "name: loop\nduration: 1\nstep: 0.02\ncomponents:\n  a: {fmu: ../build/controller.fmu}\n"
-        "  b: {fmu: ../build/controller.fmu}\nconnections:\n  - {from: a.psi_hat, to: b.psi}\n"
-        "  - {from: b.psi_hat, to: a.psi}\n"
-    )
-    assert len(faults_of(project, text.replace("step: 0.02", "step: 0.03"))) == 2  # told beside other faults
-    (fault,) = faults_of(project, text)
-    assert fault.startswith("8:3: algebraic loop under gauss-seidel: ")
-    assert "order: [a, b]" in fault
-    assert "algorithm: jacobi" in fault
-    for cure in ("order: [a, b]\n", "algorithm: jacobi\n"):
-        path = project / "scenarios" / "case.yaml"
-        path.write_text(cure + text)
-        build_system(ScenarioFile(path))
-
-
 @pytest.mark.thorough
 @pytest.mark.parametrize(
     ("content", "place", "words"),

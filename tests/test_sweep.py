@@ -616,7 +616,7 @@ def test_a_dask_address_that_does_not_answer_is_told_before_anything_runs(
     path = tanks(VARY + "dask: tcp://127.0.0.1:9\n")
     with pytest.raises(InputError, match=r"sweep.yaml:10:7: no dask scheduler answers at tcp://127.0.0.1:9"):
         sweep(path, path.parent / "out", in_process=True)
-    assert not list((path.parent / "out").iterdir())
+    assert not list((path.parent / "out").glob("*"))
 
 
 def test_faults_of_the_scenario_are_told_at_their_own_place(tanks: Callable[..., Path]) -> None:

@@ -108,11 +108,6 @@ class FileChannel:
         self._changes: Sequence[Change] = ()  # also after the end, when the files are gone
         self._lock = threading.Lock()
 
-    def clear(self) -> None:
-        """Remove the records of an earlier run."""
-        self._sent.unlink(missing_ok=True)
-        self._noted.unlink(missing_ok=True)
-
     @property
     def paused(self) -> bool:
         """Return whether the run is to wait."""

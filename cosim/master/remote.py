@@ -16,7 +16,7 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.drafts import is_full
 from cosim.base.errors import CosimError, DiskFull, SimulationError, Terminated, stop_error
-from cosim.base.scratch import ScratchFolder, lock_file, scratch
+from cosim.base.scratch import ScratchFolder, lock_file, scratch, temporary_folder
 from cosim.blocks.component import EarlyEnd
 from cosim.isolation import worker as here
 from cosim.isolation.component_times import ComponentTimes, Slower
@@ -299,8 +299,8 @@ def simulate_apart(
         worker.start()
         counters = worker.progress
         counters.loop, counters.stop[0], counters.hold[0], counters.sent[0] = b"", 0, 0, 0
-        channel = FileChannel(worker.folder, counters)
-        channel.clear()
+        exchange = stack.enter_context(temporary_folder("changes"))  # outlives a crash of the worker
+        channel = FileChannel(exchange, counters)
         if keeping is not None and keeping.folder is not None:
             table = keeping.folder / ROWS
             count = _allocate_kept(keeping.folder, steps + 1, 8 * columns, start)
@@ -316,7 +316,7 @@ def simulate_apart(
             feed.table = np.memmap(table, np.float64, "r", shape=(count, columns))
         try:
             interval = None if keeping is None else keeping.interval
-            job = RowsJob(table, limits, worker.folder, bool(observers), interval, given, keeping is not None)
+            job = RowsJob(table, limits, exchange, bool(observers), interval, given, keeping is not None)
             end = worker.call(simulate_rows, system, count - 1, h, job, watch=watch)
             hold_stops()  # The rows must be saved.
         except (SimulationError, KeyboardInterrupt, Terminated) as stop:

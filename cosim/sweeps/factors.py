@@ -150,8 +150,9 @@ class Factors:
 
     def _of_path(self, name: str, varied: Varied) -> Factor | None:
         first = name.partition(".")[0]
-        if first not in Scenario.model_fields:
-            hint = did_you_mean(first, [*Scenario.model_fields, *self.scenario.scenario.components])
+        keys = [field.alias or name for name, field in Scenario.model_fields.items()]
+        if first not in keys:
+            hint = did_you_mean(first, [*keys, *self.scenario.scenario.components])
             self._note(("vary", name), messages.UNKNOWN_FACTOR(name=short(first), hint=hint), key=True)
             return None
         if first in FIXED:
