@@ -19,6 +19,7 @@ EXTRAS = {  # library → extra that installs it
     "pandas": "sweep",
     "pyarrow": "parquet",
     "ziglang": "native",
+    "zmq": "remote",
 }
 
 

@@ -142,7 +142,8 @@ class ClockTiming(Part):
 class FmuComponent(Part):
     """FMU with start values: a number in the variable's unit, or text such as `12 deg`.
 
-    fmu:     file, relative to the scenario
+    fmu:     file, relative to the scenario; with `at`, relative to a folder of the server
+    at:      host:port of a server of FMUs (`cosim serve`) that has the file
     start:   variable → value, for parameters and unconnected inputs
     process: `own` for a process shared with no other FMU
     interface: FMI interface, if the FMU offers several
@@ -156,6 +157,7 @@ class FmuComponent(Part):
     """
 
     fmu: str
+    at: Annotated[str, Field(pattern=r"^[A-Za-z0-9.-]+:[1-9][0-9]{0,4}$")] | None = None
     process: Literal["own"] | None = None
     start: dict[str, Annotated[Any, AfterValidator(_scalar)]] = Field(default_factory=dict)
     interface: Literal["co-simulation", "model-exchange", "scheduled-execution"] | None = None

@@ -94,7 +94,8 @@ class ScenarioFile:
     @property
     def files(self) -> list[Path]:
         """Return the FMUs and recordings of the components."""
-        names = ((getattr(c, "fmu", None) or getattr(c, "file", None)) for c in self.scenario.components.values())
+        local = [c for c in self.scenario.components.values() if getattr(c, "at", None) is None]
+        names = ((getattr(c, "fmu", None) or getattr(c, "file", None)) for c in local)
         return [self.resolve(name) for name in names if name]
 
     def fault(self, location: tuple[str | int, ...], message: str, exit_code: int = 2) -> Fault:
@@ -264,6 +265,8 @@ def _from_here(keys: Sequence[str], value: Any) -> Any:
     """
     file_keys = FILES.get(keys[0], ())
     inner = keys[2:] if keys[0] == "components" else keys[1:]
+    if isinstance(value, dict) and not inner and value.get("at"):
+        return value  # Its file is that of a server.
     if isinstance(value, dict) and not inner:
         return {key: _absolute(v) if key in file_keys else v for key, v in value.items()}
     return _absolute(value) if len(inner) == 1 and inner[0] in file_keys else value

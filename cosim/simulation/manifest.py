@@ -33,7 +33,9 @@ def resolve_scenario(file: ScenarioFile, designed: Mapping[str, Mapping[str, Any
     """
     components, changes = dict[str, Any](), dict[str, Any]()
     for name, component in file.scenario.components.items():
-        if isinstance(component, FmuComponent):
+        if isinstance(component, FmuComponent) and component.at:
+            changes = {"start": {**designed.get(name, {}), **component.start}, "sha256": system.distant[name]}
+        elif isinstance(component, FmuComponent):
             path = system.fmus[name][0]
             changes = {"fmu": str(path), "start": {**designed.get(name, {}), **component.start}, "sha256": sha256(path)}
         elif component.block == "playback":
@@ -52,7 +54,7 @@ def check_pinned(file: ScenarioFile) -> None:
         key = key_of(component)
         pinned: str | None = getattr(component, "sha256", None)
         path = file.resolve(getattr(component, key, ""))
-        if pinned is not None and path.is_file() and sha256(path) != pinned:
+        if pinned is not None and not getattr(component, "at", None) and path.is_file() and sha256(path) != pinned:
             message = messages.FILE_OF_ANOTHER_RUN(path=path, kind="FMU" if key == "fmu" else "file")
             faults.append(file.fault(("components", name, key), message))
     refuse(faults)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,9 @@ from cosim.blocks.component import Component
 from cosim.blocks.description import read_description, state_names, ways
 from cosim.blocks.fixes import COUNT, Fixes, Sensor
 from cosim.blocks.fmu import FmuBlock, matches
+from cosim.blocks.remote_fmu import Distant, RemoteFmu, find_distant
 from cosim.blocks.sources import playback, reference
+from cosim.blocks.wire import LinkError
 from cosim.scenario.diagnosis import Diagnosis
 from cosim.scenario.scenario import FixComponent, FmuComponent, PlaybackComponent, ReferenceComponent, Scenario
 from cosim.scenario.scenario_file import ScenarioFile
@@ -86,7 +88,12 @@ def _fmu(
     read: Callable[[Path], Any],
     diagnosis: Diagnosis,
 ) -> FmuBlock | None:
-    path = file.resolve(component.fmu)
+    distant = None
+    if component.at is not None:
+        distant = _find_distant(name, component, component.at, diagnosis)
+        if distant is None:
+            return None
+    path = file.resolve(component.fmu) if distant is None else distant.path
     if not path.is_file():
         is_built = is_model(BASE) and path.name in model_entry().built
         cure = f'; "cosim build --out {path.parent}" makes it' if is_built else ""
@@ -106,6 +113,11 @@ def _fmu(
     make = event_block(file, name, component, path, read, diagnosis)
     if make is None:
         return None
+    if distant is not None:
+        if make is not FmuBlock or (component.interface or ways(description)[0]) != "co-simulation":
+            diagnosis.note(("components", name, "at"), messages.NOT_REMOTE(fmu=component.fmu))
+            return None
+        make = partial(RemoteFmu, distant=distant)
     return make(
         name,
         path,
@@ -118,6 +130,17 @@ def _fmu(
         logging=component.logging,
         solver=component.solver,
     )
+
+
+def _find_distant(name: str, component: FmuComponent, at: str, diagnosis: Diagnosis) -> Distant | None:
+    """Return the FMU of a server; note a fault if there is none."""
+    try:
+        return find_distant(at, component.fmu, component.sha256)
+    except LinkError as error:
+        diagnosis.note(("components", name, error.key), error.message, exit_code=error.exit_code)
+    except InputError as error:  # A library is missing.
+        diagnosis.note(("components", name, "at"), error.faults[0].message)
+    return None
 
 
 def _recorded_names(patterns: Sequence[str], name: str, description: Any) -> frozenset[str]:

@@ -13,6 +13,7 @@ from typing import Any
 
 from cosim.blocks.component import Component, Signal
 from cosim.blocks.fmu import FmuBlock
+from cosim.blocks.remote_fmu import RemoteFmu
 from cosim.scenario.diagnosis import Diagnosis, Place
 from cosim.scenario.scenario import FmuComponent, LoopSettings, Scenario
 from cosim.scenario.scenario_file import ScenarioFile
@@ -45,6 +46,7 @@ class System:
         loops: Algebraic loops to solve at each communication point.
         solving: Settings of their solution, None for the default.
         real_time: What ties its steps to the clock, set by runs that it is to tie.
+        distant: SHA-256 of each FMU on another machine.
     """
 
     stages: tuple[Stage, ...]
@@ -66,6 +68,7 @@ class System:
     loops: tuple[Loop, ...] = ()
     solving: LoopSettings | None = None
     real_time: RealTime | None = None
+    distant: Mapping[str, str] = field(default_factory=dict)
 
 
 def build_system(file: ScenarioFile, start_values: Designed | None = None) -> System:
@@ -118,6 +121,7 @@ def build_system(file: ScenarioFile, start_values: Designed | None = None) -> Sy
         solving=scenario.loops,
         control=control,
         courses=scenario.courses,
+        distant={name: c.distant.sha256 for name, c in blocks.items() if isinstance(c, RemoteFmu)},
     )
 
 

@@ -1,0 +1,204 @@
+"""An FMU on another machine, stepped through a server of FMUs: one message and its answer for each step."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Callable, Mapping, MutableSequence, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from cosim.base.drafts import draft_of
+from cosim.base.errors import FmuError, SimulationError
+from cosim.blocks import messages
+from cosim.blocks.component import Row, in_turn
+from cosim.blocks.fmu import FmuBlock
+from cosim.blocks.instance import Instance
+from cosim.blocks.link import Control, Session
+from cosim.blocks.wire import HEAD, LinkError, Operation, decode
+from cosim.storage.archive import DESCRIPTION
+from cosim.storage.cache import cache_path
+
+SETTINGS = "tolerance", "logging", "solver"
+
+
+@dataclass(frozen=True)
+class Distant:
+    """An FMU of a server.
+
+    Attributes:
+        at: host:port of the server.
+        fmu: File within the server's folders.
+        sha256: SHA-256 of that file.
+        path: Local FMU that holds only its model description.
+    """
+
+    at: str
+    fmu: str
+    sha256: str
+    path: Path
+
+
+def find_distant(at: str, fmu: str, sha256: str | None) -> Distant:
+    """Return an FMU of a server; its description comes from there.
+
+    Raises:
+        LinkError: The server cannot be used or does not offer the FMU.
+        InputError: A library is missing.
+    """
+    with Control(at) as control:
+        answer = control.ask("describe", fmu=fmu, sha256=sha256)
+    content, digest = bytes(answer["description"]), str(answer["sha256"])
+    path = cache_path(f"description {digest} {content.hex()}", ".fmu")
+    with draft_of(path) as draft, zipfile.ZipFile(draft, "w") as archive:
+        archive.writestr(zipfile.ZipInfo(DESCRIPTION), content)
+    return Distant(at, fmu, digest, path)
+
+
+class _AbsentInstance(Instance):
+    """The instance of an FMU that is elsewhere: no state is saved, no step repeated."""
+
+    rolls_back = serializes = False  # type: ignore[assignment]
+
+
+class RemoteFmu(FmuBlock):
+    """An FMU in a process of a server.
+
+    Args:
+        distant: Server and file.
+    """
+
+    def __init__(self, *arguments: Any, distant: Distant, **settings: Any) -> None:
+        super().__init__(*arguments, **settings)
+        make, words = self._recipe
+        self._recipe = partial(make, distant=distant), words
+        self.distant, self._settings = distant, settings
+        self.instance = _AbsentInstance(self.path, self._calls, logging=False)
+        self._session: Session | None = None
+        self._outputs: list[bytes] | None = None  # received with a step
+
+    def bind(self, row: Row, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:
+        """Set the places of the signals."""
+        self._beside = [] if beside is None else beside
+        ends = [first, len(self.inputs), len(self.outputs)]
+        exact = [first_beside, len(self.exact_inputs), len(self.exact_outputs)]
+        for k in (1, 2):
+            ends[k], exact[k] = ends[k - 1] + ends[k], exact[k - 1] + exact[k]
+        view = memoryview(row).cast("B")
+        self._in, self._out, self._all = (view[8 * a : 8 * b] for a, b in (ends[:2], ends[1:], ends[::2]))
+        self._exact_in, self._exact_out, self._exact_all = (slice(a, b) for a, b in (exact[:2], exact[1:], exact[::2]))
+        self._has_exact = exact[2] > exact[0]
+
+    def open(self, start: float, stop: float) -> None:
+        """Open a session and begin initialization."""
+        self.close()
+        self.instance.time = start
+        job = {
+            "fmu": self.distant.fmu,
+            "sha256": self.distant.sha256,
+            "name": self.name,
+            "values": dict(self.start_values),
+            "connected": sorted(self.connected),
+            "recorded": sorted(self._settings.get("recorded", ())),
+            "settings": {"way": self._calls.way, **{key: self._settings.get(key) for key in SETTINGS}},
+        }
+        try:
+            self._session = Session(self.distant.at, self.name, job)
+        except LinkError as error:
+            raise FmuError(error.message.after(f"{self.name}: ")) from None
+        self._session.time = start
+        content = {"token": self._session.token, "start": start, "stop": stop}
+        self._show(self._call(Operation.OPEN, content=content))
+
+    def open_again(self, values: Mapping[str, Any], start: float, stop: float) -> None:
+        """Initialize a new instance with other start values."""
+        self.start_values = values
+        self.open(start, stop)
+        self.start()
+
+    def start(self) -> None:
+        """End initialization."""
+        self._call(Operation.START)
+        self.instance.initialized = True
+
+    def put(self) -> None:
+        """Do nothing: each call sends the inputs."""
+
+    def try_inputs(self) -> None:
+        """Do nothing: each call sends the inputs."""
+
+    def advance(self, t: float, h: float) -> None:
+        """Send the inputs, step, and receive the outputs."""
+        session = self._session
+        assert session is not None
+        session.time = t
+        self._outputs = self._exchange(Operation.STEP, t, h)
+        self.instance.time = session.time = t + h
+
+    def get(self) -> None:
+        """Write the outputs of the last step, or of the current inputs."""
+        frames, self._outputs = self._outputs, None
+        frames = self._exchange(Operation.EXCHANGE) if frames is None else frames
+        self._write(frames, self._out, self._exact_out)
+
+    def stepping(self, doing: MutableSequence[int], first: int) -> Callable[[float, float], None]:
+        """Put, advance and get."""
+        return in_turn(self, doing, first, puts=False)
+
+    def change(self, values: Mapping[str, Any]) -> None:
+        """Set tunable parameters and inputs during a run."""
+        content = {"values": dict(values), "exact": self._beside[self._exact_in]}
+        self._show(self._call(Operation.CHANGE, doubles=self._in, content=content))
+
+    def slopes(self, outputs: Sequence[str], inputs: Sequence[str]) -> list[list[float]] | None:
+        """Return None: slopes come from differences."""
+        return None
+
+    def slot(self) -> str:
+        """Return the reason against the C loop."""
+        return f"{self.name} is on another machine"
+
+    @property
+    def saves(self) -> bool:
+        """Return False: inputs are replayed."""
+        return False
+
+    def checkpoint(self) -> None:
+        """Return None: inputs are replayed."""
+
+    def close(self) -> None:
+        """End the session and take its messages."""
+        session, self._session = self._session, None
+        if session is None:
+            return
+        self.instance.initialized = False
+        try:
+            self.log.extend(decode(session.call(Operation.CLOSE)[1]))
+        except SimulationError:  # It has failed before; that failure is reported.
+            pass
+        finally:
+            session.close()
+
+    def _exchange(self, operation: Operation, t: float = 0.0, h: float = 0.0) -> list[bytes]:
+        content = self._beside[self._exact_in] if self._has_exact else None
+        return self._call(operation, t, h, self._in, content)
+
+    def _call(
+        self, operation: Operation, t: float = 0.0, h: float = 0.0, doubles: Any = b"", content: Any = None
+    ) -> list[bytes]:
+        assert self._session is not None
+        return self._session.call(operation, t, h, doubles, content)
+
+    def _show(self, frames: list[bytes]) -> None:
+        """Write inputs and outputs of an answer."""
+        self._write(frames, self._all, self._exact_all)
+
+    def _write(self, frames: list[bytes], place: memoryview, exact: slice) -> None:
+        values = frames[0][HEAD.size :]
+        if len(values) != len(place):
+            message = messages.CONNECTION_LOST(at=self.distant.at, reason="its answer has other signals")
+            raise SimulationError(self.name, self.instance.time, message)
+        place[:] = values
+        if self._has_exact:
+            self._beside[exact] = decode(frames[1])

@@ -1,0 +1,138 @@
+"""The protocol between a master and a server of FMUs, its version and its keys.
+
+Control messages are JSON: describe, open, status. In a session each message is a small head and doubles, followed by
+JSON where doubles do not suffice; a step is one message and its answer.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import stat
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from pathlib import Path
+from typing import Any
+
+from cosim.base.errors import CosimError
+from cosim.base.extras import optional
+from cosim.base.messages import Message
+from cosim.blocks import messages
+
+VERSION = 1
+LOOPBACK = "127.0.0.1"
+SERVER_KEY, CLIENT_KEY = "COSIM_SERVER_KEY", "COSIM_CLIENT_KEY"  # environment variables with files
+MOST_CONTROL, MOST_VALUES = 4_000_000, 64_000_000  # sizes of messages [bytes]
+HEAD = struct.Struct("<BBxxxxxxdd")  # version, operation, time [s], length [s]; doubles follow
+
+
+class Operation(IntEnum):
+    """Meaning of a message in a session."""
+
+    OPEN = 1  # JSON: token, start and stop time
+    START = 2
+    EXCHANGE = 3  # set the inputs, get the outputs
+    STEP = 4  # set the inputs, step, get the outputs
+    CHANGE = 5  # inputs, and JSON: values of an event
+    CLOSE = 6
+    OUTPUTS = 16  # answer with outputs
+    SIGNALS = 17  # answer with inputs and outputs
+    TEXT = 18  # answer with JSON
+    ERROR = 19  # answer with JSON: kind, code and text of an error
+
+
+class LinkError(CosimError):
+    """A server of FMUs that cannot be used.
+
+    Attributes:
+        message: Reason and remedy.
+        key: Key of the component that is to blame.
+    """
+
+    def __init__(self, message: Message, key: str = "at", exit_code: int = 3) -> None:
+        super().__init__(message)
+        self.message, self.key, self.exit_code = message, key, exit_code  # type: ignore[misc]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.message, self.key, self.exit_code)
+
+
+@dataclass(frozen=True)
+class Keys:
+    """CURVE keys of one side in Z85; the other side's public key is that of a server."""
+
+    public: bytes
+    secret: bytes
+    server: bytes = b""
+
+
+def pack(operation: Operation, t: float = 0.0, h: float = 0.0, doubles: Any = b"", content: Any = None) -> list[bytes]:
+    """Return the frames of a message."""
+    head = HEAD.pack(VERSION, operation, t, h) + bytes(doubles)
+    return [head] if content is None else [head, encode(content)]
+
+
+def encode(content: Any) -> bytes:
+    """Return content as JSON; bytes become {"$bytes": hexadecimal}."""
+    return json.dumps(content, default=lambda value: {"$bytes": bytes(value).hex()}).encode()
+
+
+def decode(frame: bytes) -> Any:
+    """Return the content of JSON made by `encode`."""
+    return json.loads(frame, object_hook=lambda d: bytes.fromhex(d["$bytes"]) if d.keys() == {"$bytes"} else d)
+
+
+def doubles_of(frame: bytes, count: int) -> Sequence[float]:
+    """Return the doubles behind a head; raise ValueError for another number of them."""
+    if len(frame) != HEAD.size + 8 * count:
+        raise ValueError(f"{len(frame) - HEAD.size} bytes for {count} doubles")
+    return struct.unpack_from(f"<{count}d", frame, HEAD.size)
+
+
+def zeromq(place: str = "at") -> Any:
+    """Return the library pyzmq; raise InputError if it is not installed."""
+    return optional("zmq", place)
+
+
+def split_address(at: str) -> tuple[str, int]:
+    """Return host and port."""
+    host, _, port = at.rpartition(":")
+    return host, int(port)
+
+
+def read_key(path: Path, *, secret: bool) -> tuple[bytes, bytes]:
+    """Return public and secret key of a file; the secret key is empty if not asked for.
+
+    Raises:
+        LinkError: The file is no key, or others may read a secret one.
+    """
+    zeromq(str(path))
+    from zmq.auth import load_certificate
+
+    try:
+        if secret and os.name == "posix" and stat.S_IMODE(path.stat().st_mode) & 0o077:
+            raise LinkError(messages.OPEN_KEY(file=path), exit_code=2)
+        public, private = load_certificate(path)
+    except (OSError, ValueError) as error:
+        raise LinkError(messages.NO_KEY_FILE(file=path, reason=" ".join(str(error).split())), exit_code=2) from None
+    if len(public) != 40 or (secret and len(private or b"") != 40):
+        kind = "secret" if secret else "public"
+        raise LinkError(messages.NO_KEY_FILE(file=path, reason=f"it has no {kind} key of 40 characters"), exit_code=2)
+    return public, private or b"" if secret else b""
+
+
+def client_keys(at: str) -> Keys | None:
+    """Return the keys that the environment names for a server, None for a server of this machine without keys.
+
+    Raises:
+        LinkError: Keys are missing for another machine, or cannot be read.
+    """
+    server, own = os.environ.get(SERVER_KEY, ""), os.environ.get(CLIENT_KEY, "")
+    if server and own:
+        public, secret = read_key(Path(own), secret=True)
+        return Keys(public, secret, read_key(Path(server), secret=False)[0])
+    if server or own or split_address(at)[0] != LOOPBACK:
+        raise LinkError(messages.KEYS_MISSING(at=at, server=SERVER_KEY, client=CLIENT_KEY), exit_code=2)
+    return None

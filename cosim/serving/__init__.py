@@ -1,0 +1,1 @@
+"""FMUs of this machine for masters on other machines."""
