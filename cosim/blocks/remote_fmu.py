@@ -59,7 +59,7 @@ def find_distant(at: str, fmu: str, sha256: str | None) -> Distant:
 class _AbsentInstance(Instance):
     """The instance of an FMU that is elsewhere: no state is saved, no step repeated."""
 
-    rolls_back = serializes = False  # type: ignore[assignment]
+    rolls_back = serializes = False
 
 
 class RemoteFmu(FmuBlock):

@@ -53,7 +53,7 @@ class LinkError(CosimError):
 
     def __init__(self, message: Message, key: str = "at", exit_code: int = 3) -> None:
         super().__init__(message)
-        self.message, self.key, self.exit_code = message, key, exit_code  # type: ignore[misc]
+        self.message, self.key, self.exit_code = message, key, exit_code
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.message, self.key, self.exit_code)

@@ -33,7 +33,8 @@ class Offer:
         Raises:
             LinkError: No file or several files fit.
         """
-        paths = [f / fmu for f in self.folders if fmu.endswith(".fmu") and self._is_inside(f / fmu, f)]
+        is_name = fmu.endswith(".fmu") and ".." not in Path(fmu).parts
+        paths = [f / fmu for f in self.folders if is_name and self._is_inside(f / fmu, f)]
         found = {hashlib.sha256(path.read_bytes()).hexdigest(): path for path in reversed(paths)}
         if not found:
             names = self.names()

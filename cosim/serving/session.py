@@ -7,7 +7,7 @@ import os
 import secrets
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -108,8 +108,9 @@ class _Session:
             secure(socket, job.keys)
         self._watch = socket.get_monitor_socket()
         self.port = self._bind(zmq)
-        self._opened = threading.Event()
+        self._opened, self._closed = threading.Event(), threading.Event()
         self._block: Any = None
+        self._step: Callable[[float, float], None]
 
     def _bind(self, zmq: Any) -> int:
         first, last = self.job.ports
@@ -124,7 +125,8 @@ class _Session:
 
     def serve(self) -> None:
         """Answer messages until the session is closed."""
-        threading.Thread(target=self._end_without_client, daemon=True).start()
+        guarding = threading.Thread(target=self._end_without_client, daemon=True)
+        guarding.start()
         socket, is_over = self._socket, False
         while not is_over:
             frames = socket.recv_multipart()
@@ -133,7 +135,10 @@ class _Session:
                 answer = self._answer(frames)
             except Exception as error:
                 answer = pack(Operation.ERROR, content=self._about(error))
+            if is_over:
+                self._closed.set()
             socket.send_multipart(answer)
+        guarding.join()
         socket.close()
         self._context.destroy(1000)
 
@@ -143,13 +148,13 @@ class _Session:
         from zmq.utils.monitor import recv_monitor_message
 
         count, end = 0, time.monotonic() + OPENING
-        while True:
-            if self._watch.poll(500):
+        while not self._closed.is_set():
+            if self._watch.poll(200):
                 event = recv_monitor_message(self._watch)["event"]
                 count += (event == zmq.EVENT_ACCEPTED) - (event == zmq.EVENT_DISCONNECTED)
-                if event == zmq.EVENT_MONITOR_STOPPED:
-                    return
-            elif (count <= 0) if self._opened.is_set() else time.monotonic() > end:
+                continue
+            is_alone = count <= 0 if self._opened.is_set() else time.monotonic() > end
+            if is_alone and not self._closed.wait(0.5):
                 os._exit(LOST)
 
     def _about(self, error: Exception) -> dict[str, Any]:
@@ -203,7 +208,6 @@ class _Session:
         job = self.job
         if self._opened.is_set() or not secrets.compare_digest(str(content["token"]), job.token):
             raise LinkError(messages.BAD_REQUEST(reason="wrong token"))
-        self._socket.unbind(self._endpoint)  # Nobody else is to connect.
         self._opened.set()
         self._block = block = FmuBlock(
             job.name, job.path, read_description(job.path), job.values, job.connected,
@@ -224,7 +228,7 @@ class _Session:
         self._set(frames[0], decode(frames[1]) if self._beside else [])
 
     def _set(self, frame: bytes, exact: Sequence[Any]) -> None:
-        self._row[: self._count] = doubles_of(frame, self._count)  # type: ignore[assignment]
+        self._row[: self._count] = [*doubles_of(frame, self._count)]
         if len(exact) != self._exact:
             raise LinkError(messages.BAD_REQUEST(reason="another number of exact values"))
         self._beside[: self._exact] = exact

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -33,15 +34,19 @@ def command(
     """
     from cosim.serving.fmu_server import FmuServer, make_key
 
+    def tell(text: str) -> None:
+        say(text)
+        sys.stdout.flush()  # A file or pipe gets each line at once, too.
+
     if new_key is not None:
         public, secret = make_key(new_key)
         say(f"{public} (public, give it to the other side)", f"{secret} (secret, keep it here)")
         return
     if not folders:
         raise typer.BadParameter("name at least one folder with FMUs")
-    with FmuServer(folders, host=host, port=port, key=key, clients=clients, say=say) as server:
+    with FmuServer(folders, host=host, port=port, key=key, clients=clients, say=tell) as server:
         names = server.offer.names()
         by = "clients with a known key" if server.keys is not None else "programs of this machine, without keys"
-        say(f"{len(names)} FMUs at {host}:{server.port} for {by}: {some(names, MAX_NAMES) or 'none'}")
+        tell(f"{len(names)} FMUs at {host}:{server.port} for {by}: {some(names, MAX_NAMES) or 'none'}")
         if not check:
             server.run(once=once)

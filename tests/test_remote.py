@@ -1,0 +1,228 @@
+"""FMUs behind `cosim serve`: the same bytes as here, and an answer for everything that can go wrong."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+import cosim
+from cosim.base.errors import Crashed, InputError, SimulationError
+from cosim.blocks import wire
+from cosim.blocks.link import Control
+from cosim.blocks.wire import LinkError
+from cosim.serving.fmu_server import FmuServer, make_key
+from tests.walker import walker_fmu, walker_scenario
+
+pytest.importorskip("zmq")
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@contextmanager
+def serving(folder: Path, *words: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
+    """Address and process of a server of a folder."""
+    command = [sys.executable, "-m", "cosim", "serve", str(folder), *words]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdout=pipe, stderr=subprocess.STDOUT, text=True, env=environment) as process:
+        try:
+            assert process.stdout is not None
+            line = process.stdout.readline()
+            match = re.search(r"at ([\d.]+:\d+) for", line)
+            assert match, line + process.stdout.read()
+            yield match[1], process
+        finally:
+            process.kill()
+
+
+@pytest.fixture(scope="module")
+def there(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of the server: FMUs of FMI 2.0 and 3.0, with and without texts."""
+    folder = tmp_path_factory.mktemp("there")
+    walker_scenario(folder, python=True)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def at(there: Path) -> Iterator[str]:
+    """The address of a server without keys."""
+    with serving(there) as (address, _):
+        yield address
+
+
+def small(folder: Path, at: str, fmu: str = "other.fmu", duration: float = 0.1, **more: object) -> Path:
+    """A scenario with one FMU of a server."""
+    content = {
+        "name": "small", "duration": duration, "step": 0.01,
+        "components": {"walker": {"fmu": fmu, "at": at, **more}},
+    }  # fmt: skip
+    path = folder / "small.yaml"
+    path.write_text(json.dumps(content))
+    return path
+
+
+def refusal(path: Path) -> InputError:
+    with pytest.raises(InputError) as caught:
+        cosim.run(path, report=False)
+    assert len(caught.value.faults) == 1
+    return caught.value
+
+
+@pytest.mark.parametrize("python", [True, pytest.param(False, marks=pytest.mark.thorough)])
+def test_a_run_with_fmus_elsewhere_has_the_same_bytes(there: Path, at: str, tmp_path: Path, python: bool) -> None:
+    path = walker_scenario(tmp_path, python=python)
+    if not python:  # of the same name, but without texts
+        walker_fmu(there / "plain.fmu", saves=False)
+    cosim.run(path, tmp_path / "here", report=False)
+    text = path.read_text()
+    for name in ("saving", "other", "three"):
+        file = "plain" if name == "other" and not python else name
+        text = text.replace(f"fmu: {name}.fmu", f"fmu: {file}.fmu, at: '{at}'")
+        (tmp_path / f"{name}.fmu").unlink()
+    path.write_text(text)
+    cosim.run(path, tmp_path / "remote", report=False)
+    rows = (tmp_path / "here/results.csv").read_bytes()
+    assert rows == (tmp_path / "remote/results.csv").read_bytes()
+    manifest = json.loads((tmp_path / "remote/manifest.json").read_text())
+    component = manifest["scenario"]["components"]["three"]
+    assert (component["fmu"], component["at"]) == ("three.fmu", at)
+    assert component["sha256"] == wire_sha256(there / "three.fmu")
+    cosim.run(tmp_path / "remote/manifest.json", tmp_path / "again", report=False)
+    assert rows == (tmp_path / "again/results.csv").read_bytes()
+
+
+def wire_sha256(path: Path) -> str:
+    from cosim.scenario.pinned import sha256
+
+    return sha256(path)
+
+
+def test_keys_of_both_sides_are_needed(there: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    keys = {name: make_key(tmp_path / name) for name in ("server", "friend", "stranger")}
+    assert keys["server"][1].stat().st_mode & 0o077 == 0
+    clients = tmp_path / "clients"
+    clients.mkdir()
+    (clients / "friend.key").write_bytes(keys["friend"][0].read_bytes())
+    with serving(there, "--key", str(keys["server"][1]), "--clients", str(clients)) as (at, _):
+        path = small(tmp_path, at)
+        assert "do not match" in str(refusal(path))  # without keys
+        for server, client in (("server", "stranger"), ("stranger", "friend")):
+            monkeypatch.setenv(wire.SERVER_KEY, str(keys[server][0]))
+            monkeypatch.setenv(wire.CLIENT_KEY, str(keys[client][1]))
+            error = refusal(path)
+            assert "do not match" in str(error)
+            assert error.exit_code == 2
+        monkeypatch.setenv(wire.SERVER_KEY, str(keys["server"][0]))
+        monkeypatch.setenv(wire.CLIENT_KEY, str(keys["friend"][1]))
+        assert len(cosim.run(path, report=False).time) == 11
+    keys["friend"][1].chmod(0o644)
+    assert "others may read" in str(refusal(path))
+    monkeypatch.delenv(wire.CLIENT_KEY)
+    assert wire.CLIENT_KEY in str(refusal(path))
+
+
+def test_another_machine_is_refused_without_keys(there: Path, tmp_path: Path) -> None:
+    error = refusal(small(tmp_path, "192.0.2.1:5600"))
+    assert error.exit_code == 2
+    assert wire.SERVER_KEY in str(error)
+    with pytest.raises(InputError, match="a key is needed"):
+        FmuServer([there], host="0.0.0.0")
+
+
+@pytest.mark.parametrize("fmu", ["none.fmu", "../there0/other.fmu", "/etc/passwd", "link.fmu", "walk.yaml"])
+def test_only_fmus_within_the_folders_are_offered(there: Path, at: str, tmp_path: Path, fmu: str) -> None:
+    link = there / "link.fmu"
+    if not link.is_symlink():
+        link.symlink_to(walker_fmu(tmp_path / "outside.fmu", saves=False))
+    error = refusal(small(tmp_path, at, fmu))
+    assert error.exit_code == 2
+    assert "other.fmu" in str(error)
+    assert "link.fmu," not in str(error)
+
+
+def test_another_content_or_version_is_named(at: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert "another one" in str(refusal(small(tmp_path, at, sha256="0" * 64)))
+    monkeypatch.setattr("cosim.blocks.link.VERSION", 2)
+    error = refusal(small(tmp_path, at))
+    assert error.exit_code == 3
+    assert "version" in str(error)
+
+
+def test_a_server_that_is_not_there_and_a_port_in_use(there: Path, tmp_path: Path) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        port = taken.getsockname()[1]
+        error = refusal(small(tmp_path, f"127.0.0.1:{port}"))
+        assert error.exit_code == 3
+        assert "no server answers" in str(error)
+        with pytest.raises(InputError, match="in use"):
+            FmuServer([there], port=port)
+
+
+@pytest.mark.thorough
+def test_a_server_that_disappears_leaves_the_rows(there: Path, tmp_path: Path) -> None:
+    with serving(there) as (at, process):
+        path = small(tmp_path, at, "saving.fmu", 600.0, start={"pause": 1000.0})
+
+        def end(done: int, steps: int) -> None:
+            if done > 20:
+                process.kill()
+
+        with pytest.raises(Crashed, match="connection to") as caught:
+            cosim.run(path, tmp_path / "out", report=False, progress=end)
+    assert caught.value.exit_code == 4
+    assert len((tmp_path / "out/results.csv").read_text().splitlines()) > 20
+
+
+@pytest.mark.thorough
+def test_a_crash_there_is_reported_here(there: Path, tmp_path: Path) -> None:
+    children = Path("/proc/self/task")
+    if not children.exists():
+        pytest.skip("no /proc")
+    with serving(there) as (at, process):
+        path = small(tmp_path, at, "saving.fmu", 600.0, start={"pause": 1000.0})
+
+        def crash(done: int, steps: int) -> None:
+            if done > 20:
+                for task in Path(f"/proc/{process.pid}/task").iterdir():
+                    for child in (task / "children").read_text().split():
+                        os.kill(int(child), signal.SIGSEGV)
+
+        with pytest.raises(SimulationError, match="SIGSEGV") as caught:
+            cosim.run(path, tmp_path / "out", report=False, progress=crash)
+        assert str(caught.value).count(" at t = ") == 1
+        assert len(cosim.run(small(tmp_path, at), report=False).time) == 11  # The server goes on.
+
+
+@pytest.mark.thorough
+def test_a_session_ends_with_its_client(there: Path, tmp_path: Path) -> None:
+    with serving(there, "--once") as (at, process):
+        path = small(tmp_path, at, "saving.fmu", 600.0, start={"pause": 1000.0})
+        client = subprocess.Popen(
+            [sys.executable, "-m", "cosim", "run", str(path), "--no-report", "--in-process"], cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": str(ROOT)}, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+        assert process.stdout is not None
+        assert "saving.fmu" in process.stdout.readline()
+        time.sleep(2.0)
+        client.kill()
+        client.wait()
+        assert process.wait(100) == 0  # 30 s where the client had not come yet
+
+
+def test_nonsense_is_answered(at: str) -> None:
+    with Control(at) as control:
+        for do in ("nothing", "open", "describe"):
+            with pytest.raises(LinkError, match="does not understand"):
+                control.ask(do)
+        assert control.ask("status", session=99)["state"] == "unknown"
