@@ -174,9 +174,6 @@ NO_INTERVAL = Template("E-SYS-085", "{name} is {value!r}; give the interval of t
 ONE_PARTNER = Template("E-SYS-091", "{name} needs one of udp and mqtt")
 NO_DOUBLE_OUTPUT = Template("E-SYS-092", "{name} is text or a 64-bit integer; only numbers are sent")
 SAME_FIELD = Template("E-SYS-093", "{name} and {other} would both be {field} of one message; name their fields")
-ONE_PARTNER = Template("E-SYS-051", "{name} needs one of udp and mqtt")
-NO_DOUBLE_OUTPUT = Template("E-SYS-052", "{name} is text or a 64-bit integer; only numbers are sent")
-SAME_FIELD = Template("E-SYS-053", "{name} and {other} would both be {field} of one message; name their fields")
 NOT_REMOTE = Template(
     "E-SYS-086",
     "{fmu} uses model exchange, event mode, clocks or scheduled execution, which are not offered at another machine; "
