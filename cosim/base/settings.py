@@ -229,6 +229,10 @@ def _is_a(module: str, name: str) -> Callable[[Any], bool]:
     return lambda value: any((kind.__module__, kind.__name__) == (module, name) for kind in type(value).__mro__)
 
 
+def _has_names(value: Any) -> bool:
+    return isinstance(value, Mapping) and all(isinstance(name, str) for name in value)
+
+
 def _same(value: Any) -> Any:
     return value
 
@@ -264,6 +268,7 @@ KINDS = {  # by annotation
     "Files": ArgumentKind(_are(_is(str, os.PathLike)), _files, "a list of names of files"),
     "Mapping": ArgumentKind(_is(Mapping), plain, "a mapping of names to values"),
     "Given": ArgumentKind(lambda value: isinstance(value, Mapping) or _are_names(value), _settings, SETTINGS),
+    "NamedFunctions": ArgumentKind(_has_names, dict, "a mapping of names to functions"),
     "Callable": ArgumentKind(callable, _same, "a function"),
     "Progress": ArgumentKind(callable, _same, "a function"),
     "Signals": ArgumentKind(_is_a("cosim.simulation.run_signals", "Signals"), _same, "a result of a function of cosim"),
