@@ -91,6 +91,6 @@ MESSAGE_REFUSED = Template(
     "W-MAS-054", "{input}: {count} messages from {partner} refused and the value held; the first {reason}"
 )
 NOT_SENT = Template("W-MAS-055", "{count} messages to {partner} not sent: {reason}")
-NO_FUNCTION = Template("E-MAS-058", "{name} is {value!r}; give a function of time and signals")
+NO_FUNCTION = Template("E-MAS-058", "{name} is of type {value}; give a function of time and signals")
 NO_OBJECT = Template("E-MAS-056", 'it is no JSON object with "{field}"')
 NO_JSON = Template("E-MAS-057", "it is no JSON with finite numbers: {content}")
