@@ -29,7 +29,9 @@ class InputFunctions(Observer):
         """Raise InputError for names that cannot be set, and for what is no function."""
         targets = targets_of(system)
         reasons = [targets.objection(name) for name in self._functions]
-        reasons += [messages.NO_FUNCTION(name=n, value=type(f).__name__) for n, f in self._functions.items() if not callable(f)]
+        reasons += [
+            messages.NO_FUNCTION(name=n, value=type(f).__name__) for n, f in self._functions.items() if not callable(f)
+        ]
         refuse([Fault(Path("inputs"), 0, 0, reason) for reason in reasons if reason])
 
     def begin(self, run: ObservedRun) -> None:
