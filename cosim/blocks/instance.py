@@ -171,7 +171,7 @@ class Instance:
             return self.fmu.getFMUState() if self.fmi3 else self.fmu.getFMUstate()
 
     def restore_state(self, state: Any, *, keep: bool = False) -> None:
-        """Restore a state and free it, unless it is kept for another restoration."""
+        """Restore a saved state, and free the state unless `keep` is set."""
         with self.check_calls():
             if self.fmi3:
                 self.fmu.setFMUState(state)

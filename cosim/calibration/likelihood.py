@@ -176,7 +176,7 @@ class Likelihood:
         return matrix, gradient
 
     def free(self, point: Point, gradient: Array) -> Flags:
-        """Return which unknowns may move: not those that a bound stops."""
+        """Return True for each unknown that no bound stops."""
         at_low, at_high = point.x <= self.low, point.x >= self.high
         return np.asarray(~((at_low & (gradient > 0.0)) | (at_high & (gradient < 0.0))))
 

@@ -149,7 +149,7 @@ def _read_question(text: str, against: Sequence[str]) -> tuple[Path, Question]:
 
 
 def refinement_folder(text: str) -> Path | None:
-    """Return the folder that a text names or in which its .json file is; None for other texts."""
+    """Return the folder of a refinement from the name of the folder or of its JSON file, else None."""
     path = Path(text)
     return path if path.is_dir() else path.parent if path.suffix == ".json" else None
 

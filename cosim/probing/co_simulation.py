@@ -60,7 +60,7 @@ def co_simulation_structure(prober: Prober, courses: Sequence[Course]) -> Struct
     responses = Responses(prober, short, base, size)
     chosen = separate_pairs(_fits(good))
     ports = responses.ports(inputs, [v for _, v, _ in chosen])
-    spreads = {name: float(np.std(_known(name, good))) for name in inputs}
+    spreads = {name: float(np.std(_input_values(name, good))) for name in inputs}
     return Structure(
         fmu=prober.path,
         way="co-simulation",
@@ -112,7 +112,7 @@ def _react(prober: Prober, course: Course, fmu: Fmu) -> tuple[Array, Array]:
     return table[0], table[1:]
 
 
-def _known(name: str, good: Sequence[tuple[Course, Array]]) -> Array:
+def _input_values(name: str, good: Sequence[tuple[Course, Array]]) -> Array:
     """Return the values of an input along all courses, 0 without any."""
     values = [course.inputs[name] for course, _ in good if name in course.inputs]
     return np.concatenate(values) if values else np.zeros(1)

@@ -109,7 +109,7 @@ def manifest(
 
 
 def _real_time(scenario: Scenario) -> dict[str, Any]:
-    """Return what tied the run to the world outside, which its repetition does without."""
+    """Return the pace and the partners of a run as a record; a repetition uses neither."""
     resolved = resolve_defaults(scenario)
     settings = {key: resolved[key] for key in ("pace", "live") if key in resolved}
     return {"real_time": settings} if settings else {}

@@ -104,7 +104,7 @@ class FmuSubject(ModelSubject):
 
     @property
     def measured_states(self) -> frozenset[str]:
-        """Return the states that an output shows; the model gives them its name."""
+        """Return the names of the states that are measured. Such a state has the name of its output."""
         if self.is_stepped:
             return frozenset(with_place(q.name) for q in self.structure.outputs)
         return frozenset(map(with_place, self.structure.shown.values()))
