@@ -9,17 +9,17 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Sequence
-from typing import Any
 
 from cosim.base.errors import SimulationError
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.sources import SourceBlock
-from cosim.isolation.rows import GET, OTHER
+from cosim.isolation.rows import GET
 from cosim.master import messages
 from cosim.master.copying import copy_values
 from cosim.master.initialization import is_settled
 from cosim.master.master import Master, Round
+from cosim.master.rollback import restore, save
 from cosim.system.system import System
 
 
@@ -50,16 +50,16 @@ class Halved(Master):
         try:
             for k in range(1, self.steps + 1):
                 t, end = begin + (k - 1) * self.h, begin + k * self.h
-                before, row = self._save(parts), bytes(self.row)
+                before, row = save(self, parts), bytes(self.row)
                 self._step_all(actives, k, t, end)
-                whole, after, values = bytes(self.row), self._save(parts), list(self.row)
-                self._restore(parts, before)
+                whole, after, values = bytes(self.row), save(self, parts), list(self.row)
+                restore(self, parts, before)
                 ctypes.memmove(self.row, row, len(row))
                 self._check_outputs(parts, row, t)
                 for since, until in ((t, 0.5 * (t + end)), (0.5 * (t + end), end)):
                     self._step_all(actives, k, since, until)
                 self.table[k] = [abs(a - b) for a, b in zip(values, self.row, strict=True)]
-                self._restore(parts, after)
+                restore(self, parts, after)
                 ctypes.memmove(self.row, whole, len(whole))
                 self.done = self.row_count[0] = k + 1
         finally:
@@ -70,20 +70,6 @@ class Halved(Master):
         for step, _, _, plain, noisy, others in actives:
             copy_values(self.row, (plain, noisy, others), k)
             step(t, end - t)
-
-    def _save(self, parts: Sequence[FmuBlock]) -> list[Any]:
-        """Return the state of each FMU."""
-        states = []
-        for part in parts:
-            self.announce(part, OTHER)
-            states.append(part.instance.save_state())
-        return states
-
-    def _restore(self, parts: Sequence[FmuBlock], states: Sequence[Any]) -> None:
-        """Restore and free the state of each FMU."""
-        for part, state in zip(parts, states, strict=True):
-            self.announce(part, OTHER)
-            part.instance.restore_state(state)
 
     def _check_outputs(self, parts: Sequence[FmuBlock], row: bytes, t: float) -> None:
         """Check that restoring the FMU state restores the outputs; raise SimulationError if it does not."""

@@ -26,13 +26,10 @@ def save(master: Announcer, fmus: Sequence[FmuBlock]) -> list[Any]:
 
 
 def restore(master: Announcer, fmus: Sequence[FmuBlock], states: Sequence[Any], *, keep: bool = False) -> None:
-    """Restore the state of each FMU."""
+    """Restore the state of each FMU, and free the states unless `keep` is set."""
     for fmu, state in zip(fmus, states, strict=True):
         master.announce(fmu)
-        if keep:
-            fmu.instance.restore_state(state, keep=True)
-        else:
-            fmu.instance.restore_state(state)
+        fmu.instance.restore_state(state, keep=keep)
 
 
 def free(master: Announcer, fmus: Sequence[FmuBlock], states: Sequence[Any]) -> None:
