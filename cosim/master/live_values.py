@@ -82,22 +82,22 @@ class LiveValues:
         topics = [port.address for port in plan.inputs if port.is_mqtt]
         brokered = next((port for port in (*plan.inputs, *plan.outputs) if port.is_mqtt), None)
         broker = None if brokered is None else self._opened(brokered, partial(Broker, plan.broker, topics))
-        for address in dict.fromkeys((p.is_mqtt, p.address) for p in plan.inputs):
-            ports = [p for p in plan.inputs if (p.is_mqtt, p.address) == address]
-            if broker is not None and address[0]:
-                receive = partial(broker.receive, address[1])
+        for ports in _by_address(plan.inputs):
+            first = ports[0]
+            if broker is not None and first.is_mqtt:
+                receive = partial(broker.receive, first.address)
             else:
-                receive = self._opened(ports[0], partial(UdpReceiver, address[1])).receive
+                receive = self._opened(first, partial(UdpReceiver, first.address)).receive
             self._receivers.append((receive, [Input(port, now, self._system.start) for port in ports]))
-        for address in dict.fromkeys((p.is_mqtt, p.address) for p in plan.outputs):
-            ports = [p for p in plan.outputs if (p.is_mqtt, p.address) == address]
-            if broker is not None and address[0]:
-                send = partial(broker.send, address[1])
+        columns, signals = list(self._system.columns), self._system.signals
+        for ports in _by_address(plan.outputs):
+            first = ports[0]
+            if broker is not None and first.is_mqtt:
+                send = partial(broker.send, first.address)
             else:
-                send = self._opened(ports[0], partial(UdpSender, address[1])).send
-            columns, signals = list(self._system.columns), self._system.signals
+                send = self._opened(first, partial(UdpSender, first.address)).send
             places = {p.field: (columns.index(p.name), signals[p.name].is_whole) for p in ports}
-            self._outputs.append(Output(ports[0], send, places))
+            self._outputs.append(Output(first, send, places))
 
     def _opened(self, port: Port, make: Callable[[], Any]) -> Any:
         try:
@@ -236,3 +236,11 @@ def _json_value(value: float, whole: bool) -> float | int | None:
     if not math.isfinite(value):
         return None
     return int(value) if whole else value
+
+
+def _by_address(ports: Sequence[Port]) -> list[list[Port]]:
+    """Return ports grouped by their address, in the order of the first port of each."""
+    groups: dict[tuple[bool, Any], list[Port]] = {}
+    for port in ports:
+        groups.setdefault((port.is_mqtt, port.address), []).append(port)
+    return [*groups.values()]

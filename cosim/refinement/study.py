@@ -553,7 +553,11 @@ def _unknown_names(places: Places, content: StudyFile, subject: Subject) -> Iter
         for name in setting if isinstance(setting, dict) else ():
             if name not in names:
                 yield places.fault((key, name), message(name=name, hint=did_you_mean(name, names)), key=True)
-    candidates = [c.name for c in subject.candidates(inputs)]
+    yield from _unknown_candidates(places, content, [c.name for c in subject.candidates(inputs)])
+
+
+def _unknown_candidates(places: Places, content: StudyFile, candidates: Sequence[str]) -> Iterator[Fault]:
+    """Yield faults of unknown candidates and of an empty list."""
     if content.candidates == []:
         yield places.fault(("candidates",), messages.NO_CANDIDATES())
     for k, name in enumerate(content.candidates or ()):

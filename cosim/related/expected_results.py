@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any
@@ -27,19 +27,24 @@ def in_form_of(run: Results, expected: Results) -> tuple[Results, list[str]]:
     for name in (*expected.columns, *expected.exact):
         texts = expected.exact.get(name)
         column = expected[name] if texts is None else texts
-        elements = [c for c in (*run.columns, *run.exact) if c.startswith(f"{name}[")]
+        elements = [c for c in (*run.columns, *run.exact) if c.startswith(f"{name}[")]  # of an array
         if name in run:
             numbers[name] = np.array([_number(v) for v in column])
         elif name in run.exact:
             exact[name] = [_exact(value, type(run.exact[name][0])) for value in column]
         elif elements:
-            rows = [str(value).split() for value in column]
-            for place, element in enumerate(elements):
-                numbers[element] = np.array([_number(row[place]) if place < len(row) else np.nan for row in rows])
+            numbers |= zip(elements, _elements(column, len(elements)), strict=True)
         else:
             missing.append(name)
     values = np.column_stack(list(numbers.values())) if numbers else np.empty((expected.time.size, 0))
     return replace(expected, columns=tuple(numbers), values=values, exact=exact, whole=frozenset()), missing
+
+
+def _elements(column: Iterable[Any], count: int) -> Iterator[Array]:
+    """Yield each element of an array over time, from texts with elements separated by spaces; NaN if missing."""
+    rows = [str(value).split() for value in column]
+    for place in range(count):
+        yield np.array([_number(row[place]) if place < len(row) else np.nan for row in rows])
 
 
 def _exact(value: Any, kind: type) -> Any:

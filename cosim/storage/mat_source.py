@@ -54,15 +54,7 @@ class Mat(Source):
         rows = len(time.values)
         if 8 * rows * max(1, len(numbers)) > MOST_BYTES:
             raise InputError.at(path, messages.LARGE_MAT(rows=rows, columns=len(numbers)))
-        content: dict[str, Any] = {
-            "time": np.asarray(time.values, dtype=np.float64).reshape(-1, 1),
-            "values": np.column_stack([c.values for c in numbers]).astype(np.float64)
-            if numbers
-            else np.empty((rows, 0)),
-            "whole": np.array([[c.values.dtype.kind == "i" for c in numbers]], dtype=bool),  # type: ignore[union-attr]
-            "names": _cells([c.name for c in numbers]),
-            "units": _cells([c.unit for c in numbers]),
-        }
+        content = {"time": np.asarray(time.values, dtype=np.float64).reshape(-1, 1), **_numbers(numbers, rows)}
         if texts:
             cells = _cells([as_text(value) for c in texts for value in c.values]).reshape(len(texts), rows).T
             content |= {"text": cells, "text_names": _cells([c.name for c in texts])}
@@ -72,6 +64,17 @@ class Mat(Source):
 
 
 MAT = Mat()
+
+
+def _numbers(columns: Sequence[SourceColumn], rows: int) -> dict[str, Any]:
+    """Return the variables that hold columns of numbers."""
+    values = [np.asarray(c.values) for c in columns]
+    return {
+        "values": np.column_stack(values).astype(np.float64) if values else np.empty((rows, 0)),
+        "whole": np.array([[v.dtype.kind == "i" for v in values]], dtype=bool),
+        "names": _cells([c.name for c in columns]),
+        "units": _cells([c.unit for c in columns]),
+    }
 
 
 def _content(path: Path) -> Mapping[str, Any]:

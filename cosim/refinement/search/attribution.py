@@ -283,11 +283,14 @@ class Attributor:
             terms = [t for t in in_parallel(test.terms, others) if not t.switched]
             promises = Choice(test, terms, (), search.problem.values).extensions(())
             likely = [name for name in promises if promises[name].within][:REPLACING]
-            if search.subject.probed:
-                likely += [c.name for c in others if are_alike(part.name, c.name)]
-            for c in (c for c in others if c.name in likely):
+            for c in self._substitutes(part, others, likely):
                 promised = promises.get(c.name)
                 yield (*rest, c), {**without.fit.values, **promised.values} if promised else None
+
+    def _substitutes(self, part: Candidate, others: Sequence[Candidate], likely: Sequence[str]) -> list[Candidate]:
+        """Return the likely candidates and, for an FMU, those that look like a part."""
+        probed = self.search.subject.probed
+        return [c for c in others if c.name in likely or (probed and are_alike(part.name, c.name))]
 
     def _finalists(self, best: Hypothesis) -> list[Hypothesis]:
         """Return hypotheses close to the best that neither contain it nor are contained in it."""
