@@ -186,7 +186,8 @@ def component_rows(run: Run, kinds: Mapping[str, str]) -> list[ComponentRow]:
     rows = []
     for name, value in mapping(run.scenario.get("components")).items():
         component = mapping(value)
-        settings = {**component, **mapping(component.get("start"))}.items()
+        chosen = {key: setting for key, setting in component.items() if setting != {} and setting is not False}
+        settings = {**chosen, **mapping(component.get("start"))}.items()
         hidden = {"start", "fmu", "block", "sha256", *(("interface",) if name in kinds else ())}
         texts = [_setting_text(k, v) for k, v in settings if k not in hidden]
         kind = kinds.get(str(name), "block of cosim" if component.get("block") else "")

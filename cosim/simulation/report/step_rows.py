@@ -55,12 +55,13 @@ def pace_rows(run: Run) -> Iterator[Row]:
     if not (pacing := mapping(run.manifest.get("pacing"))):
         return
     overruns, jitter, points = mapping(pacing.get("overruns")), mapping(pacing.get("jitter")), pacing.get("points")
-    lines = [f"{overruns.get('count')} of {points} communication points reached after their time"]
+    lines = [f"{overruns.get('count')} of {points} communication points missed, as the steps took too long"]
     if "worst" in overruns:
         lines[0] += f", at worst {_ms(overruns['worst'])} at t = {number(overruns.get('at')):g} s"
     if jitter:
-        names = {"p50": "50 %", "p99": "99 %", "p999": "99.9 %", "max": "all"}
-        lines.append("late by at most " + ", ".join(f"{_ms(jitter.get(k))} ({name})" for k, name in names.items()))
+        names = {"p50": "median", "p99": "99 % of the points", "p999": "99.9 %", "max": "largest"}
+        delays = ", ".join(f"{name} {_ms(jitter.get(k))}" for k, name in names.items())
+        lines.append(f"delay of a point: {delays}")
     yield Row("Pace", "\n".join((f"{number(pacing.get('pace')):g} × real time", *lines)))
 
 
@@ -83,4 +84,5 @@ def partner_rows(run: Run) -> Iterator[Row]:
 
 
 def _ms(seconds: object) -> str:
-    return f"{1e3 * number(seconds):.3g} ms"
+    milliseconds = 1e3 * number(seconds)
+    return "below 0.001 ms" if 0.0 < milliseconds < 1e-3 else f"{milliseconds:.3g} ms"
