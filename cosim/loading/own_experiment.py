@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from cosim.fmi.related_files import EXPERIMENTS, Experiment, RelatedFile, add_related, experiments_text
 from cosim.model.integrate import Stepper
 from cosim.model.model import Model
 from cosim.model.quantities import Quantity
+from cosim.storage.csv_source import table_bytes
 
 ROWS = 400  # communication steps
 SHARE = 0.1  # amplitude of an input, relative to its range or start value
@@ -32,8 +31,8 @@ def carry_experiment(fmu: Path, model: Model) -> Path:
         return fmu
     if not all(math.isfinite(value) for row in outputs for value in row):
         return fmu
-    stimuli = {STIMULI: _csv(model.inputs, times, commands)} if model.inputs else {}
-    more = stimuli | {REFERENCES: _csv(model.outputs, times, outputs)}
+    stimuli = {STIMULI: _table(model.inputs, times, commands)} if model.inputs else {}
+    more = stimuli | {REFERENCES: _table(model.outputs, times, outputs)}
     about = "small sines at the inputs" if stimuli else "a run from the start values"
     run = Experiment("smoke test", about, 0.0, times[-1], h, stimuli=STIMULI if stimuli else "", references=REFERENCES)
     text = experiments_text("smoke test", [run], "Expected outputs are those of the equations, computed apart.")
@@ -63,9 +62,6 @@ def _outputs(model: Model, times: Sequence[float], commands: Sequence[tuple[floa
     return rows
 
 
-def _csv(quantities: Sequence[Quantity], times: Sequence[float], rows: Iterable[Sequence[float]]) -> bytes:
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(["time", *(q.name for q in quantities)])
-    writer.writerows([repr(t), *map(repr, row)] for t, row in zip(times, rows, strict=True))
-    return stream.getvalue().encode()
+def _table(quantities: Sequence[Quantity], times: Sequence[float], rows: Sequence[Sequence[float]]) -> bytes:
+    columns = zip(*rows, strict=True)
+    return table_bytes({"time": times, **dict(zip((q.name for q in quantities), columns, strict=True))})

@@ -7,7 +7,7 @@ import io
 import math
 import re
 from array import array
-from collections.abc import Callable, Collection, Container, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -358,8 +358,23 @@ def write_table(
         number: Formats a cell; by default the shortest text that reads back bit for bit.
     """
     with atomic_write(path) as stream:
-        csv.writer(stream, lineterminator="\n").writerow(header)
-        stream.writelines(",".join(map(number, row)) + "\n" for row in rows)
+        write_rows(stream, header, rows, number)
+
+
+def write_rows(
+    stream: TextIO, header: Sequence[str], rows: Iterable[Iterable[Any]], number: Callable[[Any], str] = repr
+) -> None:
+    """Write a header and rows to a stream, as `write_table`."""
+    csv.writer(stream, lineterminator="\n").writerow(header)
+    stream.writelines(",".join(map(number, row)) + "\n" for row in rows)
+
+
+def table_bytes(columns: Mapping[str, Iterable[float]]) -> bytes:
+    """Return a CSV file of columns with full precision and an empty cell for a missing number."""
+    stream = io.StringIO()
+    rows = zip(*columns.values(), strict=True)
+    write_rows(stream, [*columns], rows, lambda value: repr(value) if math.isfinite(value) else "")
+    return stream.getvalue().encode()
 
 
 def cell_text(value: Any) -> str:

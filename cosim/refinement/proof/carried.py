@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,6 +10,7 @@ from typing import Any
 from cosim.base.arrays import Array
 from cosim.fmi.related_files import EXPERIMENTS, Experiment, RelatedFile, add_related, experiments_text
 from cosim.logs.log import Log
+from cosim.storage.csv_source import table_bytes
 
 FILE, ERRORS = "sealed-logs.exp", "sealed-errors.json"
 
@@ -28,7 +26,7 @@ def carry_sealed_logs(fmus: Sequence[Path], logs: Sequence[Log], record: Mapping
     more: dict[str, bytes] = {}
     for number, log in enumerate(logs, 1):
         stimuli, references = (f"sealed-{number}-{end}.csv" for end in ("in", "out"))
-        more |= {stimuli: _csv(log.time, log.inputs), references: _csv(log.time, log.outputs)}
+        more |= {stimuli: _table(log.time, log.inputs), references: _table(log.time, log.outputs)}
         title = log.path.stem if len(logs) == 1 else f"{log.path.stem} {number}"
         times = float(log.time[0]), float(log.time[-1]), log.step
         experiments.append(Experiment(title, "measured", *times, stimuli=stimuli, references=references))
@@ -45,11 +43,5 @@ def carry_sealed_logs(fmus: Sequence[Path], logs: Sequence[Log], record: Mapping
         add_related(fmu, files, more)
 
 
-def _csv(time: Array, columns: Mapping[str, Array]) -> bytes:
-    """Return a table with empty cells for missing values."""
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(["time", *columns])
-    for row in zip(time.tolist(), *(column.tolist() for column in columns.values()), strict=True):
-        writer.writerow([repr(value) if math.isfinite(value) else "" for value in row])
-    return stream.getvalue().encode()
+def _table(time: Array, columns: Mapping[str, Array]) -> bytes:
+    return table_bytes({"time": time.tolist(), **{name: column.tolist() for name, column in columns.items()}})
