@@ -102,18 +102,21 @@ def find_entries(texts: Sequence[str], results: Path | None = None) -> list[Entr
         raise InputError.at(root, messages.NO_RESULTS())
     found: dict[str, Entry] = {}
     for text in texts:
-        name = text.removeprefix(f"{root}/").rstrip("/").replace(f"/{EARLIER}/", "/")
-        if text.isdecimal():
-            if not 1 <= int(text) <= len(every):
-                raise InputError.at(Path(text), messages.UNKNOWN_NUMBER(number=text, last=len(every)))
-            matches = [every[int(text) - 1]]
-        else:
-            exact = [e for e in every if e.name == name]
-            matches = exact or [e for e in every if fnmatch.fnmatchcase(e.name, name)]
+        matches = match_entries(text, every, root)
+        if not matches and text.isdecimal():
+            raise InputError.at(Path(text), messages.UNKNOWN_NUMBER(number=text, last=len(every)))
         if not matches:
             raise InputError.at(Path(text), messages.NO_MATCH(hint=did_you_mean(text, [e.name for e in every])))
         found |= {entry.name: entry for entry in matches}
     return [*found.values()]
+
+
+def match_entries(text: str, every: Sequence[Entry], root: Path = RESULTS) -> list[Entry]:
+    """Return the entries of a number, a name, a pattern or a folder within the folder of results."""
+    if text.isdecimal():
+        return [*every[int(text) - 1 : int(text)]] if int(text) > 0 else []
+    name = text.removeprefix(f"{root}/").rstrip("/").replace(f"/{EARLIER}/", "/")
+    return [e for e in every if e.name == name] or [e for e in every if fnmatch.fnmatchcase(e.name, name)]
 
 
 def _folders(root: Path) -> Iterator[str]:

@@ -71,15 +71,15 @@ def _run_of(side: FilePath | Signals) -> Any:
 
 def _named_run(path: Path) -> RecordedRun:
     """Return a run by its path, or by its number or name in `cosim list`."""
-    from cosim.history.entries import entries, find_entries
+    from cosim.history.entries import entries, match_entries
     from cosim.simulation.run_files import read_ran
 
-    if path.exists() or not entries():
+    matches = [] if path.exists() else match_entries(str(path), entries())
+    if not matches:
         return read_ran(path)
-    (entry, *others) = find_entries([str(path)])
-    if others:
-        raise InputError.at(path, messages.SEVERAL_RUNS(count=1 + len(others)))
-    return replace(read_ran(entry.folder), name=entry.label)
+    if len(matches) > 1:
+        raise InputError.at(path, messages.SEVERAL_RUNS(count=len(matches)))
+    return replace(read_ran(matches[0].folder), name=matches[0].label)
 
 
 def command(
