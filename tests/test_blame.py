@@ -59,7 +59,7 @@ def test_halved_steps_announce_the_component_whose_state_they_save(monkeypatch: 
     for block in blocks:
         block.instance = SimpleNamespace(  # type: ignore[attr-defined]
             save_state=lambda name=block.name: seen.append((name, rows.doing[0])),
-            restore_state=lambda state, name=block.name: seen.append((name, rows.doing[0])),
+            restore_state=lambda state, keep=False, name=block.name: seen.append((name, rows.doing[0])),
         )
     Halved(system, 2, 0.1, None, rows).results()
     assert {name for name, _ in seen} == {*NAMES}
@@ -96,14 +96,14 @@ def test_the_difference_of_halves_is_that_of_the_values(monkeypatch: pytest.Monk
     monkeypatch.setattr("cosim.master.halving.FmuBlock", Block)
     block = Squares("a", [], ["y"], lambda t, h, u: [block.total])
     block.instance = SimpleNamespace(  # type: ignore[attr-defined]
-        save_state=lambda: block.total, restore_state=lambda state: setattr(block, "total", state)
+        save_state=lambda: block.total, restore_state=lambda state, keep=False: setattr(block, "total", state)
     )
     system = system_of([block], {})
     results = Halved(system, 3, 0.4, None, rows_for(system, 3)).results()
     assert results["a.y"].tolist() == pytest.approx([0.0, 0.08, 0.08, 0.08])
     assert block.total == pytest.approx(3 * 0.16)  # the run goes on from the whole steps
 
-    block.instance.restore_state = lambda state: None  # type: ignore[attr-defined]
+    block.instance.restore_state = lambda state, keep=False: None  # type: ignore[attr-defined]
     with pytest.raises(StoppedRun, match=r"a at t = 0 s: its outputs differ after a saved state is restored"):
         Halved(system, 3, 0.4, None, rows_for(system, 3)).results()
 
