@@ -29,6 +29,7 @@ Positive = float
 NotNegative = float
 ModelName = str  # or the name of a file or folder
 Files = Sequence[str | os.PathLike[str]]
+Runs = Sequence[Any]  # names of files or folders, numbers and results of functions
 Seed = int  # at least 0
 Count = int  # at least 1
 
@@ -208,6 +209,10 @@ def _files(value: Any) -> Any:
     return [_file(each) for each in value]
 
 
+def _runs(value: Any) -> list[Any]:
+    return [_file(v) if isinstance(v, (str, os.PathLike)) else v for v in map(_of_python, value)]
+
+
 def _is(*types: Any) -> Callable[[Any], bool]:
     """Return a predicate for instances of some types; True and False are no numbers."""
     return lambda value: isinstance(value, types) and (types == (bool,) or not isinstance(value, bool))
@@ -227,6 +232,11 @@ def _is_a(module: str, name: str) -> Callable[[Any], bool]:
     The class belongs to a module of a higher layer, which cannot be imported here.
     """
     return lambda value: any((kind.__module__, kind.__name__) == (module, name) for kind in type(value).__mro__)
+
+
+def _are_runs(value: Any) -> bool:
+    is_run = (KINDS["FilePath"].accepts, KINDS["Count"].accepts, KINDS["Signals"].accepts)
+    return isinstance(value, (list, tuple)) and all(any(is_(v) for is_ in is_run) for v in map(_of_python, value))
 
 
 def _has_names(value: Any) -> bool:
@@ -272,6 +282,7 @@ KINDS = {  # by annotation
     "Callable": ArgumentKind(callable, _same, "a function"),
     "Progress": ArgumentKind(callable, _same, "a function"),
     "Signals": ArgumentKind(_is_a("cosim.simulation.run_signals", "Signals"), _same, "a result of a function of cosim"),
+    "Runs": ArgumentKind(_are_runs, _runs, "a list of runs: their folders, numbers, names or patterns"),
     "Subject": ArgumentKind(
         _is_a("cosim.subject.interface", "Subject"), _same, "an object of a subclass of cosim.subject.interface.Subject"
     ),

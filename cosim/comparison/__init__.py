@@ -1,1 +1,1 @@
-"""Comparison of two runs: differences of all signals, criteria side by side, and the page."""
+"""Comparison of runs with a baseline: differences of all signals, inputs and criteria side by side, and the page."""

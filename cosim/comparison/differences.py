@@ -229,11 +229,12 @@ def criteria_of(c: Compared) -> Sequence[tuple[str, Any, Any]]:
     by_title: dict[str, list[Any]] = {}
     for side, run in enumerate((c.a, c.b)):
         for entry in run.criteria:
-            by_title.setdefault(_criterion_title(entry), [None, None])[side] = entry
+            by_title.setdefault(criterion_title(entry), [None, None])[side] = entry
     return [(title, *both) for title, both in by_title.items()]
 
 
-def _criterion_title(entry: dict[str, Any]) -> str:
+def criterion_title(entry: dict[str, Any]) -> str:
+    """Return a criterion without its limit as text."""
     parts = [f"{str(entry.get('kind', '?')).replace('_', ' ')} of {entry.get('of', '?')}"]
     parts += [f"{word} {entry[word]}" for word in ("to", "band", "after", "until") if entry.get(word)]
     return " ".join(parts)

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import shlex
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from cosim.base.arrays import far_beyond
 from cosim.base.errors import InputError
-from cosim.base.text import amount, written
+from cosim.base.text import written
 from cosim.base.version import __version__
 from cosim.comparison import messages
+from cosim.comparison.criterion_cells import criterion_cell
 from cosim.comparison.differences import Compared, compare_runs, criteria_of, sentence
+from cosim.comparison.several import ComparedRuns, RunSource, compare_several
+from cosim.comparison.several_page import several_page
 from cosim.comparison.signal_panels import panels_of
 from cosim.comparison.signals import Difference, format_share, format_size
 from cosim.report.chart_data import to_json
@@ -27,6 +32,7 @@ from cosim.storage.folders import check_overwritable, folder_named, keep_earlier
 TEMPLATE = Path(__file__).with_name("templates") / "comparison.html.j2"
 MAX_PLOTTED = 24  # signals with the largest differences
 FILES = ("comparison.json", "report.html")
+LONGEST_NAME, NUMBERED = 80, "run "  # characters of the name of a folder; the beginning of the name of a numbered run
 
 
 @folder_locks()
@@ -56,23 +62,93 @@ def compare(
     Raises:
         InputError: The runs have no common signal or time.
     """
-    for name, value in (("--tol", tolerance), ("--abs", absolute)):
-        if value is not None and not (math.isfinite(value) and value >= 0):
-            raise InputError.at(a.path, messages.NEGATIVE_TOLERANCE(option=name, value=value))
+    _check_tolerance(a.path, tolerance, absolute)
     comparison = compare_runs(a, b, tolerance, absolute)
     place = folder_named(f"{a.name} and {b.name}") if folder is None else named_path(folder)
-    if not write:
-        return comparison, place
-    read = [p / "manifest.json" if p.is_dir() else p for p in (a.path, b.path)]
-    check_overwritable(place, "cosim compare", str(a.path), str(b.path), force=force, keep=folder is None)
-    check_writable(place, FILES, read)
-    if folder is None:
-        keep_earlier(place, "cosim compare")
-    write_json(place / "comparison.json", comparison.as_json())
-    (place / "report.html").unlink(missing_ok=True)
-    if report:
-        write_text(place / "report.html", render(TEMPLATE, context(comparison)))
+    if write:
+        _prepare(place, [a.path, b.path], force=force, keep=folder is None)
+        page = partial(render, TEMPLATE, context(comparison)) if report else None
+        _write(place, comparison.as_json(), page)
     return comparison, place
+
+
+@folder_locks()
+@far_beyond
+def compare_all(
+    sources: Sequence[RunSource],
+    folder: FilePath | None = None,
+    *,
+    baseline: int = 0,
+    tolerance: float | None = None,
+    absolute: float = 0.0,
+    report: bool = True,
+    write: bool = True,
+    force: bool = False,
+) -> tuple[ComparedRuns, Path]:
+    """Compare several runs with a baseline; write comparison.json and report.html.
+
+    Args:
+        baseline: Index of the baseline.
+        tolerance: Share of each signal's range in the baseline.
+        absolute: Size in the signal's unit, added to the share.
+        write: Whether to write files.
+        force: Whether to overwrite the files of another command.
+
+    Returns:
+        The comparison and its folder.
+
+    Raises:
+        InputError: Runs cannot be read, or have no common signal or time.
+    """
+    base = sources[baseline]
+    _check_tolerance(base.path, tolerance, absolute)
+    comparison = compare_several(sources, baseline, tolerance, absolute)
+    paths = [base.path, *(s.path for k, s in enumerate(sources) if k != baseline)]
+    names = [base.short, *(s.short for k, s in enumerate(sources) if k != baseline)]
+    place = folder_named(_name_of(names, paths)) if folder is None else named_path(folder)
+    if write:
+        _prepare(place, paths, force=force, keep=folder is None)
+        options = _options(tolerance, absolute)
+        page = (
+            partial(several_page, comparison, _tolerance(tolerance, absolute, "the baseline"), options)
+            if report
+            else None
+        )
+        _write(place, comparison.as_json(), page)
+    return comparison, place
+
+
+def _name_of(names: Sequence[str], paths: Sequence[Path]) -> str:
+    """Return the name of the comparison of several runs: `runs 1-2-3`; that of many ends with a hash of their paths."""
+    numbers = [name.removeprefix(NUMBERED) for name in names]
+    text = f"runs {'-'.join(numbers)}" if all(map(str.isdecimal, numbers)) else " and ".join(names)
+    if len(text) <= LONGEST_NAME:
+        return text
+    digest = hashlib.sha256("\0".join(map(str, paths)).encode()).hexdigest()
+    return f"{names[0]} and {len(names) - 1} others {digest[:8]}"
+
+
+def _check_tolerance(path: Path, tolerance: float | None, absolute: float) -> None:
+    for name, value in (("--tol", tolerance), ("--abs", absolute)):
+        if value is not None and not (math.isfinite(value) and value >= 0):
+            raise InputError.at(path, messages.NEGATIVE_TOLERANCE(option=name, value=value))
+
+
+def _prepare(place: Path, paths: Sequence[Path], *, force: bool, keep: bool) -> None:
+    """Check that a folder may take a comparison; move an earlier one to `runs`."""
+    read = [p / "manifest.json" if p.is_dir() else p for p in paths]
+    others = ", ".join(str(path) for path in paths[1:])
+    check_overwritable(place, "cosim compare", str(paths[0]), others, force=force, keep=keep)
+    check_writable(place, FILES, read)
+    if keep:
+        keep_earlier(place, "cosim compare")
+
+
+def _write(place: Path, content: Mapping[str, Any], page: Callable[[], str] | None) -> None:
+    write_json(place / "comparison.json", content)
+    (place / "report.html").unlink(missing_ok=True)
+    if page is not None:
+        write_text(place / "report.html", page())
 
 
 def context(c: Compared) -> Mapping[str, Any]:
@@ -87,29 +163,29 @@ def context(c: Compared) -> Mapping[str, Any]:
         "outcome": sentence(c),
         "tone": "plain" if not c.judged else "good" if c.same else "bad",
         "judged": c.judged,
-        "tolerance": _tolerance(c),
+        "tolerance": _tolerance(c.tolerance, c.absolute),
         "aligned": c.aligned,
         "rows": [_row(d) for d in c.ranking],
-        "criteria": [(title, _verdict(a), _verdict(b)) for title, a, b in criteria_of(c)],
+        "criteria": [(title, criterion_cell(a), criterion_cell(b)) for title, a, b in criteria_of(c)],
         "plots": plots,
         "undrawn": len(c.differences) - len(plotted),
         "only_a": c.only_a,
         "only_b": c.only_b,
         "data": to_json(drawing.series),
-        "repeat": shlex.join(["cosim", "compare", str(c.a.path), str(c.b.path), *_options(c)]),
+        "repeat": shlex.join(["cosim", "compare", str(c.a.path), str(c.b.path), *_options(c.tolerance, c.absolute)]),
         "version": __version__,
     }
 
 
-def _options(c: Compared) -> list[str]:
-    options = ["--tol", f"{c.tolerance:g}"] if c.tolerance is not None else []
-    return options + (["--abs", f"{c.absolute:g}"] if c.absolute else [])
+def _options(tolerance: float | None, absolute: float) -> list[str]:
+    options = ["--tol", f"{tolerance:g}"] if tolerance is not None else []
+    return options + (["--abs", f"{absolute:g}"] if absolute else [])
 
 
-def _tolerance(c: Compared) -> str:
-    if c.tolerance is None:
+def _tolerance(tolerance: float | None, absolute: float, base: str = "a") -> str:
+    if tolerance is None:
         return ""
-    parts = [f"{c.tolerance:g} of each signal's range in a"] + ([f"{c.absolute:g} in its unit"] if c.absolute else [])
+    parts = [f"{tolerance:g} of each signal's range in {base}"] + ([f"{absolute:g} in its unit"] if absolute else [])
     return " and ".join(parts)
 
 
@@ -124,13 +200,3 @@ def _row(d: Difference) -> dict[str, Any]:
         "beyond": d.beyond,
         "note": d.note,
     }
-
-
-def _verdict(entry: dict[str, Any] | None) -> tuple[str, str]:
-    if entry is None:
-        return "not asked", ""
-    value = entry.get("value")
-    text = "never" if value is None else amount(float(value), str(entry.get("unit") or ""))
-    return f"{text} of {amount(float(entry.get('max', math.nan)), str(entry.get('unit') or ''))}", (
-        "good" if entry.get("met") else "bad"
-    )

@@ -11,12 +11,12 @@ from typing import Any
 
 from cosim.base.errors import InputError
 from cosim.history import messages
+from cosim.history.inputs import changes_between, input_text, scenario_inputs, short_input
 from cosim.storage.artefact import Artefact, artefacts
 from cosim.storage.folders import EARLIER, RESULTS, content_of
 from cosim.storage.yaml_file import did_you_mean
 
 OUTCOMES = ("verdict", "status", "sentence")  # keys of a record whose text is an outcome
-UNCHANGED = {"sha256", "name", "description"}  # keys of a scenario that are no inputs
 MOST_CHANGES = 3  # in a text
 
 
@@ -49,12 +49,18 @@ class Entry:
     @property
     def label(self) -> str:
         """Return a name that differs from those of other entries, with the changes: `run 3 (mass = 440)`."""
-        return f"run {self.number} ({self.changed})" if self.changes else f"run {self.number} ({self.name})"
+        return f"{self.short} ({self.changed or self.name})"
+
+    @property
+    def short(self) -> str:
+        """Return a short name that differs from those of other entries: `run 3`."""
+        return f"run {self.number}"
 
     @property
     def changed(self) -> str:
         """Return the changes as a text."""
-        texts = [f"{_short(key)} = {value}" if value is not None else f"no {_short(key)}" for key, value in self.pairs]
+        names = ((short_input(key), value) for key, value in self.pairs)
+        texts = [f"{name} = {input_text(value)}" if value is not None else f"no {name}" for name, value in names]
         return ", ".join(texts[:MOST_CHANGES]) + (
             f" and {len(texts) - MOST_CHANGES} more" * (len(texts) > MOST_CHANGES)
         )
@@ -83,7 +89,7 @@ def entries(results: Path | None = None) -> list[Entry]:
     for name in sorted(_folders(root)):
         before: Mapping[str, Any] | None = None
         for entry, inputs in _of_name(root / name, name, marks):
-            changes = {} if before is None or not inputs else _changes(before, inputs)
+            changes = {} if before is None or not inputs else changes_between(before, inputs)
             before = inputs or before
             every.append(replace(entry, changes=changes))
     every.sort(key=lambda e: (e.time, e.name))
@@ -141,9 +147,7 @@ def _of_name(folder: Path, name: str, marks: Mapping[str, Artefact]) -> Iterator
             continue
         content = content_of(place / mark) if mark.endswith(".json") else {}
         verb = marks[mark].verb.removeprefix("cosim ")
-        scenario = content.get("scenario")
-        inputs = _flatten(scenario) if isinstance(scenario, dict) else {}
-        yield Entry(0, label, place, verb, there[mark], _outcome(content), {}), inputs
+        yield Entry(0, label, place, verb, there[mark], _outcome(content), {}), scenario_inputs(content)
 
 
 def _outcome(content: Mapping[str, Any]) -> str:
@@ -153,24 +157,3 @@ def _outcome(content: Mapping[str, Any]) -> str:
     if judged:
         return f"{sum(bool(c['met']) for c in judged)} of {len(judged)} criteria met"
     return next((content[key] for key in OUTCOMES if isinstance(content.get(key), str)), "")
-
-
-def _flatten(value: Any, place: str = "") -> dict[str, Any]:
-    """Return path → value of every leaf of a scenario that is an input."""
-    if isinstance(value, dict):
-        parts = ((f"{place}.{key}" if place else str(key), each) for key, each in value.items() if key not in UNCHANGED)
-    elif isinstance(value, list) and any(isinstance(each, (dict, list)) for each in value):
-        parts = ((f"{place}[{number}]", each) for number, each in enumerate(value))
-    else:
-        return {place: value}
-    return {name: leaf for part, each in parts for name, leaf in _flatten(each, part).items()}
-
-
-def _changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, Any]:
-    changed = {key: value for key, value in after.items() if key not in before or before[key] != value}
-    return changed | {key: None for key in before if key not in after}
-
-
-def _short(path: str) -> str:
-    """Return an input without the parts of its path that every component has."""
-    return path.removeprefix("components.").replace(".start.", ".")

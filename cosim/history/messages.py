@@ -12,3 +12,7 @@ NO_REPORT = Template("E-HIS-005", "has no report.html; {cure}")
 NOT_CONFIRMED = Template("E-HIS-006", "nothing is removed without an answer; add --yes")
 REMOVED_BEFORE = Template("W-HIS-007", "{folder} is gone already")
 NOT_REMOVED = Template("W-HIS-008", "{folder} cannot be removed: {reason}")
+NO_PATH_OR_NAME = Template(
+    "E-HIS-009",
+    "no such folder or file; give the folder of a run, a table of its rows, or a number or name in `cosim list`{hint}",
+)

@@ -120,10 +120,15 @@ def check_overwritable(folder: Path, by: str, *sources: str, force: bool = False
         if artefact.verb != by:
             raise InputError.at(folder, messages.FOLDER_OF_OTHER_COMMAND(command=artefact.verb))
         content = content_of(folder / artefact.marks[0])
-        earlier = [str(content.get(key) or "") for key in artefact.sources]
+        earlier = [_source_text(content.get(key)) for key in artefact.sources]
         if sources and any(earlier) and not all(map(_is_same, earlier, sources)):
             names = " and ".join(filter(None, earlier))
             raise InputError.at(folder, messages.FOLDER_OF_OTHER_SOURCES(command=by, sources=names))
+
+
+def _source_text(value: Any) -> str:
+    """Return a source of earlier results, or several, as text."""
+    return ", ".join(map(str, value)) if isinstance(value, list) else str(value or "")
 
 
 def _is_same(one: str, other: str) -> bool:

@@ -1,8 +1,10 @@
-"""`cosim compare` and `cosim.compare`: compare two runs."""
+"""`cosim compare` and `cosim.compare`: compare runs."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,14 +12,16 @@ import typer
 
 from cosim.base.errors import CriterionMissed, InputError
 from cosim.base.messages import join
-from cosim.base.settings import NotNegative
+from cosim.base.settings import Count, NotNegative, Runs
 from cosim.storage.files import FilePath
 from cosim.verbs import messages
 from cosim.verbs.options import Force, Json, Open, Report, out_option
-from cosim.verbs.terminal import colour, say, say_json, show, some, table
+from cosim.verbs.terminal import colour, say, say_json, show, some, table, warn
 
 if TYPE_CHECKING:
     from cosim.comparison.differences import Compared
+    from cosim.comparison.several import ComparedRuns, RunSource
+    from cosim.history.selection import Selected
     from cosim.simulation.run_files import RecordedRun
     from cosim.simulation.run_signals import Signals
 
@@ -25,70 +29,139 @@ MAX_SIGNALS = 12  # on the terminal
 
 
 def compare(
-    a: FilePath | Signals,
-    b: FilePath | Signals,
+    a: FilePath | Count | Signals | Runs,
+    b: FilePath | Count | Signals | None = None,
     out: FilePath | None = None,
     *,
+    baseline: FilePath | Count | Signals | None = None,
     tolerance: NotNegative | None = None,
     absolute: NotNegative = 0.0,
     force: bool = False,
-) -> Compared:
-    """Compare two runs signal by signal.
+) -> Compared | ComparedRuns:
+    """Compare runs signal by signal with a baseline.
 
     A difference beyond the tolerance is not an error: see `Compared.same`.
 
     Args:
-        a: Baseline: folder of a run, CSV file whose first column is time, or result of a function.
-        b: Run that is compared with the baseline.
+        a: Baseline: folder of a run, CSV file whose first column is time, number, name or pattern in `cosim list`, or
+            result of a function; or a list of runs, however many.
+        b: Run that is compared with the baseline `a`.
         out: Folder for comparison.json and report.html; None writes nothing.
-        tolerance: Allowed difference as a share of each signal's range in `a`.
+        baseline: Baseline of a list of runs; by default its first run.
+        tolerance: Allowed difference as a share of each signal's range in the baseline.
         absolute: Allowed difference in each signal's unit, added to `tolerance`.
         force: Overwrite results of other runs or of another command in `out`.
 
     Returns:
-        The difference of each signal, and the verdict if there is a tolerance.
+        The difference of each signal, and the verdict if there is a tolerance: `Compared` of two runs `a` and `b`,
+        `ComparedRuns` of a list.
 
     Raises:
-        InputError: The runs have no common signal or no common time.
+        InputError: No such run, or runs without a common signal or a common time.
     """
-    from cosim.comparison.workflow import compare as compare_runs
+    from cosim.comparison.workflow import compare as compare_two
+    from cosim.comparison.workflow import compare_all
 
-    comparison, _ = compare_runs(
-        _run_of(a), _run_of(b), out, tolerance=tolerance, absolute=absolute, write=out is not None, force=force
-    )
-    return comparison
-
-
-def _run_of(side: FilePath | Signals) -> Any:
-    from cosim.simulation.run_files import RecordedRun, read_ran
-    from cosim.simulation.run_signals import Run, Signals
-
-    if not isinstance(side, Signals):
-        return read_ran(Path(side))
-    manifest = side.manifest if isinstance(side, Run) else {}
-    return RecordedRun(side.folder or Path(side.title), side.title, side.results, manifest)
+    options: dict[str, Any] = {"tolerance": tolerance, "absolute": absolute, "write": out is not None, "force": force}
+    if isinstance(a, (list, tuple)):
+        sources, place = _sources([*a, *([] if b is None else [b])], baseline)
+        return compare_all(sources, out, baseline=place, **options)[0]
+    sources, place = _sources([a, *([] if b is None else [b])], baseline)
+    if len(sources) > 2:
+        raise InputError.at(Path(str(a)), messages.SEVERAL_RUNS(count=len(sources)))
+    first, second = _both(sources, place)
+    return compare_two(first, second, out, **options)[0]
 
 
-def _named_run(path: Path) -> RecordedRun:
-    """Return a run by its path, or by its number or name in `cosim list`."""
-    from cosim.history.entries import entries, match_entries
+def _is_result(side: Any) -> bool:
+    from cosim.simulation.run_signals import Signals
+
+    return isinstance(side, Signals)
+
+
+def _sources(sides: Sequence[Any], baseline: Any = None) -> tuple[list[RunSource], int]:
+    """Return the runs to compare, and the index of the baseline.
+
+    Args:
+        sides: Paths, numbers, names and patterns of runs, and results of functions.
+
+    Raises:
+        InputError: Fewer than two runs, or a baseline that is not one run.
+    """
+    sources, place = _runs_of(sides), 0
+    if baseline is not None:
+        base = _runs_of([baseline])
+        if len(base) != 1:
+            raise InputError.at(Path(str(baseline)), messages.SEVERAL_BASELINES(count=len(base)))
+        paths = [source.path.resolve() for source in sources]
+        if base[0].path.resolve() not in paths:
+            sources.insert(0, base[0])
+        else:
+            place = paths.index(base[0].path.resolve())
+            sources[place] = base[0]
+    if len(sources) < 2:
+        raise InputError.at(sources[0].path if sources else Path(str(sides[0])), messages.ONE_RUN())
+    return sources, place
+
+
+def _runs_of(sides: Sequence[Any]) -> list[RunSource]:
+    """Return the runs of paths, numbers, names, patterns and results of functions, in this order."""
+    from cosim.history.selection import select_groups
+
+    groups = iter(select_groups([str(side) for side in sides if not _is_result(side)]))
+    runs = ([_result_source(s)] if _is_result(s) else map(_named_source, _with_rows(next(groups))) for s in sides)
+    return [run for each in runs for run in each]
+
+
+def _with_rows(group: Sequence[Selected]) -> list[Selected]:
+    """Return results without those that a pattern matched although they have no rows, as a sweep."""
+    from cosim.storage.results import rows_in
+
+    return [selected for selected in group if not selected.by_pattern or rows_in(selected.path) is not None]
+
+
+def _named_source(selected: Selected) -> RunSource:
+    from cosim.comparison.several import RunSource
     from cosim.simulation.run_files import read_ran
 
-    matches = [] if path.exists() else match_entries(str(path), entries())
-    if not matches:
-        return read_ran(path)
-    if len(matches) > 1:
-        raise InputError.at(path, messages.SEVERAL_RUNS(count=len(matches)))
-    return replace(read_ran(matches[0].folder), name=matches[0].label)
+    return RunSource(selected.short, selected.path, partial(read_ran, selected.path), selected.by_pattern)
+
+
+def _result_source(side: Signals) -> RunSource:
+    from cosim.comparison.several import RunSource
+    from cosim.simulation.run_files import RecordedRun
+    from cosim.simulation.run_signals import Run
+
+    path = side.folder or Path(side.title)
+    run = RecordedRun(path, side.title, side.results, side.manifest if isinstance(side, Run) else {})
+    return RunSource(side.title, path, lambda: run)
+
+
+def _both(sources: Sequence[RunSource], baseline: int) -> tuple[RecordedRun, RecordedRun]:
+    """Return the baseline and the other run, with names that differ."""
+    from cosim.comparison.several import label_runs
+
+    ordered = [sources[baseline], sources[1 - baseline]]
+    runs = [source.read() for source in ordered]
+    shorts = [source.short for source in ordered]
+    if shorts[0] == shorts[1] or shorts != [run.name for run in runs]:
+        labels, _ = label_runs(runs, shorts)
+        runs = [replace(run, name=label) for run, label in zip(runs, labels, strict=True)]
+    return runs[0], runs[1]
 
 
 def command(
-    a: Annotated[
-        Path,
-        typer.Argument(help="Baseline: folder of a run, its number or name in `cosim list`, or a CSV file of rows."),
+    runs: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="RUN...",
+            help="Folders of runs, their numbers, names or patterns in `cosim list`, or CSV files of rows.",
+        ),
     ],
-    b: Annotated[Path, typer.Argument(help="Run that is compared with the baseline.")],
     *,
+    baseline: Annotated[
+        str | None, typer.Option("--baseline", metavar="RUN", help="Baseline (default: the first run).")
+    ] = None,
     tolerance: Annotated[
         float | None,
         typer.Option("--tol", help="Allowed difference as a share of each signal's range; exit code 5 if exceeded."),
@@ -102,29 +175,59 @@ def command(
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Compare two runs signal by signal.
+    """Compare runs signal by signal with a baseline.
 
-    Prints the largest differences. Writes comparison.json and a report that shows both runs in the same charts.
+    Prints the largest differences. Writes comparison.json and a report that shows all runs in the same charts.
 
     Example: cosim compare results/one results/two --tol 1e-3
     """
-    from cosim.comparison.workflow import compare as compare_runs
+    from cosim.comparison.workflow import compare as compare_two
+    from cosim.comparison.workflow import compare_all
 
+    sources, place = _sources(runs, baseline)
     if absolute and tolerance is None:
         tolerance = 0.0
-    comparison, folder = compare_runs(
-        _named_run(a), _named_run(b), out, tolerance=tolerance, absolute=absolute, report=report, force=force
-    )
+    options: dict[str, Any] = {"tolerance": tolerance, "absolute": absolute, "report": report, "force": force}
+    comparison: Compared | ComparedRuns
+    if len(sources) == 2:
+        comparison, folder = compare_two(*_both(sources, place), out, **options)
+        lines = _lines(comparison)
+    else:
+        comparison, folder = compare_all(sources, out, baseline=place, **options)
+        warn(*comparison.left_out)
+        lines = _lines_of_several(comparison)
     if as_json:
         say_json(comparison.as_json())
     else:
-        say(*_lines(comparison))
+        say(*lines)
         say(f"differences: {folder / 'comparison.json'}")
         if report:
             say(f"report:      {folder / 'report.html'}")
     show(folder / "report.html", open_=report and open_)
     if comparison.judged and not comparison.same:
         raise CriterionMissed(join("; ", comparison.reasons))
+
+
+def _lines_of_several(c: ComparedRuns) -> list[str]:
+    """Return the lines to print: verdict, runs, inputs that differ, signals with the largest differences."""
+    from cosim.comparison.several import sentence
+    from cosim.comparison.signals import format_share, format_size
+    from cosim.history.inputs import input_text
+
+    lines = [colour(c.same, sentence(c)) if c.judged else sentence(c)]
+    lines += [f"  {label}{'  (baseline)' if k == c.baseline else ''}" for k, label in enumerate(c.labels)]
+    shown = c.drawn
+    heads = [c.shorts[k] for k in shown]
+    inputs = [(f"  {i.name}", *(input_text(i.values[k]) for k in shown)) for i in c.inputs[:MAX_SIGNALS]]
+    lines += table(("  input", *heads), inputs) if inputs else []
+    rows = []
+    for name, cells in list(c.table.items())[:MAX_SIGNALS]:
+        shares = ("" if (d := cells[k]) is None else f"{format_size(d, d.largest)}, {format_share(d)}" for k in shown)
+        rows.append((f"  {name}", *shares))
+    lines += table(("  largest difference", *heads), rows)
+    if len(c.ranking) > MAX_SIGNALS:
+        lines.append(f"  … and {len(c.ranking) - MAX_SIGNALS} more signals")
+    return lines
 
 
 def _lines(comparison: Compared) -> list[str]:

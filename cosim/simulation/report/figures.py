@@ -38,7 +38,10 @@ LINES: dict[str, tuple[str, str, float]] = {
     "s3": ("#cc79a7", "-", 1.1),
     "s4": ("#8a6d00", "--", 1.1),
     "s5": ("#1a1a1a", ":", 1.1),
+    "baseline": ("#1a1a1a", "-", 2.0),
 }
+for _number in range(15):  # the runs of a comparison
+    LINES[f"run{_number}"] = LINES[f"s{_number % 5}"][0], ("-", "--", ":")[_number // 5], 1.1
 PANELS_A_FIGURE = 8
 MAX_POINTS = 4000  # points per curve, about five per pixel
 

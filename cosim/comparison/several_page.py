@@ -1,0 +1,120 @@
+"""The page of several runs: all runs in the same charts, inputs that differ, criteria and differences in tables."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from cosim.base.text import counted
+from cosim.base.version import __version__
+from cosim.comparison.criterion_cells import criterion_cell, criterion_limit
+from cosim.comparison.differences import Compared
+from cosim.comparison.several import ComparedRuns, sentence
+from cosim.comparison.signal_panels import differences, overlay, styles_of
+from cosim.comparison.signals import Difference, format_share, format_size
+from cosim.history.inputs import input_text
+from cosim.report.chart_data import to_json
+from cosim.report.drawing import Drawing
+from cosim.report.template import render
+
+TEMPLATE = Path(__file__).with_name("templates") / "several.html.j2"
+MAX_ROWS = 200  # signals and inputs in a table; comparison.json has all
+
+
+def several_page(c: ComparedRuns, tolerance: str, options: Sequence[str]) -> str:
+    """Return the page.
+
+    Args:
+        tolerance: The tolerance as a phrase, "" without one.
+        options: Options of the command that repeats the comparison.
+    """
+    return render(TEMPLATE, _context(c, tolerance, options))
+
+
+def _context(c: ComparedRuns, tolerance: str, options: Sequence[str]) -> Mapping[str, Any]:
+    labels, base = [c.labels[k] for k in c.drawn], c.drawn.index(c.baseline)
+    drawing = Drawing(c.time, 2 * len(labels) * max(1, len(c.curves)))
+    table = c.table
+    differing = [name for name in c.curves if any(d is not None and d.largest for d in table[name])]
+    panels = [
+        make(name, c.units[name], labels, c.curves[name], base) for name in differing for make in (overlay, differences)
+    ]
+    equal = [overlay(name, c.units[name], labels, c.curves[name], base) for name in c.curves if name not in differing]
+    paths = [str(c.runs[k].path) for k in (c.baseline, *c.others)]
+    return {
+        "base": c.labels[c.baseline],
+        "count": counted(len(c.others), "run"),
+        "outcome": sentence(c),
+        "tone": "plain" if not c.judged else "good" if c.same else "bad",
+        "tolerance": tolerance,
+        "judged": c.judged,
+        "runs": _run_rows(c),
+        "shorts": c.shorts,
+        "inputs": [(f"{i.name}", i.kind, *map(input_text, i.values)) for i in c.inputs[:MAX_ROWS]],
+        "more_inputs": max(0, len(c.inputs) - MAX_ROWS),
+        "criteria": [_criterion_row(title, outcomes) for title, outcomes in c.criteria.items()],
+        "left_out": c.left_out,
+        "signals": [(name, *map(_difference_cell, cells)) for name, cells in list(table.items())[:MAX_ROWS]],
+        "more_signals": max(0, len(c.ranking) - MAX_ROWS),
+        "plots": drawing.plots(panels),
+        "equal": drawing.plots(equal),
+        "is_drawn": _drawn(c),
+        "baseline": c.baseline,
+        "data": to_json(drawing.series),
+        "repeat": shlex.join(["cosim", "compare", *paths, *options]),
+        "version": __version__,
+    }
+
+
+def _criterion_row(title: str, outcomes: Sequence[Mapping[str, Any] | None]) -> tuple[Any, ...]:
+    """Return a criterion and its cells; a limit that is the same in all runs is told once."""
+    limits = {criterion_limit(entry) for entry in outcomes if entry is not None}
+    if len(limits) == 1:
+        return f"{title}, at most {limits.pop()}", *(criterion_cell(entry, limit=False) for entry in outcomes)
+    return title, *map(criterion_cell, outcomes)
+
+
+def _run_rows(c: ComparedRuns) -> list[dict[str, Any]]:
+    styles = dict(zip(c.drawn, styles_of(len(c.drawn), c.drawn.index(c.baseline)), strict=True))
+    by_run = dict(zip(c.others, c.comparisons, strict=True))
+    return [
+        {
+            "label": run.name,
+            "style": styles.get(k, ""),
+            "path": str(run.path),
+            "most": _largest(by_run[k]) if k in by_run else "baseline",
+            "same": by_run[k].same if k in by_run else None,
+            "note": _note(by_run[k]) if k in by_run else "",
+        }
+        for k, run in enumerate(c.runs)
+    ]
+
+
+def _largest(comparison: Compared) -> str:
+    d = max(comparison.differences, key=lambda d: d.share)
+    return f"{d.name}: {format_size(d, d.largest)} ({format_share(d)})" if d.largest else "equal"
+
+
+def _note(comparison: Compared) -> str:
+    """Return a note on missing signals and on the ends of a run."""
+    missing = len(comparison.only_a)
+    parts = [f"{counted(missing, 'signal')} of the baseline missing" if missing else "", str(comparison.shorter)]
+    return "; ".join(filter(None, parts))
+
+
+def _difference_cell(d: Difference | None) -> tuple[str, str, bool]:
+    """Return size, share and verdict of a difference."""
+    if d is None:
+        return "–", "", False
+    return (format_size(d, d.largest), format_share(d), d.beyond) if d.largest else ("0", "", False)
+
+
+def _drawn(c: ComparedRuns) -> str:
+    """Return a sentence on the runs and signals that are drawn, "" if all are."""
+    runs, signals = len(c.runs) - len(c.drawn), len(c.ranking) - len(c.curves)
+    parts = [f"the baseline and the {len(c.drawn) - 1} runs that differ most"] if runs else []
+    parts += [f"the {len(c.curves)} signals that differ most"] if signals else []
+    rest = [counted(count, noun) for count, noun in ((runs, "run"), (signals, "signal")) if count]
+    return f"Drawn: {', '.join(parts)}. Only in the tables: {' and '.join(rest)}." if parts else ""

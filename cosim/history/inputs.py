@@ -1,0 +1,122 @@
+"""Inputs of recorded runs: parameters, FMUs, scenario values, seed and versions, and the differences between runs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+UNCHANGED = {"sha256", "name", "description"}  # keys of a scenario that are no inputs
+PARAMETER, FMU, SCENARIO, SEED, VERSION = "parameter", "FMU", "scenario", "seed", "version"
+KINDS = (PARAMETER, SCENARIO, FMU, SEED, VERSION)  # the order of a label and of a table
+MOST_IN_LABEL = 3  # inputs
+DIGITS = 12  # of a SHA-256
+LONGEST = 24  # characters of a value in a label
+
+
+@dataclass(frozen=True)
+class DifferingInput:
+    """An input whose value is not the same in all runs.
+
+    Attributes:
+        kind: parameter, scenario, FMU, seed or version.
+        values: Value in each run; None if the run does not have the input.
+    """
+
+    kind: str
+    name: str
+    values: tuple[Any, ...]
+
+
+def scenario_inputs(record: Mapping[str, Any]) -> dict[str, Any]:
+    """Return path → value of every leaf of the scenario in a record that is an input; empty without a scenario."""
+    scenario = record.get("scenario")
+    return _flatten(scenario) if isinstance(scenario, dict) else {}
+
+
+def changes_between(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the inputs that differ from those before; None for a removed input."""
+    changed = {key: value for key, value in after.items() if key not in before or before[key] != value}
+    return changed | {key: None for key in before if key not in after}
+
+
+def differing_inputs(records: Sequence[Mapping[str, Any]]) -> list[DifferingInput]:
+    """Return the inputs that differ between recorded runs, those of a label first.
+
+    Runs without a record, for example tables of other tools, have no inputs and are not compared.
+    """
+    inputs = [_inputs(record) for record in records]
+    recorded = [each for each in inputs if each]
+    names = dict.fromkeys(name for each in recorded for name in each)
+    differing = [name for name in names if any(each.get(name) != recorded[0].get(name) for each in recorded)]
+    rows = [DifferingInput(*name, tuple(each.get(name) for each in inputs)) for name in differing]
+    return sorted(rows, key=lambda row: KINDS.index(row.kind))
+
+
+def labels_of(names: Sequence[str], inputs: Sequence[DifferingInput], *, unique: Sequence[str]) -> list[str]:
+    """Return a label that differs from all others for each run: `run 3 (mass = 440)`.
+
+    Args:
+        unique: A text for each run, such as its path, that tells runs with equal labels apart.
+    """
+    chosen = [row for row in inputs if row.kind != VERSION][:MOST_IN_LABEL]
+    labels = []
+    for k, name in enumerate(names):
+        texts = [f"{row.name} = {_short_value(row.values[k])}" for row in chosen if row.values[k] is not None]
+        labels.append(f"{name} ({', '.join(texts)})" if texts else name)
+    return [f"{t}, {u}" if labels.count(t) > 1 else t for t, u in zip(labels, unique, strict=True)]
+
+
+def short_input(path: str) -> str:
+    """Return an input without the parts of its path that every component has."""
+    return path.removeprefix("components.").replace(".start.", ".")
+
+
+def input_text(value: Any) -> str:
+    """Return the value of an input as text, a dash if there is none."""
+    if value is None:
+        return "–"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _short_value(value: Any) -> str:
+    text = input_text(value)
+    name = text.rpartition("/")[2] if text.startswith("/") else text
+    return name if len(name) <= LONGEST else f"{name[: LONGEST - 1]}…"
+
+
+def _inputs(record: Mapping[str, Any]) -> dict[tuple[str, str], Any]:
+    """Return (kind, name) → value of all inputs in a record."""
+    inputs = {(_kind_of(path), short_input(path)): value for path, value in scenario_inputs(record).items()}
+    for name, fmu in _mapping(record.get("fmus")).items():
+        inputs[FMU, f"{name}.sha256"] = str(_mapping(fmu).get("sha256", ""))[:DIGITS]
+    for key in ("log", "fmu"):  # of a replay
+        if isinstance(record.get(key), str):
+            inputs[FMU if key == "fmu" else SCENARIO, key] = record[key]
+    if not inputs:
+        return {}
+    versions = {"cosim": record.get("cosim_version"), **_mapping(record.get("versions"))}
+    versions["cosim revision"] = _mapping(record.get("git")).get("revision")
+    return inputs | {(VERSION, name): text for name, text in versions.items() if text is not None}
+
+
+def _kind_of(path: str) -> str:
+    parts = path.split(".")
+    if parts[0] != "components":
+        return SEED if path == "seed" else SCENARIO
+    return PARAMETER if "start" in parts[2:3] else FMU if parts[2:3] == ["fmu"] else SCENARIO
+
+
+def _mapping(value: Any) -> Mapping[str, Any]:
+    return value if isinstance(value, dict) else {}
+
+
+def _flatten(value: Any, place: str = "") -> dict[str, Any]:
+    """Return path → value of every leaf of a scenario that is an input."""
+    if isinstance(value, dict):
+        parts = ((f"{place}.{key}" if place else str(key), each) for key, each in value.items() if key not in UNCHANGED)
+    elif isinstance(value, list) and any(isinstance(each, (dict, list)) for each in value):
+        parts = ((f"{place}[{number}]", each) for number, each in enumerate(value))
+    else:
+        return {place: value}
+    return {name: leaf for part, each in parts for name, leaf in _flatten(each, part).items()}

@@ -1,0 +1,220 @@
+"""Any number of runs against a baseline: labels, inputs that differ, criteria, verdicts, limits of a page."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import cosim
+from cosim.base.errors import CriterionMissed, InputError
+from cosim.comparison import several
+from cosim.comparison.several import ComparedRuns, RunSource, compare_several
+from cosim.comparison.several_page import several_page
+from cosim.history.inputs import differing_inputs, labels_of
+from cosim.simulation.run_files import RecordedRun
+from cosim.storage.results import Results
+from cosim.verbs.cli import app
+
+TIME = np.linspace(0, 1, 101)
+SCENARIO = "name: s\nduration: 1\nstep: 0.1\ncomponents:\n  ref: {block: reference, signals: {x: {start: 1}}}\n"
+CRITERION = "criteria: {peak: {of: ref.x, max: 2.5}}\n"
+
+
+def _source(name: str, gain: float, record: Mapping[str, Any] | None = None, *, optional: bool = False) -> RunSource:
+    """A run with the signals x = gain·t and y = t."""
+    rows = Results(TIME, ("x", "y"), np.column_stack((gain * TIME, TIME)), {"x": "m"})
+    return RunSource(name, Path(name), lambda: RecordedRun(Path(name), name, rows, record or {}), optional)
+
+
+def _record(mass: float, **more: Any) -> dict[str, Any]:
+    fmu = {"fmu": "/a/plant.fmu", "start": {"mass": mass}}
+    return {"scenario": {"name": "s", "seed": 0, "components": {"plant": fmu}}, "cosim_version": "1", **more}
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder whose results have three runs of a scenario with other start values."""
+    folder = tmp_path_factory.mktemp("runs")
+    (folder / "s.yaml").write_text(SCENARIO + CRITERION, encoding="utf-8")
+    for start in (1, 3, 2):
+        content = {"set": {"components.ref.signals.x.start": start}, "report": False, "in_process": True}
+        cosim.run(folder / "s.yaml", folder / "results" / "s" / "runs" / f"000{start}", **content)  # type: ignore[arg-type]
+    return folder
+
+
+def _invoke(words: Sequence[str]) -> Any:
+    return CliRunner().invoke(app, ["compare", *words])
+
+
+def test_inputs_that_differ_are_those_of_labels_first_and_versions_last() -> None:
+    records = [_record(440.0), _record(500.0, cosim_version="2", fmus={"plant": {"sha256": 64 * "a"}}), {}]
+    rows = [(i.kind, i.name, i.values) for i in differing_inputs(records)]
+    assert rows == [
+        ("parameter", "plant.mass", (440.0, 500.0, None)),
+        ("FMU", "plant.sha256", (None, 12 * "a", None)),
+        ("version", "cosim", ("1", "2", None)),
+    ]
+
+
+def test_labels_name_the_inputs_that_differ_and_never_are_equal() -> None:
+    inputs = differing_inputs([_record(440.0), _record(500.0)])
+    assert labels_of(["run 1", "run 3"], inputs, unique=["a", "b"]) == [
+        "run 1 (plant.mass = 440)",
+        "run 3 (plant.mass = 500)",
+    ]
+    assert labels_of(["tank", "tank"], [], unique=["one/tank", "two/tank"]) == ["tank, one/tank", "tank, two/tank"]
+
+
+def test_every_run_is_compared_with_the_baseline() -> None:
+    found = compare_several([_source("a", 1.0), _source("b", 2.0), _source("c", 1.0)], baseline=1, tolerance=0.4)
+    assert [(c.a.name, c.b.name, c.differences[0].largest) for c in found.comparisons] == [
+        ("b", "a", 1.0),
+        ("b", "c", 1.0),
+    ]
+    assert not found.same
+    assert found.ranking == ["x", "y"]
+    assert [d and d.beyond for d in found.table["x"]] == [True, None, True]
+    assert compare_several([_source("a", 1.0), _source("b", 1.1), _source("c", 1.0)], tolerance=0.2).same
+
+
+def test_times_units_and_ends_of_runs_may_differ() -> None:
+    short = np.linspace(0, 0.5, 26)
+    rows = Results(short, ("x",), (100 * short)[:, None], {"x": "cm"})
+    other = RunSource("b", Path("b"), lambda: RecordedRun(Path("b"), "b", rows))
+    found = compare_several([_source("a", 1.0), other, _source("c", 1.0)])
+    assert found.comparisons[0].differences[0].largest == pytest.approx(0.0, abs=1e-12)
+    first, second, _ = found.curves["x"]
+    assert second[:51] == pytest.approx(first[:51])
+    assert np.isnan(second[51:]).all()
+    assert found.as_json()["runs"][1]["shorter"] == "b ends at 0.5 s, a at 1 s"
+
+
+def test_runs_that_do_not_fit_in_memory_are_read_again_with_the_same_outcome(monkeypatch: pytest.MonkeyPatch) -> None:
+    sources = [_source(name, gain) for name, gain in (("a", 1.0), ("b", 2.0), ("c", 3.0))]
+    whole = compare_several(sources)
+    monkeypatch.setattr(several, "MOST_CELLS", 0)
+    again = compare_several(sources)
+    assert again.as_json() == whole.as_json()
+    assert all(np.array_equal(one, two) for one, two in zip(again.curves["x"], whole.curves["x"], strict=True))
+
+
+def test_of_many_runs_the_page_says_which_are_drawn() -> None:
+    found = compare_several([_source(f"run {k}", 1.0 + k) for k in range(40)])
+    assert len(found.drawn) == several.MAX_RUNS
+    assert found.drawn[0] == 0
+    assert found.drawn[1:] == tuple(range(40 - several.MAX_RUNS + 1, 40))  # those that differ most
+    page = several_page(found, "", [])
+    assert "the baseline and the 11 runs that differ most" in page
+    assert "Only in the tables: 28 runs." in page
+    assert page.count("run 17") > 2  # in the tables
+
+
+def test_a_run_that_a_pattern_matched_is_left_out_with_the_reason() -> None:
+    def gone() -> RecordedRun:
+        raise InputError.at(Path("b"), "no such folder or file")
+
+    lost = RunSource("b", Path("b"), gone, is_optional=True)
+    found = compare_several([_source("a", 1.0), lost, _source("c", 2.0)])
+    assert found.labels == ["a", "c"]
+    assert found.left_out == ("b: no such folder or file",)
+    assert "no such folder or file" in several_page(found, "", [])
+    with pytest.raises(InputError, match="b: no such folder"):
+        compare_several([_source("a", 1.0), lost])
+    with pytest.raises(InputError, match="b: no such folder"):
+        compare_several([_source("a", 1.0), RunSource("b", Path("b"), gone), _source("c", 2.0)])
+
+
+def test_the_command_compares_runs_of_a_pattern(runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(runs)
+    (runs / "results" / "s-sweep").mkdir(exist_ok=True)
+    (runs / "results" / "s-sweep" / "sweep.json").write_text("{}")  # results without rows
+    done = _invoke(["s*", "--baseline", "3", "--out", "out", "--json"])
+    assert done.exit_code == 0, done.output
+    content = json.loads(done.output)
+    assert [r["label"] for r in content["runs"]] == [
+        f"run {k} (ref.signals.x.start = {v})" for k, v in ((1, 1), (2, 3), (3, 2))
+    ]
+    assert content["baseline"] == "run 3 (ref.signals.x.start = 2)"
+    assert content["inputs"] == [{"kind": "scenario", "name": "ref.signals.x.start", "values": [1.0, 3.0, 2.0]}]
+    (criterion,) = content["criteria"]
+    assert [o["met"] for o in criterion["outcomes"]] == [True, False, True]
+    assert [d and d["largest"] for d in content["signals"][0]["differences"]] == [1.0, 1.0, None]
+    page = (runs / "out" / "report.html").read_text(encoding="utf-8")
+    assert "2 runs against run 3 (ref.signals.x.start = 2)" in page
+    assert "peak of ref.x, at most 2.50" in page
+
+
+def test_a_tolerance_gives_a_verdict_over_all_runs(runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(runs)
+    missed = _invoke(["1", "2", "3", "--out", "judged", "--tol", "0.1", "--no-report"])
+    assert isinstance(missed.exception, CriterionMissed)
+    assert "run 2 (ref.signals.x.start = 3): 1 signal beyond the tolerance" in str(missed.exception)
+    assert not (runs / "judged" / "report.html").exists()
+    refused = _invoke(["1", "3", "2", "--out", "judged"])
+    assert isinstance(refused.exception, InputError)  # a comparison of others is there
+
+
+def test_two_runs_of_a_pattern_are_a_comparison_of_two(runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(runs)
+    done = _invoke(["s/000[12]", "--baseline", "3", "--json", "--out", "two"])
+    content = json.loads(done.output)
+    assert (content["a"], content["b"]) == ("results/s/runs/0002", "results/s/runs/0001")
+    assert set(content) >= {"a", "b", "signals", "only_a", "only_b", "same_times", "criteria"}
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["1"], "is one run; name at least two"),
+        (["1", "2", "--baseline", "s/*"], "3 runs match; name one as the baseline"),
+        (["1", "9"], "no results with the number 9"),
+        (["1", "none"], "none: no such folder or file"),
+        (["1", "x*"], "no results match"),
+    ],
+)
+def test_what_cannot_be_compared_is_one_message(
+    runs: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], message: str
+) -> None:
+    monkeypatch.chdir(runs)
+    error = _invoke(words).exception
+    assert isinstance(error, InputError)
+    assert message in str(error)
+
+
+def test_python_compares_lists_of_folders_numbers_and_results(runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(runs)
+    here = cosim.run("s.yaml", report=False, in_process=True)
+    found = cosim.compare([1, "results/s/runs/0003", here], baseline=here)
+    assert isinstance(found, ComparedRuns)
+    assert found.labels[0].startswith("run 1 (")
+    assert found.baseline == 2
+    assert found.comparisons[0].same
+    frame = pytest.importorskip("pandas") and found.to_pandas()
+    assert frame.loc["ref.x"].tolist() == [0.0, 2.0]
+    assert len(found.plot("ref.x").axes) == 1
+    assert "ref.x" in repr(found)
+    with pytest.raises(InputError, match="3 runs match; give a list"):
+        cosim.compare("s/*")
+
+
+def test_folders_of_one_name_have_labels_that_differ(tmp_path: Path) -> None:
+    rows = Results(TIME, ("x",), TIME[:, None])
+    for place in ("one", "two", "three"):
+        (tmp_path / place / "Chassis_Wheel").mkdir(parents=True)
+        rows.write(tmp_path / place / "Chassis_Wheel" / "results.csv")
+    sides = [tmp_path / place / "Chassis_Wheel" for place in ("one", "two", "three")]
+    found = cosim.compare(sides, out=tmp_path / "out")
+    assert isinstance(found, ComparedRuns)
+    assert len({*found.labels}) == 3
+    two = cosim.compare(*sides[:2])
+    assert two.a.name != two.b.name  # type: ignore[union-attr]
+    shutil.rmtree(sides[1])
+    with pytest.raises(InputError, match="no such folder"):
+        cosim.compare(sides)
