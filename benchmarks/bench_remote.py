@@ -1,24 +1,59 @@
-"""Wall time of a step of an FMU behind a server on this machine: `python -m benchmarks.bench_remote FMU`."""
+"""Wall time of a step of an FMU behind a server on this machine: `python -m benchmarks.bench_remote FMU`.
+
+Steps alternate with bare messages and answers by ZeroMQ between two processes, since other programs delay both.
+"""
 
 from __future__ import annotations
 
+import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from statistics import median
+
+import numpy as np
+from numpy.typing import NDArray
 
 from cosim.blocks.description import read_description
 from cosim.blocks.remote_fmu import RemoteFmu, find_distant
+from cosim.blocks.wire import HEAD
 from cosim.serving.fmu_server import FmuServer
 
 H = 0.02
-STEPS = 500  # in a round
+STEPS, ROUNDS = 500, 9
+ECHO = """
+import zmq
+
+with zmq.Context() as context, context.socket(zmq.PAIR) as socket:
+    socket.bind("tcp://127.0.0.1:*")
+    print(socket.last_endpoint.decode(), flush=True)
+    while True:
+        socket.send(socket.recv())
+"""
 
 
-def remote_step_us(fmu: Path, rounds: int = 9) -> float:
+def remote_step_us(fmu: Path) -> float:
     """Return the median time [us] of a step: inputs there, a step, outputs back."""
+    return float(np.median(remote_times(fmu)[0]))
+
+
+def remote_times(fmu: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the times [us] of steps, and of bare messages and answers of the same length."""
+    with remote_block(fmu) as block, echo() as exchange:
+        message = bytes(HEAD.size + 8 * len(block.inputs))
+        step = block.stepping([0], 0)
+        steps, bare = [], []
+        for k in range(ROUNDS):
+            steps.append(_times(lambda j, first=k * STEPS: step((first + j) * H, H)))
+            bare.append(_times(lambda j: exchange(message)))
+    return np.concatenate(steps), np.concatenate(bare)
+
+
+@contextmanager
+def remote_block(fmu: Path) -> Iterator[RemoteFmu]:
+    """Yield an FMU behind a server of this machine, after initialization."""
     with FmuServer([fmu.parent]) as server:
         thread = threading.Thread(target=lambda: server.run(once=True))
         thread.start()
@@ -28,22 +63,48 @@ def remote_step_us(fmu: Path, rounds: int = 9) -> float:
         block = RemoteFmu("fmu", distant.path, description, {}, inputs, distant=distant)
         try:
             block.bind_nothing()
-            block.open(0.0, 2 * H * rounds * STEPS)
+            block.open(0.0, 2 * H * ROUNDS * STEPS)
             block.start()
-            step = block.stepping([0], 0)
-            times = [_seconds(step, k * STEPS) for k in range(rounds)]
+            yield block
         finally:
             block.close()
             thread.join()
-    return 1e6 * median(times) / STEPS
 
 
-def _seconds(step: Callable[[float, float], None], first: int) -> float:
-    begin = time.perf_counter()
-    for k in range(first, first + STEPS):
-        step(k * H, H)
-    return time.perf_counter() - begin
+@contextmanager
+def echo() -> Iterator[Callable[[bytes], bytes]]:
+    """Yield a function that sends a message to another process and returns its answer."""
+    import zmq
+
+    with (
+        subprocess.Popen([sys.executable, "-c", ECHO], stdout=subprocess.PIPE, text=True) as process,
+        zmq.Context() as context,
+        context.socket(zmq.PAIR) as socket,
+    ):
+        assert process.stdout is not None
+        socket.linger = 0
+        socket.connect(process.stdout.readline().strip())
+
+        def exchange(message: bytes) -> bytes:
+            socket.send(message)
+            return bytes(socket.recv())
+
+        try:
+            yield exchange
+        finally:
+            process.kill()
+
+
+def _times(call: Callable[[int], object]) -> NDArray[np.float64]:
+    clock, times = time.perf_counter, np.empty(STEPS)
+    for j in range(STEPS):
+        begin = clock()
+        call(j)
+        times[j] = clock() - begin
+    return 1e6 * times
 
 
 if __name__ == "__main__":
-    print(f"{remote_step_us(Path(sys.argv[1])):.1f} us per step")
+    for name, times in zip(("step", "bare message and answer"), remote_times(Path(sys.argv[1])), strict=True):
+        least, median, most = np.percentile(times, (0, 50, 90))
+        print(f"{name}: at least {least:.0f} us, median {median:.0f} us, 90 % below {most:.0f} us")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import signal
 import socket
 import subprocess
@@ -19,9 +20,11 @@ import pytest
 import cosim
 from cosim.base.errors import Crashed, InputError, SimulationError
 from cosim.blocks import wire
-from cosim.blocks.link import Control
-from cosim.blocks.wire import LinkError
+from cosim.blocks.link import Control, Session
+from cosim.blocks.wire import LinkError, Operation
 from cosim.serving.fmu_server import FmuServer, make_key
+from examples.coupling.build import build_all
+from tests.native import NEEDS_COMPILER
 from tests.walker import walker_fmu, walker_scenario
 
 pytest.importorskip("zmq")
@@ -152,7 +155,7 @@ def test_only_fmus_within_the_folders_are_offered(there: Path, at: str, tmp_path
 
 def test_another_content_or_version_is_named(at: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert "another one" in str(refusal(small(tmp_path, at, sha256="0" * 64)))
-    monkeypatch.setattr("cosim.blocks.link.VERSION", 2)
+    monkeypatch.setattr("cosim.blocks.link.VERSION", wire.VERSION + 1)
     error = refusal(small(tmp_path, at))
     assert error.exit_code == 3
     assert "version" in str(error)
@@ -218,6 +221,43 @@ def test_a_session_ends_with_its_client(there: Path, tmp_path: Path) -> None:
         client.kill()
         client.wait()
         assert process.wait(100) == 0  # 30 s where the client had not come yet
+
+
+def test_another_peer_neither_holds_nor_ends_a_session(there: Path) -> None:
+    zmq = pytest.importorskip("zmq")
+    with serving(there, "--once") as (at, process):
+        job = {"fmu": "other.fmu", "sha256": None, "name": "w", "values": {}, "connected": [], "recorded": []}
+        session = Session(at, "w", {**job, "settings": {"way": "co-simulation"}})
+        context = session._control.context
+        peers = [context.socket(zmq.PAIR) for _ in range(2)]
+        for peer in peers:
+            peer.linger = 0
+        place = session._socket.last_endpoint.decode()
+        peers[0].connect(place)
+        time.sleep(0.3)
+        session.call(wire.pack(Operation.OPEN, content={"token": session.token, "start": 0.0, "stop": 1.0}))
+        peers[1].connect(place)
+        time.sleep(0.3)
+        peers[1].close()
+        session.call(wire.pack(Operation.START))  # goes on
+        session._socket.close(0)  # as a client that is killed
+        assert process.wait(20) == 0
+        peers[0].close()
+        session.close()
+
+
+@NEEDS_COMPILER
+def test_the_example_with_a_wheel_behind_a_server_runs(tmp_path: Path) -> None:
+    for name in ("coupling", "remote"):
+        shutil.copytree(ROOT / "examples" / name, tmp_path / name)
+    build_all(tmp_path / "coupling", ("chassis", "wheel"))
+    path = tmp_path / "remote" / "truck.yaml"
+    with serving(tmp_path / "coupling", "--once") as (at, process):
+        path.write_text(path.read_text().replace("127.0.0.1:5600", at))
+        ran = cosim.run(path, tmp_path / "out", ["duration=1.5", "step=0.002"], report=False)
+        assert process.wait(20) == 0
+    assert not ran.missed
+    assert ran["wheel.force"].max() > 1000.0
 
 
 def test_nonsense_is_answered(at: str) -> None:

@@ -20,12 +20,12 @@ from cosim.blocks.wire import (
     client_keys,
     decode,
     encode,
-    pack,
     split_address,
     zeromq,
 )
 
 CONNECTING, ANSWERING, STARTING = 5.0, 5.0, 60.0  # times [s] for a handshake, an answer, a new process of the server
+ERROR = int(Operation.ERROR)
 LIVENESS = 1000  # time [ms] without answer after which the server is asked whether the session goes on
 
 
@@ -141,27 +141,25 @@ class Session:
             raise
         self._socket.rcvtimeo, self._again = LIVENESS, zmq.Again
 
-    def call(
-        self, operation: Operation, t: float = 0.0, h: float = 0.0, doubles: Any = b"", content: Any = None
-    ) -> list[bytes]:
-        """Send a message and return the frames of its answer.
+    def call(self, message: bytes) -> bytes:
+        """Send a message of a session and return its answer.
 
         Raises:
             SimulationError: The FMU failed, its process crashed, or the connection broke.
         """
         socket = self._socket
-        socket.send_multipart(pack(operation, t, h, doubles, content))
+        socket.send(message)
         while True:
             try:
-                frames: list[bytes] = socket.recv_multipart()
+                answer: bytes = socket.recv()
                 break
             except self._again:
                 self._check()
-        if len(frames[0]) < HEAD.size or frames[0][0] != VERSION:
+        if len(answer) < HEAD.size or answer[0] != VERSION:
             raise self._lost("its answer has another version")
-        if frames[0][1] == Operation.ERROR:
-            self._raise(decode(frames[1]))
-        return frames
+        if answer[1] == ERROR:
+            self._raise(decode(answer[HEAD.size :]))
+        return answer
 
     def _check(self) -> None:
         """Raise Crashed unless the server says that the session goes on."""

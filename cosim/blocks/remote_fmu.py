@@ -16,7 +16,7 @@ from cosim.blocks.component import Row, in_turn
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.instance import Instance
 from cosim.blocks.link import Control, Session
-from cosim.blocks.wire import HEAD, LinkError, Operation, decode
+from cosim.blocks.wire import HEAD, LinkError, Operation, decode, pack, unpack
 from cosim.storage.archive import DESCRIPTION
 from cosim.storage.cache import cache_path
 
@@ -76,7 +76,7 @@ class RemoteFmu(FmuBlock):
         self.distant, self._settings = distant, settings
         self.instance = _AbsentInstance(self.path, self._calls, logging=False)
         self._session: Session | None = None
-        self._outputs: list[bytes] | None = None  # received with a step
+        self._outputs: bytes | None = None  # received with a step
 
     def bind(self, row: Row, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:
         """Set the places of the signals."""
@@ -109,7 +109,7 @@ class RemoteFmu(FmuBlock):
             raise FmuError(error.message.after(f"{self.name}: ")) from None
         self._session.time = start
         content = {"token": self._session.token, "start": start, "stop": stop}
-        self._show(self._call(Operation.OPEN, content=content))
+        self._show(self._call(pack(Operation.OPEN, content=content)))
 
     def open_again(self, values: Mapping[str, Any], start: float, stop: float) -> None:
         """Initialize a new instance with other start values."""
@@ -119,7 +119,7 @@ class RemoteFmu(FmuBlock):
 
     def start(self) -> None:
         """End initialization."""
-        self._call(Operation.START)
+        self._call(pack(Operation.START))
         self.instance.initialized = True
 
     def put(self) -> None:
@@ -138,18 +138,16 @@ class RemoteFmu(FmuBlock):
 
     def get(self) -> None:
         """Write the outputs of the last step, or of the current inputs."""
-        frames, self._outputs = self._outputs, None
-        frames = self._exchange(Operation.EXCHANGE) if frames is None else frames
-        self._write(frames, self._out, self._exact_out)
+        answer, self._outputs = self._outputs, None
+        self._write(self._exchange(Operation.EXCHANGE) if answer is None else answer, self._out, self._exact_out)
 
     def stepping(self, doing: MutableSequence[int], first: int) -> Callable[[float, float], None]:
-        """Put, advance and get."""
         return in_turn(self, doing, first, puts=False)
 
     def change(self, values: Mapping[str, Any]) -> None:
         """Set tunable parameters and inputs during a run."""
         content = {"values": dict(values), "exact": self._beside[self._exact_in]}
-        self._show(self._call(Operation.CHANGE, doubles=self._in, content=content))
+        self._show(self._call(pack(Operation.CHANGE, doubles=self._in, content=content)))
 
     def slopes(self, outputs: Sequence[str], inputs: Sequence[str]) -> list[list[float]] | None:
         """Return None: slopes come from differences."""
@@ -174,31 +172,29 @@ class RemoteFmu(FmuBlock):
             return
         self.instance.initialized = False
         try:
-            self.log.extend(decode(session.call(Operation.CLOSE)[1]))
+            self.log.extend(decode(session.call(pack(Operation.CLOSE))[HEAD.size :]))
         except SimulationError:  # It has failed before; that failure is reported.
             pass
         finally:
             session.close()
 
-    def _exchange(self, operation: Operation, t: float = 0.0, h: float = 0.0) -> list[bytes]:
+    def _exchange(self, operation: Operation, t: float = 0.0, h: float = 0.0) -> bytes:
         content = self._beside[self._exact_in] if self._has_exact else None
-        return self._call(operation, t, h, self._in, content)
+        return self._call(pack(operation, t, h, self._in, content))
 
-    def _call(
-        self, operation: Operation, t: float = 0.0, h: float = 0.0, doubles: Any = b"", content: Any = None
-    ) -> list[bytes]:
+    def _call(self, message: bytes) -> bytes:
         assert self._session is not None
-        return self._session.call(operation, t, h, doubles, content)
+        return self._session.call(message)
 
-    def _show(self, frames: list[bytes]) -> None:
+    def _show(self, answer: bytes) -> None:
         """Write inputs and outputs of an answer."""
-        self._write(frames, self._all, self._exact_all)
+        self._write(answer, self._all, self._exact_all)
 
-    def _write(self, frames: list[bytes], place: memoryview, exact: slice) -> None:
-        values = frames[0][HEAD.size :]
-        if len(values) != len(place):
+    def _write(self, answer: bytes, place: memoryview, exact: slice) -> None:
+        try:
+            content = unpack(answer, place, self._has_exact)
+        except ValueError:
             message = messages.CONNECTION_LOST(at=self.distant.at, reason="its answer has other signals")
-            raise SimulationError(self.name, self.instance.time, message)
-        place[:] = values
+            raise SimulationError(self.name, self.instance.time, message) from None
         if self._has_exact:
-            self._beside[exact] = decode(frames[1])
+            self._beside[exact] = content

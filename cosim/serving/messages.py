@@ -24,4 +24,5 @@ AMBIGUOUS = Template("E-SVG-011", "several folders of the server hold different 
 INVALID = Template("E-SVG-012", "the server's {fmu} cannot be used: {error}")
 BUSY = Template("E-SVG-013", "the server has {count} sessions, which is its limit; try again later")
 NO_PORT = Template("E-SVG-014", "the server finds no free port among {first} … {last} for the session")
+CLIENT_GONE = Template("E-SVG-016", "its client is gone")
 UNEXPECTED = Template("E-SVG-015", "{error}: {reason}")

@@ -17,7 +17,7 @@ from cosim.base.messages import code_of
 from cosim.blocks.component import EarlyEnd
 from cosim.blocks.description import read_description
 from cosim.blocks.fmu import FmuBlock
-from cosim.blocks.wire import HEAD, MOST_VALUES, VERSION, Keys, LinkError, Operation, decode, doubles_of, pack, zeromq
+from cosim.blocks.wire import HEAD, MOST_VALUES, VERSION, Keys, LinkError, Operation, decode, pack, unpack, zeromq
 from cosim.isolation import worker as here
 from cosim.isolation.rows import OTHER
 from cosim.serving import messages
@@ -106,9 +106,10 @@ class _Session:
         socket.heartbeat_ivl, socket.heartbeat_timeout = BEAT, SILENCE
         if job.keys is not None:
             secure(socket, job.keys)
-        self._watch = socket.get_monitor_socket()
+        self._watch = socket.get_monitor_socket(zmq.EVENT_ACCEPTED | zmq.EVENT_DISCONNECTED)
         self.port = self._bind(zmq)
-        self._opened, self._closed = threading.Event(), threading.Event()
+        self._client: int | None = None  # descriptor of the client's connection, once it has opened the session
+        self._closed = threading.Event()
         self._block: Any = None
         self._step: Callable[[float, float], None]
 
@@ -119,8 +120,7 @@ class _Session:
                 self._socket.bind(f"tcp://{self.job.host}:{port or '*'}")
             except zmq.ZMQError:
                 continue
-            self._endpoint = self._socket.last_endpoint
-            return int(self._endpoint.decode().rpartition(":")[2])
+            return int(self._socket.last_endpoint.decode().rpartition(":")[2])
         raise LinkError(messages.NO_PORT(first=first, last=last))
 
     def serve(self) -> None:
@@ -129,32 +129,42 @@ class _Session:
         guarding.start()
         socket, is_over = self._socket, False
         while not is_over:
-            frames = socket.recv_multipart()
+            message = socket.recv() if self._client is not None else self._first_message()
             try:
-                is_over = frames[0][1] == Operation.CLOSE
-                answer = self._answer(frames)
+                is_over = message[1] == Operation.CLOSE
+                answer = self._answer(message)
             except Exception as error:
                 answer = pack(Operation.ERROR, content=self._about(error))
             if is_over:
                 self._closed.set()
-            socket.send_multipart(answer)
+            socket.send(answer)
         guarding.join()
         socket.close()
         self._context.destroy(1000)
 
+    def _first_message(self) -> bytes:
+        """Return a message before the session is open; remember its connection."""
+        frame = self._socket.recv(copy=False)
+        self._sender = frame.get(zeromq().SRCFD)
+        return bytes(frame.bytes)
+
     def _end_without_client(self) -> None:
-        """End the process when its client is gone, also in a hung FMU."""
+        """End the process when its client is gone, also in a hung FMU.
+
+        Other peers that connect come and go without effect.
+        """
         zmq = zeromq()
         from zmq.utils.monitor import recv_monitor_message
 
-        count, end = 0, time.monotonic() + OPENING
+        gone: set[int] = set()  # descriptors; one that is used again is not gone
+        end = time.monotonic() + OPENING
         while not self._closed.is_set():
             if self._watch.poll(200):
-                event = recv_monitor_message(self._watch)["event"]
-                count += (event == zmq.EVENT_ACCEPTED) - (event == zmq.EVENT_DISCONNECTED)
-                continue
-            is_alone = count <= 0 if self._opened.is_set() else time.monotonic() > end
+                event = recv_monitor_message(self._watch)
+                (gone.add if event["event"] == zmq.EVENT_DISCONNECTED else gone.discard)(event["value"])
+            is_alone = time.monotonic() > end if self._client is None else self._client in gone
             if is_alone and not self._closed.wait(0.5):
+                here.progress.words = messages.CLIENT_GONE().encode()
                 os._exit(LOST)
 
     def _about(self, error: Exception) -> dict[str, Any]:
@@ -170,32 +180,32 @@ class _Session:
             text = messages.UNEXPECTED(error=type(error).__name__, reason=" ".join(text.split())[:500])
         return about | {"text": text.replace(str(self.job.path), self.job.fmu), "code": code_of(text) or code_of(error)}
 
-    def _answer(self, frames: list[bytes]) -> list[bytes]:
-        version, operation, t, h = HEAD.unpack_from(frames[0])
+    def _answer(self, message: bytes) -> bytes:
+        version, operation, t, h = HEAD.unpack_from(message)
         if version != VERSION:
             raise LinkError(messages.OTHER_VERSION(here=VERSION, there=version))
         if operation == Operation.OPEN:
-            return self._open(decode(frames[1]))
-        if not self._opened.is_set():
+            return self._open(decode(message[HEAD.size :]))
+        if self._block is None:
             raise LinkError(messages.BAD_REQUEST(reason="the session is not open"))
         if operation == Operation.STEP:
-            self._take(frames)
+            self._take(message)
             self._step(t, h)
-            return self._outputs()
+            return self._shown()
         block = self._block
         if operation == Operation.EXCHANGE:
-            self._take(frames)
+            self._take(message)
             block.put()
             block.get()
-            return self._outputs()
+            return self._shown()
         if operation == Operation.START:
             block.start()
             self._step = block.stepping(here.progress.doing, 0)
             here.progress.made[0] = 1
             return pack(Operation.TEXT, content="")
         if operation == Operation.CHANGE:
-            content = decode(frames[1])
-            self._set(frames[0], content["exact"])
+            content = unpack(message, self._inputs, True)
+            self._set_exact(content["exact"])
             block.change(content["values"])
             return self._signals()
         if operation == Operation.CLOSE:
@@ -204,11 +214,11 @@ class _Session:
             return pack(Operation.TEXT, content=list(block.log))
         raise LinkError(messages.BAD_REQUEST(reason=f"operation {operation}"))
 
-    def _open(self, content: Mapping[str, Any]) -> list[bytes]:
+    def _open(self, content: Mapping[str, Any]) -> bytes:
         job = self.job
-        if self._opened.is_set() or not secrets.compare_digest(str(content["token"]), job.token):
+        if self._block is not None or not secrets.compare_digest(str(content["token"]), job.token):
             raise LinkError(messages.BAD_REQUEST(reason="wrong token"))
-        self._opened.set()
+        self._client = self._sender
         self._block = block = FmuBlock(
             job.name, job.path, read_description(job.path), job.values, job.connected,
             recorded=job.recorded, compiles=False, **job.settings,
@@ -216,27 +226,28 @@ class _Session:
         here.share_log(block)
         self._row = (ctypes.c_double * max(1, len(block.inputs) + len(block.outputs)))()
         self._beside: list[Any] = [None] * (len(block.exact_inputs) + len(block.exact_outputs))
-        self._view = memoryview(self._row).cast("B")
-        self._count, self._exact = len(block.inputs), len(block.exact_inputs)
-        self._end = 8 * (len(block.inputs) + len(block.outputs))
+        count, self._exact = 8 * len(block.inputs), len(block.exact_inputs)
+        self._all = memoryview(self._row).cast("B")[: count + 8 * len(block.outputs)]
+        self._inputs, self._outputs = self._all[:count], self._all[count:]
         block.bind(self._row, 0, self._beside, 0)
         block.open(float(content["start"]), float(content["stop"]))
         return self._signals()
 
-    def _take(self, frames: list[bytes]) -> None:
+    def _take(self, message: bytes) -> None:
         """Write the inputs of a message."""
-        self._set(frames[0], decode(frames[1]) if self._beside else [])
+        exact = unpack(message, self._inputs, bool(self._beside))
+        if self._beside:
+            self._set_exact(exact)
 
-    def _set(self, frame: bytes, exact: Sequence[Any]) -> None:
-        self._row[: self._count] = [*doubles_of(frame, self._count)]
+    def _set_exact(self, exact: Sequence[Any]) -> None:
         if len(exact) != self._exact:
             raise LinkError(messages.BAD_REQUEST(reason="another number of exact values"))
         self._beside[: self._exact] = exact
 
-    def _outputs(self) -> list[bytes]:
-        exact = self._beside[self._exact :] if self._beside else None
-        return pack(Operation.OUTPUTS, doubles=self._view[8 * self._count : self._end], content=exact)
+    def _shown(self) -> bytes:
+        """Return the answer with the outputs."""
+        return pack(Operation.OUTPUTS, 0.0, 0.0, self._outputs, self._beside[self._exact :] if self._beside else None)
 
-    def _signals(self) -> list[bytes]:
-        exact = self._beside if self._beside else None
-        return pack(Operation.SIGNALS, doubles=self._view[: self._end], content=exact)
+    def _signals(self) -> bytes:
+        """Return the answer with inputs and outputs."""
+        return pack(Operation.SIGNALS, 0.0, 0.0, self._all, self._beside or None)
