@@ -45,9 +45,9 @@ def remote_times(fmu: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         message = bytes(HEAD.size + 8 * len(block.inputs))
         step = block.stepping([0], 0)
         steps, bare = [], []
-        for k in range(ROUNDS):
-            steps.append(_times(lambda j, first=k * STEPS: step((first + j) * H, H)))
-            bare.append(_times(lambda j: exchange(message)))
+        for first in range(0, ROUNDS * STEPS, STEPS):
+            steps.append(_times(first, lambda k: step(k * H, H)))
+            bare.append(_times(first, lambda k: exchange(message)))
     return np.concatenate(steps), np.concatenate(bare)
 
 
@@ -95,11 +95,11 @@ def echo() -> Iterator[Callable[[bytes], bytes]]:
             process.kill()
 
 
-def _times(call: Callable[[int], object]) -> NDArray[np.float64]:
+def _times(first: int, call: Callable[[int], object]) -> NDArray[np.float64]:
     clock, times = time.perf_counter, np.empty(STEPS)
     for j in range(STEPS):
         begin = clock()
-        call(j)
+        call(first + j)
         times[j] = clock() - begin
     return 1e6 * times
 

@@ -69,7 +69,7 @@ class Keys:
 
 def pack(operation: int, t: float = 0.0, h: float = 0.0, doubles: Any = b"", content: Any = None) -> bytes:
     """Return a message: head, doubles, JSON."""
-    message = HEAD.pack(VERSION, operation, t, h) + doubles
+    message: bytes = HEAD.pack(VERSION, operation, t, h) + doubles
     return message if content is None else message + encode(content)
 
 
