@@ -118,10 +118,12 @@ def mapped_table(path: Path, rows: int, columns: int) -> Array:
     return np.frombuffer(mapped, np.float64).reshape(rows, columns)
 
 
-def read_table(path: Path, rows: int, columns: int) -> Array:
-    """Return a table file's first rows in memory."""
+def read_table(path: Path, rows: int, columns: int, *, mapped: bool = False) -> Array:
+    """Return a table file's first rows in memory, or mapped while the file exists."""
     if not rows * columns:
         return np.zeros((rows, columns))
+    if mapped:
+        return np.memmap(path, np.float64, "r", shape=(rows, columns))
     return np.fromfile(path, np.float64, rows * columns).reshape(rows, columns)
 
 

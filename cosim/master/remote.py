@@ -45,6 +45,7 @@ from cosim.master.own_process import in_own_processes
 from cosim.storage.files import hold_stops
 from cosim.storage.results import Results
 from cosim.storage.state_file import write_durable
+from cosim.system.recording import RecordedPart, take_signals
 from cosim.system.system import System
 
 MODULES = ("cosim.master.remote", "fmpy.fmi2", "fmpy.logging")
@@ -262,6 +263,7 @@ def simulate_apart(
     observers: Sequence[Observer] = (),
     keeping: Keeping | None = None,
     warn: Callable[[Slower], None] | None = None,
+    recording: RecordedPart | None = None,
 ) -> SteppedRun:
     """Step a system in a worker process.
 
@@ -269,6 +271,7 @@ def simulate_apart(
 
     Args:
         warn: Function called when a component gets much slower; None measures no times of components.
+        recording: Signals of the results, by default all; the others are not read into memory.
 
     Raises:
         FmuError: An FMU does not load.
@@ -327,18 +330,20 @@ def simulate_apart(
             end = WorkerEnd(failure=_convert_unexpected(error, watch, counters))
         done = max(counters.made[0], given)  # A failure before the last given row loses none.
         state = None if keeping is None or keeping.folder is not None else read_state(table.with_name(STATE))
-        values, beside = read_table(table, done, columns), read_exact(table.with_name(BESIDE), done)
-        changes = channel.noted()
-    feed.end(values)
+        values = read_table(table, done, columns, mapped=recording is not None)
+        beside, changes = read_exact(table.with_name(BESIDE), done), channel.noted()
+        feed.end(values)
+        time = system.start + h * np.arange(steps + 1, dtype=np.float64)
+        if end.last is not None:
+            time[done - 1] = end.last
+        loop = counters.loop.decode("utf-8", "ignore")
+        results = results_of(system, time[:done], values, beside, end.notes, loop, details=end.details)
+        results = take_signals(recording, results)
+        del values  # Its file is removed.
+    results = replace(results, events=end.events, event_counts=end.event_counts)
     failure = end.failure or feed.failure
-    time = system.start + h * np.arange(steps + 1, dtype=np.float64)
-    if end.last is not None:
-        time[done - 1] = end.last
     if failure is None and done == count <= steps:
         failure = _disk_full(time[count - 1].item(), count, steps + 1)
-    loop = counters.loop.decode("utf-8", "ignore")
-    results = results_of(system, time[:done], values, beside, end.notes, loop, details=end.details)
-    results = replace(results, events=end.events, event_counts=end.event_counts)
     component_times = {} if times is None else times.record()
     return SteppedRun(results, end.log, failure, changes, state, component_times)
 

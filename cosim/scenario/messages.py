@@ -14,6 +14,10 @@ STEP_NOT_A_DIVISOR = Template(
     "E-SCN-004",
     "step is {step:g} s; use a whole divisor of duration {duration:g} s, {divisor:.6g} s for one",
 )
+EVERY_NO_MULTIPLE = Template(
+    "E-SCN-052", "{every:g} s is no whole number of steps of {step:g} s; use for example {near}"
+)
+EVERY_TOO_LONG = Template("E-SCN-053", "{every:g} s is longer than the run, {duration:g} s; use a shorter time")
 CONTROL_OUT_OF_ORDER = Template(
     "E-SCN-021",
     "min is {min:g} s, max {max:g} s and rows {rows:g} s; min is at most max, and max at most rows",

@@ -275,6 +275,23 @@ def _kind_of_step(step: Any) -> str:
     return "«controlled»" if isinstance(step, dict | StepControl) else "«equal»"
 
 
+class Recording(Part):
+    """Recorded part of a run.
+
+    signals: patterns such as `plant.*` of the signals to record, locals and parameters too; by default all inputs and
+        outputs
+    every:   time between recorded rows [s], a whole number of steps; by default the step
+    """
+
+    signals: Annotated[list[str], Field(min_length=1)] | None = None
+    every: PositiveSeconds | None = None
+
+
+def _kind_of_record(record: Any) -> str:
+    """Return the tag of what is recorded."""
+    return "«part»" if isinstance(record, dict | Recording) else "«more»"
+
+
 class LoopSettings(Part):
     """Solution of algebraic loops at each communication point.
 
@@ -386,7 +403,8 @@ class Scenario(Part):
     loops:       solution of algebraic loops; inputs without declared dependencies may then be part of one
     noise:       on or off, for all connections
     tolerance:   relative tolerance of the solvers; by default each FMU's own
-    record:      patterns such as `plant.*` of locals and parameters to record beside inputs and outputs
+    record:      patterns such as `plant.*` of locals and parameters to record beside inputs and outputs; or a part of
+        all signals, at a rate of its own
     design:      start values of a controller designed before the run
     components:  name → FMU, reference, recording or fixes
     connections: from outputs to inputs
@@ -415,7 +433,9 @@ class Scenario(Part):
     loops: LoopSettings | None = None
     noise: bool = True
     tolerance: Positive | None = None
-    record: list[str] = Field(default_factory=list)
+    record: Annotated[
+        Annotated[list[str], Tag("«more»")] | Annotated[Recording, Tag("«part»")], Discriminator(_kind_of_record)
+    ] = Field(default_factory=list)
     design: SerializeAsAny[Design] | None = None
     components: dict[Name, Component] = Field(min_length=1)
     connections: Connections = Field(default_factory=list)
@@ -438,6 +458,11 @@ class Scenario(Part):
         if isinstance(self.stepping, StepControl):
             return self.stepping.max if self.stepping.rows is None else self.stepping.rows
         return self.stepping
+
+    @property
+    def recorded(self) -> list[str]:
+        """Return the patterns of locals and parameters to record."""
+        return (self.record.signals or []) if isinstance(self.record, Recording) else self.record
 
     @property
     def courses(self) -> tuple[int, int]:

@@ -17,7 +17,7 @@ from cosim.base.messages import Template
 from cosim.base.registry import BASE, is_model
 from cosim.scenario import messages
 from cosim.scenario.pinned import with_files_beside
-from cosim.scenario.scenario import Scenario, StepControl
+from cosim.scenario.scenario import Recording, Scenario, StepControl
 from cosim.scenario.signal_units import convert_quantities
 from cosim.storage.artefact import kind_by_keys
 from cosim.storage.kinds import MANIFEST, SCENARIO, check_form, refuse_other
@@ -68,7 +68,7 @@ class ScenarioFile:
         self.broken, self.places, self.stands_in = rest.broken, rest.places, rest.stands_in
         if self.manifest is not None:
             self.scenario = with_files_beside(self.scenario, path.parent)
-        self.faults += [*self._step_faults(), *self._criteria_faults()]
+        self.faults += [*self._step_faults(), *self._record_faults(), *self._criteria_faults()]
 
     def _validate(self, rest: Salvage) -> Scenario:
         """Return the scenario, without faulty parts if necessary."""
@@ -119,6 +119,21 @@ class ScenarioFile:
             return [self.fault(where, messages.STEP_NOT_A_DIVISOR(step=s.step, duration=s.duration, divisor=divisor))]
         key = "duration" if ("duration",) in overrides and ("step",) not in overrides else "step"
         return [self.fault((key,), messages.STEP_NOT_A_DIVISOR(step=s.step, duration=s.duration, divisor=divisor))]
+
+    def _record_faults(self) -> list[Fault]:
+        """Return the fault of a rate of recording that is no whole number of steps, or longer than the run."""
+        s = self.scenario
+        if self.stands_in or not isinstance(s.record, Recording) or s.record.every is None:
+            return []
+        every, steps = s.record.every, s.record.every / s.step
+        if every > s.duration * (1.0 + ROUNDING):
+            message = messages.EVERY_TOO_LONG(every=every, duration=s.duration)
+            return [self.fault(("record", "every"), message)]
+        if abs(steps - round(steps)) <= ROUNDING * steps and round(steps) >= 1:
+            return []
+        near = [n * s.step for n in (math.floor(steps), math.ceil(steps)) if n]
+        values = " or ".join(f"{value:.6g} s" for value in near)
+        return [self.fault(("record", "every"), messages.EVERY_NO_MULTIPLE(every=every, step=s.step, near=values))]
 
     def _control_faults(self, control: StepControl) -> list[Fault]:
         """Return the faults of contradicting keys of `step`."""

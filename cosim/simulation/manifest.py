@@ -74,7 +74,7 @@ def manifest(
         software: As returned by `software_versions`.
         loop: As in `Results`.
     """
-    scenario = resolve_scenario(file, designed, system)
+    scenario, recorded = resolve_scenario(file, designed, system), system.recorded
     return {
         "schema_version": SCHEMA_VERSION,
         "cosim_version": __version__,
@@ -86,9 +86,9 @@ def manifest(
         "seed": scenario.seed,
         "order": [stage.component.name for stage in system.stages],
         "held": [transfer.name for transfer in system.held],
-        "beside": list(system.beside),
-        "units": {column: unit for column, unit in system.units.items() if unit},
-        "items": {column: dict(s.items) for column, s in system.signals.items() if s.items},
+        "beside": [column for column in system.beside if column in recorded],
+        "units": {column: unit for column, unit in system.units.items() if unit and column in recorded},
+        "items": {c: dict(s.items) for c, s in system.signals.items() if s.items and c in recorded},
         "fmus": {
             name: {
                 "path": str(path),

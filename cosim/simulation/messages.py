@@ -60,6 +60,13 @@ RESUME_WITH_OPTION = Template(
     "E-SIM-068", "a run goes on as it began, so --resume and --until take no {option}; leave it out"
 )
 NO_CHECKPOINT_IN_PROCESS = Template("W-SIM-069", "no checkpoints are made where FMUs run in this process")
+BEGINS_AGAIN = Template(
+    "N-SIM-076",
+    "record leaves out signals or rows, so the run is made again from t = {time:g} s; checkpoint: keeps all of them",
+)
+MANY_ROWS = Template(
+    "N-SIM-077", "the run has {rows} rows; --format parquet writes, reads and stores so many much faster than CSV"
+)
 GOES_ON = Template("N-SIM-070", "the run goes on from t = {time:g} s, row {row} of {rows}{replay}")
 REPLAY_ON_RESUME = Template(
     "N-SIM-071",

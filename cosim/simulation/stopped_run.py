@@ -3,6 +3,7 @@
 results/NAME/checkpoint/run.json   manifest of the run before its outcome
                         state      last checkpoint
                         rows       rows while the run lasts, then in results.csv; `beside` holds text and the like
+                        all-rows   all rows after the end, where `record` leaves some out of results.csv; `all-beside`
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ from cosim.system.system import System
 
 FOLDER, RUN, MANIFEST = "checkpoint", "run.json", "manifest.json"
 PATIENCE, PAUSE = 15.0, 0.05  # time [s] for the worker of a killed command to end, and between two looks
+ALL = "all-"  # prefix of the files of rows after the end of a run of which a part is recorded
 ROUNDING = 1e-9  # relative tolerance of times on the grid of communication points
 EXTRA = "files"  # key of run.json beside those of a manifest: name of the rows file, warnings of an SSP
 
@@ -122,8 +124,8 @@ class StoppedRun:
         if until <= reached:
             raise InputError.at(self.folder, messages.END_NOT_LATER(time=reached, end=until))
 
-    def start(self, system: System, scenario: Scenario) -> Continuation:
-        """Return rows and state to go on from.
+    def start(self, system: System, scenario: Scenario) -> Continuation | None:
+        """Return rows and state to go on from; None if the run begins again, because its rows are recorded in part.
 
         Raises:
             InputError: The run is finished, or its files do not belong together.
@@ -135,6 +137,12 @@ class StoppedRun:
             if not count:
                 raise InputError.at(kept, messages.STOPPED_BEFORE_ROWS())
             start = Continuation(read_table(kept / ROWS, count, width), read_exact(kept / BESIDE, count), self.state)
+        elif system.recording is not None and not (count and (kept / f"{ALL}{ROWS}").is_file()):
+            self._check_unfinished(scenario)
+            return None
+        elif system.recording is not None:
+            rows, beside = (kept / f"{ALL}{name}" for name in (ROWS, BESIDE))
+            start = Continuation(read_table(rows, count, width), read_exact(beside, count), self.state)
         else:
             start = self._from_results(system, scenario, count)
         if checkpoint and RowsHash().of(start.values, start.exact, start.count) != checkpoint["rows"]:
@@ -143,6 +151,12 @@ class StoppedRun:
             reached = scenario.start_time + (start.count - 1) * scenario.step
             raise InputError.at(self.folder, messages.ALREADY_FINISHED(time=reached))
         return start
+
+    def _check_unfinished(self, scenario: Scenario) -> None:
+        """Raise InputError if the recorded rows reach the end."""
+        end = scenario.start_time + scenario.duration
+        if len(self.results.time) and self.results.time[-1] >= end - ROUNDING * (1.0 + abs(end)):
+            raise InputError.at(self.folder, messages.ALREADY_FINISHED(time=end))
 
     def _from_results(self, system: System, scenario: Scenario, count: int) -> Continuation:
         """Return the first rows of the results."""
@@ -226,7 +240,14 @@ def begin_keeping(folder: Path, record: Mapping[str, Any], rows_file: str, warni
     kept = folder / FOLDER
     wait_for_worker(kept)
     kept.mkdir(exist_ok=True)
-    for name in (STATE, ROWS, BESIDE, RUN):  # A kill in between leaves no checkpoint with the rows of another run.
+    for name in (
+        STATE,
+        ROWS,
+        BESIDE,
+        f"{ALL}{ROWS}",
+        f"{ALL}{BESIDE}",
+        RUN,
+    ):  # A kill in between leaves no checkpoint with the rows of another run.
         (kept / name).unlink(missing_ok=True)
     remove_drafts(kept, (STATE, BESIDE, RUN))
     return write_run(folder, record, rows_file, warnings)
@@ -246,15 +267,19 @@ def write_run(folder: Path, record: Mapping[str, Any], rows_file: str, warnings:
     return kept
 
 
-def end_keeping(folder: Path, *, is_kept: bool) -> None:
+def end_keeping(folder: Path, *, is_kept: bool, keeps_rows: bool = False) -> None:
     """Remove what the files of results replace.
 
     Args:
         is_kept: Whether the folder has checkpoints of this run, not of another one.
+        keeps_rows: Whether all rows are kept, because the results have a part of them.
     """
     kept = folder / FOLDER
     if not is_kept and kept.is_dir() and not kept.is_symlink():
         shutil.rmtree(kept, ignore_errors=True)
+    for name in (ROWS, BESIDE) if keeps_rows else ():
+        with suppress(OSError):
+            (kept / name).replace(kept / f"{ALL}{name}")
     for name in (ROWS, BESIDE, IN_USE):
         with suppress(OSError):
             (kept / name).unlink(missing_ok=True)

@@ -25,6 +25,7 @@ from cosim.simulation import messages
 from cosim.simulation.manifest import check_pinned
 from cosim.simulation.packaged import lay_out
 from cosim.storage.artefact import Checking
+from cosim.system.recording import recording_notes
 from cosim.system.system import System, build_system
 
 MAX_CALL_TIME = 60.0  # allowed time [s] of a call during the trial of an FMU
@@ -89,7 +90,8 @@ def check_scenario(path: Path, checking: Checking) -> list[str]:
     system = build_system(file, designed)
     if worker is not None:
         refuse(_run_once(file, system, path, worker))
-    return _as_warnings([*file.warnings, *skipped])
+    notes = recording_notes(file.scenario, system.columns, system.recording)
+    return [*_as_warnings([*file.warnings, *skipped]), *(with_prefix("note: ", note) for note in notes)]
 
 
 def check_ssp(path: Path, checking: Checking) -> list[str]:

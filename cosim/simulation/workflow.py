@@ -58,8 +58,10 @@ from cosim.storage.folders import check_run_folder, folder_named, keep_earlier
 from cosim.storage.kinds import check_form
 from cosim.storage.results import Results, remove_rows, rows_name
 from cosim.system.real_time import real_time_of
+from cosim.system.recording import take_signals
 from cosim.system.system import System, build_system
 
+MANY_ROWS = 1_000_000  # rows of CSV, beyond which a note offers Parquet
 SPARE = 8192  # room beyond the size of the manifest [bytes]
 
 
@@ -110,6 +112,12 @@ class _Prepared:
     def interval(self) -> float | None:
         """Return the wall time between two checkpoints [s]."""
         return self.file.scenario.checkpoint
+
+    @property
+    def rows(self) -> int:
+        """Return the number of rows of a complete run."""
+        count, part = self.file.scenario.steps + 1, self.system.recording
+        return count if part is None else len(part.rows(count))
 
     def base(self) -> dict[str, Any]:
         """Return the manifest without timings and outcome."""
@@ -192,6 +200,8 @@ def run(
         else:
             options = force, nearest, rows_name("results", format_)
             prepared = _prepare_new(path, folder, overrides, options, software, worker)
+            if (rows := prepared.rows) > MANY_ROWS and prepared.rows_file.endswith(".csv"):
+                tell(messages.MANY_ROWS(rows=rows))
         if inputs:
             functions = InputFunctions(inputs)
             functions.check(prepared.system)
@@ -205,6 +215,8 @@ def run(
         record["timings"] = {"load": loaded - begin, "simulate": stepping, "real_time_factor": speed, **stepped.times}
         add_changes(record, prepared.file.scenario, [*prepared.changes, *stepped.changes])
         _add_outcome(record, prepared.file.scenario, stepped)
+        if (part := prepared.system.recording) is not None:
+            stepped = replace(stepped, results=part.thin(stepped.results))
         if worker is None and limits is not None:
             record["warnings"].append(messages.LIMITS_NOT_WATCHED())
         files = _Files(prepared, stepped, record, is_kept=worker is not None and prepared.interval is not None)
@@ -260,7 +272,7 @@ def _prepare_stopped(
     check_writable(stopped.folder, (stopped.rows_file, MANIFEST, "report.html"), file.files)
     if changes := stopped.changes:
         system = replace(system, events=with_changes(system.events, changes))
-        start = replace(start, changes=changes)
+        start = start and replace(start, changes=changes)
     record = stopped.base(system.warnings if until is not None or stopped.has_outcome else None)
     record["scenario"]["duration"] = file.scenario.duration
     tell(_how_it_goes_on(stopped, system, start, file.scenario))
@@ -270,8 +282,10 @@ def _prepare_stopped(
     )
 
 
-def _how_it_goes_on(stopped: StoppedRun, system: System, start: Continuation, scenario: Scenario) -> str:
+def _how_it_goes_on(stopped: StoppedRun, system: System, start: Continuation | None, scenario: Scenario) -> str:
     """Return the note on start and cost."""
+    if start is None:
+        return messages.BEGINS_AGAIN(time=scenario.start_time)
     time = scenario.start_time + (start.count - 1) * scenario.step
     names = replayed_names(system, stopped.checkpoint)
     cost = messages.REPLAY_COST(names=", ".join(names), seconds=stopped.lasted) if names else ""
@@ -286,7 +300,8 @@ def _step(
     if worker is None:
         if prepared.interval is not None:
             tell(messages.NO_CHECKPOINT_IN_PROCESS())
-        return simulate_here(system, scenario.steps, scenario.step, observers, start=prepared.start)
+        stepped = simulate_here(system, scenario.steps, scenario.step, observers, start=prepared.start)
+        return replace(stepped, results=take_signals(system.recording, stepped.results))
     keeping = prepared.keeping()
     if keeping.folder is not None and prepared.start is None and (names := unsaved_names(system)):
         tell(messages.REPLAY_ON_RESUME(names=", ".join(names)))
@@ -301,6 +316,7 @@ def _step(
         observers=observers,
         keeping=keeping,
         warn=lambda slower: tell(messages.GETS_SLOWER(**vars(slower))),
+        recording=system.recording,
     )
     worker.finish()
     return stepped
@@ -396,8 +412,9 @@ class _Files:
             self.written.append(self.rows.name)
             write_json(self.rows.with_name(MANIFEST), self.record)
             self.written.append(MANIFEST)
-            end_keeping(self.rows.parent, is_kept=self.is_kept)
-            if self.stepped.state is not None and self.stepped.failure is not None:
+            is_part = self.prepared.system.recording is not None
+            end_keeping(self.rows.parent, is_kept=self.is_kept, keeps_rows=is_part)
+            if self.stepped.state is not None and self.stepped.failure is not None and not is_part:
                 keep_state(self.rows, self.prepared.base(), self.prepared.warnings, self.stepped.state)
 
     def _draw(self, *, report: bool, figures: bool) -> None:
@@ -416,7 +433,7 @@ class _Files:
         self.rows.with_name("report.html").unlink(missing_ok=True)
         failure, time, manifest = self.stepped.failure, self.stepped.results.time, self.rows.with_name(MANIFEST)
         count = len(time) if self.rows.name in self.written else self._rows_that_fit(2 * len(json.dumps(self.record)))
-        rows = self.scenario.steps + 1 if isinstance(failure, DiskFull) else len(time)
+        rows = self.prepared.rows if isinstance(failure, DiskFull) else len(time)
         before = "" if failure is None or isinstance(failure, DiskFull) else f"; before that {failure}"
         at = time[max(0, count - 1)].item() if len(time) else 0.0
 

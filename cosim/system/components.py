@@ -126,7 +126,7 @@ def _fmu(
         connected,
         way=component.interface,
         tolerance=scenario.tolerance if component.tolerance is None else component.tolerance,
-        recorded=_recorded_names(scenario.record, name, description),
+        recorded=_recorded_names(scenario.recorded, name, description),
         logging=component.logging,
         solver=component.solver,
     )

@@ -27,6 +27,14 @@ NOTHING_RECORDED = Template(
 # Keys of the scenario
 RECORD_WITHOUT_COMPONENT = Template("E-SYS-011", 'no component "{name}"{hint}; write component.* or component.variable')
 RECORD_WITHOUT_VARIABLE = Template("E-SYS-012", 'no variable "{pattern}"{hint}')
+RECORD_WITHOUT_SIGNAL = Template("E-SYS-094", 'no signal matches "{pattern}"{hint}')
+NOT_RECORDED = Template("E-SYS-095", "{name} is not recorded, and the criterion needs it; add it to record: signals")
+CHARTS_LEFT_OUT = Template(
+    "N-SYS-096", "{count} of {total} signals are recorded; the report has no chart of the connections {names}"
+)
+PAGE_LEFT_OUT = Template(
+    "N-SYS-097", "signals of the report's own sections on a component are not recorded; it shows the others only"
+)
 DESIGN_WITHOUT_FMU = Template("E-SYS-013", 'design is for component "{name}", which is no FMU of components')
 UNKNOWN_SIGNAL = Template("E-SYS-014", 'no signal "{name}"{hint}')
 RESULTS_TOO_LARGE = Template(

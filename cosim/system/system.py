@@ -5,7 +5,7 @@ All checks that need model descriptions are made here, and all faults are report
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
@@ -25,6 +25,7 @@ from cosim.system.event_blocks import check_events
 from cosim.system.events import Events, Targets, changes_of
 from cosim.system.feasible import check_feasible
 from cosim.system.real_time import RealTime, check_live
+from cosim.system.recording import RecordedPart, recorded_part
 from cosim.system.schedule import Loop, Schedule, Stage, schedule
 from cosim.system.wiring import Transfer, connect, connection_warnings, lay_out
 
@@ -47,6 +48,7 @@ class System:
         solving: Settings of their solution, None for the default.
         real_time: What ties its steps to the clock, set by runs that it is to tie.
         distant: SHA-256 of each FMU on another machine.
+        recording: Recorded part of the rows, None for all of them.
     """
 
     stages: tuple[Stage, ...]
@@ -69,6 +71,14 @@ class System:
     solving: LoopSettings | None = None
     real_time: RealTime | None = None
     distant: Mapping[str, str] = field(default_factory=dict)
+    recording: RecordedPart | None = None
+
+    @property
+    def recorded(self) -> frozenset[str]:
+        """Return the names of all recorded signals."""
+        if (part := self.recording) is None:
+            return frozenset((*self.columns, *self.beside))
+        return frozenset((*(self.columns[k] for k in part.columns), *(self.beside[k] for k in part.beside)))
 
 
 def build_system(file: ScenarioFile, start_values: Designed | None = None) -> System:
@@ -87,8 +97,9 @@ def build_system(file: ScenarioFile, start_values: Designed | None = None) -> Sy
     transfers = connect(file, components, layout, diagnosis)
     _check_design(file, diagnosis)
     check_feasible(components.values(), diagnosis)
+    recording = recorded_part(scenario, components, layout, diagnosis)
     if is_whole:
-        _check_criteria(scenario, layout.columns, diagnosis)
+        _check_criteria(scenario, layout.columns, recording, diagnosis)
     plan = Schedule()
     if is_whole and all(transfers):
         plan = schedule(scenario, components, transfers, diagnosis)
@@ -122,12 +133,14 @@ def build_system(file: ScenarioFile, start_values: Designed | None = None) -> Sy
         control=control,
         courses=scenario.courses,
         distant={name: c.distant.sha256 for name, c in blocks.items() if isinstance(c, RemoteFmu)},
+        recording=recording,
     )
 
 
 def _check_record(file: ScenarioFile, components: Mapping[str, Component], diagnosis: Diagnosis) -> None:
     """Note a fault for each pattern of `record` without component, and a warning for patterns without variable."""
-    for k, pattern in enumerate(file.scenario.record):
+    record = file.scenario.record
+    for k, pattern in enumerate(record if isinstance(record, list) else ()):
         name = pattern.partition(".")[0]
         component = components.get(name)
         if "*" not in name and name not in file.scenario.components:
@@ -150,11 +163,16 @@ def _check_design(file: ScenarioFile, diagnosis: Diagnosis) -> None:
         diagnosis.note(("design", "component"), messages.DESIGN_WITHOUT_FMU(name=design.component))
 
 
-def _check_criteria(scenario: Scenario, columns: Collection[str], diagnosis: Diagnosis) -> None:
-    """Note faults of criteria on unknown signals."""
+def _check_criteria(
+    scenario: Scenario, columns: Sequence[str], recording: RecordedPart | None, diagnosis: Diagnosis
+) -> None:
+    """Note faults of criteria on unknown signals and on signals that are not recorded."""
+    recorded = columns if recording is None else {columns[k] for k in recording.columns}
     for kind, k, criterion in scenario.goals:
         where: Place = ("criteria", kind, *(() if k is None else (k,)))
         for key, signal in (("of", criterion.of), ("to", criterion.to)):
             if isinstance(signal, str) and signal not in columns:
                 hint = did_you_mean(signal, columns)
                 diagnosis.note((*where, key), messages.UNKNOWN_SIGNAL(name=signal, hint=hint))
+            elif isinstance(signal, str) and signal not in recorded:
+                diagnosis.note((*where, key), messages.NOT_RECORDED(name=signal))

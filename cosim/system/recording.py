@@ -1,0 +1,132 @@
+"""The recorded part of a run: which signals, and which rows.
+
+The loops make all rows; the part is taken before they are written. A recording thus changes no value and no verdict.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cosim.base.arrays import Array, Rows
+from cosim.base.messages import Message
+from cosim.base.registry import page_for
+from cosim.base.text import join_names
+from cosim.blocks.component import Component
+from cosim.blocks.description import matches
+from cosim.blocks.fmu import FmuBlock
+from cosim.scenario.diagnosis import Diagnosis
+from cosim.scenario.scenario import Recording, Scenario
+from cosim.storage.results import Results
+from cosim.storage.yaml_file import did_you_mean
+from cosim.system import messages
+from cosim.system.wiring import RowLayout
+
+MOST_NAMED = 5  # signals in a message
+
+
+@dataclass(frozen=True)
+class RecordedPart:
+    """Recorded signals, by their place in the row and beside it, and the steps between recorded rows."""
+
+    columns: tuple[int, ...]
+    beside: tuple[int, ...]
+    every: int = 1
+
+    def rows(self, count: int) -> Rows:
+        """Return the recorded ones of the first `count` rows; the last row is always recorded."""
+        rows = np.arange(0, count, self.every)
+        return rows if not count or rows[-1] == count - 1 else np.append(rows, count - 1)
+
+    def thin(self, results: Results) -> Results:
+        """Return the recorded rows."""
+        rows = self.rows(len(results.time))
+        exact = {name: [column[k] for k in rows] for name, column in results.exact.items()}
+        return replace(results, time=results.time[rows], values=results.values[rows], exact=exact)
+
+
+def take_signals(part: RecordedPart | None, results: Results) -> Results:
+    """Return the recorded signals of results that have all signals of the row and beside it."""
+    if part is None:
+        return results
+    every = [*results.exact]
+    names, texts = [results.columns[k] for k in part.columns], [every[k] for k in part.beside]
+    values: Array = np.array(results.values[:, list(part.columns)])
+    units = {name: unit for name, unit in results.units.items() if name in {*names, *texts}}
+    exact, whole = {name: results.exact[name] for name in texts}, results.whole & {*names}
+    return replace(results, columns=tuple(names), values=values, units=units, exact=exact, whole=whole)
+
+
+def recorded_part(
+    scenario: Scenario, components: Mapping[str, Component], layout: RowLayout, diagnosis: Diagnosis
+) -> RecordedPart | None:
+    """Return the recorded part of a run, None for all signals in every row; note faults of its keys."""
+    record = scenario.record
+    if not isinstance(record, Recording):
+        return None
+    for k, pattern in enumerate(record.signals or ()):
+        if objection := _objection(pattern, scenario, components, layout):
+            diagnosis.note(("record", "signals", k), objection)
+    steps = 1 if record.every is None else round(record.every / scenario.step)
+    places = [[k for k, n in enumerate(names) if _is_recorded(n, record)] for names in (layout.columns, layout.beside)]
+    return RecordedPart(*map(tuple, places), max(1, steps))
+
+
+def recording_notes(scenario: Scenario, columns: Sequence[str], part: RecordedPart | None) -> list[Message]:
+    """Return notes on charts that a report cannot draw, because signals are not recorded."""
+    if part is None or len(part.columns) == len(columns):
+        return []
+    recorded = {columns[k] for k in part.columns}
+    ends = [(c.source, c.target) for c in scenario.connections]
+    lost = [f"{s} → {t}" for s, t in ends if {s, t} <= set(columns) and not {s, t} <= recorded]
+    notes = []
+    if lost:
+        fields = {"count": len(recorded), "total": len(columns), "names": join_names(lost)}
+        notes.append(messages.CHARTS_LEFT_OUT(**fields))
+    if page_for(_variables(columns)) is not None and page_for(_variables(recorded)) is None:
+        notes.append(messages.PAGE_LEFT_OUT())
+    return notes
+
+
+def _variables(columns: Sequence[str] | set[str]) -> list[set[str]]:
+    """Return the recorded variables of each component."""
+    by_component: dict[str, set[str]] = {}
+    for column in columns:
+        component, _, variable = column.partition(".")
+        by_component.setdefault(component, set()).add(variable)
+    return [*by_component.values()]
+
+
+def _is_recorded(column: str, record: Recording) -> bool:
+    component, _, variable = column.partition(".")
+    return record.signals is None or any(matches(pattern, component, variable) for pattern in record.signals)
+
+
+def _objection(
+    pattern: str, scenario: Scenario, components: Mapping[str, Component], layout: RowLayout
+) -> Message | None:
+    """Return the objection to a pattern that matches no signal, with near names."""
+    name = pattern.partition(".")[0]
+    columns = (*layout.columns, *layout.beside)
+    if any(matches(pattern, *_parts(column)) for column in columns):
+        return None
+    if "*" not in name and name not in scenario.components:
+        return messages.RECORD_WITHOUT_COMPONENT(name=name, hint=did_you_mean(name, scenario.components))
+    component = components.get(name)
+    if "*" in name and len(components) < len(scenario.components):
+        return None  # It may be a signal of a component that is faulty itself.
+    if component is None and "*" not in name:
+        return None
+    others = [column for column in columns if "*" in name or column.startswith(f"{name}.")]
+    if isinstance(component, FmuBlock):
+        others += [f"{name}.{v.name}" for v in component.description.modelVariables]
+    near = did_you_mean(pattern.replace("*", ""), others)
+    some = ", ".join(others[:MOST_NAMED]) + (", …" if len(others) > MOST_NAMED else "")
+    return messages.RECORD_WITHOUT_SIGNAL(pattern=pattern, hint=near or f"; there are {some or 'none'}")
+
+
+def _parts(column: str) -> tuple[str, str]:
+    component, _, variable = column.partition(".")
+    return component, variable

@@ -1,0 +1,176 @@
+"""`record: {every, signals}`: a part of signals and rows, in every loop and format, with criteria and resumed runs."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import cosim
+from cosim.base.errors import InputError
+from cosim.simulation import workflow
+from cosim.simulation.run_signals import Run
+from cosim.simulation.workflow import run
+from tests.test_resume import check_equal, stopped
+from tests.walker import walker_scenario
+
+PART = 'record={every: 50 ms, signals: ["saving.*", "other.*"]}'
+REFERENCES = """name: s
+duration: 1
+step: {step}
+record: {record}
+components:
+  ref:
+    block: reference
+    signals: {{x: {{start: 0, unit: m, changes: [{{at: 0.33, to: 5}}, {{at: 0.37, to: 1}}]}}, y: {{start: 2}}}}
+  more: {{block: reference, signals: {{x: {{start: 3}}}}}}
+criteria: {{peak: {{of: {of}, max: 4}}}}
+"""
+
+
+def _file(
+    folder: Path, record: str = "{every: 0.1 s, signals: [ref.x]}", of: str = "ref.x", step: str = "0.01"
+) -> Path:
+    path = folder / "s.yaml"
+    path.write_text(REFERENCES.format(record=record, of=of, step=step), encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module", params=["C", "Python"])
+def walk(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any, Any]:
+    """A scenario that C or Python steps, with its run in all rows and in a part of them."""
+    folder = tmp_path_factory.mktemp("walk")
+    scenario = walker_scenario(folder, python=request.param == "Python", pause=1000.0, checkpoint="20 s")
+    whole = run(scenario, folder / "whole", ['record=["*"]', "checkpoint=null"], report=False)
+    part = run(scenario, folder / "part", [PART], report=False)
+    assert whole.results.loop.startswith(request.param)
+    assert part.results.loop == whole.results.loop
+    return scenario, whole, part
+
+
+def test_a_part_has_the_values_of_all_rows_and_nothing_else(walk: tuple[Path, Any, Any]) -> None:
+    _, whole, part = walk
+    assert part.results.time.tolist() == whole.results.time[::5].tolist()
+    assert {*part.results.columns} < {*whole.results.columns}
+    assert "saving.kicks" in part.results.columns  # a local variable
+    assert not any(name.startswith(("three", "reference", "recording")) for name in part.results.columns)
+    for name in part.results.columns:
+        assert np.array_equal(part.results[name], whole.results[name][::5], equal_nan=True)
+    assert {name: list(v) for name, v in part.results.exact.items()} == {
+        name: list(v)[::5] for name, v in whole.results.exact.items() if name in part.results.exact
+    }
+    read = cosim.read(part.folder)
+    assert isinstance(read, Run)
+    assert read.results.columns == part.results.columns
+    assert {*part.manifest["units"]} <= {*part.results.columns, *part.results.exact}
+
+
+def test_a_stopped_run_goes_on_to_the_same_bytes(walk: tuple[Path, Any, Any], tmp_path: Path) -> None:
+    scenario, _, part = walk
+    again = stopped(scenario, tmp_path / "again", [PART])
+    assert (again / "checkpoint" / "all-rows").is_file()
+    plain = shutil.copytree(again, tmp_path / "plain")
+    shutil.rmtree(plain / "checkpoint")  # as without the key
+    for folder, note in ((again, "goes on from"), (plain, "the run is made again from t = 0 s")):
+        said: list[str] = []
+        run(folder, resume=True, report=False, tell=said.append)
+        assert note in said[0]
+        check_equal(folder, part.folder)
+        with pytest.raises(InputError, match="its run is finished"):
+            run(folder, resume=True)
+
+
+def test_a_finished_run_is_extended_with_and_without_all_rows(tmp_path: Path) -> None:
+    scenario = walker_scenario(tmp_path, checkpoint="20 s")
+    longer = run(scenario, tmp_path / "longer", [PART, "duration=0.8"], report=False).folder
+    folder = run(scenario, tmp_path / "short", [PART, "duration=0.7"], report=False).folder
+    plain = shutil.copytree(folder, tmp_path / "plain")
+    shutil.rmtree(plain / "checkpoint")
+    for each in (folder, plain):
+        run(each, until=0.8, report=False)
+        assert (each / "results.csv").read_bytes() == (longer / "results.csv").read_bytes()
+
+
+@pytest.mark.parametrize("format_", ["csv", "parquet", "mat", "hdf5", "mcap"])
+@pytest.mark.parametrize("in_process", [True, False])
+def test_every_format_has_the_part(tmp_path: Path, format_: str, in_process: bool) -> None:
+    for library in {"parquet": ["pyarrow"], "hdf5": ["h5py"], "mcap": ["mcap"]}.get(format_, []):
+        pytest.importorskip(library)
+    if in_process and format_ != "csv":
+        pytest.skip("rows are written in one place")
+    ran = cosim.run(_file(tmp_path), tmp_path / "out", format=format_, report=False, in_process=in_process)
+    read = cosim.read(tmp_path / "out")
+    assert isinstance(read, Run)
+    assert read.results.columns == ("ref.x",)
+    assert read.time == pytest.approx(np.linspace(0, 1, 11))
+    assert read.results.values.tobytes() == ran.results.values.tobytes()
+
+
+@pytest.mark.parametrize(("step", "loop"), [("0.01", "C"), ("{max: 0.01, min: 0.001}", "Python: steps are controlled")])
+def test_criteria_are_judged_by_all_rows(tmp_path: Path, step: str, loop: str) -> None:
+    """The peak of 5 m lies between two recorded rows."""
+    ran = cosim.run(_file(tmp_path, step=step), tmp_path / "out")
+    assert ran.manifest["loop"] == loop
+    assert ran.results["ref.x"].max() == 1.0
+    assert ran.criteria[0]["value"] == 5.0
+    assert not ran.criteria[0]["met"]
+    assert ran.report is not None
+    compared = cosim.compare(cosim.run(_file(tmp_path, "[]")), ran)
+    assert compared.only_a == ("ref.y", "more.x")  # type: ignore[union-attr]
+
+
+def test_the_last_row_is_recorded_also_between_two_multiples(tmp_path: Path) -> None:
+    ran = cosim.run(_file(tmp_path, "{every: 0.3}"), report=False)
+    assert ran.time == pytest.approx([0, 0.3, 0.6, 0.9, 1.0])
+    assert ran.names == ("ref.x", "ref.y", "more.x")
+
+
+@pytest.mark.parametrize(
+    ("record", "of", "message"),
+    [
+        ("{every: 0.025}", "ref.x", ":4:17: 0.025 s is no whole number of steps of 0.01 s; use for example 0.02 s or"),
+        ("{every: 0.001}", "ref.x", "0.001 s is no whole number of steps of 0.01 s; use for example 0.01 s"),
+        ("{every: 20}", "ref.x", "20 s is longer than the run, 1 s"),
+        ("{every: -1}", "ref.x", ":4:17"),
+        ("{signals: [ref.x, ref.z]}", "ref.x", ':4:27: no signal matches "ref.z"; did you mean "ref.y"?'),
+        ("{signals: [rex.*]}", "more.x", 'no component "rex"; did you mean "ref"?'),
+        ('{signals: ["*.speed"]}', "more.x", 'no signal matches "*.speed"; there are ref.x, ref.y, more.x'),
+        ("{signals: []}", "ref.x", "record.signals is a list: it should have at least 1 entries, not 0"),
+        ("{signal: [ref.x]}", "ref.x", "signal"),
+        ("{signals: [more.x]}", "ref.x", "ref.x is not recorded, and the criterion needs it; add it to record:"),
+    ],
+)  # fmt: skip
+def test_a_fault_of_record_has_its_place_and_cure(tmp_path: Path, record: str, of: str, message: str) -> None:
+    with pytest.raises(InputError) as refused:
+        cosim.check(_file(tmp_path, record, of), load=False)
+    assert message in str(refused.value)
+
+
+def test_check_says_which_charts_a_report_will_lack(tmp_path: Path) -> None:
+    scenario = walker_scenario(tmp_path)
+    content = scenario.read_text().replace('record: ["*.kicks"]', "record: {signals: [saving.y]}")
+    scenario.write_text(content)
+    (note,) = cosim.check(scenario, load=False)
+    assert "note: 1 of 8 signals are recorded; the report has no chart of the connections other.y → saving.u" in note
+
+
+def test_many_rows_of_csv_offer_parquet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(workflow, "MANY_ROWS", 50)
+    for format_, record, told in (("csv", "[]", 1), ("mat", "[]", 0), ("csv", "{every: 0.1}", 0)):
+        said: list[str] = []
+        run(_file(tmp_path, record), tmp_path / "out", report=False, in_process=True, format_=format_, tell=said.append)
+        assert len(said) == told
+        assert all("the run has 101 rows; --format parquet" in text for text in said)
+
+
+def test_a_manifest_repeats_the_part(tmp_path: Path) -> None:
+    first = run(_file(tmp_path), tmp_path / "out", report=False, in_process=True)
+    assert first.manifest["scenario"]["record"] == {"signals": ["ref.x"], "every": 0.1}
+    run(tmp_path / "out" / "manifest.json", tmp_path / "again", report=False, in_process=True)
+    rows = [(tmp_path / name / "results.csv").read_bytes() for name in ("out", "again")]
+    assert rows[0] == rows[1]
+    assert json.loads((tmp_path / "again" / "manifest.json").read_text())["beside"] == []
