@@ -70,8 +70,11 @@ def recorded_part(
         if objection := _objection(pattern, scenario, components, layout):
             diagnosis.note(("record", "signals", k), objection)
     steps = 1 if record.every is None else round(record.every / scenario.step)
-    places = [[k for k, n in enumerate(names) if _is_recorded(n, record)] for names in (layout.columns, layout.beside)]
-    return RecordedPart(*map(tuple, places), max(1, steps))
+    columns, beside = (
+        tuple(k for k, name in enumerate(names) if _is_recorded(name, record))
+        for names in (layout.columns, layout.beside)
+    )
+    return RecordedPart(columns, beside, max(1, steps))
 
 
 def recording_notes(scenario: Scenario, columns: Sequence[str], part: RecordedPart | None) -> list[Message]:
