@@ -14,10 +14,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import cosim
+from cosim.base.arrays import Array
 from cosim.base.errors import InputError
+from cosim.master.observer import ObservedRun, Observer
 from tests.deeds import deeds_fmu
 
 MOSQUITTO = shutil.which("mosquitto", path="/usr/sbin:/usr/bin:/usr/local/sbin:/opt/homebrew/sbin")
@@ -268,10 +271,25 @@ def test_a_function_for_no_input_is_refused(tmp_path: Path) -> None:
         cosim.run(scenario(tmp_path, {}), inputs={"good.u0": 3})  # type: ignore[dict-item]
 
 
-def test_the_example_with_a_thermostat_runs_and_repeats(tmp_path: Path) -> None:
+class Switching(Observer):
+    """Ends a run when the thermostat has switched the heater on and off, however long this takes."""
+
+    def begin(self, run: ObservedRun) -> None:
+        self.place = run.columns.index("oven.power")
+        self.seen: list[float] = []
+
+    def rows(self, time: object, values: Array) -> bool:
+        for power in values[:, self.place].tolist():
+            if [power] != self.seen[-1:]:
+                self.seen.append(power)
+        return self.seen[-1] == 0.0
+
+
+def test_the_thermostat_of_the_example_switches_the_heater(tmp_path: Path) -> None:
     cosim.build(tmp_path / "build" / "oven", model=f"{EXAMPLES / 'oven.py'}:Oven")
     ports = free_port(), free_port()
     command = [sys.executable, str(EXAMPLES / "thermostat.py"), str(ports[1]), str(ports[0])]
+    observer = Switching()
     with subprocess.Popen(command, stdout=subprocess.PIPE) as thermostat:
         try:
             assert thermostat.stdout is not None
@@ -279,10 +297,15 @@ def test_the_example_with_a_thermostat_runs_and_repeats(tmp_path: Path) -> None:
             text = (EXAMPLES / "oven_udp.yaml").read_text(encoding="utf-8")
             text = text.replace("5005", str(ports[0])).replace("5006", str(ports[1]))
             text = text.replace("../../build/oven", str(tmp_path / "build" / "oven")).replace("pace: 10", "pace: 100")
-            (tmp_path / "oven.yaml").write_text(text, encoding="utf-8")
-            ran = cosim.run(tmp_path / "oven.yaml", tmp_path / "o", report=False)
+            (tmp_path / "oven.yaml").write_text(text.replace("2 min", "2 h"), encoding="utf-8")
+            ran = cosim.run(tmp_path / "oven.yaml", tmp_path / "o", observers=[observer], report=False)
         finally:
             thermostat.kill()
-    assert {*ran["oven.power"]} <= {600.0, 1500.0, 0.0}
-    assert ran.manifest["partners"][1]["sent"] == 241
-    repeated(tmp_path)
+    assert observer.seen == [600.0, 1500.0, 0.0]  # its own start value, then what the thermostat sent
+    off = int(np.argmax(ran["oven.power"] == 0.0))
+    assert ran["oven.board"][:off].max() > 342.0  # GOAL + BAND, which the thermostat knows from the run
+    assert ran["oven.board"][: off // 2].max() < 342.0
+    sent, received = ran.manifest["partners"][1]["sent"], ran.manifest["partners"][0]["messages"]
+    assert sent >= received >= 2
+    cosim.run(tmp_path / "o" / "manifest.json", tmp_path / "again", [f"duration={ran.time[-1]:g}"], report=False)
+    assert (tmp_path / "again" / "results.csv").read_bytes() == (tmp_path / "o" / "results.csv").read_bytes()

@@ -93,6 +93,17 @@ def test_a_pause_shifts_the_times_and_long_waits_look_for_a_requested_end() -> N
     assert max(wall.naps) <= NAP
 
 
+def test_the_preparation_of_the_loop_makes_no_point_late() -> None:
+    wall = Wall()
+    pacer = wall.pacer(1.0, 20, 0.01)
+    pacer.wait(0)
+    wall.now += 0.5
+    pacer.restart()
+    for k in range(1, 21):
+        pacer.wait(k)
+    assert pacer.record(0.0)["overruns"] == {"count": 0}
+
+
 @pytest.mark.parametrize("in_process", [False, True])
 def test_a_paced_run_has_the_same_rows_and_its_manifest_repeats_it_without_waiting(
     tmp_path: Path, in_process: bool

@@ -180,21 +180,21 @@ class Master:
     def _step_on(self) -> None:
         """Make all steps, in C if possible, otherwise in Python."""
         if self.instants is not None:
-            self._store_loop("Python: event mode")
+            self._begin_loop("Python: event mode")
             self.instants.run()
             return
         if self.system.control is not None:
             self.controlled = ControlledSteps(self, self.system.control)
-            self._store_loop("Python: steps are controlled")
+            self._begin_loop("Python: steps are controlled")
             self.controlled.make_all()
             return
         try:
             steps = self._prepare_c()
         except NotCompiled as reason:
-            self._store_loop(f"Python: {reason}")
+            self._begin_loop(f"Python: {reason}")
             self._step_in_python()
             return
-        self._store_loop("C")
+        self._begin_loop("C")
         if self.inbox is not None:
             self.inbox.most = MOST_IN_C
         try:
@@ -288,9 +288,12 @@ class Master:
         """Return a component's first places, in and beside the row."""
         return self._place.get(name, 0), self._place_beside.get(name, 0)
 
-    def _store_loop(self, loop: str) -> None:
+    def _begin_loop(self, loop: str) -> None:
+        """Note how the steps are made; the preparation of the loop is no delay of the first one."""
         self.loop = loop
         self.rows.tell_loop(loop)
+        if self.pacer is not None:
+            self.pacer.restart()
 
     def _next_call(self, k: int) -> int:
         """Return the next communication point, from k on, that needs Python in the C loop, or `NEVER`."""

@@ -60,6 +60,10 @@ class Pacer:
         self._late[k] = now - due
         self._points = k + 1
 
+    def restart(self) -> None:
+        """Count the times of further points from now, as if point 0 were due now."""
+        self._begin = self._clock()
+
     def shift(self, pause: float) -> None:
         """Shift the times of all further points by a pause [s]."""
         self._begin += pause
