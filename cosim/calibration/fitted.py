@@ -80,6 +80,19 @@ class Fitted:
         values = ", ".join(f"{name} = {value:.5g}" for name, value in self.values.items())
         return f"{self.sentence}\n  {values}".rstrip()
 
+    def _repr_html_(self) -> str:
+        from cosim.report.cell.cell import heading, table
+
+        rows = [
+            (
+                *(name, f"{entry['start']:.5g}", f"{entry['value']:.5g}", entry["unit"]),
+                " … ".join(f"{end:.5g}" for end in entry["ci95"] or ()) or entry["status"],
+            )
+            for name, entry in dict(self.record.get("parameters") or {}).items()
+        ]
+        estimates = table(("parameter", "before", "estimate", "unit", "95 % interval"), rows) if rows else ""
+        return heading(self.verdict, self.sentence) + estimates
+
 
 def read_fitted(folder: Path) -> Fitted | None:
     """Return the fit in a folder, or None."""

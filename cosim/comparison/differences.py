@@ -121,13 +121,19 @@ class Compared:
         return sheet(self.time, [p for d in plotted for p in panels_of(d.name, d.unit, runs, self.values[d.name])])
 
     def _repr_html_(self) -> str:
-        from html import escape
+        from cosim.comparison.signal_panels import panels_of
+        from cosim.report.cell.cell import cell_of, heading, rows_to_show, table
 
-        cells, more = self._table()
-        head = "".join(f"<th>{word}</th>" for word in ("signal", "largest", "at", "of its range"))
-        rows = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in cells)
-        note = f"<p>{more}</p>" if more else ""
-        return f"<p><b>{escape(self._heading())}</b></p><table><tr>{head}</tr>{rows}</table>{note}"
+        cells = self._table()[0]
+        listed = table(("signal", "largest", "at", "of its range"), cells, len(self.differences) - len(cells))
+        drawn = [d for d in self.ranking if d.name in self.values][:MAX_PLOTTED]
+        rows = rows_to_show([values for d in drawn for values in self.values[d.name]])
+        pairs = [(self.values[d.name][0][rows], self.values[d.name][1][rows]) for d in drawn]
+        runs = self.a.name, self.b.name
+        panels = [p for d, pair in zip(drawn, pairs, strict=True) for p in panels_of(d.name, d.unit, runs, pair)]
+        omitted = len(self.values) - len(drawn)
+        chart = cell_of(self.time[rows], panels, self._heading(), rows=len(self.time), omitted=omitted)
+        return heading(self._heading()) + listed + chart
 
     def _heading(self) -> str:
         return f"{self.a.name} and {self.b.name}: {sentence(self)}"

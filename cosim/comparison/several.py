@@ -132,6 +132,19 @@ class ComparedRuns:
         more = [f"… and {len(self.ranking) - MAX_LISTED} more"] if len(self.ranking) > MAX_LISTED else []
         return "\n  ".join([sentence(self), *("  ".join(row) for row in rows), *more])
 
+    def _repr_html_(self) -> str:
+        from cosim.comparison.signal_panels import overlay
+        from cosim.report.cell.cell import cell_of, heading, rows_to_show, table
+
+        listed = [(name, *map(_cell, cells)) for name, cells in list(self.table.items())[:MAX_LISTED]]
+        differences = table(("signal", *self.labels), listed, len(self.ranking) - len(listed))
+        drawn, labels = [*self.curves][:MAX_PLOTTED], [self.labels[k] for k in self.drawn]
+        rows = rows_to_show([values for name in drawn for values in self.curves[name]])
+        panels = [overlay(n, self.units[n], labels, [values[rows] for values in self.curves[n]]) for n in drawn]
+        omitted = len(self.ranking) - len(drawn)
+        chart = cell_of(self.time[rows], panels, sentence(self), rows=len(self.time), omitted=omitted)
+        return heading(sentence(self)) + differences + chart
+
     def to_pandas(self) -> pandas.DataFrame:
         """Return the largest difference of each signal (rows) in each run (columns); raise ImportError without pandas.
 

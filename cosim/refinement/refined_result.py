@@ -88,9 +88,15 @@ class Refined:
         return f"{self.verdict}: {self.sentence}"
 
     def _repr_html_(self) -> str:
-        from html import escape
+        from cosim.report.cell.cell import heading, table
 
-        return f"<p><b>{escape(self.verdict)}</b>: {escape(self.sentence)}</p>"
+        rows = [
+            (f"{effect['name']}.{name}", f"{p['value']:.5g}", p["unit"], " … ".join(f"{end:.5g}" for end in p["ci95"]))
+            for effect in self.effects
+            for name, p in effect["parameters"].items()
+        ]
+        found = table(("parameter", "value", "unit", "95 % interval"), rows) if rows else ""
+        return heading(self.verdict, self.sentence) + found
 
 
 def read_refined(folder: Path) -> Refined | None:

@@ -20,6 +20,11 @@ class Replay(Signals):
     def __repr__(self) -> str:
         return f"{super().__repr__()}\n  {self.sentence}".rstrip()
 
+    def _html_more(self) -> str:
+        from html import escape
+
+        return f"<p>{escape(self.sentence)}</p>" if self.sentence else ""
+
 
 def read_replay(folder: Path, *, kept: bool = True) -> Replay | None:
     """Return the replay in a folder, or None.

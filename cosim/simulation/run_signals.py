@@ -21,6 +21,16 @@ if TYPE_CHECKING:
 MAX_LINES = 8  # signals in the short text; further signals are counted
 
 
+@dataclass(frozen=True)
+class Chart:
+    """An interactive chart that a notebook displays; `html` is its content."""
+
+    html: str = field(repr=False)
+
+    def _repr_html_(self) -> str:
+        return self.html
+
+
 @dataclass(frozen=True, repr=False)
 class Signals:
     """Rows of a run; `signals["plant.x"]` is one column.
@@ -84,6 +94,18 @@ class Signals:
 
         return figure_of(self.results, names or self.results.columns)
 
+    def chart(self, *names: str) -> Chart:
+        """Return an interactive chart for a notebook, by default of the first signals.
+
+        Raises:
+            KeyError: There is no such signal.
+        """
+        for name in names:
+            self[name]
+        from cosim.simulation.report.signal_chart import results_cell
+
+        return Chart(results_cell(self.results, names or self.results.columns, self.title))
+
     def __repr__(self) -> str:
         lines = [f"  {n} [{self.units.get(n) or '1'}] {' → '.join(self._ends(n))}" for n in self.names[:MAX_LINES]]
         more = [f"  … and {len(self.names) - MAX_LINES} more"] if len(self.names) > MAX_LINES else []
@@ -98,14 +120,14 @@ class Signals:
         return (plain(float(values[0])), plain(float(values[-1]))) if len(values) else (MISSING, MISSING)
 
     def _repr_html_(self) -> str:
-        from html import escape
+        from cosim.report.cell.cell import heading, table
 
-        rows = [(name, self.units.get(name, ""), *self._ends(name)) for name in self.names[: 2 * MAX_LINES]]
-        cells = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows)
-        more = len(self.names) - len(rows)
-        note = f"<p>… and {more} more</p>" if more > 0 else ""
-        head = "<tr><th>signal</th><th>unit</th><th>first</th><th>last</th></tr>"
-        return f"<p><b>{escape(self._heading())}</b></p>{self._html_more()}<table>{head}{cells}</table>{note}"
+        shown = self.names[: 2 * MAX_LINES]
+        rows = [(name, self.units.get(name, ""), *self._ends(name)) for name in shown]
+        listed = table(("signal", "unit", "first", "last"), rows, len(self.names) - len(rows))
+        chart = self.chart().html
+        signals = f"<details><summary>Signals</summary>{listed}</details>" if chart else listed
+        return heading(self._heading()) + self._html_more() + chart + signals
 
     def _html_more(self) -> str:
         return ""

@@ -22,7 +22,7 @@ from cosim.sweeps.run_chunks import RunResult
 EQUAL = 1e-9  # largest allowed difference relative to max(1, largest value)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Swept:
     """Result of a sweep.
 
@@ -45,6 +45,9 @@ class Swept:
         lines = [headline(r), f"{completed}, {way_of(r)}{rate}"]
         lines += [f"{c['name']}: met by {c['met']} of {c['of']} ({_interval(c)})" for c in r["criteria"]]
         return [*lines, self.check]
+
+    def __repr__(self) -> str:
+        return "\n  ".join(self.sentences)
 
     @property
     def check(self) -> Message:

@@ -1,0 +1,1 @@
+"""Charts within the output of a notebook's cell."""

@@ -1,0 +1,70 @@
+"""Interactive charts for the output of a notebook's cell, of limited size for runs of any length."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+from pathlib import Path
+
+import numpy as np
+
+from cosim.base.arrays import Array, Rows
+from cosim.base.text import counted
+from cosim.report.drawing import Charts
+from cosim.report.panels import Panel
+from cosim.report.svg import thin
+from cosim.report.template import render
+
+PAGE = Path(__file__).with_name("templates") / "cell.html.j2"
+MAX_VALUES = 100_000  # in a cell: some 300 kB of the notebook
+MAX_CURVES = 24  # in a cell; callers choose them
+MIN_POINTS, MAX_POINTS = 50, 2000  # of each curve that keep its peaks
+ROW_HEIGHT, MAX_HEIGHT = 330, 700  # of two charts side by side, and of the frame [px]
+
+
+def rows_to_show(curves: Sequence[Array]) -> Rows:
+    """Return the rows that a frame has of some curves: all, or those that keep each peak and gap of each curve."""
+    limit = max(MIN_POINTS, min(MAX_POINTS, MAX_VALUES // max(1, len(curves)) ** 2))
+    return np.unique(np.concatenate([np.empty(0, np.intp), *(thin(values, limit) for values in curves)]))
+
+
+def cell_of(time: Array, panels: Sequence[Panel], title: str, *, rows: int, omitted: int = 0) -> str:
+    """Return HTML with a frame of interactive charts, "" without rows or panels.
+
+    A notebook that is not trusted omits the frame.
+
+    Args:
+        time: Times of the rows to show.
+        rows: Number of all rows.
+        omitted: Number of signals that are not in the panels.
+    """
+    if not (time.size and panels):
+        return ""
+    charts = Charts()
+    drawing = charts.over(time, sum(len(panel.traces) for panel in panels))
+    page = render(PAGE, {"plots": drawing.plots(panels), "data": charts.data(), "title": title})
+    height = min(MAX_HEIGHT, ROW_HEIGHT * -(-len(panels) // 2))
+    style = f"width:100%;height:{height}px;border:0;resize:vertical"
+    # without allow-same-origin the frame can neither read nor change the notebook
+    frame = f'<iframe title="{escape(title)}" sandbox="allow-scripts allow-downloads" style="{style}"'
+    return f'{frame} srcdoc="{escape(page)}"></iframe>{_note(time.size, rows, omitted)}'
+
+
+def heading(title: str, text: str = "") -> str:
+    """Return HTML of a line that begins with a title in bold."""
+    return f"<p><b>{escape(title)}</b>{': ' if text else ''}{escape(text)}</p>"
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[str]], omitted: int = 0) -> str:
+    """Return HTML of a table, and the number of omitted rows below it."""
+    head = "".join(f"<th>{escape(cell)}</th>" for cell in header)
+    lines = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows)
+    note = f"<p>… and {omitted} more</p>" if omitted > 0 else ""
+    return f"<table><tr>{head}</tr>{lines}</table>{note}"
+
+
+def _note(shown: int, count: int, omitted: int) -> str:
+    """Return a note on rows and signals that the frame omits, "" for none."""
+    parts = [f"{shown:,} of {count:,} rows, which keep each peak"] if shown < count else []
+    parts += [f"{counted(omitted, 'more signal')} not drawn"] if omitted else []
+    return f"<p><small>{'; '.join(parts)}.</small></p>" if parts else ""

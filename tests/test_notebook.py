@@ -1,0 +1,245 @@
+"""Results in a notebook: charts of limited size, a line of progress, and runs within a running event loop."""
+
+from __future__ import annotations
+
+import asyncio
+import html
+import importlib.util
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+import cosim
+from cosim.base.arrays import Array
+from cosim.base.notebook import ProgressLine, shows_progress
+from cosim.calibration.fitted import Fitted
+from cosim.comparison.differences import compare_runs
+from cosim.comparison.several import ComparedRuns
+from cosim.refinement.refined_result import Refined
+from cosim.report.cell.cell import MAX_CURVES, rows_to_show
+from cosim.simulation.run_files import RecordedRun
+from cosim.simulation.run_signals import Signals
+from cosim.storage.results import Results
+from tests.conftest import ROOT
+from tests.seen import CHROMIUM
+from tests.test_python import turning
+
+PEAK = 123_457  # row of a single high value
+
+
+def signals(rows: int, curves: int, name: str = "tank.s{}") -> Signals:
+    time = np.arange(rows) * 0.01
+    values = np.column_stack([np.sin(time * (k + 1) / 3.0) for k in range(curves)])
+    if rows > PEAK:
+        values[PEAK, 0] = 9.0
+    columns = tuple(name.format(k) for k in range(curves))
+    return Signals("made", Results(time, columns, values, dict.fromkeys(columns, "m")))
+
+
+def frames(page: str) -> list[str]:
+    """The pages in the frames of a cell."""
+    return [html.unescape(text) for text in re.findall(r'<iframe [^>]*srcdoc="([^"]*)"></iframe>', page)]
+
+
+def test_a_result_shows_its_charts_in_a_frame_that_reaches_nothing() -> None:
+    shown = signals(500, 3)._repr_html_()
+    (frame,) = frames(shown)
+    assert 'sandbox="allow-scripts allow-downloads"' in shown  # without the rights of the notebook
+    assert "default-src 'none'" in frame
+    assert len(re.findall(r"<figure ", frame)) == 1  # one unit, one panel
+    assert '"rows":500,' in frame
+    assert not re.findall(r"""(?:src|href)=["']?(?:https?:)?//""", frame)
+    assert "rows, which keep" not in shown
+
+
+def test_a_long_run_is_thinned_to_a_bounded_size_and_keeps_its_peaks() -> None:
+    long = signals(150_000, 30)
+    shown = long._repr_html_()
+    (frame,) = frames(shown)
+    assert len(shown) < 700_000
+    assert f"{30 - MAX_CURVES} more signals not drawn" in shown
+    rows = rows_to_show([long[name] for name in long.names[:MAX_CURVES]])
+    assert f"{rows.size:,} of 150,000 rows, which keep each peak" in shown
+    assert PEAK in rows
+    assert rows[0] == 0
+    assert rows[-1] == 149_999
+    assert "tank.s0 from -1 to 9" in frame
+
+
+def test_named_signals_are_drawn_alone_and_unknown_ones_are_refused() -> None:
+    (frame,) = frames(signals(50, 5).chart("tank.s3")._repr_html_())
+    assert "tank.s3" in frame
+    assert "tank.s2" not in frame
+    with pytest.raises(KeyError, match=r"tank\.s9"):
+        signals(50, 5).chart("tank.s9")
+
+
+@pytest.mark.parametrize("rows", [0, 1])
+def test_a_result_without_curves_shows_its_table(rows: int) -> None:
+    shown = signals(rows, 2)._repr_html_()
+    assert "<td>tank.s1</td>" in shown
+    assert len(frames(shown)) == rows
+
+
+def test_no_name_of_a_signal_becomes_code() -> None:
+    evil = '</script><img src=x onerror="alert(1)">{}'
+    shown = signals(50, 2, evil)._repr_html_()
+    (frame,) = frames(shown)
+    assert "<img" not in frame
+    assert "<img" not in shown
+
+
+def test_a_comparison_and_estimates_show_themselves(tmp_path: Path) -> None:
+    def ran(name: str, values: Array) -> RecordedRun:
+        results = Results(np.arange(9.0), ("x",), values[:, np.newaxis], {"x": "m"})
+        return RecordedRun(name, Path(name), results, {})
+
+    compared = compare_runs(ran("a", np.arange(9.0)), ran("b", np.arange(9.0) ** 2))
+    (frame,) = frames(compared._repr_html_())
+    assert "x, b − a" in frame
+    assert hasattr(ComparedRuns, "_repr_html_")
+    entry = {"start": 1.0, "value": 2.0, "unit": "kg", "ci95": [1.5, 2.5], "status": "estimated"}
+    fitted = Fitted({"verdict": "improved", "sentence": "a < b", "parameters": {"mass": entry}})
+    assert "a &lt; b" in fitted._repr_html_()
+    assert "<td>1.5 … 2.5</td>" in fitted._repr_html_()
+    effect = {"name": "leak", "parameters": {"rate": {"value": 0.012, "unit": "m2/s", "ci95": [0.01, 0.014]}}}
+    refined = Refined({"verdict": "effect_found", "sentence": "found", "effects": [effect]}, tmp_path)
+    assert "<td>leak.rate</td><td>0.012</td><td>m2/s</td><td>0.01 … 0.014</td>" in refined._repr_html_()
+
+
+# -- progress -------------------------------------------------------------------------------------------
+
+
+class Cell:
+    """What a cell displays: each line, and the number of its changes."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+        self.changes = 0
+
+    def show(self, text: str, html: str) -> Any:
+        self.lines.append(text)
+        return self.replace
+
+    def replace(self, text: str, html: str) -> None:
+        self.lines[-1] = text
+        self.changes += 1
+
+
+def test_progress_is_one_line_that_changes_a_few_times_a_second() -> None:
+    now, cell = [0.0], Cell()
+    line = ProgressLine("run", cell.show, lambda: now[0])
+    for step in range(10_000):  # 10 s, 1000 calls a second
+        now[0] = step / 1000
+        line(step, 10_000)
+    assert re.fullmatch(r"run: \d\d%, 10 s|run: 100%, 10 s", cell.lines[-1])
+    line.end()
+    assert cell.lines == ["run: 10.0 s"]
+    assert cell.changes <= 37
+
+
+def test_a_short_run_shows_no_progress_and_stages_show_their_names() -> None:
+    now, cell = [0.0], Cell()
+    line = ProgressLine("fit", cell.show, lambda: now[0])
+    line(1, 2)
+    line.end()
+    assert cell.lines == []
+    now[0] = 2.0
+    line("screening", 0.5)
+    assert cell.lines == ["fit: screening, 50%, 2 s"]
+
+
+def test_only_a_notebook_shows_progress_and_a_function_of_your_own_replaces_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    def work(progress: Any = None) -> Any:
+        return progress
+
+    shown = shows_progress(work)
+    python = ModuleType("IPython")
+    shell = type("Shell", (), {})()  # of a terminal
+    monkeypatch.setitem(sys.modules, "IPython", python)
+    monkeypatch.setattr(python, "get_ipython", lambda: shell, raising=False)
+    assert shown() is None
+    shell.kernel = object()
+    display = ModuleType("IPython.display")
+    monkeypatch.setattr(display, "display", print, raising=False)
+    monkeypatch.setitem(sys.modules, "IPython.display", display)
+    assert isinstance(shown(), ProgressLine)
+    assert shown(progress=print) is print
+
+
+# -- within an event loop, and in a kernel --------------------------------------------------------------
+
+
+def test_runs_within_a_running_event_loop_and_beside_it(tmp_path: Path) -> None:
+    async def cell() -> list[float]:
+        here = cosim.run(turning(tmp_path))  # in a worker process
+        beside = await asyncio.to_thread(cosim.run, turning(tmp_path), set={"components.a.start.r_in": 3})
+        return [float(made["a.r_out"][-1]) for made in (here, beside)]
+
+    assert asyncio.run(cell()) == [2.0, 3.0]
+
+
+CELL = """
+import asyncio, cosim
+from cosim.base import notebook
+notebook.AFTER = notebook.EVERY = 0.0
+await asyncio.sleep(0)
+made = cosim.run({scenario!r})
+made
+"""
+
+
+@pytest.mark.thorough
+def test_a_kernel_shows_the_chart_and_one_line_of_progress(tmp_path: Path) -> None:
+    if any(importlib.util.find_spec(name) is None for name in ("nbclient", "ipykernel")):
+        pytest.skip("no nbclient or no ipykernel")
+    scenario = turning(tmp_path, duration=200)
+    code = (
+        "import nbformat, nbclient\n"
+        f"cell = nbformat.v4.new_code_cell({CELL.format(scenario=scenario)!r})\n"
+        "nb = nbformat.v4.new_notebook(cells=[cell])\n"
+        "nbclient.NotebookClient(nb, timeout=60, kernel_name='python3').execute()\n"
+        "for output in nb.cells[0].outputs: print(output.output_type, output.get('data', output))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=120,
+        env={**os.environ, "PYTHONPATH": str(ROOT), "PYDEVD_DISABLE_FILE_VALIDATION": "1"},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    kinds = [line.split()[0] for line in done.stdout.splitlines() if line.startswith(("display", "execute", "stream"))]
+    assert kinds == ["display_data", "execute_result"]
+    assert re.search(r"run: \d+\.\d s", done.stdout)  # the line of progress at its end
+    assert "<iframe" in done.stdout
+
+
+@pytest.mark.thorough
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
+def test_the_charts_in_a_cell_follow_the_pointer(tmp_path: Path) -> None:
+    api = pytest.importorskip("playwright.sync_api", reason="no playwright")
+    path = tmp_path / "cell.html"
+    path.write_text(f"<!DOCTYPE html><body>{signals(500, 3)._repr_html_()}", encoding="utf-8")
+    with api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
+        page = browser.new_page(viewport={"width": 1000, "height": 600})
+        faults: list[str] = []
+        page.on("pageerror", lambda error: faults.append(str(error)))
+        page.goto(path.as_uri())
+        frame = page.frames[1]
+        frame.wait_for_function("document.documentElement.dataset.ready === 'yes'")
+        box = frame.locator("[data-box]").first.bounding_box()
+        assert box is not None
+        page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+        frame.wait_for_function("document.querySelector('.when').textContent.startsWith('2.')")
+        first = frame.locator("output").first.inner_text()
+        assert float(first.replace("\u2212", "-")) == pytest.approx(np.sin(2.5 / 3.0), abs=0.01)
+        with pytest.raises(api.Error, match=r"cross-origin|SecurityError|Blocked a frame"):
+            frame.evaluate("parent.document.title")
+        browser.close()
+    assert faults == []
