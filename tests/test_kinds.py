@@ -51,6 +51,7 @@ WORDS = {  # file → what it is called
     "identify.json": "is an answer of `cosim identify`",
     "consistency.json": "is an answer of `cosim consistency`",
     "runs.sqlite": "is a database",
+    "view.json": "is a file of layouts",
     "schema.json": "is a JSON schema",
     "report.html": "is a page for a browser",
     "page.csv": "is a page for a browser",
@@ -107,6 +108,7 @@ READ = {  # command → what it reads
     "simulate x.fmu --input": LOGS,
     "compare log.csv": LOGS | {"ran", "replayed"},
     "report": {"ran"},
+    "view": LOGS | {"ran", "replayed"},
 }
 
 
@@ -141,6 +143,7 @@ def shelf(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "replay.json": json.dumps({**answer, "units": {}}),
         "consistency.json": json.dumps({"runs": 2, "steps": 100, "seed": 1, "rows": []}),
         "identify.json": json.dumps({**answer, "estimates": {}, "tests": {}}),
+        "view.json": json.dumps({**answer, "layouts": {}}),
         "schema.json": '{"$schema": "https://json-schema.org/draft/2020-12/schema", "properties": {}}',
         "report.html": "<!doctype html>\n<html>" + "<p>word</p>" * 300, "page.csv": "\n<HTML><body>not found",
         "graph.svg": '<svg xmlns="http://www.w3.org/2000/svg" aria-label="' + "a, " * 300 + '"/>',

@@ -45,6 +45,7 @@ CASES = {  # verb → its words, and a file that it writes
     "report": ("ran", "ran/report.html"),
     "list": ("", ""),
     "open": ("reported --no-browser", ""),
+    "view": ("ran --prepare", ""),
     "gc": ("--yes", ""),
     "graph": ("run.yaml", "run.svg"),
     "schema": ("scenario", ""),

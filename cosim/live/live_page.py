@@ -5,25 +5,22 @@ from __future__ import annotations
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 from cosim.base.errors import CosimError, InputError, Interrupted, SweepStopped
 from cosim.base.version import __version__
 from cosim.live import messages
-from cosim.report.template import render
-from cosim.server.answers import Answer, Handler, Request, json_answer, page_answer, report_answer
-from cosim.server.local_server import Server
+from cosim.report.template import DESK, render
+from cosim.server.answers import Answer, Handler, Request, json_answer, report_answer
+from cosim.server.served_page import FIRST_PAGE, RELOAD, ServedPage
 
 TEMPLATE = Path(__file__).with_name("templates") / "live.html.j2"
-TICK = 0.1  # [s] between two states sent to a page
-FIRST_PAGE = 20.0  # [s] after the end until a page must have been opened
-RELOAD = 2.0  # [s] without a page, as during a reload, after which the server ends
 FINAL = ("finished", "stopped", "failed")
 
 
-class LivePage:
+class LivePage(ServedPage):
     """The page of one command: `run`, `sweep` or `refine`; a context manager around the command's work.
 
     Subclasses add routes and parts of the state. State is read and written in any thread.
@@ -41,27 +38,14 @@ class LivePage:
 
     def __init__(self, title: str, port: int = 0) -> None:
         self.report: Path | None = None
-        self._lock = threading.RLock()
-        self._begin = time.monotonic()
-        self._state: dict[str, Any] = {"phase": "starting", "title": title, "message": "", "report": False}
-        self._version, self._has_begun = 0, False
-        html = render(
-            TEMPLATE, {"heading": title, "activity": self.activity, "version": __version__, "data": '{"rows": 0}'}
-        )
-        routes: dict[str, Handler] = {
-            "GET /": lambda request: page_answer(html),
-            "GET /events": lambda request: Answer(events=self._events(request)),
-            "POST /stop": self._stop,
-            "GET /report.html": self._show_report,
-        }
-        self.server = Server({**routes, **self.routes()}, port)
+        self._begin, self._has_begun = time.monotonic(), False
+        about = {"heading": title, "activity": self.activity, "version": __version__, "data": '{"rows": 0}'}
+        html = render(TEMPLATE, about, also=DESK)
+        super().__init__(html, port, phase="starting", title=title, message="", report=False)
 
     def routes(self) -> Mapping[str, Handler]:
         """Return further routes."""
-        return {}
-
-    def __enter__(self) -> Self:
-        return self
+        return {"POST /stop": self._stop, "GET /report.html": self._show_report}
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, *_: object) -> None:
         if error is None:
@@ -82,8 +66,7 @@ class LivePage:
         """Change parts of the state; a page shows them within `TICK`."""
         with self._lock:
             self._has_begun |= state.get("phase") == "running"
-            self._state |= state
-            self._version += 1
+            super().update(**state)
 
     @property
     def has_ended(self) -> bool:
@@ -102,16 +85,6 @@ class LivePage:
     def version(self) -> Any:
         """Return a value that changes with the state."""
         return self._version, self.has_ended
-
-    def _events(self, request: Request) -> Iterator[Any]:
-        last: Any = None
-        while not request.is_closing(TICK if last is not None else 0.0):
-            version = self.version()
-            if version == last:
-                yield None
-                continue
-            last = version
-            yield self.state()
 
     # -- requests ---------------------------------------------------------------------------------
 
@@ -133,21 +106,8 @@ class LivePage:
     # -- after the end ----------------------------------------------------------------------------
 
     def wait_for_close(self, say: Callable[[str], None], first: float = FIRST_PAGE, reload: float = RELOAD) -> None:
-        """Serve until the last page is closed, or until a stop.
-
-        Args:
-            first: Longest time until the first page [s]; none after work that could not begin.
-        """
-        since, first = time.monotonic(), first if self._has_begun else 0.0
-        try:
-            if self.server.streams or (first and not self.server.opened):
-                say(messages.PAGE_STAYS())
-            while time.monotonic() - since < (reload if self.server.opened else first):
-                if self.server.streams:
-                    since = time.monotonic()
-                time.sleep(TICK)
-        finally:
-            self.server.close()
+        """Serve until the last page is closed; work that could not begin needs no page."""
+        super().wait_for_close(say, first if self._has_begun else 0.0, reload)
 
 
 def stop_command() -> None:

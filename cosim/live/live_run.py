@@ -112,6 +112,7 @@ class LiveRun(LivePage, Observer):
     def routes(self) -> Mapping[str, Handler]:
         """Return the routes of rows and changes."""
         return {
+            **super().routes(),
             "GET /about": self._about,
             "GET /rows": self._rows,
             "POST /set": self._set,

@@ -89,6 +89,19 @@ class Csv(Source):
 CSV = Csv()
 
 
+def read_heading(path: Path, names: Container[str] = ()) -> tuple[list[tuple[str, str]], int]:
+    """Return names and units of the columns, and the number of lines down to the header.
+
+    Raises:
+        ValueError: The cells are not separated by commas, or there is no header.
+    """
+    with _open(path) as stream:
+        cells = _Cells(stream, Faults(path))
+    if not cells.header or not cells.plain:
+        raise ValueError("the header is no CSV")
+    return [split_heading(cell, names) for cell in cells.header], cells.line
+
+
 def _is_small_enough(faults: Faults, cure: str) -> bool:
     size = faults.path.stat().st_size
     if size > MOST_BYTES:

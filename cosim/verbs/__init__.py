@@ -50,6 +50,7 @@ VERBS = {  # in the order of `cosim -h`
     "report": _verb("report", INSPECT),
     "list": _verb("list", INSPECT),
     "open": _verb("open", INSPECT),
+    "view": _verb("view", INSPECT),
     "gc": _verb("gc", INSPECT),
     "linearize": _verb("linearize", INSPECT, "cosim.linearization.workflow:linearize"),
     "consistency": _verb("consistency", INSPECT, "cosim.estimators.workflow:consistency"),

@@ -1,49 +1,16 @@
 // A running command: its state arrives as events, rows are fetched for what is shown, changes are sent.
-/* global axis, MINUS */
+/* global axis, MINUS, one, all, make, put, readable, post, extremesPath, tickLabels, gridPaths */
 (() => {
   "use strict";
-  const one = (selector, root = document) => root.querySelector(selector);
-  const all = (selector, root = document) => [...root.querySelectorAll(selector)];
-  const SVG = "http://www.w3.org/2000/svg";
-  const make = (name, attributes = {}, ...content) => {
-    const inSvg = ["svg", "g", "path", "rect"].includes(name),
-      element = inSvg ? document.createElementNS(SVG, name) : document.createElement(name);
-    for (const [key, value] of Object.entries(attributes)) if (value !== null) element.setAttribute(key, value);
-    element.append(...content);
-    return element;
-  };
   const activity = one("#live").dataset.activity;
   const FINAL = ["finished", "stopped", "failed"];
   let state = null;
 
-  // Five significant digits, without an exponent where it can be read without one.
-  function text(value) {
-    if (value === null || value === undefined) return "–";
-    if (typeof value !== "number") return String(value);
-    if (!Number.isFinite(value)) return "–";
-    const size = Math.abs(value);
-    const short = size !== 0 && (size >= 1e6 || size < 1e-4) ? value.toExponential(3) : String(+value.toPrecision(5));
-    return short.replaceAll("-", MINUS);
-  }
   const duration = (s) => {
     if (s === null || s === undefined) return "";
     if (s < 100) return `${s < 10 ? s.toFixed(1) : s.toFixed(0)} s`;
     return s < 6000 ? `${(s / 60).toFixed(0)} min` : `${(s / 3600).toFixed(1)} h`;
   };
-  const put = (element, content) => {
-    if (element.textContent !== content) element.textContent = content;
-  };
-
-  async function post(path, content) {
-    const answer = await fetch(path, {
-      method: "POST",
-      headers: { "Content-Type": "application/json" },
-      body: JSON.stringify(content),
-    });
-    const told = await answer.json();
-    if (!answer.ok) throw new Error(told.error);
-    return told;
-  }
 
   // -- bar of every page ---------------------------------------------------------------------------
   const stop = one("#stop"),
@@ -96,11 +63,11 @@
     async show() {
       const { rows, now, end, speed, total } = state;
       put(one("#now"), now.toFixed(Math.min(6, Math.max(0, -Math.floor(Math.log10(state.step ?? 0.01) + 1e-9)))));
-      put(one("#of"), `of ${text(end)} s`);
+      put(one("#of"), `of ${readable(end)} s`);
       one("#share").value = total > 1 ? Math.max(0, rows - 1) / (total - 1) : 0;
       const pause = one("#pause"),
         going = ["running", "paused"].includes(state.phase);
-      put(one("#rate"), going && speed ? `${text(+speed.toPrecision(3))} × real time` : `${rows} rows`);
+      put(one("#rate"), going && speed ? `${readable(+speed.toPrecision(3))} × real time` : `${rows} rows`);
       pause.hidden = !going;
       put(pause, state.phase === "paused" ? "Continue" : "Pause");
       pause.setAttribute("aria-pressed", String(state.phase === "paused"));
@@ -111,7 +78,7 @@
       this.showChanges();
       for (const field of all(".change [data-now]")) {
         const value = state.values?.[field.dataset.now];
-        if (value !== undefined) put(field, `now ${text(value)}`);
+        if (value !== undefined) put(field, `now ${readable(value)}`);
       }
       const ended = FINAL.includes(state.phase) || state.phase === "writing";
       for (const part of all(".change input, .change select, .change button")) part.disabled = ended;
@@ -135,7 +102,7 @@
       select.replaceChildren(
         make("option", { value: "so far" }, "all so far"),
         make("option", { value: "all" }, "whole duration"),
-        ...[...new Set(parts)].map((s) => make("option", { value: s }, `last ${text(s)} s`)),
+        ...[...new Set(parts)].map((s) => make("option", { value: s }, `last ${readable(s)} s`)),
       );
       select.value = this.window = "so far";
     },
@@ -211,7 +178,7 @@
         this.data = { first, every, count, curves, view };
         for (const chart of this.charts) chart.draw(this.data);
         this.read();
-        put(one("#shown"), every > state.step * 1.5 ? `least and largest of each ${text(every)} s` : "every row");
+        put(one("#shown"), every > state.step * 1.5 ? `least and largest of each ${readable(every)} s` : "every row");
       } finally {
         this.busy = false;
       }
@@ -230,13 +197,14 @@
         const share = (at - view.from) / (view.to - view.from);
         one(".charts").style.setProperty("--cursor", `${(100 * share).toFixed(3)}%`);
         one(".charts").classList.toggle("cursor-late", this.cursor > 0.8);
-        for (const tag of all(".charts .when")) put(tag, `${text(at)} s`);
+        for (const tag of all(".charts .when")) put(tag, `${readable(at)} s`);
       }
       for (const chart of this.charts)
         for (const [place, cell] of chart.cells) {
           const { low, high, last } = curves.get(place) ?? {};
-          if (row === null) put(cell, text(last));
-          else put(cell, low[row] === high[row] ? text(low[row]) : `${text(low[row])} … ${text(high[row])}`);
+          if (row === null) put(cell, readable(last));
+          else
+            put(cell, low[row] === high[row] ? readable(low[row]) : `${readable(low[row])} … ${readable(high[row])}`);
         }
     },
 
@@ -246,14 +214,14 @@
       if (log.children.length === changes.length) return;
       log.replaceChildren(
         ...[...changes].reverse().map(({ at, set }) => {
-          const values = Object.entries(set).map(([name, value]) => `${name} = ${text(value)}`);
-          return make("li", {}, make("span", {}, `t = ${text(at)} s  `), values.join(", "));
+          const values = Object.entries(set).map(([name, value]) => `${name} = ${readable(value)}`);
+          return make("li", {}, make("span", {}, `t = ${readable(at)} s  `), values.join(", "));
         }),
       );
       put(one("#told"), log.firstChild?.textContent ?? "");
       for (const field of all(".change [data-set]")) {
         const value = changes.map(({ set }) => set[field.dataset.set]).findLast((v) => v !== undefined);
-        if (value !== undefined) put(field, `now ${text(value)}`);
+        if (value !== undefined) put(field, `now ${readable(value)}`);
       }
     },
 
@@ -343,32 +311,22 @@
         x = axis(view.from, view.to, this.box.clientWidth < 420 ? 4 : 6);
       const u = (t) => Math.round((W * (t - view.from)) / (view.to - view.from)),
         v = (value) => Math.round(H * (1 - (value - y.low) / (y.high - y.low)));
-      const labels = (ticks, side) =>
-        ticks.map((t) => make("span", { style: `${side}:${t.at.toFixed(2)}%` }, t.label));
-      this.yTicks.replaceChildren(...labels(y.ticks, "bottom"));
-      this.xTicks.replaceChildren(...labels(x.ticks, "left"));
+      this.yTicks.replaceChildren(...tickLabels(y.ticks, "bottom"));
+      this.xTicks.replaceChildren(...tickLabels(x.ticks, "left"));
       put(this.factor, y.factor);
-      this.grid.replaceChildren(
-        ...y.ticks.map((t) => make("path", { d: `M0 ${Math.round(H - (H * t.at) / 100)}h${W}` })),
-        ...x.ticks.map((t) => make("path", { d: `M${Math.round((W * t.at) / 100)} 0v${H}` })),
-      );
+      this.grid.replaceChildren(...gridPaths(x, y, W, H));
       this.zero.setAttribute("d", y.low < 0 && y.high > 0 ? `M0 ${v(0)}h${W}` : "");
       const times = (state.changes ?? []).map(({ at }) => at).filter((t) => t >= view.from && t <= view.to);
       this.events.setAttribute("d", times.map((t) => `M${u(t)} 0v${H}`).join(""));
       this.places.forEach((place, k) => {
-        const curve = curves.get(place),
-          parts = [];
-        let before = null;
-        for (let n = 0; n < count; n++) {
-          const a = u(first + n * every),
-            ends = [v(curve.low[n]), v(curve.high[n])];
-          if (before !== null && Math.abs(ends[1] - before) < Math.abs(ends[0] - before)) ends.reverse();
-          parts.push(`${n ? "L" : "M"}${a} ${ends[0]}`);
-          if (ends[1] !== ends[0]) parts.push(`V${ends[1]}`);
-          before = ends[1];
-        }
-        if (count === 1) parts.push("h1");
-        this.lines[k].setAttribute("d", parts.join(""));
+        const { low, high } = curves.get(place);
+        const path = extremesPath(
+          count,
+          (n) => u(first + n * every),
+          (n) => v(low[n]),
+          (n) => v(high[n]),
+        );
+        this.lines[k].setAttribute("d", path);
       });
     }
   }
@@ -387,15 +345,16 @@
     } else {
       const about = { id, type: "text", autocomplete: "off", spellcheck: "false" };
       field = make("input", { ...about, inputmode: isNumber ? "text" : null });
-      field.value = start === null ? "" : text(isNumber && !isNaN(Number(start)) ? Number(start) : start);
+      field.value = start === null ? "" : readable(isNumber && !isNaN(Number(start)) ? Number(start) : start);
     }
     field.setAttribute("aria-describedby", `${id}-about`);
     const acting = { class: "unit", [variable.input && isNumber ? "data-now" : "data-set"]: name };
-    const range = !items.length && (least !== null || most !== null) ? `${text(least)} … ${text(most)} ${unit}` : "";
+    const range =
+      !items.length && (least !== null || most !== null) ? `${readable(least)} … ${readable(most)} ${unit}` : "";
     const note = make("p", { class: "note", id: `${id}-about` }, [range, description].filter(Boolean).join(" · "));
     const error = make("p", { class: "error", role: "alert", hidden: "" });
     const label = make("label", { for: id }, `${name} `, make("span", { class: "unit" }, unit ? `[${unit}]` : ""));
-    const now = start === null ? "" : `now ${text(isNumber && !isNaN(Number(start)) ? Number(start) : start)}`;
+    const now = start === null ? "" : `now ${readable(isNumber && !isNaN(Number(start)) ? Number(start) : start)}`;
     const head = make("div", { class: "head" }, label, make("span", acting, now));
     const row = make("div", { class: "row" }, field, make("button", { class: "act" }, "Set"));
     const form = make("form", { class: "change", "data-name": name.toLowerCase() }, head, row);
@@ -418,7 +377,7 @@
       const step = kind === "Real" || kind.startsWith("Float") ? "any" : "1";
       const slider = make("input", { type: "range", min: least, max: most, step, "aria-label": `${name}, slider` });
       slider.value = Number(start ?? least);
-      slider.addEventListener("input", () => (field.value = text(Number(slider.value))));
+      slider.addEventListener("input", () => (field.value = readable(Number(slider.value))));
       slider.addEventListener("change", () => send(Number(slider.value)));
       field.addEventListener("change", () => (slider.value = Number(field.value.replace(MINUS, "-"))));
       form.append(slider);
@@ -457,7 +416,7 @@
       const tiles = [
         ["finished runs", `${done} of ${total}`],
         ["failed", String(failed)],
-        ["runs a second", rate ? text(+rate.toPrecision(3)) : "–"],
+        ["runs a second", rate ? readable(+rate.toPrecision(3)) : "–"],
         ["time", duration(elapsed)],
       ];
       one("#tiles").replaceChildren(
@@ -483,7 +442,7 @@
         const beyond = (k + 0.5) * width > at ? "beyond" : null;
         return make("rect", { ...place, width: (width - 1).toFixed(1), height: height.toFixed(1), class: beyond });
       });
-      const told = `values from ${text(from)} to ${text(to)} ${unit}, limit ${text(max)} ${unit}`;
+      const told = `values from ${readable(from)} to ${readable(to)} ${unit}, limit ${readable(max)} ${unit}`;
       const picture = make(
         "svg",
         { class: "histogram", viewBox: "0 0 240 44", role: "img", "aria-label": told },
@@ -500,12 +459,12 @@
       const words = of ? `${percent(met / of)} (${percent(low)} … ${percent(high)})` : "";
       share.append(make("span", { class: "note" }, words));
       const scale = make("span", { class: "scale note", "aria-hidden": "true" });
-      for (const end of counts.length ? [from, to] : []) scale.append(make("span", {}, text(+end.toPrecision(3))));
+      for (const end of counts.length ? [from, to] : []) scale.append(make("span", {}, readable(+end.toPrecision(3))));
       return make(
         "tr",
         {},
         make("th", { scope: "row" }, name),
-        make("td", { class: "num" }, `${text(max)} ${unit}`),
+        make("td", { class: "num" }, `${readable(max)} ${unit}`),
         make("td", { class: "num" }, `${met} of ${of}`),
         share,
         make("td", {}, picture, scale),
@@ -541,7 +500,7 @@
             "tr",
             {},
             make("th", { scope: "row", class: "wrap" }, names.join(" + ") || "base model, recalibrated"),
-            make("td", { class: "num" }, gain === null ? "–" : text(+gain.toPrecision(3))),
+            make("td", { class: "num" }, gain === null ? "–" : readable(+gain.toPrecision(3))),
             make("td", {}, make("span", { class: "gain" }, make("i", { style: width }))),
           );
         }),

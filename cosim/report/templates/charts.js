@@ -1,6 +1,6 @@
 // Charts that can be looked into: zoom by dragging, by keys or with two fingers, all charts of an axis together; curves
 // that can be hidden; pictures and numbers of what is shown. What is drawn at first is what the page came with.
-/* global axis, logAxis */
+/* global axis, logAxis, escapeText, tag, pen, save, savePng, safeName */
 document.addEventListener("rows", (event) => {
   "use strict";
   const page = event.detail,
@@ -508,17 +508,6 @@ document.addEventListener("rows", (event) => {
   }
 
   // -- pictures and numbers ------------------------------------------------------------------------------
-  const escape = (text) => text.replace(/[&<>"]/g, (c) => `&#${c.charCodeAt(0)};`);
-  const tag = (name, attributes, inner = "") => {
-    const pairs = Object.entries(attributes).map(([key, value]) => ` ${key}="${escape(String(value))}"`);
-    return `<${name}${pairs.join("")}>${inner}</${name}>`;
-  };
-  function pen(line) {
-    const look = getComputedStyle(line);
-    const names = ["stroke", "stroke-width", "stroke-dasharray", "stroke-linecap", "opacity"];
-    return Object.fromEntries(names.map((name) => [name, look.getPropertyValue(name).replaceAll("px", "")]));
-  }
-
   function picture(chart) {
     if (chart.stale) chart.draw();
     const { rows, x, y, u, v } = chart.measure().axes();
@@ -532,7 +521,7 @@ document.addEventListener("rows", (event) => {
     const stroke = (d, look) => tag("path", { fill: "none", d, ...look });
     const level = (at, look) => stroke(`M${left} ${at.toFixed(1)}h${wide}`, look);
     const upright = (at, look) => stroke(`M${at.toFixed(1)} ${top}v${high}`, look);
-    const words = (a, b, text, look) => tag("text", { x: a, y: b, ...look }, escape(text));
+    const words = (a, b, text, look) => tag("text", { x: a, y: b, ...look }, escapeText(text));
     const grid = { stroke: colour("--grid") };
     const limit = { stroke: colour("--reference"), "stroke-dasharray": "5 4" };
     const shade = { fill: colour("--band"), "fill-opacity": colour("--band-alpha") };
@@ -597,35 +586,12 @@ document.addEventListener("rows", (event) => {
     return rows.join("\n") + "\n";
   }
 
-  function save(content, name) {
-    const address = URL.createObjectURL(content),
-      link = make("a", { href: address, download: name });
-    link.click();
-    setTimeout(() => URL.revokeObjectURL(address), 10000);
-  }
-
-  function savePng(svg, name) {
-    const image = new Image();
-    image.onload = () => {
-      const canvas = make("canvas", { width: 2 * image.width, height: 2 * image.height });
-      canvas.getContext("2d").drawImage(image, 0, 0, canvas.width, canvas.height);
-      canvas.toBlob((content) => save(content, name));
-    };
-    image.src = "data:image/svg+xml;charset=utf-8," + encodeURIComponent(svg);
-  }
-
-  const safe = (text) =>
-      text
-        .replace(/\u00b0/g, "deg")
-        .replace(/%/g, "percent")
-        .replace(/[^\p{L}\p{N}\p{M}.-]+/gu, "_")
-        .slice(0, 80),
-    nameCounts = new Map();
+  const nameCounts = new Map();
 
   function fileName(chart) {
     const { title, unit } = chart.figure.dataset,
-      alike = charts.filter((c) => safe(c.figure.dataset.title) === safe(title)).length > 1;
-    const name = (safe(title) || "chart") + (alike ? "_" + safe(unit) : ""),
+      alike = charts.filter((c) => safeName(c.figure.dataset.title) === safeName(title)).length > 1;
+    const name = (safeName(title) || "chart") + (alike ? "_" + safeName(unit) : ""),
       count = (nameCounts.get(name) || 0) + 1;
     nameCounts.set(name, count);
     return count > 1 ? `${name}-${count}` : name;

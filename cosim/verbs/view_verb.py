@@ -1,0 +1,76 @@
+"""`cosim view`: a signal browser for any number of runs."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cosim.base.errors import Terminated
+from cosim.base.text import counted
+from cosim.storage.folders import RESULTS
+from cosim.verbs.options import Json, Texts
+from cosim.verbs.terminal import LAST, progress_bar, say, say_finding, say_json, say_note, some, warn
+
+MOST_NAMES = 5
+LAYOUTS = "view.json"
+
+
+def command(
+    runs: Annotated[
+        Texts,
+        typer.Argument(
+            metavar="[RUN]...",
+            help="Numbers, names or patterns of results, folders, or tables of rows (default: the newest results).",
+        ),
+    ] = None,
+    *,
+    results: Annotated[Path, typer.Option("--results", help="Folder of results.")] = RESULTS,
+    layout: Annotated[
+        Path | None,
+        typer.Option("--layout", help="File of saved layouts (default: view.json in the folder of results)."),
+    ] = None,
+    port: Annotated[int, typer.Option("--port", min=0, max=65535, help="Port of the page (0: any).")] = 0,
+    browser: Annotated[
+        bool, typer.Option("--browser/--no-browser", help="Open the page, or print its address only.")
+    ] = True,
+    prepare: Annotated[bool, typer.Option("--prepare", help="Convert large tables, and end without a page.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Browse the signals of runs in one page of this machine.
+
+    Example: cosim view 'tank*'
+    """
+    from cosim.server.browser import open_page
+    from cosim.viewing import messages
+    from cosim.viewing.layouts import Layouts
+    from cosim.viewing.view_page import ViewPage
+    from cosim.viewing.viewed_runs import find_runs, open_runs
+
+    layouts = Layouts(layout or results / LAYOUTS)
+    places, notes = find_runs(runs or (), results)
+    opened, warnings = open_runs(places, progress_bar)
+    warn(*notes, *warnings)
+    labels = [run.place.label for run in opened]
+    counts = (len(opened), sum(len(r.rows.units) for r in opened), sum(r.rows.rows for r in opened))
+    amounts = ", ".join(counted(*each) for each in zip(counts, ("run", "signal", "row"), strict=True))
+    say(f"{amounts}: {some(labels, MOST_NAMES)}")
+    about = {"runs": [{"name": r.place.name, "file": str(r.place.file), "rows": r.rows.rows} for r in opened]}
+    if prepare:
+        if as_json:
+            say_json(about)
+        return
+    title = labels[0] if len(labels) == 1 else counted(len(labels), "run")
+    page = ViewPage(title, opened, layouts, port, notes=[*notes, *warnings])
+    if as_json:
+        say_json({"url": page.server.url, **about})
+    is_open = browser and open_page(page.server.url, title)
+    (say_note if is_open else say_finding)(messages.PAGE(url=page.server.url))
+    LAST.append(lambda: _wait(page))
+
+
+def _wait(page: object) -> None:
+    with suppress(KeyboardInterrupt, Terminated):  # which is how a browser of signals ends
+        page.wait_for_close(say_note, float("inf"))  # type: ignore[attr-defined]

@@ -1,0 +1,235 @@
+"""The page of the signal browser: points of pictures, values at the cursor, derived signals, exports, layouts."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.base.errors import InputError
+from cosim.base.scratch import process_folder
+from cosim.base.version import __version__
+from cosim.report.template import DESK, render
+from cosim.server.answers import Answer, Handler, Request, json_answer
+from cosim.server.served_page import ServedPage
+from cosim.storage.csv_source import write_table
+from cosim.viewing import messages
+from cosim.viewing.derived_signals import Formula
+from cosim.viewing.layouts import Layouts
+from cosim.viewing.pyramid import TIME, Picture
+from cosim.viewing.viewed_runs import ViewedRun
+
+TEMPLATE = Path(__file__).with_name("templates") / "view.html.j2"
+WIDEST, MOST_POINTS = 8192, 20_000  # pixel columns of a picture, points of a plane
+MOST_CELLS = 50_000_000  # values of an exported table
+LOOK = 1.0  # [s] between looks at the files of the runs
+LOST = -1.0  # number of points of a run that is lost
+
+
+class ViewPage(ServedPage):
+    """The page of runs; rows are read for what it shows only.
+
+    Args:
+        title: Heading.
+        notes: Texts shown at the beginning.
+    """
+
+    def __init__(
+        self, title: str, runs: Sequence[ViewedRun], layouts: Layouts, port: int = 0, *, notes: Sequence[str] = ()
+    ) -> None:
+        self._runs, self._layouts, self._notes = list(runs), layouts, list(notes)
+        self._looked, self._exports = 0.0, count()
+        html = render(TEMPLATE, {"heading": title, "version": __version__, "data": '{"rows": 0}'}, also=DESK)
+        super().__init__(html, port)
+
+    def routes(self) -> Mapping[str, Handler]:
+        """Return further routes."""
+        return {
+            "GET /about": self._about,
+            "POST /points": self._points,
+            "POST /plane": self._plane,
+            "POST /values": self._values,
+            "POST /derive": self._derive,
+            "POST /layouts": self._save_layout,
+            "GET /export.csv": self._export,
+        }
+
+    def version(self) -> Any:
+        """Return a value that changes with the state; look at times whether all runs are still there."""
+        now = time.monotonic()
+        if now - self._looked > LOOK:
+            self._looked = now
+            lost = [run.lost for run in self._runs if not run.check()]
+            if lost != self._state.get("lost", []):
+                self.update(lost=lost)
+        return self._version
+
+    # -- requests -------------------------------------------------------------------------------------
+
+    def _about(self, request: Request) -> Answer:
+        """Return the runs and their signals; runs with equal signals share a list."""
+        sets: list[Any] = []
+        runs = []
+        for run in self._runs:
+            signals = [[*run.rows.units], [*run.rows.units.values()]]
+            if signals not in sets:
+                sets.append(signals)
+            first, last = run.rows.span()
+            place = {"name": run.place.name, "label": run.place.label, "file": str(run.place.file)}
+            runs.append({**place, "set": sets.index(signals), "rows": run.rows.rows, "from": first, "to": last})
+            runs[-1]["derived"] = [*run.derived.values()]
+        return json_answer({"runs": runs, "sets": sets, "layouts": self._layouts.read(), "notes": self._notes})
+
+    def _points(self, request: Request) -> Answer:
+        """Return for each curve the number of points, whether these are rows, then time, least and largest values."""
+        begin, end, width = _number(request, "from"), _number(request, "to"), int(_number(request, "width"))
+        if not begin < end or not 0 < width <= WIDEST:
+            raise _refused("a range of times and a width")
+        pictures: dict[int, Picture] = {}
+        parts: list[Array] = []
+        for run, name in self._curves(request):
+            if not run.check():
+                parts.append(np.array([LOST, 0.0]))
+                continue
+            picture = pictures.setdefault(id(run), run.rows.picture(begin, end, width))
+            low, high = picture.points(name)
+            is_row = picture.starts is None
+            parts += [np.array([low.size, float(is_row)]), picture.time, low, *([] if is_row else [high])]
+        return _binary(parts)
+
+    def _plane(self, request: Request) -> Answer:
+        """Return for each pair of signals the number of points, the distance of their rows, then time, x and y."""
+        begin, end, most = _number(request, "from"), _number(request, "to"), int(_number(request, "width"))
+        parts: list[Array] = []
+        for (run, x), (_, y) in zip(self._curves(request, "across"), self._curves(request), strict=True):
+            if not run.check():
+                parts.append(np.array([LOST, 0.0]))
+                continue
+            step, columns = run.rows.every([TIME, x, y], begin, end, max(2, min(most, MOST_POINTS)))
+            parts += [np.array([columns[0].size, float(step)]), *columns]
+        return _binary(parts)
+
+    def _values(self, request: Request) -> Answer:
+        """Return time and value of each curve at its last row up to a time; NaN before the first."""
+        at = _number(request, "at")
+        values = []
+        for run, name in self._curves(request):
+            row = run.rows.locate(at, "right") - 1 if run.check() else -1
+            both = (run.rows.read(n, row, row + 1)[0] for n in (TIME, name)) if row >= 0 else (math.nan, math.nan)
+            values += [*both]
+        return _binary([np.array(values)])
+
+    def _derive(self, request: Request) -> Answer:
+        """Add a derived signal to the run of its first signal."""
+        content = _content(request)
+        name, text, of = (content.get(key) for key in ("name", "formula", "of"))
+        if not (isinstance(name, str) and name.strip() and isinstance(text, str) and isinstance(of, dict) and of):
+            raise _refused("a name, a formula and its signals")
+        signals = {str(letter): self._curve(curve) for letter, curve in of.items()}
+        run = next(iter(signals.values()))[0]
+        if name in run.rows.units or name == TIME:
+            raise InputError.at(Path("name"), messages.NAME_TAKEN(name=name))
+        formula = Formula(text, {letter: (each.rows, signal) for letter, (each, signal) in signals.items()})
+        values, unit = formula.evaluate()
+        run.rows.add(name, values, unit)
+        run.derived[name] = {"name": name, "formula": text, "of": of, "unit": unit}
+        return json_answer(run.derived[name])
+
+    def _save_layout(self, request: Request) -> Answer:
+        content = _content(request)
+        return json_answer(self._layouts.put(content.get("name"), content.get("layout")))
+
+    def _export(self, request: Request) -> Answer:
+        """Return all rows of curves between two times as CSV, time first, a row for each time of any run."""
+        try:
+            content = json.loads(request.query.get("of", ""))
+        except (ValueError, RecursionError):
+            content = None
+        asked = Request("", content=content)
+        begin, end, curves = _number(asked, "from"), _number(asked, "to"), self._curves(asked)
+        file = process_folder() / f"view-{next(self._exports)}.csv"
+        several = len({id(run) for run, _ in curves}) > 1
+        heads, columns, places = list[str](), list[Array](), list[tuple[Array, Array]]()
+        cells = 0.0
+        for run, name in curves:
+            first, stop = run.rows.locate(begin), run.rows.locate(end, "right")
+            cells += stop - first
+            if cells > MOST_CELLS:
+                raise InputError.at(Path("export"), messages.MANY_CELLS(count=cells / 1e6, limit=MOST_CELLS / 1e6))
+            at, values = run.rows.read(TIME, first, stop), run.rows.read(name, first, stop)
+            unit = {**run.rows.units, **run.rows.added}.get(name, "")
+            heads.append(f"{f'{run.place.label}: ' * several}{name}{f' [{unit}]' * bool(unit)}")
+            columns.append(values)
+            places.append(
+                (at, np.arange(at.size, dtype=float) - np.searchsorted(at, at))
+            )  # the number among rows of one time
+        write_table(file, ["time", *heads], _joined_rows(places, columns), _cell)
+        return Answer(
+            kind="text/csv; charset=utf-8",
+            file=file,
+            headers={"Content-Disposition": 'attachment; filename="view.csv"'},
+        )
+
+    # -- content of requests ----------------------------------------------------------------------------
+
+    def _curves(self, request: Request, key: str = "curves") -> list[tuple[ViewedRun, str]]:
+        curves = _content(request).get(key)
+        if not isinstance(curves, list):
+            raise _refused("a list of curves")
+        return [self._curve(curve) for curve in curves]
+
+    def _curve(self, curve: Any) -> tuple[ViewedRun, str]:
+        """Return run and name of a curve, which is [number of the run, name of the signal]."""
+        if isinstance(curve, list) and len(curve) == 2 and isinstance(curve[0], int) and isinstance(curve[1], str):
+            number, name = curve
+            if 0 <= number < len(self._runs):
+                run = self._runs[number]
+                if name == TIME or name in run.rows.units or name in run.rows.added:
+                    return run, name
+        raise _refused("a run and a signal that it has")
+
+
+def _content(request: Request) -> dict[str, Any]:
+    if not isinstance(request.content, dict):
+        raise _refused("an object")
+    return request.content
+
+
+def _number(request: Request, key: str) -> float:
+    value = _content(request).get(key)
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise _refused(f"a finite number for {key}")
+    return float(value)
+
+
+def _refused(wanted: str) -> InputError:
+    return InputError.at(Path("view"), messages.WRONG_REQUEST(reason=f"give {wanted}"))
+
+
+def _binary(parts: Sequence[Array]) -> Answer:
+    return Answer(b"".join(np.ascontiguousarray(part, "<f8").tobytes() for part in parts), "application/octet-stream")
+
+
+def _joined_rows(places: Sequence[tuple[Array, Array]], columns: Sequence[Array]) -> Iterator[list[float]]:
+    """Yield a row for each time of any column; rows of one time stay several."""
+    if not places:
+        return
+    pairs = np.concatenate([np.column_stack(place) for place in places])
+    rows, at = np.unique(pairs, axis=0, return_inverse=True)
+    table, begin = np.full((len(rows), len(columns)), np.nan), 0
+    for k, values in enumerate(columns):
+        table[at.ravel()[begin : begin + values.size], k] = values
+        begin += values.size
+    for moment, cells in zip(rows[:, 0].tolist(), table, strict=True):
+        yield [moment, *cells.tolist()]
+
+
+def _cell(value: float) -> str:
+    return repr(value) if math.isfinite(value) else ""

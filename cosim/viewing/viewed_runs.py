@@ -1,0 +1,162 @@
+"""Runs of a signal browser: results by number, name or pattern, folders and tables."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from cosim.base.errors import Fault, InputError, refuse
+from cosim.history.entries import Entry, entries, find_entries
+from cosim.storage.folders import manifest_in, replay_record
+from cosim.storage.kinds import LOG, check_given, refuse_folder
+from cosim.storage.results import rows_in
+from cosim.viewing import messages
+from cosim.viewing.pyramid import Recording
+from cosim.viewing.stored_rows import notes_on, open_rows
+
+MOST_RUNS = 20  # shown without names
+WANTED = "the folder of a run or a table of its rows"
+Bar = Callable[[str], AbstractContextManager[Callable[[int, int], None] | None]]
+
+
+@dataclass(frozen=True)
+class RunPlace:
+    """A table of rows and its names.
+
+    Attributes:
+        name: Name in layouts, the same for the next run of a name.
+        label: Name on the page, different for each run.
+        is_named: Whether the user named this one; a fault of it is then an error.
+    """
+
+    name: str
+    label: str
+    file: Path
+    is_named: bool = True
+
+
+@dataclass
+class ViewedRun:
+    """A run on the page.
+
+    Attributes:
+        state: Size and time of the file at its opening.
+        lost: Reason why no more rows are read; "" in general.
+    """
+
+    place: RunPlace
+    rows: Recording
+    state: tuple[int, int]
+    lost: str = ""
+    derived: dict[str, Any] = field(default_factory=dict)
+
+    def check(self) -> bool:
+        """Return whether the file is still the opened one."""
+        if not self.lost and file_state(self.place.file) != self.state:
+            self.lost = messages.LOST(run=self.place.label)
+        return not self.lost
+
+
+def file_state(file: Path) -> tuple[int, int]:
+    """Return size and time of a file, zeros for a missing one."""
+    try:
+        status = file.stat()
+    except OSError:
+        return 0, 0
+    return status.st_size, status.st_mtime_ns
+
+
+def find_runs(texts: Sequence[str], results: Path) -> tuple[list[RunPlace], list[str]]:
+    """Return the tables of numbers, names, patterns, folders and files, by default of the newest results.
+
+    Raises:
+        InputError: A text means no results, or no results have rows.
+    """
+    notes: list[str] = []
+    if not texts:
+        found = [place for entry in entries(results) if (place := _of_entry(entry, is_named=False)) is not None]
+        if not found:
+            raise InputError.at(results, messages.NOTHING())
+        if len(found) > MOST_RUNS:
+            notes.append(messages.EARLIER(count=MOST_RUNS, all=len(found)))
+        return _differing(found[-MOST_RUNS:]), notes
+    found, faults = [], list[Fault]()
+    for text in texts:
+        try:
+            found += _of_text(text, results)
+        except InputError as error:
+            faults += error.faults
+    refuse(faults)
+    return _differing(list({place.file.resolve(): place for place in found}.values())), notes
+
+
+def open_runs(places: Iterable[RunPlace], bar: Bar) -> tuple[list[ViewedRun], list[str]]:
+    """Open tables, converting large ones; return the runs, and warnings on runs that are left out.
+
+    Raises:
+        InputError: A named table has faults, or no table can be opened.
+    """
+    runs, notes, faults, named = list[ViewedRun](), list[str](), list[Fault](), list[Fault]()
+    for place in places:
+        folder = place.file.parent
+        manifest = manifest_in(folder)
+        units: Any = manifest.get("units") or replay_record(folder).get("units")
+        text: Any = manifest.get("beside")
+        try:
+            state = file_state(place.file)
+            with bar(f"converting {place.label}") as progress:
+                rows = open_rows(place.file, _units(units), text if isinstance(text, list) else [], progress)
+            runs.append(ViewedRun(place, rows, state))
+            notes += [note for note in notes_on(place.file) if note not in notes]
+        except InputError as error:
+            (named if place.is_named else faults).extend(error.faults)
+            reason = str(error).partition("\n")[0]
+            notes.append(messages.LEFT_OUT(run=place.label, reason=reason))
+    refuse(named or (faults if not runs else ()))
+    return runs, notes
+
+
+def _units(units: Any) -> Mapping[str, str]:
+    return {str(name): str(unit) for name, unit in units.items()} if isinstance(units, dict) else {}
+
+
+def _of_text(text: str, results: Path) -> list[RunPlace]:
+    path = Path(text)
+    if text.isdecimal() or not path.exists():
+        matches = find_entries([text], results)
+        found = [place for entry in matches if (place := _of_entry(entry, is_named=len(matches) == 1)) is not None]
+        if not found:
+            raise InputError.at(matches[0].folder if len(matches) == 1 else path, messages.NO_ROWS())
+        return found
+    if not path.is_dir():
+        check_given(path, LOG)
+        return [RunPlace(path.stem, path.stem, path)]
+    rows = rows_in(path)
+    if rows is None:
+        refuse_folder(path, WANTED)
+        raise InputError.at(path, messages.NO_ROWS())
+    entry = next((e for e in entries(results) if e.folder.resolve() == path.resolve()), None)
+    name = path.resolve().name
+    return [RunPlace(name if entry is None else entry.name, name if entry is None else entry.label, rows)]
+
+
+def _of_entry(entry: Entry, *, is_named: bool) -> RunPlace | None:
+    rows = rows_in(entry.folder)
+    return None if rows is None else RunPlace(entry.name, entry.label, rows, is_named)
+
+
+def _differing(places: Sequence[RunPlace]) -> list[RunPlace]:
+    """Return places whose names and labels differ from each other: equal ones get their path."""
+    names, labels = [p.name for p in places], [p.label for p in places]
+    return [
+        RunPlace(
+            p.name if names.count(p.name) == 1 else str(p.file.parent / p.name),
+            p.label if labels.count(p.label) == 1 else f"{p.label} ({p.file})",
+            p.file,
+            p.is_named,
+        )
+        for p in places
+    ]

@@ -1,0 +1,447 @@
+"""The signal browser without a browser: extremes of blocks, caches, derived signals, its server, bad input."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import urllib.request
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+from urllib.error import HTTPError
+from urllib.parse import urlencode
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+from typer.testing import CliRunner
+
+from cosim.base.errors import InputError
+from cosim.storage.results import Results, read_results
+from cosim.verbs.cli import app
+from cosim.viewing import stored_rows, view_page
+from cosim.viewing.derived_signals import Formula, derivative, integral, lowpass
+from cosim.viewing.layouts import Layouts
+from cosim.viewing.pyramid import TIME, Recording, level_sizes
+from cosim.viewing.stored_rows import StoredRecording, open_rows
+from cosim.viewing.view_page import ViewPage
+from cosim.viewing.viewed_runs import RunPlace, ViewedRun, file_state, find_runs, open_runs
+
+RNG = np.random.default_rng
+Array = np.ndarray[Any, np.dtype[np.float64]]
+
+
+def _recording(time: Array, **signals: Array) -> Recording:
+    return Recording({TIME: time, **signals}, dict.fromkeys(signals, "m"), time.size)
+
+
+def _times(kind: str, rows: int) -> Array:
+    """Uniform times, bursts with long pauses, or events: many rows of one time."""
+    rng = RNG(rows)
+    steps = {
+        "uniform": np.full(rows, 1e-3),
+        "bursts": np.where(rng.random(rows) < 0.001, 50.0, 1e-4),
+        "events": np.where(rng.random(rows) < 0.5, 0.0, 1e-2),
+    }[kind]
+    return np.cumsum(steps)
+
+
+# -- pictures ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["uniform", "bursts", "events"])
+@pytest.mark.parametrize("rows", [1, 17, 5000, 300_000])
+def test_a_picture_has_the_extremes_of_the_rows_in_every_pixel_column(kind: str, rows: int) -> None:
+    time, rng = _times(kind, rows), RNG(1)
+    values = rng.standard_normal(rows)
+    values[rng.random(rows) < 0.2] = np.nan
+    values[rows // 3 : rows // 2] = np.nan
+    recording, width = _recording(time, x=values), 200
+    for begin, end in ((time[0], time[-1] + 1e-9), (time[rows // 4], time[rows // 2] + 1e-3)):
+        picture = recording.picture(begin, end, width)
+        low, high = picture.points("x")
+        assert picture.time.size <= max(4 * width, width + 3)
+        assert np.all(np.diff(picture.time) >= 0.0)
+        inside = (time >= begin) & (time <= end)
+        good = values[inside & np.isfinite(values)]
+        if good.size:  # no peak is lost
+            assert np.nanmin(low) <= good.min()
+            assert np.nanmax(high) >= good.max()
+        # Each row lies within the extremes of a point at most a pixel column and a block away.
+        pixel = (end - begin) / width
+        for row in rng.choice(np.flatnonzero(inside & np.isfinite(values)), 20) if good.size else ():
+            near = np.abs(picture.time - time[row]) <= 1.6 * pixel
+            assert np.nanmin(low[near]) <= values[row] <= np.nanmax(high[near])
+
+
+def test_uniform_columns_are_exact_to_a_quarter_of_a_column() -> None:
+    time, width = np.arange(400_000) * 1e-3, 100
+    values = RNG(2).standard_normal(time.size)
+    picture = _recording(time, x=values).picture(0.0, 400.0, width)
+    low, high = picture.points("x")
+    for k in range(width):
+        rows = values[4000 * k + 1000 : 4000 * k + 3000]  # the inner half of a column
+        assert low[k] <= rows.min()
+        assert high[k] >= rows.max()
+        wide = values[max(0, 4000 * k - 1000) : 4000 * k + 5000]
+        assert low[k] >= wide.min()
+        assert high[k] <= wide.max()
+
+
+def test_a_wide_gap_is_a_gap_and_a_pause_between_bursts_is_no_block() -> None:
+    time = np.concatenate([np.arange(50_000) * 1e-3, 1000.0 + np.arange(50_000) * 1e-3])
+    values = np.sin(time)
+    values[20_000:30_000] = np.nan
+    picture = _recording(time, x=values).picture(0.0, 1050.0, 500)
+    low, _ = picture.points("x")
+    pause = (picture.time > 52.0) & (picture.time < 998.0)
+    assert not pause.any()
+    near = _recording(time, x=values).picture(0.0, 50.0, 500)
+    inside = (near.time > 20.2) & (near.time < 29.8)
+    assert np.isnan(near.points("x")[0][inside]).all()
+    assert np.isfinite(near.points("x")[0][~inside]).mean() > 0.98
+    assert low.size < 600
+
+
+@given(
+    arrays.arrays(np.float64, st.integers(1, 600), elements=st.sampled_from([0.0, 0.0, 0.5, 1.0])),
+    st.floats(-1.0, 300.0),
+)
+@settings(max_examples=60, deadline=None)
+def test_a_time_is_located_as_by_numpy(steps: Array, at: float) -> None:
+    time = np.cumsum(steps)
+    recording = _recording(time)
+    assert recording.locate(at) == np.searchsorted(time, at)
+    assert recording.locate(at, "right") == np.searchsorted(time, at, "right")
+
+
+def test_levels_halve_by_sixteen_down_to_a_few_blocks() -> None:
+    assert level_sizes(10_000_000) == [10_000_000, 625_000, 39_063, 2_442, 153]
+    assert level_sizes(3) == [3, 1]
+
+
+# -- caches --------------------------------------------------------------------------------------------
+
+
+def _table(path: Path, rows: int = 30_000, more: str = "") -> Results:
+    rng = RNG(3)
+    values = np.cumsum(rng.standard_normal((rows, 3)), axis=0)
+    values[100:5000, 1] = np.nan
+    time = np.cumsum(np.where(rng.random(rows) < 0.1, 0.0, 1e-3))
+    results = Results(time, ("a.x", "a", "A"), values, {"a.x": "m", "a": "", "A": "N"})
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("w") as stream:
+        stream.write("time,a.x [m],a,A [N],word\n")
+        stream.writelines(
+            f"{t!r},{','.join('' if np.isnan(v) else repr(v) for v in row)},on{more}\n"
+            for t, row in zip(time.tolist(), values.tolist(), strict=True)
+        )
+    return results
+
+
+@pytest.fixture
+def always_stored(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Convert small tables too, in small row groups."""
+    pytest.importorskip("pyarrow")
+    monkeypatch.setattr(stored_rows, "SMALL", 0)
+    monkeypatch.setattr(stored_rows, "GROUP_VALUES", 4 * 4096)
+
+
+@pytest.mark.usefixtures("always_stored")
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".mat"])
+def test_a_converted_table_gives_what_memory_gives(tmp_path: Path, suffix: str) -> None:
+    results, path = _table(tmp_path / "results.csv"), tmp_path / f"results{suffix}"
+    if suffix != ".csv":
+        results.write(path)
+    seen: list[tuple[int, int]] = []
+    stored = open_rows(path, {}, [], lambda done, total: seen.append((done, total)))
+    assert isinstance(stored, StoredRecording)
+    assert seen
+    assert all(done <= total for done, total in seen)
+    assert stored.units == {"a.x": "m", "a": "", "A": "N"}
+    columns = {TIME: results.time, **{name: results[name] for name in results.columns}}
+    memory = Recording(columns, stored.units, stored.rows)
+    assert stored.span() == memory.span()
+    for name in results.columns:
+        np.testing.assert_array_equal(stored.read(name), results[name])
+        for begin, end in ((0.0, 27.0), (3.0, 9.0), (5.0, 5.1)):
+            ours, theirs = (each.picture(begin, end, 100) for each in (stored, memory))
+            np.testing.assert_array_equal(ours.time, theirs.time)
+            np.testing.assert_array_equal(ours.points(name), theirs.points(name))
+    places = np.array([5, 29_000, 4097, 4096])
+    np.testing.assert_array_equal(stored.take("rows", "a.x", places), results["a.x"][places])
+    again = open_rows(path, {}, [], lambda done, total: pytest.fail("converted twice"))
+    assert again.rows == stored.rows
+
+
+@pytest.mark.usefixtures("always_stored")
+def test_a_changed_table_is_converted_again_and_a_closed_folder_has_a_temporary_cache(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "run" / "results.csv"
+    _table(path, 5000)
+    assert open_rows(path, {}, []).rows == 5000
+    assert (path.parent / ".view" / "results.csv" / "low.parquet").is_file()
+    _table(path, 6000)
+    assert open_rows(path, {}, []).rows == 6000
+    assert [p.name for p in (path.parent / ".view").iterdir()] == ["results.csv"]
+    shutil.rmtree(path.parent / ".view")
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    (path.parent / ".view").symlink_to(elsewhere)  # never followed
+    assert open_rows(path, {}, []).rows == 6000
+    assert list(elsewhere.iterdir()) == []
+    assert stored_rows.notes_on(path)[0].code == "N-VIE-007"
+
+
+@pytest.mark.usefixtures("always_stored")
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("time,x\n0,1\n1,2\n0.5,3\n", "results.csv:4"),
+        ("time,x\n0,1\n1\n", "results.csv:3"),
+        ("time,x\n0,1\n,2\n", "no time"),
+        ("time,x\n", "has no row yet"),
+        ("x,y\n0,1\n", "time"),
+        ("time;x\n0;1\n", "semicolons"),
+        ("", "is empty"),
+    ],
+)
+def test_a_faulty_table_is_refused_with_the_place_and_leaves_nothing(tmp_path: Path, text: str, words: str) -> None:
+    path = tmp_path / "results.csv"
+    path.write_text(text)
+    with pytest.raises(InputError, match=words):
+        open_rows(path, {}, [])
+    assert [p.name for p in tmp_path.rglob("*") if p.is_file()] == ["results.csv"]
+
+
+def test_without_pyarrow_a_table_is_read_as_a_whole_with_a_note(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(stored_rows, "SMALL", 0)
+    monkeypatch.setattr(stored_rows, "_has_pyarrow", lambda: False)
+    _table(tmp_path / "results.csv", 200)
+    assert open_rows(tmp_path / "results.csv", {}, []).rows == 200
+    assert "pip install" in stored_rows.notes_on(tmp_path / "results.csv")[0]
+    assert not (tmp_path / ".view").exists()
+
+
+# -- derived signals -----------------------------------------------------------------------------------
+
+
+def test_filters_derivatives_and_integrals_are_those_of_their_definitions() -> None:
+    time = np.sort(RNG(4).random(2000)) * 10.0
+    np.testing.assert_allclose(derivative(time, 3.0 * time + 1.0), 3.0, rtol=1e-6)
+    assert integral(time, 2.0 * time)[-1] == pytest.approx(time[-1] ** 2 - time[0] ** 2)
+    answer = lowpass(time, np.r_[0.0, np.ones(1999)], 0.5)  # a step at the second row
+    np.testing.assert_allclose(answer[1:], 1.0 - np.exp(-(time[1:] - time[1]) / 0.5), atol=1e-9)
+    uniform = np.arange(500) * 0.01
+    values = RNG(5).standard_normal(500)
+    gap = values.copy()
+    gap[499] = np.nan  # takes the other way, row by row
+    np.testing.assert_allclose(lowpass(uniform, values, 0.2)[:499], lowpass(uniform, gap, 0.2)[:499], rtol=1e-9)
+    steps = derivative(np.array([0.0, 1.0, 1.0, 2.0]), np.array([0.0, 1.0, 5.0, 6.0]))
+    assert np.isnan(steps[1:3]).all()
+    assert steps[0] == 1.0
+
+
+def test_a_formula_takes_signals_of_other_runs_and_units() -> None:
+    first = _recording(np.array([0.0, 1.0, 2.0]), x=np.array([1.0, 2.0, 3.0]))
+    second = Recording({TIME: np.array([0.0, 2.0]), "x": np.array([0.0, 2000.0])}, {"x": "mm"}, 2)
+    values, unit = Formula("a - b", {"a": (first, "x"), "b": (second, "x")}).evaluate()
+    np.testing.assert_allclose(values, [1.0, 1.0, 1.0])
+    assert unit == "m"
+    assert Formula("-der(2*a) + 0", {"a": (first, "x")}).evaluate()[1] == "m/s"
+    np.testing.assert_allclose(Formula("hypot(3, 4) + 0*a", {"a": (first, "x")}).evaluate()[0], 5.0)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["a.x", "__import__('os')", "a +", "q", "der(a, 1)", "lowpass(a, a)", "a if a else a", "f(a)", "(" * 300, "'a'"],
+)
+def test_a_wrong_formula_is_refused(text: str) -> None:
+    with pytest.raises(InputError):
+        Formula(text, {"a": (_recording(np.arange(3.0), x=np.ones(3)), "x")}).evaluate()
+
+
+# -- runs ----------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Two runs of a tank, of which the manifest of the second has been cut off, and one that has no rows."""
+    monkeypatch.chdir(tmp_path)
+    for k, name in enumerate(("tank/runs/0001", "tank", "half")):
+        run = tmp_path / "results" / name
+        run.mkdir(parents=True, exist_ok=True)
+        manifest = json.dumps({"scenario": {"name": "tank", "components": {}}, "units": {"tank.level": "m"}})
+        (run / "manifest.json").write_text(manifest[: 20 if name == "tank" else None])
+        (run / "results.csv").write_text(
+            "time,tank.level,tank.Level\n0,1,5\n1,2,6\n" if name != "half" else "time,x\n0\n"
+        )
+        os.utime(run / "manifest.json", (1e9 + k, 1e9 + k))
+    return tmp_path
+
+
+def _no_bar(words: str) -> Any:
+    from contextlib import nullcontext
+
+    return nullcontext()
+
+
+def test_runs_without_names_are_all_that_can_be_read(folder: Path) -> None:
+    places, notes = find_runs((), Path("results"))
+    runs, warnings = open_runs(places, _no_bar)
+    assert notes == []
+    assert [run.place.name for run in runs] == ["tank/0001", "tank"]
+    assert [note.code for note in warnings] == ["W-VIE-004"]
+    assert runs[0].rows.units == {"tank.level": "m", "tank.Level": ""}  # names that differ in case only
+    assert runs[1].rows.units == {"tank.level": "", "tank.Level": ""}
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("nothing", "no results match"),
+        ("9", "no results with the number 9"),
+        ("half", "results.csv:2"),
+        (".", "has no rows to draw"),
+        ("text.txt", "is a text"),
+        ("--layout wrong.json", "no file of layouts"),
+        ("--results empty", "holds no results"),
+        ("tank --port 70000", "--port"),
+    ],
+)
+def test_bad_input_ends_with_code_2_and_the_reason(folder: Path, words: str, message: str) -> None:
+    (folder / "text.txt").write_text("words\n")
+    (folder / "wrong.json").write_text('{"layouts": []}')
+    before = sorted(folder.rglob("*"))
+    done = CliRunner().invoke(app, ["view", *words.split(), "--no-browser", "--prepare"])
+    assert message in (str(done.exception) if isinstance(done.exception, InputError) else done.output)
+    assert (done.exception.exit_code if isinstance(done.exception, InputError) else done.exit_code) == 2
+    assert sorted(folder.rglob("*")) == before
+
+
+def test_prepared_runs_are_told(folder: Path) -> None:
+    done = CliRunner().invoke(app, ["view", "tank*", "--prepare", "--json"])
+    assert [run["name"] for run in json.loads(done.stdout)["runs"]] == ["tank/0001", "tank"]
+    named = CliRunner().invoke(app, ["view", "results/tank", "2", "tank", "--prepare"])
+    assert "1 run, 2 signals, 2 rows: run 2 (tank)" in named.stdout
+
+
+# -- the server ----------------------------------------------------------------------------------------
+
+
+Ask = Callable[..., Any]
+
+
+@pytest.fixture
+def page(tmp_path: Path) -> Iterator[tuple[ViewPage, Ask]]:
+    """The page of two runs, and a function for requests."""
+    runs = []
+    for k in range(2):
+        file = tmp_path / f"r{k}.csv"
+        file.write_text(f"time,x [m],y\n0,{k},1\n1,{k + 1},\n1,{k + 2},3\n")
+        runs.append(ViewedRun(RunPlace(f"r{k}", f"run {k}", file), open_rows(file, {}, []), file_state(file)))
+    with ViewPage("2 runs", runs, Layouts(tmp_path / "view.json")) as made:
+
+        def ask(path: str, content: Any = None) -> Any:
+            data = None if content is None else json.dumps(content).encode()
+            request = urllib.request.Request(made.server.url + path, data, {"Content-Type": "application/json"})
+            with urllib.request.urlopen(request, timeout=10) as answer:
+                body = answer.read()
+                return body if "json" not in answer.headers["Content-Type"] else json.loads(body)
+
+        yield made, ask
+
+
+def test_points_values_planes_and_tables_come_from_the_server(page: tuple[ViewPage, Ask]) -> None:
+    _, ask = page
+    about = ask("about")
+    assert [(run["name"], run["set"], run["rows"]) for run in about["runs"]] == [("r0", 0, 3), ("r1", 0, 3)]
+    assert about["sets"] == [[["x", "y"], ["m", ""]]]
+    span = {"from": 0.0, "to": 1.0}
+    points = np.frombuffer(ask("points", {**span, "width": 100, "curves": [[0, "x"], [1, "y"]]}))
+    np.testing.assert_array_equal(points, [3, 1, 0, 1, 1, 0, 1, 2, 3, 1, 0, 1, 1, 1, np.nan, 3])
+    plane = np.frombuffer(ask("plane", {**span, "width": 100, "across": [[0, "x"]], "curves": [[0, "y"]]}))
+    np.testing.assert_array_equal(plane, [3, 1, 0, 1, 1, 0, 1, 2, 1, np.nan, 3])
+    values = np.frombuffer(ask("values", {"at": 1.0, "curves": [[0, "x"], [1, "x"]]}))
+    np.testing.assert_array_equal(values, [1, 2, 1, 3])
+    of = urlencode({"of": json.dumps({**span, "curves": [[0, "x"], [1, "y"]]})})
+    text = ask(f"export.csv?{of}").decode()
+    assert text == "time,run 0: x [m],run 1: y\n0.0,0.0,1.0\n1.0,1.0,\n1.0,2.0,3.0\n"
+
+
+def test_a_derived_signal_is_a_signal_of_its_run(page: tuple[ViewPage, Ask], tmp_path: Path) -> None:
+    _, ask = page
+    made = ask("derive", {"name": "d", "formula": "a - b", "of": {"a": [1, "x"], "b": [0, "x"]}})
+    assert made["unit"] == "m"
+    values = np.frombuffer(ask("values", {"at": 0.0, "curves": [[1, "d"]]}))
+    np.testing.assert_array_equal(values, [0, 1])
+    assert ask("about")["runs"][1]["derived"] == [made]
+    for wrong in (
+        {"name": "x", "formula": "a", "of": {"a": [0, "x"]}},
+        {"name": "e", "formula": "a", "of": {"a": [0, "z"]}},
+        {"name": "e", "formula": "a", "of": {}},
+    ):
+        with pytest.raises(HTTPError, match="400"):
+            ask("derive", wrong)
+
+
+@pytest.mark.parametrize(
+    ("path", "content"),
+    [
+        ("points", []),
+        ("points", {"from": 0, "to": 1, "width": 10}),
+        ("points", {"from": 1, "to": 1, "width": 10, "curves": []}),
+        ("points", {"from": 0, "to": 1, "width": 10**9, "curves": []}),
+        ("points", {"from": 0, "to": 1, "width": 10, "curves": [[7, "x"]]}),
+        ("points", {"from": 0, "to": 1, "width": 10, "curves": [[-1, "x"]]}),
+        ("values", {"at": "now", "curves": []}),
+        ("layouts", {"name": "", "layout": {}}),
+        ("layouts", {"name": "a", "layout": 3}),
+        ("export.csv?of=nothing", None),
+    ],
+)
+def test_a_wrong_request_is_refused_and_the_page_stays(page: tuple[ViewPage, Ask], path: str, content: Any) -> None:
+    _, ask = page
+    with pytest.raises(HTTPError, match="400"):
+        ask(path, content)
+    assert ask("about")["runs"]
+
+
+def test_an_export_that_is_too_large_asks_for_a_zoom(
+    page: tuple[ViewPage, Ask], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(view_page, "MOST_CELLS", 5)
+    of = urlencode({"of": json.dumps({"from": 0, "to": 1, "curves": [[0, "x"], [1, "x"]]})})
+    with pytest.raises(HTTPError, match="400") as refused:
+        page[1](f"export.csv?{of}")
+    assert "zoom in" in json.loads(refused.value.read())["error"]
+
+
+def test_layouts_are_kept_in_a_file(page: tuple[ViewPage, Ask], tmp_path: Path) -> None:
+    _, ask = page
+    assert ask("layouts", {"name": "one", "layout": {"plots": []}}) == {"one": {"plots": []}}
+    assert Layouts(tmp_path / "view.json").read() == {"one": {"plots": []}}
+    assert ask("layouts", {"name": "one", "layout": None}) == {}
+
+
+def test_a_run_that_is_removed_is_told_and_the_others_stay(page: tuple[ViewPage, Ask], tmp_path: Path) -> None:
+    made, ask = page
+    (tmp_path / "r0.csv").unlink()
+    points = np.frombuffer(ask("points", {"from": 0, "to": 1, "width": 9, "curves": [[0, "x"], [1, "x"]]}))
+    assert points[0] == -1
+    assert points[2] == 3
+    made._looked = 0.0
+    made.version()
+    assert "run 0 was removed or replaced" in made.state()["lost"][0]
+
+
+def test_results_of_the_worked_way_are_as_read(folder: Path) -> None:
+    (place,), _ = find_runs(["2"], Path("results"))
+    (run,), _ = open_runs([place], _no_bar)
+    np.testing.assert_array_equal(run.rows.read("tank.level"), read_results(place.file)["tank.level"])

@@ -1,0 +1,208 @@
+"""The signal browser in a real browser: drag and keys, zoom and cursor, files, layouts."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from cosim.viewing.layouts import Layouts
+from cosim.viewing.pyramid import TIME, Recording
+from cosim.viewing.view_page import ViewPage
+from cosim.viewing.viewed_runs import RunPlace, ViewedRun, file_state
+from tests.test_live_browser import CHROMIUM, browser, opened, until
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+__all__ = ["browser"]
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
+ROWS, MANY = 100_000, 10_000
+DRAWN = "document.documentElement.dataset.view === 'drawn'"
+
+
+@pytest.fixture
+def page_of_runs(tmp_path: Path) -> Iterator[ViewPage]:
+    """Two runs of 10⁵ rows with a peak in a single row, and one of 10 000 signals."""
+    at = np.arange(ROWS) * 1e-3
+    runs = []
+    for k in range(2):
+        position = np.sin(at / (1 + k))
+        position[70_000] = 9.0
+        columns = {"mass.x": position, "mass.v": np.cos(at), "mass.f": 1e4 * np.cos(at), "Mass.x": at}
+        units = {"mass.x": "m", "mass.v": "m/s", "mass.f": "N", "Mass.x": "m"}
+        runs.append(_run(tmp_path / f"r{k}.csv", k, Recording({TIME: at, **columns}, units, ROWS)))
+    names = [f"bus.n{k // 100}.s{k}" for k in range(MANY)]
+    wide = {name: np.array([0.0, 1.0]) for name in names}
+    recording = Recording({TIME: np.array([0.0, 100.0]), **wide}, dict.fromkeys(names, ""), 2)
+    runs.append(_run(tmp_path / "wide.csv", 2, recording))
+    with ViewPage("3 runs", runs, Layouts(tmp_path / "view.json")) as page:
+        yield page
+
+
+def _run(file: Path, number: int, recording: Recording) -> ViewedRun:
+    file.touch()
+    return ViewedRun(RunPlace(f"r{number}", f"run {number} (r{number})", file), recording, file_state(file))
+
+
+def _names(page: Page) -> list[str]:
+    return page.locator(".legend .entry > button.entry").all_inner_texts()
+
+
+def test_signals_are_searched_dragged_and_added_by_keys(browser: Browser, page_of_runs: ViewPage) -> None:
+    faults: list[str] = []
+    page = opened(browser, page_of_runs.server.url, faults, viewport={"width": 1300, "height": 1000})
+    page.wait_for_selector("html[data-ready=view]", state="attached")
+    assert page.locator("[role=treeitem]").count() == 3
+    assert "10008 signals of 3 runs" in page.locator("#count").inner_text()
+    page.fill("#find", "mass.x")  # in any case
+    row = page.locator("[role=treeitem]")
+    assert [text.split("\n")[0] for text in row.all_inner_texts()][1:3] == ["mass.x", "Mass.x"]
+    row.nth(1).drag_to(page.locator(".box").first)
+    until(page, DRAWN)
+    assert _names(page) == ["mass.x · run 0"]
+    page.select_option("#group", "signal")
+    page.fill("#find", "mass.f")
+    page.locator("#tree").focus()
+    page.keyboard.press("Enter")  # of both runs, on an axis of their unit
+    assert _names(page) == ["mass.x · run 0", "mass.f · run 0", "mass.f · run 1"]
+    assert page.locator(".axis-unit").all_inner_texts() == ["1: [m]", "2: [N]"]
+    page.keyboard.press("Shift+Enter")
+    assert page.locator("figure.plot").count() == 2
+    row.first.drag_to(page.locator("#new-plot"))
+    assert page.locator("figure.plot").count() == 3
+    page.locator(".where").first.select_option("plot")  # the first curve gets a plot of its own
+    assert page.locator("figure.plot").count() == 4
+    page.locator(".away").first.click()
+    page.locator(".tools button", has_text="remove").first.click()
+    assert page.locator("figure.plot").count() == 3
+
+    page.select_option("#group", "run")
+    page.fill("#find", "bus")  # 10 000 signals: only those in sight are elements
+    page.locator("#tree").focus()
+    page.keyboard.press("End")
+    assert page.locator("[role=treeitem].now").inner_text().startswith("bus.n99.s9999")
+    assert page.locator("[role=treeitem]").count() < 80
+    page.close()
+    assert faults == []
+
+
+def test_zoom_cursor_files_and_layouts(browser: Browser, page_of_runs: ViewPage, tmp_path: Path) -> None:
+    faults: list[str] = []
+    page = opened(browser, page_of_runs.server.url, faults, viewport={"width": 1300, "height": 1000})
+    page.wait_for_selector("html[data-ready=view]", state="attached")
+    page.fill("#find", "mass.")
+    page.locator("#tree").focus()
+    for key in ("ArrowDown", "Enter", "ArrowDown", "Shift+Enter"):
+        page.keyboard.press(key)
+    until(page, DRAWN)
+    assert float(page.locator(".y-ticks").first.locator("span").all_inner_texts()[-1]) > 5.0  # the peak of one row
+    box = page.locator(".box").first
+    place = box.bounding_box()
+    assert place is not None
+    left, middle, width = place["x"], place["y"] + 80, place["width"]
+    page.mouse.move(left + 0.1 * width, middle)
+    page.mouse.down()
+    page.mouse.move(left + 0.3 * width, middle, steps=3)
+    page.mouse.up()
+    until(page, DRAWN)
+    begin, end = (float(page.input_value(name)) for name in ("#from", "#to"))
+    assert (begin, end) == pytest.approx((10.0, 30.0), abs=0.5)
+    page.mouse.move(left + 0.5 * width, middle)
+    cells = page.locator("output")
+    exact = f"{math.floor(1000 * (begin + end) / 2) / 1000:.5g}"
+    until(page, "!document.querySelector('output').textContent.includes('…')")
+    time.sleep(0.2)
+    first, second = (float(text.replace("−", "-")) for text in cells.all_inner_texts())
+    assert math.hypot(first, second) == pytest.approx(1.0, abs=1e-3), exact  # sine and cosine at one time
+    box.focus()
+    page.keyboard.press("0")
+    until(page, DRAWN)
+    assert float(page.input_value("#to")) == 100.0
+    for key in ("End", "ArrowLeft", "m", "+"):
+        page.keyboard.press(key)
+    until(page, DRAWN)
+    assert "s: mass.x" in page.locator("#told").inner_text()
+
+    page.click("#derive")
+    page.fill("#formula", "lowpass(a, a)")
+    page.click("#derive-form button:has-text('Add')")
+    page.wait_for_selector("#derive-error:not([hidden])")
+    assert "time constant" in page.locator("#derive-error").inner_text()
+    page.fill("#formula", "lowpass(a, 0.5)")
+    page.fill("#derived-name", "smooth")
+    page.click("#derive-form button:has-text('Add')")
+    page.wait_for_selector("#derive-box:not([open])", state="attached")
+    assert sorted(name for name in _names(page) if "smooth" in name) == ["smooth · run 0", "smooth · run 1"]
+
+    page.click("#add-plane")
+    page.locator("#tree").focus()
+    page.keyboard.press("Home")
+    for key in ("ArrowDown", "ArrowDown", "Enter", "ArrowDown", "Enter"):
+        page.keyboard.press(key)
+    until(page, DRAWN)
+    assert len(page.locator(".box").last.locator("path.line").get_attribute("d") or "") > 1000
+    texts = {}
+    for kind in ("SVG", "PNG", "CSV"):
+        with page.expect_download() as waiting:
+            page.locator(".tools").first.get_by_text(kind).click()
+        texts[kind] = Path(waiting.value.path()).read_bytes()
+    assert texts["SVG"].startswith(b"<svg")
+    assert texts["SVG"].count(b"<path") > 5
+    assert texts["PNG"].startswith(b"\x89PNG")
+    assert texts["CSV"].startswith(b"time,mass.x [m]")
+    assert texts["CSV"].count(b"\n") > 1000
+
+    page.click("#layouts summary")
+    page.fill("#layout-name", "mine")
+    page.click("#layout-form button:has-text('Save')")
+    page.wait_for_selector("#layout-list li")
+    kept = json.loads((tmp_path / "view.json").read_text())["layouts"]["mine"]
+    assert [plot["kind"] for plot in kept["plots"]] == ["time", "time", "xy"]
+    before = _names(page)
+    page.reload()
+    page.wait_for_selector("html[data-ready=view]", state="attached")
+    until(page, DRAWN)
+    assert _names(page) == before
+
+    (tmp_path / "r0.csv").unlink()
+    page.wait_for_selector("#message:not([hidden])")
+    assert "run 0 (r0) was removed" in page.locator("#message").inner_text()
+    assert _names(page) == before
+    page.close()
+    assert faults == []
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_the_page_is_accessible_narrow_and_on_paper(browser: Browser, page_of_runs: ViewPage, scheme: str) -> None:
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="no axe").Axe()
+    faults: list[str] = []
+    page = opened(
+        browser, page_of_runs.server.url, faults, viewport={"width": 1300, "height": 900}, color_scheme=scheme
+    )
+    page.wait_for_selector("html[data-ready=view]", state="attached")
+    page.fill("#find", "mass.")
+    page.locator("#tree").focus()
+    for key in ("ArrowDown", "Enter", "ArrowDown", "Enter", "Shift+Enter"):
+        page.keyboard.press(key)
+    until(page, DRAWN)
+    for step in ("", "#derive", "#layouts summary") if scheme == "light" else ("",):
+        if step:
+            page.click(step)
+        found = axe.run(page).response["violations"]
+        assert [(v["id"], [node["html"] for node in v["nodes"]][:3]) for v in found] == [], step
+        if step == "#derive":
+            page.click("#derive-close")
+    page.set_viewport_size({"width": 360, "height": 740})
+    assert page.evaluate("document.documentElement.scrollWidth") <= 360
+    page.emulate_media(media="print")
+    assert not page.locator("#tree").is_visible()
+    assert page.locator(".box").first.is_visible()
+    page.close()
+    assert faults == []
