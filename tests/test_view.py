@@ -305,8 +305,8 @@ def test_runs_without_names_are_all_that_can_be_read(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ("nothing", "no results match"),
-        ("9", "no results with the number 9"),
+        ("nothing", "no such file or folder"),
+        ("9", "no results of this name or number"),
         ("half", "results.csv:2"),
         (".", "has no rows to draw"),
         ("text.txt", "is a text"),

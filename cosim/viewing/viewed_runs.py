@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import Fault, InputError, refuse
-from cosim.history.entries import Entry, entries, find_entries
+from cosim.history.entries import Entry, entries, match_entries
 from cosim.storage.folders import manifest_in, replay_record
 from cosim.storage.kinds import LOG, check_given, refuse_folder
 from cosim.storage.results import rows_in
+from cosim.storage.yaml_file import did_you_mean
 from cosim.viewing import messages
 from cosim.viewing.pyramid import Recording
 from cosim.viewing.stored_rows import notes_on, open_rows
@@ -126,7 +127,11 @@ def _units(units: Any) -> Mapping[str, str]:
 def _of_text(text: str, results: Path) -> list[RunPlace]:
     path = Path(text)
     if text.isdecimal() or not path.exists():
-        matches = find_entries([text], results)
+        every = entries(results)
+        matches = match_entries(text, every, results)
+        if not matches:
+            hint = did_you_mean(text, [entry.name for entry in every])
+            raise InputError.at(path, messages.NO_SUCH(hint=hint))
         found = [place for entry in matches if (place := _of_entry(entry, is_named=len(matches) == 1)) is not None]
         if not found:
             raise InputError.at(matches[0].folder if len(matches) == 1 else path, messages.NO_ROWS())
