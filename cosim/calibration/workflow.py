@@ -147,9 +147,8 @@ def _read(request: Request) -> tuple[list[Log], list[Parameter], dict[str, Any]]
         InputError: Every fault of logs and arguments.
         FmuError: Only the FMU has faults.
     """
-    fmu, paths = request.fmu, request.logs
-    faults: list[Fault] = check_missing(request)
-    missing = [p for p in (fmu, *paths) if faults and not p.exists()]
+    fmu = request.fmu
+    faults, paths = _path_faults(request)
 
     def attempt(function: Callable[..., Any], default: Any, *arguments: Any) -> Any:
         try:
@@ -158,11 +157,7 @@ def _read(request: Request) -> tuple[list[Log], list[Parameter], dict[str, Any]]
             faults.extend(error.faults)
             return default
 
-    if not request.estimation:
-        faults.append(request.no_logs_fault(messages.NO_LOGS()))
-    faults += [request.log_fault(k, messages.USED_TWICE()) for k, p in enumerate(paths) if p in paths[:k]]
-    paths = [p for p in paths if p not in missing]
-    refuse(faults if fmu in missing else ())
+    refuse(faults if request.yaml is not None and not fmu.exists() else ())
     for path in paths or [fmu]:
         attempt(check_files, None, path, fmu)
     refuse(faults if any(f.file == fmu for f in faults) or {f.file for f in faults} >= {*paths} else ())
@@ -178,6 +173,16 @@ def _read(request: Request) -> tuple[list[Log], list[Parameter], dict[str, Any]]
     logs = [attempt(read, None, path) for path in paths]
     refuse(faults)
     return logs, chosen, given
+
+
+def _path_faults(request: Request) -> tuple[list[Fault], list[Path]]:
+    """Return the faults of the paths of a request, and the logs that can be read."""
+    faults = check_missing(request)
+    paths = [p for p in request.logs if not faults or p.exists()]
+    if not request.estimation:
+        faults.append(request.no_logs_fault(messages.NO_LOGS()))
+    faults += [request.log_fault(k, messages.USED_TWICE()) for k, p in enumerate(request.logs) if p in request.logs[:k]]
+    return faults, paths
 
 
 def find_misbehaviour(request: Request, log: Log, given: Mapping[str, Any]) -> list[Message]:

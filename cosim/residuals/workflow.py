@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from types import MappingProxyType
@@ -154,7 +154,7 @@ def write_replay(
         StoppedReplay: The FMU fails; finished rows are written before.
     """
     total = steps_of(log)
-    rows_file, residual_file = (folder / rows_name(stem, format_) for stem in ("results", "residual"))
+    rows_file, residual_file = folder / rows_name("results", format_), folder / rows_name("residual", format_)
 
     report_step = None if progress is None else lambda done: progress(min(done, total), total)
     remote = None if worker is None else DriveApart(worker, log, fmu, report_step, limits=limits, given=given)
@@ -163,13 +163,11 @@ def write_replay(
         findings += _version_findings(drive)
         findings += input_unit_findings(log, drive.starts, drive.traits.bounds if drive.traits else {})
         refuse_faults(log, findings)
-        check_writable(folder, (rows_file.name, residual_file.name, REPLAY, NEXT_STUDY, "report.html"), (log.path, fmu))
+        written = "report.html", REPLAY, NEXT_STUDY
+        check_writable(folder, (rows_file.name, residual_file.name, *written), (log.path, fmu))
         if keep:
             keep_earlier(folder, "cosim replay")
-        for name in ("report.html", REPLAY, NEXT_STUDY):  # outdated results
-            (folder / name).unlink(missing_ok=True)
-        remove_rows(folder, "residual")
-        remove_rows(folder, "results", besides=rows_file.name)
+        _remove_outdated(folder, written, rows_file)
         free = _free_run(drive, start, rows_file)
         try:
             release_stops()
@@ -193,6 +191,14 @@ def write_replay(
             ended.left = folder
             raise ended from None
     return comparison
+
+
+def _remove_outdated(folder: Path, names: Iterable[str], rows_file: Path) -> None:
+    """Remove the results of an earlier replay."""
+    for name in names:
+        (folder / name).unlink(missing_ok=True)
+    remove_rows(folder, "residual")
+    remove_rows(folder, "results", besides=rows_file.name)
 
 
 def _free_run(drive: Drive, start: Mapping[str, Any] | None, file: Path) -> Replay:

@@ -145,10 +145,18 @@ class FmuServer:
         fmu = str(request["fmu"])
         path, _ = self.offer.find(fmu, request["sha256"])
         job = SessionJob(
-            path, fmu, str(request["name"]), dict(request["values"]), frozenset(request["connected"]),
-            frozenset(request["recorded"]), _settings(request["settings"]), self.host, self._ports, self.keys,
+            path,
+            fmu,
+            str(request["name"]),
+            dict(request["values"]),
+            frozenset(request["connected"]),
+            frozenset(request["recorded"]),
+            _settings(request["settings"]),
+            self.host,
+            self._ports,
+            self.keys,
             client.encode(),
-        )  # fmt: skip
+        )
         number = next(self._numbers)
         self._sessions[number] = state = _State(client)
         threading.Thread(target=self._serve, args=(sender, number, state, job), daemon=True).start()

@@ -220,9 +220,15 @@ class _Session:
             raise LinkError(messages.BAD_REQUEST(reason="wrong token"))
         self._client = self._sender
         self._block = block = FmuBlock(
-            job.name, job.path, read_description(job.path), job.values, job.connected,
-            recorded=job.recorded, compiles=False, **job.settings,
-        )  # fmt: skip
+            job.name,
+            job.path,
+            read_description(job.path),
+            job.values,
+            job.connected,
+            recorded=job.recorded,
+            compiles=False,
+            **job.settings,
+        )
         here.share_log(block)
         self._row = (ctypes.c_double * max(1, len(block.inputs) + len(block.outputs)))()
         self._beside: list[Any] = [None] * (len(block.exact_inputs) + len(block.exact_outputs))

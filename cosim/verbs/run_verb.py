@@ -109,9 +109,15 @@ def run(
         _refuse_options(Path(scenario), options)
         with compiling(compile):
             outcome = run_file(
-                scenario, report=report, figures=figures, in_process=in_process, progress=progress,
-                observers=observers, resume=resume, until=until,
-            )  # fmt: skip
+                scenario,
+                report=report,
+                figures=figures,
+                in_process=in_process,
+                progress=progress,
+                observers=observers,
+                resume=resume,
+                until=until,
+            )
         return run_of(outcome.results, outcome.manifest, outcome.folder)
     with compiling(compile), results_in(out) as folder, _scenario_file(scenario) as path:
         steps = partial(run_file, in_process=in_process, progress=progress, observers=observers, inputs=inputs)
