@@ -146,7 +146,7 @@ def resident(path: Path) -> int:
     return size() - before
 
 
-@pytest.mark.parametrize("fault", ["crashes", "hangs"])
+@pytest.mark.parametrize("fault", ["crashes", pytest.param("hangs", marks=pytest.mark.thorough)])
 def test_a_parameter_above_its_limit_ends_the_process(tmp_path: Path, fault: str) -> None:
     code = (
         "import sys; from pathlib import Path; from tests.test_blind_fmu import simulated; "

@@ -148,6 +148,7 @@ def spread(estimator: str) -> Array:
     return np.array(sigma)
 
 
+@pytest.mark.thorough
 def test_with_the_filter_of_appendix_f_the_craft_settles_and_stays() -> None:
     # for good, that is to the end of 20 s; worst of the seeds 3.5 s and 1.9 s
     runs = under_noise("appendix_f")

@@ -135,6 +135,7 @@ def test_it_is_said_where_the_manoeuvre_separates_better_but_leaves_the_limits(
     assert "times as far as --limit allows" in warning
 
 
+@pytest.mark.thorough
 def test_the_scenario_flies_what_was_promised(told_apart: tuple[Excitation, Path], tmp_path: Path) -> None:
     found, folder = told_apart
     rows = run(folder / "excitation.yaml", tmp_path, ["noise=off"], report=False).results

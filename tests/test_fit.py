@@ -350,6 +350,7 @@ columns: {pos: position}
 """
 
 
+@pytest.mark.thorough
 def test_a_study_is_the_same_fit_as_its_options(bench: Path, tmp_path: Path) -> None:
     study = bench / "fit.yaml"
     study.write_text(FIT_STUDY)

@@ -48,6 +48,7 @@ def cosim(site: Path, folder: Path, *arguments: str, **environment: str) -> str:
     return done.stdout
 
 
+@pytest.mark.thorough
 def test_every_package_and_its_data_is_installed(site: Path) -> None:
     kinds = (".py", ".c", ".j2", ".css", ".js", ".json", ".txt", ".png", ".typed")
     for package in PARTS[:4]:

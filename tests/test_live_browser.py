@@ -146,7 +146,7 @@ def test_rows_appear_changes_act_and_stop_keeps_the_rows(browser: Browser, tmp_p
     assert manifest["status"].startswith("failed: the run")
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("scheme", ["light", pytest.param("dark", marks=pytest.mark.thorough)])
 def test_the_page_is_accessible_and_fits_narrow_screens(browser: Browser, tmp_path: Path, scheme: str) -> None:
     axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="no axe").Axe()
     faults: list[str] = []
@@ -186,7 +186,7 @@ def test_a_run_that_ends_shows_it_and_the_command_ends_with_its_page(browser: Br
     assert faults == []
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("scheme", ["light", pytest.param("dark", marks=pytest.mark.thorough)])
 def test_the_pages_of_sweep_and_refinement_show_what_there_is_and_are_accessible(browser: Browser, scheme: str) -> None:
     axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="no axe").Axe()
     faults: list[str] = []

@@ -118,7 +118,16 @@ def test_a_text_that_keeps_its_code_is_no_finding(text: str) -> None:
     assert bare_calls(ast.parse(text)) == []
 
 
-@pytest.mark.parametrize("line", [("run",), ("run", "a", "--none"), ("none",), ("run", "a", "--seed", "x")])
+@pytest.mark.parametrize(
+    "line",
+    [
+        ("run",),
+        *(
+            pytest.param(x, marks=pytest.mark.thorough)
+            for x in (("run", "a", "--none"), ("none",), ("run", "a", "--seed", "x"))
+        ),
+    ],
+)
 def test_a_wrong_command_line_has_a_code(line: tuple[str, ...]) -> None:
     for option in ((), ("-v",)):
         answer = cosim(*line, *option)

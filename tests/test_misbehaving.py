@@ -588,7 +588,7 @@ def stopped_again(*words: object, number: str = "SIGINT", first: int = 0) -> tup
 
 @pytest.mark.skipif(not LINUX, reason="signals and processes as Linux has them")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("report", ["--report", "--no-report"])
+@pytest.mark.parametrize("report", ["--report", pytest.param("--no-report", marks=pytest.mark.thorough)])
 def test_rows_of_a_run_outlast_being_stopped_again_and_again(
     tmp_path: Path, number: signal.Signals, report: str
 ) -> None:
@@ -626,6 +626,7 @@ def test_all_rows_of_a_replay_are_kept_that_is_stopped_after_its_last(tmp_path: 
 
 
 @pytest.mark.skipif(not LINUX, reason="signals and processes as Linux has them")
+@pytest.mark.thorough
 def test_a_sweep_that_is_stopped_again_and_again_keeps_its_runs_and_says_so(tmp_path: Path) -> None:
     deeds_scenario(tmp_path, "none", "none").rename(tmp_path / "scenario.yaml")
     sweep_file = tmp_path / "sweep.yaml"

@@ -195,7 +195,7 @@ def test_keys_that_contradict_each_other_are_named(step: str, words: str, tmp_pa
 # -- courses of inputs ----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("late", [0.0, 1.0])
+@pytest.mark.parametrize("late", [1.0, pytest.param(0.0, marks=pytest.mark.thorough)])
 def test_linear_courses_give_the_second_order(late: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """An FMU that answers only after a step (late) makes a last part of it with the inputs of its end."""
     truck(tmp_path)

@@ -31,7 +31,10 @@ pytestmark = NEEDS_COMPILER
 EACH = pytest.mark.parametrize(
     ("name", "fmi", "way"),
     [
-        *(("slider", v, w) for v in (2, 3) for w in WAYS),
+        ("slider", 2, EXCHANGE),
+        ("slider", 3, STEPS),
+        pytest.param("slider", 2, STEPS, marks=pytest.mark.thorough),
+        pytest.param("slider", 3, EXCHANGE, marks=pytest.mark.thorough),
         *(pytest.param("drive", v, w, marks=pytest.mark.thorough) for v in (2, 3) for w in WAYS),
     ],
 )
