@@ -235,7 +235,10 @@ def test_another_peer_neither_holds_nor_ends_a_session(there: Path) -> None:
         place = session._socket.last_endpoint.decode()
         peers[0].connect(place)
         time.sleep(0.3)
-        session.call(wire.pack(Operation.OPEN, content={"token": session.token, "start": 0.0, "stop": 1.0}))
+        opening = {"start": 0.0, "stop": 1.0}
+        with pytest.raises(SimulationError, match="wrong token"):
+            session.call(wire.pack(Operation.OPEN, content={"token": "0" * 64, **opening}))
+        session.call(wire.pack(Operation.OPEN, content={"token": session.token, **opening}))
         peers[1].connect(place)
         time.sleep(0.3)
         peers[1].close()
