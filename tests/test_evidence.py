@@ -1,5 +1,6 @@
 """Evidence for a part of a hypothesis: its gain against the scatter of chance, over blocks of time."""
 
+import math
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,7 +10,14 @@ from scipy.special import stdtrit
 
 from cosim.estimation.fit import Fit
 from cosim.estimation.problem import Scored
-from cosim.refinement.decision.evidence import BY_CHANCE, gain_per_chance, gain_per_scatter, with_flat_directions
+from cosim.refinement.decision.evidence import (
+    BY_CHANCE,
+    deviations_from,
+    gain_per_chance,
+    gain_per_scatter,
+    with_flat_directions,
+)
+from cosim.refinement.decision.judgement import REFUTED
 from cosim.subject.candidates import Free
 
 BLOCKS, ROWS = 30, 100
@@ -80,3 +88,47 @@ def test_an_estimate_without_information_has_the_interval_of_the_flat_likelihood
     estimate = Fit({"lag": 0.1}, None, (lag,), (0.0,), 0.0, np.zeros((1, 1)), 1, True, np.zeros((1, 1)))
     widened = with_flat_directions(Flat(), estimate)
     assert 1.96 * widened.sigma("lag") == pytest.approx(0.4 + 0.196, rel=0.05)  # up to 1.96 σ above 0.5
+
+
+def alike(rng):
+    """Return two terms of unit size with a correlation of 0.7."""
+    time = np.arange(BLOCKS * ROWS)
+    one, other = (np.sin(frequency * time + rng.uniform(0.0, 6.0)) for frequency in (0.21, 0.33))
+    one, other = one / np.linalg.norm(one), other / np.linalg.norm(other)
+    return one, 0.7 * one + math.sqrt(1.0 - 0.7**2) * other
+
+
+def test_a_true_rival_is_seldom_refuted() -> None:
+    rng = np.random.default_rng(4)
+    wrong = []
+    for colour in (0.0, 0.8):
+        for _ in range(150):
+            true, other = alike(rng)
+            noise = lfilter([1.0], [1.0, -colour], rng.normal(size=true.size))
+            worse, better = (fitted(term, 2.8 / (1.0 - colour) * true + noise)[1] for term in (true, other))
+            wrong.append(worse.nll - better.nll > 3.0 and deviations_from(BLOCK, worse, better) > REFUTED)
+    assert np.mean(wrong) < 0.02
+
+
+def test_some_nats_refute_a_rival() -> None:
+    rng = np.random.default_rng(5)
+    refuted, by_scatter = [], []
+    while len(refuted) < 60:
+        true, other = alike(rng)
+        y = 4.8 * true + rng.normal(size=true.size)
+        better, worse = (fitted(term, y)[1] for term in (true, other))
+        if 3.0 < worse.nll - better.nll < 8.0:
+            refuted.append(deviations_from(BLOCK, worse, better) > REFUTED)
+            by_scatter.append(gain_per_scatter(BLOCK, worse, better, 0.0) > 2.0)
+    assert np.mean(refuted) > 0.8
+    assert np.mean(by_scatter) < 0.4  # a gain G scatters by √(2·G), so that 8 nats would be needed
+
+
+def test_a_single_event_refutes_no_rival() -> None:
+    rng = np.random.default_rng(6)
+    true, other = alike(rng)
+    event = np.where(BLOCK == 7, 30.0 * other, 0.0)
+    for _ in range(50):
+        y = 4.8 * true + event + rng.normal(size=true.size)
+        worse, better = (fitted(term, y)[1] for term in (true, other))
+        assert not deviations_from(BLOCK, worse, better) > REFUTED

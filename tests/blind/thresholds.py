@@ -45,6 +45,7 @@ ORIGIN = {  # by module and name; what is not here was set by hand, and nobody w
     "refinement.search.hypotheses.MAX_HALVED_RATIO": "what is asked of refine: half the held-out error",
     "refinement.decision.judgement.SIGNIFICANT": "convention: three standard deviations",
     "refinement.decision.judgement.BETTER": "convention: three times its own scatter",
+    "refinement.decision.judgement.REFUTED": "normal distribution: chance of 1 % to refute a true hypothesis",
     "refinement.decision.judgement.WORSE": "convention: three times its own scatter",
     "refinement.decision.evidence.BY_CHANCE": "convention: one false alarm in a hundred",
     "refinement.proof.prediction_windows.OVERLAP": "convention: Welch 1967, half of a window; more takes longer",
@@ -60,10 +61,10 @@ ORIGIN = {  # by module and name; what is not here was set by hand, and nobody w
 }
 DECIDING = {  # module below cosim → thresholds that decide a verdict
     "refinement.decision.claims": ("MUCH", "MOVED", "LARGE"),
-    "refinement.decision.judgement": ("RIVAL", "UNSURE", "NEAR", "SIGNIFICANT", "PLAIN", "PLAINLY", "BETTER"),
+    "refinement.decision.judgement": ("RIVAL", "REFUTED", "NEAR", "SIGNIFICANT", "PLAIN", "PLAINLY", "BETTER"),
     "refinement.decision.trust": ("CLEARLY",),
     "refinement.decision.evidence": ("BY_CHANCE",),
-    "refinement.proof.replay_check": ("PART", "HALF"),
+    "refinement.proof.replay_check": ("PART", "HALF", "UNSURE"),
     "refinement.proof.nearest": ("SIMPLER",),
     "refinement.search.fits": ("ENTRY",),
     "refinement.search.hypotheses": ("NOISE", "MAX_HALVED_RATIO"),

@@ -5,8 +5,8 @@ estimate is therefore computed from blocks of time longer than the correlation o
 
     z = Σ g_b / √(Σ (g_b − ḡ)²)      cov θ̂ = F⁻¹ (Σ s_b s_b') F⁻¹      g_b, s_b: gain and score of block b
 
-(Vuong 1989; White 1982), for a part of a hypothesis as in `gain_per_chance`. On a held-out log, what the other logs say
-of a parameter is its prior. Each hypothesis predicts in open loop from its own filtered state.
+(Vuong 1989; White 1982), for a part of a hypothesis as in `gain_per_chance`, for a rival as in `deviations_from`. On a
+held-out log, what the other logs say of a parameter is its prior. Each hypothesis predicts in open loop from its own filtered state.
 """
 
 from __future__ import annotations
@@ -75,14 +75,14 @@ def steadiness(problem: Problem, better: Fit, worse: Fit) -> float:
     return gain_per_chance(block, others, scored, worse.penalty - better.penalty) if block.size else math.inf
 
 
-def preference(problem: Problem, better: Fit, worse: Fit, costs: float) -> float:
-    """Return the likelihood gain of a fit over a fit that it does not contain, divided by the scatter of the gain.
+def refutation(problem: Problem, better: Fit, worse: Fit, costs: float) -> float:
+    """Return the standard deviations by which the logs refute a fit that another fit does not contain.
 
     Args:
-        costs: Additional cost of `worse` relative to `better` (Vuong 1989, eq. 5.9).
+        costs: Additional cost of `worse` relative to `better`.
     """
     block, scored, others = _scored_in_blocks(problem, better, worse)
-    return gain_per_scatter(block, others, scored, costs + worse.penalty - better.penalty) if block.size else math.inf
+    return deviations_from(block, others, scored, costs + worse.penalty - better.penalty) if block.size else math.inf
 
 
 def _scored_in_blocks(problem: Problem, better: Fit, worse: Fit) -> tuple[Rows, Scored, Scored]:
@@ -104,14 +104,35 @@ def gain_per_chance(block: Rows, worse: Scored, better: Scored, constant: float 
     The factor 1/(1 − h_b) is that of the jackknife over blocks; a gain in a single block would have no scatter without
     it (CV3 of MacKinnon, Nielsen and Webb 2023, J. Appl. Econometrics 38:671).
     """
+    total = constant + float(np.sum(_terms(worse) - _terms(better)))
+    return _ratio(total, _chance(block, worse, better))
+
+
+def deviations_from(block: Rows, worse: Scored, better: Scored, constant: float = 0.0) -> float:
+    """Return the standard deviations by which a likelihood gain exceeds its expectation if the worse fit is true.
+
+    A true fit would gain the divergence k' of the other predictions from its own (Cox 1961, Proc. 4th Berkeley Symp.
+    1:105): z = (Σ g + Σ k')/s with the scatter s by chance, as in `gain_per_chance`.
+    """
+    total = constant + float(np.sum(_terms(worse) - _terms(better)) + np.sum(_divergences(block, worse, better)))
+    return _ratio(total, _chance(block, worse, better))
+
+
+def _chance(block: Rows, worse: Scored, better: Scored) -> float:
+    """Return the scatter of a gain about the gain that the better fit expects."""
     gains = _by_block(block, _terms(worse) - _terms(better))
-    moved, ratio = worse.errors - better.errors, better.variances / worse.variances
-    with np.errstate(over="ignore", invalid="ignore"):
-        expected = 0.5 * (ratio - 1.0 - np.log(ratio) + moved**2 / worse.variances)
-    expected = _by_block(block, np.nan_to_num(expected, nan=0.0, posinf=0.0))
+    expected = _divergences(block, better, worse)
     share = expected / (np.sum(expected) or 1.0)
     chance = (gains - expected) / np.maximum(1.0 - share, np.finfo(float).eps)
-    return _ratio(constant + float(np.sum(gains)), math.sqrt(float(np.sum(chance**2))))
+    return math.sqrt(float(np.sum(chance**2)))
+
+
+def _divergences(block: Rows, true: Scored, other: Scored) -> Array:
+    """Return the Kullback-Leibler divergence of other predictions from true ones, by block."""
+    moved, ratio = other.errors - true.errors, true.variances / other.variances
+    with np.errstate(over="ignore", invalid="ignore"):
+        divergence = 0.5 * (ratio - 1.0 - np.log(ratio) + moved**2 / other.variances)
+    return _by_block(block, np.nan_to_num(divergence, nan=0.0, posinf=0.0))
 
 
 def _terms(scored: Scored) -> Array:

@@ -17,7 +17,7 @@ from cosim.refinement.decision.evidence import (
     error_ratios,
     fit_given_model,
     held_out_gains,
-    preference,
+    refutation,
     steadiness,
     with_intervals,
 )
@@ -28,7 +28,7 @@ from cosim.subject.candidates import Candidate, Free
 from cosim.terms.alike import are_alike
 
 RIVAL = 3.0  # score difference within which another hypothesis explains the logs equally well
-UNSURE = 2.0  # difference in log-likelihood to a rival per scatter, below which it is not significant
+REFUTED = 2.33  # standard deviations at which the logs refute a rival
 BY_CHANCE = 0.05  # probability below which the gain of a richer term that looks alike is no chance
 NEAR = 8.0  # score difference beyond which no hypothesis is a rival, whatever the scatter
 SIGNIFICANT = 3.0  # standard deviations from the neutral value
@@ -204,7 +204,7 @@ def _is_rival(search: Search, best: Hypothesis, h: Hypothesis) -> bool:
     if any(_with_tolerance(h, t, weight) + cost < _with_tolerance(best, t, weight) + least for t in TOLERANCES):
         return True
     # The larger cost of a richer hypothesis counts against it; otherwise every extension of the best would be a rival.
-    return preference(search.problem, best.fit, h.fit, max(0.0, cost - least)) < UNSURE
+    return refutation(search.problem, best.fit, h.fit, max(0.0, cost - least)) < REFUTED
 
 
 def _is_richer_twin(best: Hypothesis, h: Hypothesis) -> bool:

@@ -19,7 +19,6 @@ from cosim.refinement.decision.judgement import (
     BETTER,
     RIVAL,
     SIGNIFICANT,
-    UNSURE,
     is_beyond_tolerance,
     is_outside_tolerance,
 )
@@ -34,6 +33,7 @@ from cosim.subject.interface import Subject
 
 PART = 0.1  # remaining share of the excess error from which a claim explains only a part
 HALF = 0.5  # remaining share of the excess error on the best channel from which a claim is withdrawn
+UNSURE = 2.0  # increase of replay errors per scatter, below which it is not significant
 
 Channels = Mapping[str, float]  # measured output → root mean square
 ErrorOf = Mapping[str, Channels]  # replays before, recalibrated and after → errors

@@ -137,14 +137,15 @@ class Attributor:
     def _with_stated_noise(self, base: Hypothesis) -> Hypothesis:
         """Fix the noise of sensors at the stated noise if the estimate is at its lower limit.
 
-        The stated noise may include errors that these logs do not contain.
+        The stated noise may include errors that these logs do not contain. A limit above the stated noise is that of
+        quantisation, and stays.
         """
         search, problem = self.search, self.search.problem
-        low = base.fit.noise.like(problem.limits.low).sensors
-        silent = problem.stated & problem.adjusted & (base.fit.noise.sensors <= low + SILENT)
+        low, stated = base.fit.noise.like(problem.limits.low).sensors, np.log(problem.r)
+        silent = problem.stated & problem.adjusted & (base.fit.noise.sensors <= low + SILENT) & (low < stated)
         if not silent.any():
             return base
-        sensors = np.where(silent, np.log(problem.r), base.fit.noise.sensors)
+        sensors = np.where(silent, stated, base.fit.noise.sensors)
         adjusted = problem.adjusted & ~silent
         self.fine, search.problem = (replace(p, adjusted=adjusted) for p in (self.fine, problem))
         start = replace(base.fit, noise=replace(base.fit.noise, sensors=sensors))
