@@ -6,7 +6,8 @@ estimate is therefore computed from blocks of time longer than the correlation o
     z = Σ g_b / √(Σ (g_b − ḡ)²)      cov θ̂ = F⁻¹ (Σ s_b s_b') F⁻¹      g_b, s_b: gain and score of block b
 
 (Vuong 1989; White 1982), for a part of a hypothesis as in `gain_per_chance`, for a rival as in `deviations_from`. On a
-held-out log, what the other logs say of a parameter is its prior. Each hypothesis predicts in open loop from its own filtered state.
+held-out log, what the other logs say of a parameter is its prior. Each hypothesis predicts in open loop from its own
+filtered state.
 """
 
 from __future__ import annotations
