@@ -118,9 +118,9 @@ def test_results_without_a_report_and_several_results_are_named(results: Path) -
         assert message in str(error)
 
 
-def test_a_damaged_record_is_listed_without_an_outcome(results: Path) -> None:
+def test_a_damaged_record_is_listed_as_such(results: Path) -> None:
     (results / "tank" / "manifest.json").write_text("{")
-    assert [e.outcome for e in entries(results) if e.name == "tank"] == [""]
+    assert [e.outcome for e in entries(results) if e.name == "tank"] == ["damaged record"]
 
 
 def test_runs_are_compared_by_number(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

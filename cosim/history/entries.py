@@ -10,13 +10,14 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import InputError
+from cosim.base.suggestions import did_you_mean
 from cosim.history import messages
-from cosim.history.inputs import changes_between, input_text, scenario_inputs, short_input
+from cosim.history.inputs import changes_between, input_text, inputs_of, short_input
 from cosim.storage.artefact import Artefact, artefacts
 from cosim.storage.folders import EARLIER, RESULTS, content_of
-from cosim.storage.yaml_file import did_you_mean
 
 OUTCOMES = ("verdict", "status", "sentence")  # keys of a record whose text is an outcome
+UNFINISHED, DAMAGED = "unfinished", "damaged record"
 MOST_CHANGES = 3  # in a text
 
 
@@ -29,7 +30,7 @@ class Entry:
         name: Name within the folder of results: `tank` for the newest, `tank/0001` for an earlier run.
         verb: Command that wrote the results, without `cosim`.
         time: Time of writing [s] since 1970.
-        outcome: Outcome of criteria, verdict or status; "" if the record has none.
+        outcome: Outcome of criteria, verdict or status, `unfinished`, `damaged record`, or "".
         changes: Input → value, where it differs from the run before of the same name; None for a removed input.
     """
 
@@ -80,11 +81,7 @@ def entries(results: Path | None = None) -> list[Entry]:
         results: Folder of results, by default `results`.
     """
     root = RESULTS if results is None else results
-    declared = [a for a in artefacts() if a.marks and a.verb]
-    marks: dict[str, Artefact] = {}
-    for artefact in declared:
-        for mark in artefact.marks:
-            marks.setdefault(mark, artefact)
+    marks = _marks()
     every: list[Entry] = []
     for name in sorted(_folders(root)):
         before: Mapping[str, Any] | None = None
@@ -121,6 +118,9 @@ def match_entries(text: str, every: Sequence[Entry], root: Path = RESULTS) -> li
     """Return the entries of a number, a name, a pattern or a folder within the folder of results."""
     if text.isdecimal():
         return [*every[int(text) - 1 : int(text)]] if int(text) > 0 else []
+    if "/" in text and (folder := Path(text)).is_dir():
+        place = folder.resolve()
+        return [e for e in every if e.folder.resolve() == place]
     name = text.removeprefix(f"{root}/").rstrip("/").replace(f"/{EARLIER}/", "/")
     return [e for e in every if e.name == name] or [e for e in every if fnmatch.fnmatchcase(e.name, name)]
 
@@ -133,25 +133,55 @@ def _folders(root: Path) -> Iterator[str]:
         return
 
 
-def _of_name(folder: Path, name: str, marks: Mapping[str, Artefact]) -> Iterator[tuple[Entry, Mapping[str, Any]]]:
+@dataclass(frozen=True)
+class _Marks:
+    """Files by which a command is known: of results, of results without their first mark, and all names to look for."""
+
+    finished: Mapping[str, Artefact]
+    unfinished: Mapping[str, Artefact]
+    names: frozenset[str]
+
+
+def _marks() -> _Marks:
+    finished: dict[str, Artefact] = {}
+    unfinished: dict[str, Artefact] = {}
+    for artefact in artefacts():
+        if artefact.verb:
+            finished = {**dict.fromkeys(artefact.marks, artefact), **finished}
+            unfinished = {**dict.fromkeys(artefact.unfinished, artefact), **unfinished}
+    return _Marks(finished, unfinished, frozenset((*finished, *(path.partition("/")[0] for path in unfinished))))
+
+
+def _of_name(folder: Path, name: str, marks: _Marks) -> Iterator[tuple[Entry, Mapping[str, Any]]]:
     """Yield entries and inputs of a name, earlier runs first."""
     numbers = sorted((n for n in _folders(folder / EARLIER) if n.isdecimal()), key=int)
     for place, label in (*((folder / EARLIER / n, f"{name}/{n}") for n in numbers), (folder, name)):
         try:
             with os.scandir(place) as items:
-                there = {item.name: item.stat().st_mtime for item in items if item.name in marks}
+                there = {item.name: item.stat().st_mtime for item in items if item.name in marks.names}
         except OSError:  # removed meanwhile
             continue
-        mark = next((m for m in marks if m in there), None)
+        mark = next((m for m in marks.finished if m in there), None)
+        is_finished = mark is not None
+        if mark is None:
+            paths = (p for p in marks.unfinished if p.partition("/")[0] in there)
+            mark = next((p for p in paths if (place / p).is_file()), None)
         if mark is None:
             continue
-        content = content_of(place / mark) if mark.endswith(".json") else {}
-        verb = marks[mark].verb.removeprefix("cosim ")
-        yield Entry(0, label, place, verb, there[mark], _outcome(content), {}), scenario_inputs(content)
+        content = content_of(place / mark) if mark.endswith(".json") else {"status": ""}
+        outcome = UNFINISHED if not is_finished else _outcome(content) if content else DAMAGED
+        verb = (marks.finished if is_finished else marks.unfinished)[mark].verb.removeprefix("cosim ")
+        yield Entry(0, label, place, verb, there[mark.partition("/")[0]], outcome, {}), inputs_of(content)
 
 
 def _outcome(content: Mapping[str, Any]) -> str:
     """Return the outcome in a record: criteria, else verdict, status or sentence."""
+    if "sweep" in content and isinstance(runs := content.get("runs"), int):
+        met = content.get("met_all") if content.get("criteria") else None
+        counts = f"{runs} runs" + (f", {content['failed']} failed" if content.get("failed") else "")
+        return counts if met is None else f"{counts}, {met} met all criteria"
+    if "signals" in content and "within" in content:  # of a comparison
+        return {True: "within the tolerance", False: "beyond the tolerance"}.get(content["within"], "")
     criteria = content.get("criteria")
     judged = [c for c in criteria if isinstance(c, dict) and "met" in c] if isinstance(criteria, list) else []
     if judged:

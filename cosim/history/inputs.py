@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+OWN = ("fmu", "log", "logs", "sealed", "start", "given", "study", "sweep", "a", "b", "tolerance")  # without a scenario
 UNCHANGED = {"sha256", "name", "description"}  # keys of a scenario that are no inputs
 PARAMETER, FMU, SCENARIO, SEED, VERSION = "parameter", "FMU", "scenario", "seed", "version"
 KINDS = (PARAMETER, SCENARIO, FMU, SEED, VERSION)  # the order of a label and of a table
@@ -28,10 +29,11 @@ class DifferingInput:
     values: tuple[Any, ...]
 
 
-def scenario_inputs(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Return path → value of every leaf of the scenario in a record that is an input; empty without a scenario."""
+def inputs_of(record: Mapping[str, Any]) -> dict[str, Any]:
+    """Return path → value of every input in a record of a command: of its scenario, its files and its settings."""
     scenario = record.get("scenario")
-    return _flatten(scenario) if isinstance(scenario, dict) else {}
+    inputs = _flatten(scenario) if isinstance(scenario, dict) else {}
+    return inputs | {path: v for key in OWN if key in record for path, v in _flatten(record[key], key).items()}
 
 
 def changes_between(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, Any]:
@@ -87,12 +89,9 @@ def _short_value(value: Any) -> str:
 
 def _inputs(record: Mapping[str, Any]) -> dict[tuple[str, str], Any]:
     """Return (kind, name) → value of all inputs in a record."""
-    inputs = {(_kind_of(path), short_input(path)): value for path, value in scenario_inputs(record).items()}
+    inputs = {(_kind_of(path), short_input(path)): value for path, value in inputs_of(record).items()}
     for name, fmu in _mapping(record.get("fmus")).items():
         inputs[FMU, f"{name}.sha256"] = str(_mapping(fmu).get("sha256", ""))[:DIGITS]
-    for key in ("log", "fmu"):  # of a replay
-        if isinstance(record.get(key), str):
-            inputs[FMU if key == "fmu" else SCENARIO, key] = record[key]
     if not inputs:
         return {}
     versions = {"cosim": record.get("cosim_version"), **_mapping(record.get("versions"))}
@@ -103,7 +102,7 @@ def _inputs(record: Mapping[str, Any]) -> dict[tuple[str, str], Any]:
 def _kind_of(path: str) -> str:
     parts = path.split(".")
     if parts[0] != "components":
-        return SEED if path == "seed" else SCENARIO
+        return {"seed": SEED, "fmu": FMU, "start": PARAMETER}.get(parts[0], SCENARIO)
     return PARAMETER if "start" in parts[2:3] else FMU if parts[2:3] == ["fmu"] else SCENARIO
 
 
@@ -112,11 +111,23 @@ def _mapping(value: Any) -> Mapping[str, Any]:
 
 
 def _flatten(value: Any, place: str = "") -> dict[str, Any]:
-    """Return path → value of every leaf of a scenario that is an input."""
+    """Return path → value of every leaf of a value that is an input."""
+    leaves: dict[str, Any] = {}
+    _add_leaves(value, place, leaves)
+    return leaves
+
+
+def _add_leaves(value: Any, place: str, leaves: dict[str, Any]) -> None:
+    """Add the leaves of a value, one by one; a list of a thousand runs spends a third of its time here."""
     if isinstance(value, dict):
-        parts = ((f"{place}.{key}" if place else str(key), each) for key, each in value.items() if key not in UNCHANGED)
+        start = f"{place}." if place else ""
+        for key, each in value.items():
+            if isinstance(each, (dict, list)):
+                _add_leaves(each, f"{start}{key}", leaves)
+            elif key not in UNCHANGED:
+                leaves[f"{start}{key}"] = each
     elif isinstance(value, list) and any(isinstance(each, (dict, list)) for each in value):
-        parts = ((f"{place}[{number}]", each) for number, each in enumerate(value))
+        for number, each in enumerate(value):
+            _add_leaves(each, f"{place}[{number}]", leaves)
     else:
-        return {place: value}
-    return {name: leaf for part, each in parts for name, leaf in _flatten(each, part).items()}
+        leaves[place] = value

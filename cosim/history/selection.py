@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cosim.base.errors import Fault, refuse
+from cosim.base.suggestions import did_you_mean
 from cosim.history import messages
 from cosim.history.entries import Entry, entries, match_entries
 from cosim.storage.folders import RESULTS
-from cosim.storage.yaml_file import did_you_mean
 
 PATTERN = ("*", "?", "[")  # characters that make a text a pattern
 

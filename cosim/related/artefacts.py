@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from cosim.storage.artefact import Artefact
-from cosim.storage.kinds import FMU
+from cosim.storage.kind_names import FMU
 
 ARTEFACTS = (
     Artefact(

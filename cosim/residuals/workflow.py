@@ -177,7 +177,8 @@ def write_replay(
             errors.write(residual_file)
             units = {**results(drive, comparison.replays[FREE_RUN].outputs).units, **errors.units}
             sources = {"log": str(log.path), "fmu": "" if passing else str(fmu)}
-            _record(folder, {**sources, "sentence": verdict(comparison), "units": units})
+            chosen = {"start": dict(given)} if given else {}
+            _record(folder, {**sources, **chosen, "sentence": verdict(comparison), "units": units})
             if proposed and lacks_something(comparison):
                 write_text(folder / NEXT_STUDY, proposed)
             if report:
@@ -232,7 +233,7 @@ def _full(file: Path, residual: Path, log: Log) -> DiskFull:
 def _write_rows(rows: Results, file: Path) -> None:
     """Write the rows, with units in replay.json; raise DiskFull after a partial write."""
     try:
-        _record(file.parent, {"units": dict(rows.units)})
+        _record(file.parent, {"status": "stopped", "units": dict(rows.units)})  # rewritten at the end
         rows.write(file)
     except OSError as error:
         if not is_full(error):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from cosim.storage.artefact import Artefact
-from cosim.storage.kinds import LOG, MANIFEST, RESULTS, SCENARIO, SSP
+from cosim.storage.kind_names import LOG, MANIFEST, RESULTS, SCENARIO, SSP
 
 ARTEFACTS = (
     Artefact(
@@ -21,6 +21,7 @@ ARTEFACTS = (
         keys=(frozenset({"scenario", "schema_version"}),),
         verb="cosim run",
         marks=("manifest.json",),
+        unfinished=("checkpoint/run.json",),
         files=("manifest.json", "report.html", "figures/*.png", "system/*", "checkpoint/*"),
         tables=("results",),
         folder="the folder of a run",

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import functools
 import importlib
-import importlib.util
 import pkgutil
 from collections.abc import Callable, Mapping, Set
 from dataclasses import dataclass, field
@@ -54,6 +53,7 @@ class Artefact:
         taken_as: Kind accepted in place of this kind.
         verb: Command that writes the kind, e.g. "cosim refine".
         marks: Files that only this verb writes into a folder, the most specific first.
+        unfinished: Files of results that were stopped before their first mark.
         files: Names or patterns of further files written by the verb.
         tables: Names, without ending, of row files in any format.
         folder: Noun phrase for the folder.
@@ -76,6 +76,7 @@ class Artefact:
     taken_as: str = ""
     verb: str = ""
     marks: tuple[str, ...] = ()
+    unfinished: tuple[str, ...] = ()
     files: tuple[str, ...] = ()
     tables: tuple[str, ...] = ()
     folder: str = ""
@@ -107,7 +108,7 @@ def artefacts() -> tuple[Artefact, ...]:
             declared += attempt(name, verb.artefacts) or ()
     for room in pkgutil.iter_modules([str(ROOMS)], "cosim."):
         module = f"{room.name}.{DECLARATIONS}"
-        if room.ispkg and importlib.util.find_spec(module) is not None:
+        if (ROOMS / room.name.partition(".")[2] / f"{DECLARATIONS}.py").is_file():  # A search would import the room.
             declared += importlib.import_module(module).ARTEFACTS
     return tuple(declared)
 

@@ -19,7 +19,6 @@ from cosim.storage import messages
 from cosim.storage.artefact import artefacts
 from cosim.storage.files import delay_stops, write_text
 from cosim.storage.folder_lock import take_folder
-from cosim.storage.table_source import suffixes
 
 RESULTS = Path("results")
 EARLIER = "runs"  # folder of earlier runs inside a results folder, 0001 and so on
@@ -192,6 +191,8 @@ def keep_earlier(folder: Path, verb: str, also: Iterable[str] = ()) -> Path | No
 
 def _files_of(folder: Path, verb: str, also: Iterable[str]) -> list[Path]:
     """Return an earlier run's files in a folder."""
+    from cosim.storage.table_source import suffixes  # numpy, which `cosim list` does not need
+
     declared = [a for a in artefacts() if a.verb and (a.verb == verb or a.is_left_in(folder))]
     tables = (f"{stem}{suffix}" for a in declared for stem in a.tables for suffix in suffixes())
     patterns = dict.fromkeys((*(name for a in declared for name in a.files), *tables, *also))

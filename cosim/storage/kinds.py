@@ -14,14 +14,54 @@ from pathlib import Path
 from cosim.base.errors import InputError
 from cosim.storage import messages
 from cosim.storage.artefact import Artefact, artefacts, folder_kind, kind_by_keys, kind_where, of_kind
+from cosim.storage.kind_names import (
+    ANSWER as ANSWER,
+)
+from cosim.storage.kind_names import (
+    BINARY as BINARY,
+)
+from cosim.storage.kind_names import (
+    CODE as CODE,
+)
+from cosim.storage.kind_names import (
+    FIT_STUDY as FIT_STUDY,
+)
+from cosim.storage.kind_names import (
+    FMU as FMU,
+)
+from cosim.storage.kind_names import (
+    LOG as LOG,
+)
+from cosim.storage.kind_names import (
+    MANIFEST as MANIFEST,
+)
+from cosim.storage.kind_names import (
+    MODEL as MODEL,
+)
+from cosim.storage.kind_names import (
+    RESULTS as RESULTS,
+)
+from cosim.storage.kind_names import (
+    SCENARIO as SCENARIO,
+)
+from cosim.storage.kind_names import (
+    SSP as SSP,
+)
+from cosim.storage.kind_names import (
+    STUDY as STUDY,
+)
+from cosim.storage.kind_names import (
+    SWEEP as SWEEP,
+)
+from cosim.storage.kind_names import (
+    TABLE as TABLE,
+)
+from cosim.storage.kind_names import (
+    TEXT as TEXT,
+)
 from cosim.storage.table_source import sources, suffixes
 from cosim.storage.yaml_file import YamlFile
 
-LOG, FMU, SSP, SCENARIO = "a log", "an FMU", "an SSP", "a scenario"
-MANIFEST, STUDY, MODEL, ANSWER = "a manifest", "a study", "a model file", "an answer of `cosim refine`"
-FIT_STUDY = "a study of a fit"
-CODE, SWEEP, RESULTS, TABLE = "a model's Python file", "a sweep", "the rows of a run", "a table of runs"
-TEXT, BINARY = "a text", "a binary file"
 WRITTEN = {".yaml", ".yml", ".json"}  # endings of files identified by their keys
 PROSE = {".md", ".rst", ".mmd", ".tex", ".c", ".h", ".toml", ".sh"}
 COLUMNS = {"", ".txt", ".dat", ".tsv", ".log", ".asc"}  # text, or a table of an instrument

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import copy
-import difflib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args, get_origin
 
@@ -28,6 +26,8 @@ from pydantic_core.core_schema import (
 
 from cosim.base.errors import Fault, InputError
 from cosim.base.messages import Message, code_of, with_prefix
+from cosim.base.suggestions import closest as closest
+from cosim.base.suggestions import did_you_mean as did_you_mean
 from cosim.base.units import allowed_quantity, has_unit, read_quantity
 from cosim.storage import messages
 from cosim.storage.yaml_nodes import Location, NotYaml, document_of
@@ -93,27 +93,8 @@ Share = InUnit("1")  # a number, or text such as `5 %`
 MOST_BYTES = 8_000_000  # size of a file [bytes]
 MOST_FAULTS = 200  # reported faults per file
 LONGEST = 80  # shown characters of a name or value
-WORDS, LONGEST_WORD = 2000, 100  # searched words, and their length, for a suggestion
 M = TypeVar("M", bound=BaseModel)
 Origin = Callable[[Location, str, int], Fault]
-
-
-def closest(word: str, words: Iterable[str], similarity: float = 0.6) -> str:
-    """Return the closest of some words, or "".
-
-    Args:
-        similarity: Required similarity; 1 means equal.
-    """
-    if len(word) > LONGEST_WORD:
-        return ""
-    candidates = [w for w in islice(words, WORDS) if len(w) <= LONGEST_WORD]
-    return "".join(difflib.get_close_matches(word, candidates, n=1, cutoff=similarity))
-
-
-def did_you_mean(word: str, words: Iterable[str]) -> str:
-    """Return `; did you mean "…"?` for a close word, or ""."""
-    match = closest(word, words)
-    return f'; did you mean "{match}"?' if match else ""
 
 
 class YamlFile:

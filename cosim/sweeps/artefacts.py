@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from cosim.storage.artefact import Artefact
-from cosim.storage.kinds import SWEEP, TABLE
+from cosim.storage.kind_names import SWEEP, TABLE
 
 ARTEFACTS = (
     Artefact(
@@ -22,6 +22,7 @@ ARTEFACTS = (
         keys=(frozenset({"schema_version", "sweep", "runs"}),),
         verb="cosim sweep",
         marks=("sweep.json",),
+        unfinished=("runs.sqlite",),
         files=("sweep.json", "sweep.parquet", "runs.sqlite", "report.html"),
         folder="the folder of a sweep",
         folder_step="`cosim.read` reads it in Python",

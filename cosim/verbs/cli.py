@@ -20,14 +20,14 @@ from cosim.base.program import as_program
 from cosim.base.registry import ExtensionWarning, attempt
 from cosim.base.version import __version__
 from cosim.storage.files import check_text
-from cosim.verbs import messages, verbs
+from cosim.verbs import VERBS, messages, verbs
 from cosim.verbs.help import WHOLE_WIDTH, GroupedHelp, VerbHelp
 from cosim.verbs.manner import with_manner
 from cosim.verbs.outcome import say_partial
 from cosim.verbs.streams import open_streams
 from cosim.verbs.terminal import LAST, say, say_error, say_failure, say_usage, warn
 
-app = typer.Typer(
+_app = typer.Typer(
     cls=GroupedHelp,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": WHOLE_WIDTH},
     help="Simulate coupled FMUs, compare them with measured logs, and find missing effects of a model.",
@@ -43,7 +43,7 @@ def _show_version(value: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
+@_app.callback()
 def main(
     version: Annotated[
         bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit.")
@@ -62,9 +62,23 @@ def _show_warning(message: Warning | str, category: type[Warning], *place: Any, 
 
 _python_shows = warnings.showwarning
 warnings.showwarning = _show_warning
-for _name, _verb in verbs():
-    if _verb.command and (_command := attempt(_name, _verb.command)) is not None:
-        app.command(_name, cls=VerbHelp, rich_help_panel=_verb.group)(with_manner(_command))
+
+
+def _register(*, only: str = "") -> None:
+    """Register the commands of all verbs, or of one verb of cosim, so that the others need not be imported."""
+    every = [(only, VERBS[only])] if only in VERBS and VERBS[only].command else verbs()
+    for name, verb in every:
+        if verb.command and (command := attempt(name, verb.command)) is not None:
+            _app.command(name, cls=VerbHelp, rich_help_panel=verb.group)(with_manner(command))
+
+
+def __getattr__(name: str) -> Any:
+    """Return `app`, the command line with all verbs."""
+    if name != "app":
+        raise AttributeError(name)
+    _register()
+    globals()["app"] = _app
+    return _app
 
 
 def entry() -> None:
@@ -86,7 +100,8 @@ def _run() -> None:
     """Run the command of this process; exit with its code."""
     try:
         check_text([*sys.argv[1:], *_current_folder(), os.environ.get("TMPDIR", "")])
-        sys.exit(app(standalone_mode=False) or 0)
+        _register(only=sys.argv[1] if len(sys.argv) > 1 else "")
+        sys.exit(_app(standalone_mode=False) or 0)
     except CosimError as error:
         say_error(error)
         say_failure(error)

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.base.errors import CriterionMissed
-from cosim.storage.results import rows_in
 from cosim.verbs import messages
 from cosim.verbs.terminal import MANNER, colour, say, say_json, say_more, show, table, warn
 
@@ -49,6 +48,8 @@ def say_outcome(
 
 def say_partial(folder: Path) -> None:
     """Print the files of an incomplete run."""
+    from cosim.storage.results import rows_in
+
     for title, path in (("rows so far:", rows_in(folder)), ("report:     ", folder / "report.html")):
         if path is not None and path.is_file():
             say(f"{title} {path}")

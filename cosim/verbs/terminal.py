@@ -18,7 +18,6 @@ import typer
 
 from cosim.base.errors import CosimError, InputError, SimulationError
 from cosim.base.messages import code_of
-from cosim.storage.results import rows_in
 from cosim.verbs import messages
 from cosim.verbs.streams import echo
 
@@ -105,6 +104,8 @@ def _record_message(text: str) -> str:
 
 def _describe_stop(error: SimulationError) -> dict[str, Any]:
     """Return time and files of a stopped run; null for missing ones."""
+    from cosim.storage.results import rows_in
+
     names = {"manifest": "manifest.json", "report": "report.html"}
     paths = {key: None if error.left is None else error.left / name for key, name in names.items()}
     paths["results"] = None if error.left is None else rows_in(error.left)
