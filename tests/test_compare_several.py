@@ -218,3 +218,65 @@ def test_folders_of_one_name_have_labels_that_differ(tmp_path: Path) -> None:
     shutil.rmtree(sides[1])
     with pytest.raises(InputError, match="no such folder"):
         cosim.compare(sides)
+
+
+# -- results that are not as they should be -----------------------------------------------------------
+
+
+def _rows(folder: Path, gain: float, record: str = "", names: tuple[str, ...] = ("a.x",)) -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    Results(TIME, names, np.outer(TIME, gain + np.arange(len(names)))).write(folder / "results.csv")
+    (folder / "manifest.json").write_text(record, encoding="utf-8")
+    return folder
+
+
+ODD = '{"scenario": [1], "criteria": "x", "units": [1], "beside": 3, "versions": "no", "git": [1], "fmus": ["a"], %s}'
+
+
+def test_results_of_other_versions_and_half_written_ones_are_compared_by_their_rows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    root = tmp_path / "results"
+    _rows(root / "new", 1.0, ODD % '"schema_version": 99, "cosim_version": "99.0"')
+    _rows(root / "cut", 2.0, '{"scenario": {"na')
+    _rows(root / "empty", 3.0)
+    (_rows(root / "gone", 4.0, "{}") / "results.csv").unlink()
+    (_rows(root / "torn", 5.0, "{}") / "results.csv").write_text("time,a.x\n0,1\n0.1")
+    done = _invoke(["*", "--baseline", "new", "--out", "out", "--json"])
+    assert done.exit_code == 0, done.output
+    content = json.loads(done.stdout)
+    assert sorted(r["label"].partition("(")[2] for r in content["runs"]) == ["cut)", "empty)", "new)"]
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "results/torn/results.csv:3:1: has 1 cell, the header 2" in page
+    for name, message in (("gone", "holds no rows"), ("torn", "has 1 cell, the header 2")):
+        error = _invoke(["new", name]).exception
+        assert message in str(error)
+
+
+def test_names_that_differ_only_in_case_are_different(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    root = tmp_path / "results"
+    for gain, name in enumerate(("Tank", "tank", "tank/runs/0001"), 1):
+        _rows(root / name, gain, "{}", ("a.X", "a.x"))
+    if (root / "Tank").samefile(root / "tank"):
+        pytest.skip("this file system ignores case")
+    found = cosim.compare(["tank*", "Tank"])
+    assert isinstance(found, ComparedRuns)
+    assert sorted(label.partition("(")[2] for label in found.labels) == ["Tank)", "tank)", "tank/0001)"]
+    assert sorted(found.ranking) == ["a.X", "a.x"]
+
+
+def test_of_many_signals_the_page_lists_those_that_differ_most() -> None:
+    names = tuple(f"a.x{k}" for k in range(1000))
+
+    def source(gain: float) -> RunSource:
+        rows = Results(TIME[:3], names, np.outer(TIME[:3], 1.0 + gain * np.arange(1000)))
+        return RunSource(f"gain {gain}", Path(str(gain)), lambda: RecordedRun(Path(str(gain)), "", rows))
+
+    found = compare_several([source(0.0), source(1.0), source(2.0)])
+    assert found.ranking[0] == "a.x999"
+    page = several_page(found, "", [])
+    assert "800 more are in comparison.json" in page
+    assert "the 12 signals that differ most" in page
+    assert "a.x100<" not in page

@@ -327,6 +327,16 @@ def test_mat_is_read_by_octave(tmp_path: Path) -> None:
     code = f"load('{path}'); printf('%s %g\\n', names{{1}}, values(end, 1))"
     done = subprocess.run([octave, "--no-gui", "--eval", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["tank.level", "4"]
+    values = "time = [0; 1]; n = int8([1; 2]); x = [0.5; 2]"
+    for option, reason in (("-v7", ""), ("-v6", ""), ("-text", "save('-v7'"), ("-binary", "save('-v7'")):
+        code = f"cd('{tmp_path}'); {values}; save('{option}', 'o.mat', 'time', 'n', 'x')"
+        subprocess.run([octave, "--no-gui", "--eval", code], capture_output=True, check=True)
+        if reason:
+            assert reason in faults_of(tmp_path / "o.mat")[0]
+            continue
+        read = read_results(tmp_path / "o.mat")
+        assert {name: read[name].tolist() for name in read.columns} == {"n": [1.0, 2.0], "x": [0.5, 2.0]}
+        assert read.whole == {"n"}
 
 
 def test_hdf5_is_read_by_h5py_and_datasets_of_other_tools_become_columns(tmp_path: Path) -> None:

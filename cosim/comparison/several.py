@@ -38,6 +38,7 @@ class RunSource:
 
     Attributes:
         short: Short name.
+        longer: Name that says more, for a run without an input that differs.
         read: Function that reads the run.
         is_optional: Whether the run is left out if it cannot be read or compared, because a pattern matched it.
     """
@@ -46,6 +47,7 @@ class RunSource:
     path: Path
     read: Callable[[], RecordedRun]
     is_optional: bool = False
+    longer: str = ""
 
 
 @dataclass(frozen=True, repr=False)
@@ -229,7 +231,11 @@ def compare_several(
     refuse(faults or ([] if comparisons else left_out))
     kept = sorted(bare)
     shorts = _different([sources[k].short for k in kept])
-    labels, inputs = label_runs([bare[k] for k in kept], shorts)
+    longer = [
+        short if short != sources[k].short else sources[k].longer or short
+        for k, short in zip(kept, shorts, strict=True)
+    ]
+    labels, inputs = label_runs([bare[k] for k in kept], shorts, longer)
     runs = {k: replace(bare[k], name=label) for k, label in zip(kept, labels, strict=True)}
     named = [replace(c, a=runs[baseline], b=runs[k]) for k, c in sorted(comparisons.items())]
     ranked = sorted(comparisons, key=lambda k: -max(d.share for d in comparisons[k].differences))
@@ -247,10 +253,12 @@ def compare_several(
     return replace(compared, curves=curves, units=units)
 
 
-def label_runs(runs: Sequence[RecordedRun], shorts: Sequence[str]) -> tuple[list[str], list[DifferingInput]]:
+def label_runs(
+    runs: Sequence[RecordedRun], shorts: Sequence[str], longer: Sequence[str]
+) -> tuple[list[str], list[DifferingInput]]:
     """Return a label for each run, with the inputs that differ between the runs: `run 3 (mass = 440)`."""
     inputs = differing_inputs([run.manifest or replay_record(run.path) for run in runs])
-    return labels_of(shorts, inputs, unique=[str(run.path) for run in runs]), inputs
+    return labels_of(shorts, inputs, unique=[str(run.path) for run in runs], longer=longer), inputs
 
 
 class _Reader:

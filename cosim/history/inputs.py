@@ -55,17 +55,20 @@ def differing_inputs(records: Sequence[Mapping[str, Any]]) -> list[DifferingInpu
     return sorted(rows, key=lambda row: KINDS.index(row.kind))
 
 
-def labels_of(names: Sequence[str], inputs: Sequence[DifferingInput], *, unique: Sequence[str]) -> list[str]:
+def labels_of(
+    names: Sequence[str], inputs: Sequence[DifferingInput], *, unique: Sequence[str], longer: Sequence[str] = ()
+) -> list[str]:
     """Return a label that differs from all others for each run: `run 3 (mass = 440)`.
 
     Args:
         unique: A text for each run, such as its path, that tells runs with equal labels apart.
+        longer: Labels of runs without an input that differs, by default their names.
     """
     chosen = [row for row in inputs if row.kind != VERSION][:MOST_IN_LABEL]
     labels = []
     for k, name in enumerate(names):
         texts = [f"{row.name} = {_short_value(row.values[k])}" for row in chosen if row.values[k] is not None]
-        labels.append(f"{name} ({', '.join(texts)})" if texts else name)
+        labels.append(f"{name} ({', '.join(texts)})" if texts else (longer or names)[k])
     return [f"{t}, {u}" if labels.count(t) > 1 else t for t, u in zip(labels, unique, strict=True)]
 
 

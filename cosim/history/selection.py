@@ -36,6 +36,11 @@ class Selected:
             return self.entry.short
         return self.path.resolve().name if self.path.is_dir() else self.path.stem
 
+    @property
+    def longer(self) -> str:
+        """Return a name that says more: `run 3 (tank/0001)`, or the name of the path."""
+        return self.short if self.entry is None else f"{self.short} ({self.entry.name})"
+
 
 def select_results(texts: Sequence[str], results: Path | None = None) -> list[Selected]:
     """Return the results of paths, numbers, names and patterns such as `tank/*`, in this order.

@@ -9,6 +9,7 @@ from typing import Any
 
 from cosim.base.errors import InputError
 from cosim.simulation import messages
+from cosim.storage.artefact import folder_kind
 from cosim.storage.folders import manifest_in, replay_record
 from cosim.storage.kinds import LOG, check_given, refuse_folder
 from cosim.storage.results import Results, read_results, rows_in
@@ -42,7 +43,9 @@ def read_ran(path: Path) -> RecordedRun:
         return RecordedRun(path, path.stem, read_results(path))
     rows = rows_in(path)
     if rows is None:
-        refuse_folder(path, WANTED)
+        kind = folder_kind(path)
+        if kind is None or "results" not in kind.tables:
+            refuse_folder(path, WANTED)
         names = " or ".join(f"results{suffix}" for suffix in suffixes())
         raise InputError.at(path, messages.NO_ROWS(names=names, kind=WANTED))
     manifest = manifest_in(path)

@@ -16,9 +16,10 @@ from cosim.base.drafts import draft_of
 from cosim.base.errors import InputError
 from cosim.storage import messages
 from cosim.storage.table_columns import split_heading
-from cosim.storage.table_source import Frame, Source, SourceColumn, as_text
+from cosim.storage.table_source import HEAD, Frame, Source, SourceColumn, as_text
 
 MAGIC = b"MATLAB 5.0 MAT-file"
+OF_OCTAVE = b"# Created by Octave", b"Octave-1-"
 MOST_BYTES = 2**31 - 1  # of a variable
 
 
@@ -81,9 +82,14 @@ def _content(path: Path) -> Mapping[str, Any]:
     from scipy.io import loadmat
 
     try:
+        with path.open("rb") as stream:
+            if stream.read(HEAD).startswith(OF_OCTAVE):
+                raise InputError.at(path, messages.OCTAVE_FORMAT())
         content: Mapping[str, Any] = loadmat(path)
     except NotImplementedError:  # version 7.3
         raise InputError.at(path, messages.MAT_73()) from None
+    except InputError:
+        raise
     except OSError as error:
         raise InputError.at(path, messages.BAD_TABLE(format="MAT", reason=error.strerror or error)) from None
     except Exception as error:  # scipy reports damage by many kinds of errors

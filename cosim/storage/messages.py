@@ -175,5 +175,8 @@ LARGE_MAT = Template(
     "E-STO-104", "{rows} rows of {columns} columns are more than the 2 GB of a MAT variable; take another format"
 )
 MAT_73 = Template("E-STO-101", "is a MAT file of version 7.3; write it with -v7, or as HDF5 with one dataset a signal")
+OCTAVE_FORMAT = Template(
+    "E-STO-105", "is a file in a format of Octave's own; write it as save('-v7', 'NAME.mat', 'time', …)"
+)
 BAD_TABLE = Template("E-STO-102", "is no {format} file that can be read: {reason}; write it again")
 MCAP_TIME = Template("E-STO-103", "times from {first:g} s to {last:g} s: MCAP counts from 0; take another format")

@@ -124,7 +124,9 @@ def _named_source(selected: Selected) -> RunSource:
     from cosim.comparison.several import RunSource
     from cosim.simulation.run_files import read_ran
 
-    return RunSource(selected.short, selected.path, partial(read_ran, selected.path), selected.by_pattern)
+    return RunSource(
+        selected.short, selected.path, partial(read_ran, selected.path), selected.by_pattern, selected.longer
+    )
 
 
 def _result_source(side: Signals) -> RunSource:
@@ -145,7 +147,7 @@ def _both(sources: Sequence[RunSource], baseline: int) -> tuple[RecordedRun, Rec
     runs = [source.read() for source in ordered]
     shorts = [source.short for source in ordered]
     if shorts[0] == shorts[1] or shorts != [run.name for run in runs]:
-        labels, _ = label_runs(runs, shorts)
+        labels, _ = label_runs(runs, shorts, [source.longer or source.short for source in ordered])
         runs = [replace(run, name=label) for run, label in zip(runs, labels, strict=True)]
     return runs[0], runs[1]
 
