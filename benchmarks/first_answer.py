@@ -1,6 +1,6 @@
-"""From two unknown FMUs to three compared runs in the browser: `python -m benchmarks.first_answer [A.fmu B.fmu]`.
+"""Time from two unknown FMUs to three compared runs.
 
-Every command of the way is printed with its time. Without arguments the FMUs of the first tutorial are taken, which
+`python -m benchmarks.first_answer [A.fmu B.fmu]`: every command of the way is printed with its time. Without arguments the FMUs of the first tutorial are taken, which
 are built before the clock starts. The page counts as read when a Chromium, if there is one, has drawn its charts.
 """
 
@@ -35,7 +35,10 @@ class Way:
         self.seconds: list[float] = []
 
     def take(self, *words: str) -> str:
-        """Make one step of a user, print it with its time, and return its output; exit at a failure."""
+        """Run a command and return its output.
+
+        The command is printed with its time; a failure ends the program.
+        """
         program = [sys.executable, "-m", "cosim"] if words[0] == "cosim" else [words[0]]
         begin = time.perf_counter()
         environment = {**os.environ, "PYTHONPATH": str(ROOT)}
@@ -51,7 +54,7 @@ class Way:
 
 
 def first_answer(fmus: Sequence[Path], folder: Path) -> dict[str, Any]:
-    """Go the way in a folder; return commands, seconds, and the curves that the browser drew."""
+    """Go the way and return its figures."""
     way = Way(folder)
     about = json.loads(way.take("cosim", "info", *map(str, fmus), "--json"))
     way.take("cosim", "init", *map(str, fmus), "--out", "first.yaml")
@@ -74,7 +77,10 @@ def first_answer(fmus: Sequence[Path], folder: Path) -> dict[str, Any]:
 
 
 def _parameter(about: Any, scenario: Path) -> tuple[str, float]:
-    """Return the first parameter with a start value other than 0, as COMPONENT.start.NAME, and its value."""
+    """Return the first parameter other than 0.
+
+    The name is COMPONENT.start.NAME; the value comes with it.
+    """
     for component, fmu in zip(YamlFile(scenario).root["components"], about, strict=True):
         for variable in fmu["variables"]:
             if variable["causality"] == "parameter" and variable["type"] in REALS and float(variable["start"] or 0):
@@ -83,7 +89,10 @@ def _parameter(about: Any, scenario: Path) -> tuple[str, float]:
 
 
 def _browse(way: Way, page: Path) -> int | None:
-    """Open the page in a browser; return the number of drawn curves, None without a browser."""
+    """Return the number of curves in a browser.
+
+    It is None without a browser.
+    """
     browser = next((found for name in BROWSERS if (found := shutil.which(name))), None)
     if browser is None:
         print("    no Chromium here: the page is written, and not opened")
@@ -104,7 +113,7 @@ def tutorial_fmus(folder: Path) -> list[Path]:
 
 
 def main() -> None:
-    """Go the way with the FMUs of the command line, and print the outcome as one JSON line."""
+    """Print the figures as one JSON line."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         fmus = [Path(word).resolve() for word in sys.argv[1:]] or tutorial_fmus(folder)
