@@ -1,7 +1,8 @@
 """Time from two unknown FMUs to three compared runs.
 
-`python -m benchmarks.first_answer [A.fmu B.fmu]`: every command of the way is printed with its time. Without arguments the FMUs of the first tutorial are taken, which
-are built before the clock starts. The page counts as read when a Chromium, if there is one, has drawn its charts.
+`python -m benchmarks.first_answer [A.fmu B.fmu]` prints every command of the way with its time. Without arguments the
+FMUs of the first tutorial are taken, which are built before the clock starts. The page counts as read when a Chromium,
+if there is one, has drawn its charts.
 """
 
 from __future__ import annotations
