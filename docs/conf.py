@@ -42,11 +42,16 @@ def fill(app: Any, page: str, source: list[str]) -> None:
         link = f'<a href="gallery/{thumbnail.stem}.html">'
         image = f'<img src="gallery/{thumbnail.name}" alt="" width="240"><br>'
         source[0] = source[0].replace(link, link + image)
+    if (DOCS / "_made" / "gallery" / "view.png").is_file():
+        picture = (
+            '<img src="gallery/view.png" alt="Two runs in the signal browser: three axes, one cursor, an XY plot">'
+        )
+        source[0] = source[0].replace("<!-- picture: view -->", picture)
 
 
 def list_changed_pages(app: Any, env: Any, added: set[str], changed: set[str], removed: set[str]) -> list[str]:
     """Return the pages that `fill` changes: Sphinx reads them again in every build."""
-    return ["api", "cli", "gallery"]
+    return ["api", "cli", "gallery", "view"]
 
 
 def setup(app: Any) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import shlex
 import shutil
@@ -61,6 +62,35 @@ def gallery() -> None:
                 sys.exit(f"cosim {words}: exit code {done.returncode}, not {wanted}\n{done.stderr}")
             if page:
                 shutil.copy(folder / "results" / page / "report.html", MADE / "gallery" / f"{page}.html")
+        draw_signals(folder)
+
+
+def draw_signals(folder: Path) -> None:
+    """Draw `cosim view` with two runs, if there are Playwright and a Chromium."""
+    sys.path.insert(0, str(ROOT))
+    from benchmarks.view import Chromium, served, wait_ready
+
+    try:
+        browser = Chromium()
+    except Exception:
+        print("no Playwright or no Chromium: docs/view.md has no picture")
+        return
+    runs = ("two-fmus", "firm")
+    axes = [
+        [{"curves": [{"run": run, "name": name, "colour": 2 * k + place} for place, run in enumerate(runs)]}]
+        for k, name in enumerate(("Tank.level", "Controller.pump_flow"))
+    ]
+    plots = [{"kind": "time", "across": None, "axes": axes[0] + axes[1]}]
+    plots.append({"kind": "xy", "across": {"run": runs[0], "name": "Tank.level"}, "axes": axes[1]})
+    layout = folder / "view.json"
+    layout.write_text(json.dumps({"schema_version": 1, "layouts": {"last": {"plots": plots}}}))
+    try:
+        with served(*(str(folder / "results" / run) for run in runs), "--layout", str(layout)) as (url, _):
+            browser.open(url)
+            wait_ready(browser)
+            (MADE / "gallery" / "view.png").write_bytes(browser.screenshot())
+    finally:
+        browser.close()
 
 
 def draw_thumbnails() -> None:

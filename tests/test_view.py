@@ -400,6 +400,7 @@ def test_a_derived_signal_is_a_signal_of_its_run(page: tuple[ViewPage, Ask], tmp
         ("points", {"from": 0, "to": 1, "width": 10**9, "curves": []}),
         ("points", {"from": 0, "to": 1, "width": 10, "curves": [[7, "x"]]}),
         ("points", {"from": 0, "to": 1, "width": 10, "curves": [[-1, "x"]]}),
+        ("plane", {"from": 0, "to": 1, "width": 10, "curves": [[0, "x"]], "across": [[1, "x"]]}),
         ("values", {"at": "now", "curves": []}),
         ("layouts", {"name": "", "layout": {}}),
         ("layouts", {"name": "a", "layout": 3}),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -30,7 +30,7 @@ TEMPLATE = Path(__file__).with_name("templates") / "view.html.j2"
 WIDEST, MOST_POINTS = 8192, 20_000  # pixel columns of a picture, points of a plane
 MOST_CELLS = 50_000_000  # values of an exported table
 LOOK = 1.0  # [s] between looks at the files of the runs
-LOST = -1.0  # number of points of a run that is lost
+LOST = (np.array([-1.0, 0.0]),)  # in the place of points of a run that is lost
 
 
 class ViewPage(ServedPage):
@@ -93,38 +93,43 @@ class ViewPage(ServedPage):
         if not begin < end or not 0 < width <= WIDEST:
             raise _refused("a range of times and a width")
         pictures: dict[int, Picture] = {}
-        parts: list[Array] = []
-        for run, name in self._curves(request):
-            if not run.check():
-                parts.append(np.array([LOST, 0.0]))
-                continue
-            picture = pictures.setdefault(id(run), run.rows.picture(begin, end, width))
+
+        def points(run: ViewedRun, name: str) -> list[Array]:
+            if id(run) not in pictures:
+                pictures[id(run)] = run.rows.picture(begin, end, width)
+            picture = pictures[id(run)]
             low, high = picture.points(name)
             is_row = picture.starts is None
-            parts += [np.array([low.size, float(is_row)]), picture.time, low, *([] if is_row else [high])]
-        return _binary(parts)
+            return [np.array([low.size, float(is_row)]), picture.time, low, *([] if is_row else [high])]
+
+        return _binary([part for curve in self._curves(request) for part in _unless_lost(curve[0], points, *curve)])
 
     def _plane(self, request: Request) -> Answer:
         """Return for each pair of signals the number of points, the distance of their rows, then time, x and y."""
         begin, end, most = _number(request, "from"), _number(request, "to"), int(_number(request, "width"))
-        parts: list[Array] = []
-        for (run, x), (_, y) in zip(self._curves(request, "across"), self._curves(request), strict=True):
-            if not run.check():
-                parts.append(np.array([LOST, 0.0]))
-                continue
+
+        def plane(run: ViewedRun, x: str, y: str) -> list[Array]:
             step, columns = run.rows.every([TIME, x, y], begin, end, max(2, min(most, MOST_POINTS)))
-            parts += [np.array([columns[0].size, float(step)]), *columns]
-        return _binary(parts)
+            return [np.array([columns[0].size, float(step)]), *columns]
+
+        curves, across = self._curves(request), self._curves(request, "across")
+        if [run for run, _ in curves] != [run for run, _ in across]:
+            raise _refused("signals of one run for both axes")
+        pairs = [(run, x, y) for (run, x), (_, y) in zip(across, curves, strict=True)]
+        return _binary([part for pair in pairs for part in _unless_lost(pair[0], plane, *pair)])
 
     def _values(self, request: Request) -> Answer:
         """Return time and value of each curve at its last row up to a time; NaN before the first."""
         at = _number(request, "at")
-        values = []
-        for run, name in self._curves(request):
-            row = run.rows.locate(at, "right") - 1 if run.check() else -1
-            both = (run.rows.read(n, row, row + 1)[0] for n in (TIME, name)) if row >= 0 else (math.nan, math.nan)
-            values += [*both]
-        return _binary([np.array(values)])
+
+        def value(run: ViewedRun, name: str) -> list[Array]:
+            row = run.rows.locate(at, "right") - 1
+            return [run.rows.read(each, row, row + 1) if row >= 0 else np.array([np.nan]) for each in (TIME, name)]
+
+        nothing = [np.full(2, np.nan)]
+        return _binary(
+            [p for curve in self._curves(request) for p in _unless_lost(curve[0], value, *curve, lost=nothing)]
+        )
 
     def _derive(self, request: Request) -> Answer:
         """Add a derived signal to the run of its first signal."""
@@ -196,6 +201,16 @@ class ViewPage(ServedPage):
         raise _refused("a run and a signal that it has")
 
 
+def _unless_lost(run: ViewedRun, read: Callable[..., list[Array]], *of: Any, lost: Sequence[Array] = LOST) -> Any:
+    """Return what is read of a run; without its file or a file of its cache, the sign of a lost run."""
+    if run.check():
+        try:
+            return read(*of)
+        except OSError:
+            run.lost = messages.LOST(run=run.place.label)
+    return lost
+
+
 def _content(request: Request) -> dict[str, Any]:
     if not isinstance(request.content, dict):
         raise _refused("an object")
@@ -232,4 +247,4 @@ def _joined_rows(places: Sequence[tuple[Array, Array]], columns: Sequence[Array]
 
 
 def _cell(value: float) -> str:
-    return repr(value) if math.isfinite(value) else ""
+    return "" if math.isnan(value) else repr(value)

@@ -25,7 +25,7 @@ class SignalPlot {
     this.legend = make("span", { class: "legend" });
     this.tools = make("span", { class: "tools" });
     this.grid = make("div", { class: "axes" });
-    this.figure = make("figure", { class: "plot" }, make("figcaption", {}, this.title, this.legend), this.grid);
+    this.figure = make("figure", { class: `plot ${kind}` }, make("figcaption", {}, this.title, this.legend), this.grid);
     this.title.addEventListener("click", () => desk.mark(this));
     for (const kindOfFile of ["PNG", "SVG", "CSV"])
       this.tools.append(this.button(kindOfFile, () => desk.export(this, kindOfFile)));
@@ -52,6 +52,7 @@ class SignalPlot {
         this.across = { run, name };
         continue;
       }
+      if (this.across && !(this.across.name in this.desk.runs[run].units)) continue;
       if (this.curves.some((c) => c.run === run && c.name === name)) continue;
       const unit = this.desk.runs[run].units[name] || "",
         used = new Set(this.curves.map((c) => c.colour)),
