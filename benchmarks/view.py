@@ -25,7 +25,7 @@ READY = "document.documentElement.dataset.ready === 'view' && document.documentE
 ZOOM = """(async () => {
   const box = document.querySelector(".box"), frame = box.getBoundingClientRect(), times = [];
   const root = document.documentElement.dataset;
-  for (let k = 0; k < 24; k++) {
+  for (let k = 0; k < 16; k++) {
     const at = { clientX: frame.left + frame.width * (0.3 + 0.01 * k), clientY: frame.top + 50 };
     const start = performance.now();
     root.view = "asked";
@@ -39,9 +39,9 @@ ZOOM = """(async () => {
 CURSOR = """(async () => {
   const box = document.querySelector(".box"), frame = box.getBoundingClientRect(), times = [];
   const cells = [...document.querySelectorAll(".legend output")].slice(0, 2);
-  for (let k = 0; k < 24; k++) {
+  for (let k = 0; k < 16; k++) {
     const start = performance.now(),
-      at = { clientX: frame.left + frame.width * (0.1 + 0.03 * k), clientY: frame.top + 9 };
+      at = { clientX: frame.left + frame.width * (0.1 + 0.05 * k), clientY: frame.top + 9 };
     box.dispatchEvent(new PointerEvent("pointermove", { ...at, bubbles: true }));
     while (cells.some((cell) => !cell.textContent || cell.textContent.includes("…")))
       await new Promise((done) => requestAnimationFrame(done));
@@ -66,9 +66,9 @@ def make_runs(folder: Path, runs: int, rows: int, signals: int) -> None:
         parquet.write_table(pa.table({"time": at, **columns}), file, row_group_size=65_536, use_dictionary=False)
 
 
-def write_layout(file: Path, run: str, signals: int, curves: int) -> None:
+def write_layout(file: Path, run: str, curves: int) -> None:
     """Write a layout of four plots."""
-    names = [f"plant{k // 10}.x{k % 10}" for k in range(min(signals, curves))]
+    names = [f"plant{k // 10}.x{k % 10}" for k in range(curves)]
     plots = [
         {
             "kind": "time",
@@ -191,12 +191,12 @@ def wait_ready(browser: Any) -> None:
         time.sleep(0.01)
 
 
-def measure(browser: Any, folder: Path, signals: int) -> dict[str, float]:
+def measure(browser: Any, folder: Path, numbers: list[int]) -> dict[str, float]:
     """Return medians and 90 % quantiles of zoom and cursor [ms], and the seconds until 20 runs are shown."""
     found: dict[str, float] = {}
-    for curves in (8, signals):
+    for curves in numbers:
         layout = folder / f"layout{curves}.json"
-        write_layout(layout, "wide/run00", signals, curves)
+        write_layout(layout, "run00", curves)
         with served(str(folder / "wide" / "run00"), "--layout", str(layout)) as (url, _):
             browser.open(url)
             wait_ready(browser)
@@ -219,12 +219,20 @@ def main() -> None:
     options.add_argument("--rows", type=int, default=1_000_000)
     options.add_argument("--signals", type=int, default=100)
     options.add_argument("--runs", type=int, default=20)
+    options.add_argument("--curves", type=int, nargs="*", default=[8, 100], help="curves of four plots")
     chosen = options.parse_args()
     make_runs(chosen.folder / "wide", 1, chosen.rows, chosen.signals)
     make_runs(chosen.folder / "many", chosen.runs, chosen.rows, 4)
     tables = [str(path) for path in sorted(chosen.folder.glob("*/run*"))]
     subprocess.run([sys.executable, "-m", "cosim", "view", *tables, "--prepare", "-q"], check=True)
-    results: dict[str, Any] = {"rows": chosen.rows, "signals": chosen.signals, "runs": chosen.runs}
+    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else -1.0  # of other programs, which slow all down
+    results: dict[str, Any] = {
+        "load": round(load, 1),
+        "cores": os.cpu_count(),
+        "rows": chosen.rows,
+        "signals": chosen.signals,
+        "runs": chosen.runs,
+    }
     for kind in (Chromium, Firefox):
         try:
             browser: Any = kind()
@@ -232,7 +240,7 @@ def main() -> None:
             results[kind.__name__.lower()] = f"not measured: {error}"
             continue
         try:
-            results[kind.__name__.lower()] = measure(browser, chosen.folder, chosen.signals)
+            results[kind.__name__.lower()] = measure(browser, chosen.folder, chosen.curves)
         finally:
             browser.close()
     print(json.dumps(results))

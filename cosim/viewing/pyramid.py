@@ -19,6 +19,7 @@ from cosim.base.arrays import Array, Rows
 FACTOR = 16
 TOP = 256  # most blocks of the highest level
 BLOCKS = 4  # least number of blocks in a pixel column, so that an edge is wrong by a quarter of a column at most
+MOST_ROWS = 2  # rows for each pixel column that are drawn as they are
 TIME = "time"
 Part = Literal["rows", "low", "high"]
 Places = Rows | slice
@@ -159,7 +160,7 @@ class Recording:
     def picture(self, begin: float, end: float, width: int) -> Picture:
         """Return the choice of rows and blocks for a picture of a time range [s] with `width` pixel columns."""
         first, stop = max(0, self.locate(begin) - 1), min(self.rows, self.locate(end, "right") + 1)
-        if stop - first <= BLOCKS * width:
+        if stop - first <= MOST_ROWS * width:
             return Picture(self, [(0, slice(first, stop))], self.read(TIME, first, stop))
         pixel, level = (end - begin) / width, 0
         while level + 1 < len(self.sizes) and stop - first >= BLOCKS * width * FACTOR ** (level + 1):

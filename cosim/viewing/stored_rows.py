@@ -14,6 +14,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from hashlib import sha256
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -156,11 +157,7 @@ def _key(status: os.stat_result, units: Mapping[str, str], text: Sequence[str]) 
 
 
 def _has_pyarrow() -> bool:
-    try:
-        optional("pyarrow", "cosim view")
-    except InputError:
-        return False
-    return True
+    return find_spec("pyarrow") is not None
 
 
 def _is_writable(folder: Path) -> bool:

@@ -3,6 +3,7 @@
 (async () => {
   "use strict";
   const MOST_DROPPED = 24, // signals of a group that are added at once
+    QUICK = 40000, // points that are drawn at once and again when the answer comes
     LEAST = 1e-9; // of the whole time: the shortest view
   const READY = ["a - b", "a + b", "a * b", "a / b", "der(a)", "integral(a)", "lowpass(a, 1)", "abs(a)", "hypot(a, b)"];
   const about = await (await fetch("about")).json();
@@ -139,21 +140,24 @@
   let waiting = false,
     busy = false,
     again = false;
-  const seen = new Set();
+  const seen = new Map(); // figure → whether it is near the window; a new one is not here yet
   const watcher = new IntersectionObserver(
     (entries) => {
-      for (const { target, isIntersecting } of entries) seen[isIntersecting ? "add" : "delete"](target);
+      for (const { target, isIntersecting } of entries) seen.set(target, isIntersecting);
       schedule();
     },
     { rootMargin: "300px" },
   );
   function schedule() {
+    document.documentElement.dataset.view = "asked";
+    queueMicrotask(fetchPoints);
     if (waiting) return;
     waiting = true;
     requestAnimationFrame(() => {
       waiting = false;
-      for (const plot of desk.plots) if (seen.has(plot.figure)) plot.draw();
-      fetchPoints();
+      const shown = desk.plots.filter((plot) => seen.get(plot.figure)),
+        points = shown.flatMap((plot) => plot.curves).reduce((sum, { data }) => sum + (data?.t.length ?? 0), 0);
+      for (const plot of shown) if (points < QUICK || !busy) plot.draw(); // what is here, until more is
     });
   }
   async function fetchPoints() {
@@ -161,9 +165,9 @@
       again = true;
       return;
     }
-    const plots = desk.plots.filter((plot) => seen.has(plot.figure) && !plot.fresh && plot.curves.length);
+    const plots = desk.plots.filter((plot) => seen.get(plot.figure) && !plot.fresh && plot.curves.length);
     if (!plots.length) {
-      document.documentElement.dataset.view = "drawn";
+      if (desk.plots.every((plot) => seen.has(plot.figure))) document.documentElement.dataset.view = "drawn";
       return;
     }
     document.documentElement.dataset.view = "fetching";
@@ -197,8 +201,8 @@
       busy = false;
     }
     for (const plot of plots) plot.draw();
-    if (again || desk.plots.some((plot) => seen.has(plot.figure) && !plot.fresh && plot.curves.length)) fetchPoints();
-    else document.documentElement.dataset.view = "drawn";
+    if (again || desk.plots.some((plot) => seen.get(plot.figure) && !plot.fresh && plot.curves.length)) fetchPoints();
+    else if (desk.plots.every((plot) => seen.has(plot.figure))) document.documentElement.dataset.view = "drawn";
   }
   async function fill(path, asked, curves) {
     if (!curves.length) return;
@@ -225,7 +229,7 @@
   async function fetchValues() {
     if (reading || desk.cursor === null) return;
     const at = desk.cursor,
-      curves = desk.plots.filter((plot) => seen.has(plot.figure)).flatMap((plot) => plot.curves);
+      curves = desk.plots.filter((plot) => seen.get(plot.figure)).flatMap((plot) => plot.curves);
     if (!curves.length) return;
     reading = true;
     try {
