@@ -24,7 +24,7 @@ from cosim.refinement.search.hypotheses import NOISE, Hypothesis
 from cosim.subject.candidates import Candidate
 from cosim.subject.interface import Subject
 
-MOST_TERMS = 2  # terms that free runs of an FMU may name; more imitate together what no term describes
+MOST_TERMS = 2  # candidates that free runs of an FMU may name; more imitate together what no term describes
 CLEARLY = 0.05  # improvement of the log error of open-loop predictions from which one way is better
 
 
@@ -51,6 +51,6 @@ def attribute(subject: Subject, problem: Problem, candidates: Sequence[Candidate
     other = Attributor(subject, trusted, candidates, progress).run()
     if error(other.search, other.best) > free - CLEARLY:
         return result
-    if problem.layout.additions and sum(c.kind != "parameter" for c in other.best.candidates) > MOST_TERMS:
+    if problem.layout.additions and len(other.best.candidates) > MOST_TERMS:
         return result
     return replace(other, sensors=result.best.fit.noise.sensors)
