@@ -59,22 +59,31 @@ def test_one_window_does_not_speak_against_a_small_effect(
 
 
 @pytest.mark.parametrize(
-    ("simple", "rich", "gain", "is_rival"),
+    ("simple", "rich", "gain", "at_usual_shape", "is_rival"),
     [
-        ("coulomb_at_v", "stribeck_at_v", 4.1, True),  # more than chance, less than the cost of two parameters
-        ("coulomb_at_v", "stribeck_at_v", 1.0, False),
-        ("coulomb_at_v", "stribeck_at_w", 4.1, False),
-        ("coulomb_at_v", "cogging_at_v", 4.1, False),
+        ("coulomb_at_v", "stribeck_at_v", 4.1, 0.0, True),  # more than chance, less than the cost of two parameters
+        ("coulomb_at_v", "stribeck_at_v", 1.0, 1.0, False),  # contains it
+        ("coulomb_at_v", "stribeck_at_w", 4.1, 4.1, False),
+        ("coulomb_at_v", "cogging_at_v", 4.1, 4.1, False),
+        ("lag_at_u", "second_order_lag_at_u", 0.1, 0.0, True),  # too small to tell the order
+        ("lag_at_u", "second_order_lag_at_u", 0.1, -9.0, False),  # imitates the lag by a large damping
     ],
 )
-def test_a_richer_term_that_looks_alike_is_a_rival_beyond_chance(
-    simple: str, rich: str, gain: float, is_rival: bool
+def test_a_richer_term_that_looks_alike_is_a_rival_if_it_explains_as_well(
+    simple: str, rich: str, gain: float, at_usual_shape: float, is_rival: bool
 ) -> None:
     best, other = hypothesis({simple: (1.0, 0.1)}), hypothesis({rich: (1.0, 0.1)})
     (candidate,) = other.candidates
-    more = replace(candidate, free=(*candidate.free, *(replace(candidate.free[0], name=n) for n in "ab")))
+    shape = (replace(candidate.free[0], name=n, neutral=None) for n in "ab")
+    more = replace(candidate, free=(*candidate.free, *shape))
     other = replace(other, candidates=(more,), fit=replace(other.fit, nll_by_log=(-gain,)))
-    assert judgement._is_richer_twin(best, other) is is_rival
+
+    def refit(parts: Any, start: Fit, **_: Any) -> Hypothesis:
+        assert [f.name for f in parts[0].free] == [f.name for f in start.free] == [f"{rich}.value"]
+        return replace(best, fit=replace(best.fit, nll_by_log=(-at_usual_shape,)))
+
+    search: Any = SimpleNamespace(hypothesis=refit)
+    assert judgement._is_richer_twin(search, best, other) is is_rival
 
 
 def test_rivals_that_look_alike_have_an_experiment() -> None:
@@ -88,8 +97,8 @@ def test_rivals_that_look_alike_have_an_experiment() -> None:
 def test_free_runs_name_two_terms_at_most_with_equations_trusted(
     monkeypatch: pytest.MonkeyPatch, count: int, is_repeated: bool
 ) -> None:
-    """Additions to the outputs absorb slow effects, so the search is repeated; many terms imitate what has no name."""
-    layout, noise = SimpleNamespace(additions=True), SimpleNamespace(sensors=None)
+    """If free runs without unknown inputs are better, the search is repeated; many terms imitate what has no name."""
+    layout, noise = SimpleNamespace(is_free_run=True), SimpleNamespace(sensors=None)
     free_search, trusted_search = (SimpleNamespace(problem=SimpleNamespace(layout=layout)) for _ in range(2))
     none: Any = replace(hypothesis({}), fit=replace(hypothesis({}).fit, noise=noise))  # type: ignore[arg-type]
     many = hypothesis({f"drift_at_{k}": (1.0, 0.1) for k in range(count)})
@@ -100,6 +109,9 @@ def test_free_runs_name_two_terms_at_most_with_equations_trusted(
     runs = iter(results)
     monkeypatch.setattr(trust, "Attributor", lambda *given: SimpleNamespace(run=lambda: next(runs)))
     monkeypatch.setattr(trust, "noise_gain", lambda problem, fit: (100.0,))
+    quick = SimpleNamespace(problem=trusted_search.problem, hypothesis=lambda parts, start: none)
+    monkeypatch.setattr(trust, "Search", lambda *given: quick)
+    monkeypatch.setattr(trust, "coarsen", lambda problem: problem)
     monkeypatch.setattr(trust, "with_equations_trusted", lambda subject, problem: problem)
     monkeypatch.setattr(
         trust, "log_error", lambda problem, horizon, fits: 0.0 if problem is free_search.problem else -1.0

@@ -13,6 +13,7 @@ from cosim.estimation.posing import build_problem, halve_log
 from cosim.estimation.problem import Problem
 from cosim.estimation.start_states import with_likely_starts
 from cosim.kernel.kernel import Begin, simulate_all
+from cosim.kernel.library_kernel import propagation
 from cosim.kernel.remote_kernel import RemoteLibraryKernel
 from cosim.refinement.decision.evidence import Replays
 from cosim.refinement.search.missing import unknown_inputs
@@ -68,7 +69,8 @@ def test_a_free_run_leaves_no_more_than_the_noise(problem: Problem) -> None:
 
 
 def test_predictions_are_parts_of_the_free_run(study: Study, problem: Problem) -> None:
-    residuals = Replays(problem, study.subject.horizon, fitting.initial_fit(problem), 0).residuals(problem.values)
+    undisturbed = replace(fitting.initial_fit(problem), noise=problem.at(problem.noise.smallest))
+    residuals = Replays(problem, study.subject.horizon, undisturbed, 0).residuals(problem.values)
     sizes = np.sqrt(np.nanmean(residuals**2, axis=(0, 1)))
     assert sizes == pytest.approx([*NOISE.values()], rel=0.3)
 
@@ -79,11 +81,32 @@ def test_half_a_log_keeps_the_whole_run(problem: Problem) -> None:
     assert [int(np.isfinite(data.y[:, 0]).sum()) for data in halves.logs] == [ROWS // 2, ROWS // 2]
 
 
-def test_an_addition_counts_relative_to_its_output(problem: Problem) -> None:
+def test_an_unknown_input_counts_relative_to_the_rate_of_its_output(problem: Problem) -> None:
     at, units = fitting.initial_fit(problem), {"motor_phi": "rad", "motor_w": "rad/s", "load_phi": "rad"}
     shares = unknown_inputs(problem, at, [True] * 3, units)
-    swing = np.ptp(problem.logs[0].y[:, 1])
-    assert shares["motor_w"] == pytest.approx(np.exp(0.5 * at.noise.power[1]) / swing, rel=0.5)
+    low, high = np.percentile(np.diff(problem.own_run(0).outputs[:, 1]) / STEP, (2.5, 97.5))
+    assert shares["motor_w"] == pytest.approx(np.exp(0.5 * at.noise.power[1]) / (high - low), rel=0.2)
+
+
+def test_deviations_of_outputs_go_on_as_those_by_start_states_do() -> None:
+    """Two coupled outputs with three start states each obey one matrix, also in other units."""
+    matrix = np.array([[1.0, 0.01], [-0.2, 0.95]])
+    slopes = np.empty((200, 2, 3))
+    slopes[0] = [[1.0, 0.0, 0.3], [0.0, 50.0, -2.0]]
+    for k in range(1, 200):
+        slopes[k] = matrix @ slopes[k - 1]
+    assert propagation(slopes) == pytest.approx(matrix, abs=1e-9)
+    assert (propagation(np.empty((200, 2, 0))) == 0.0).all()
+    growing = propagation(1.05 ** np.arange(200)[:, None, None] * slopes)
+    assert np.abs(np.linalg.eigvals(growing)).max() == pytest.approx(1.0)
+
+
+def test_a_deviation_of_both_angles_stays_and_a_twist_fades(problem: Problem) -> None:
+    """Nothing holds the shaft; its spring and damper take a twist out."""
+    matrix = problem.kernel.propagation(problem.logs[0], problem.x0[0])  # type: ignore[attr-defined]
+    turned, twisted = (np.linalg.matrix_power(matrix, 300) @ [1.0, 0.0, end] for end in (1.0, -1.0))
+    assert turned[[0, 2]] == pytest.approx(1.0, abs=0.01)
+    assert abs(twisted[0] - twisted[2]) < 0.01
 
 
 def test_a_late_reading_lies_between_two_rows_of_the_run(problem: Problem) -> None:

@@ -14,7 +14,7 @@ from cosim.estimation.data import count_unscored, data_of, folds
 from cosim.estimation.per_log import Origin, own_parameters
 from cosim.estimation.problem import Problem, Settings
 from cosim.estimation.readings import readings_of, readings_of_table
-from cosim.kernel.kernel import CONSTANT, DISTURBANCE, MEMORY, Data, Layout
+from cosim.kernel.kernel import CONSTANT, DEVIATION, DISTURBANCE, MEMORY, Data, Layout
 from cosim.logs.log import Log, slowness
 from cosim.subject.candidates import Free
 from cosim.subject.interface import Subject
@@ -118,7 +118,7 @@ def start_covariance(subject: Subject, problem: Problem) -> Array:
     variances = {n: 10 * v for n, v in zip(layout.outputs, problem.r.tolist(), strict=True) if n in measured}
     variances = {**subject.start_variance, **variances}
     derived = {layout.states[k] for k in layout.carrying}  # from a constant, with the uncertainty of the constant
-    names = [n for n in layout.uncertain if not n.startswith((DISTURBANCE, CONSTANT)) and n not in derived]
+    names = [n for n in layout.uncertain if not n.startswith((DISTURBANCE, DEVIATION, CONSTANT)) and n not in derived]
     if not variances.keys() >= set(names):
         ranges = dict(zip(layout.states, _range(problem).tolist(), strict=True))
         variances = {name: ranges[name] ** 2 or 1.0 for name in names} | variances
@@ -167,7 +167,7 @@ def coarsen(problem: Problem, values: Mapping[str, float] | None = None) -> Prob
     Args:
         values: Parameter values to test with, by default the base model's. An active effect may need finer steps.
     """
-    if problem.layout.additions:  # substeps matter to forces that follow the outputs, and to no model without them
+    if problem.layout.is_free_run:  # substeps matter to forces that follow the outputs, and to no model without them
         few = [replace(log, substeps=min(log.substeps, FEW)) for log in problem.logs]
         return replace(problem, logs=few) if values is None else problem
     noise, values = problem.plain, {**problem.values, **(values or {})}
@@ -187,7 +187,7 @@ def halve_log(problem: Problem) -> Problem:
     """
     (log,), (x0,) = problem.logs, problem.x0
     half = len(log.u) // 2
-    if problem.layout.additions:
+    if problem.layout.is_free_run:
         early = np.arange(len(log.u))[:, None] < half
         parts = [replace(log, y=np.where(rows, log.y, np.nan)) for rows in (early, ~early)]
         readings = [readings_of(d.y, count_unscored(d)) for d in parts]

@@ -154,11 +154,12 @@ class Problem:
             return short.score(self.values, noise).variances
 
         found = noise_range(variances, len(self.layout.noisy))
-        if not self.layout.additions:
+        if not self.layout.is_free_run:
             return found
         # the error of a free run is as large as the motion, from row to row far more than the noise
         spread = np.max([r.spread for r in self.readings], axis=0)
-        return replace(found, largest=np.maximum(found.largest, 2.0 * np.log(np.maximum(spread, 1e-150))))
+        fastest = np.maximum(spread / self.values[MEMORY], 1e-150)
+        return replace(found, largest=np.maximum(found.largest, 2.0 * np.log(fastest)))
 
     def _short(self) -> Problem:
         """Return the problem on the first rows of few logs, to find the range of the noise.
@@ -220,7 +221,7 @@ class Problem:
         least = np.where(self.stated, TOO_QUIET, UNKNOWN) ** 2 * np.exp(stated)
         low = np.log(np.maximum(least, finest**2 / 12.0))
         high = np.maximum(np.log(np.maximum(spread**2, 1e-300)), stated + np.log(100.0))
-        if self.layout.additions:  # errors of the model are for the additions to explain
+        if self.layout.is_free_run:  # errors of the model are for unknown inputs to explain
             low, high = np.maximum(low, stated - np.log(WITHIN)), np.minimum(high, stated + np.log(WITHIN))
         low, high = (np.where(self.adjusted, limit, stated) for limit in (np.minimum(low, high), high))
         timed = np.isfinite(now.timing)

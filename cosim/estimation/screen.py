@@ -7,7 +7,7 @@ orthogonal to X. A part of the hypothesis is such a term too: without the part, 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate, pairwise
 
@@ -66,13 +66,9 @@ class ScoreTest:
 
     Args:
         parts: Candidates of the fit that the test may remove.
-        fixed: Places of noise levels that stay as they are, because terms are tried in place of this noise.
-
-    Attributes:
-        loss: Negative log-likelihood, less the predicted gain of the free parameters without any term.
     """
 
-    def __init__(self, problem: Problem, at: Fit, parts: Sequence[Candidate] = (), fixed: Collection[int] = ()) -> None:
+    def __init__(self, problem: Problem, at: Fit, parts: Sequence[Candidate] = ()) -> None:
         self.problem, self.at = problem, at
         self.values = {**problem.values, **at.values}
         self.noise = at.noise
@@ -87,11 +83,10 @@ class ScoreTest:
         moves: list[tuple[dict[str, float], Noise | None, float]] = [
             ({f.name: DIFFERENCE * f.size}, None, DIFFERENCE) for f in at.free if f.name not in on_trial
         ]
-        moves += [({}, self._noisier(k), NOISE_DIFFERENCE) for k in problem.limits.free if k not in fixed]
+        moves += [({}, self._noisier(k), NOISE_DIFFERENCE) for k in problem.limits.free]
         rows = in_parallel(lambda move: self._row(move[0], move[1]) / move[2], moves)
         self.basis = orthonormal(np.array(rows).reshape(len(moves), residual.size).T)
         self.residual = self._project(residual)
-        self.loss = self.scored.nll - 0.5 * float(np.sum((self.basis.T @ residual) ** 2))
 
     def _noisier(self, place: int) -> Noise:
         vector = self.noise.vector

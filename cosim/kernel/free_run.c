@@ -1,18 +1,46 @@
-/* An unknown addition to each output of a free run, and unknown start states, in place of a filter over states.
+/* Unknown deviations of the outputs of a free run, and unknown start states, in place of a filter over states.
  *
- * Each addition d is a Gauss-Markov process, d' = -d/T + w. A change z of a start state changes the outputs by its slopes times z.
- * A Kalman filter estimates both from the readings. The last NS states are the additions, in the order of the outputs, and the start
- * states. */
-#define NK (NS - NY)
-static __thread const double *run_outputs, *run_states, *run_memories, *run_slopes;
+ * The deviations d of the outputs go on from row to row as those by start states do, and an unknown input w of each drives them:
+ *   d+ = Phi d + h w,  w a Gauss-Markov process, w' = -w/T + noise
+ * A change z of a start state changes the outputs by its slopes times z. A Kalman filter estimates all from the readings. The last
+ * NS states are w, d, both in the order of the outputs, and the start states. */
+#define NK (NS - 2 * NY)
+static __thread const double *run_outputs, *run_states, *run_memories, *run_slopes, *run_propagation;
 
-/* Called before each filter, with the free run at the same parameters: rows x NY, rows x NX, rows x NM, rows x NY x NK. */
-void use_run(const double *outputs, const double *states, const double *memories, const double *slopes)
+/* Called before each filter, with the free run at the same parameters: rows x NY, rows x NX, rows x NM, rows x NY x NK, NY x NY. */
+void use_run(const double *outputs, const double *states, const double *memories, const double *slopes, const double *propagation)
 {
     run_outputs = outputs;
     run_states = states;
     run_memories = memories;
     run_slopes = slopes;
+    run_propagation = propagation;
+}
+
+/* Rows w and d of the transition times a matrix, a vector with `count` 1. */
+static void go_on(double *a, int count, double fades, double h)
+{
+    double moved[NY][NS + 1];
+    for (int j = 0; j < NY; j++)
+        for (int i = 0; i < count; i++) {
+            moved[j][i] = h * a[count * j + i];
+            for (int l = 0; l < NY; l++) moved[j][i] += run_propagation[NY * j + l] * a[count * (NY + l) + i];
+        }
+    for (int j = 0; j < NY; j++)
+        for (int i = 0; i < count; i++) {
+            a[count * j + i] *= fades;
+            a[count * (NY + j) + i] = moved[j][i];
+        }
+}
+
+static void transposed(double *a)
+{
+    for (int i = 0; i < NS; i++)
+        for (int j = 0; j < i; j++) {
+            const double other = a[NS * i + j];
+            a[NS * i + j] = a[NS * j + i];
+            a[NS * j + i] = other;
+        }
 }
 
 /* Reading of a sensor with a lag, and its memory m after the row. */
@@ -47,12 +75,12 @@ int filter(const Log *log, const double *p, const double *x0, const double *P0, 
             y[j] = lag_over_row(&lags, j, lags.m + j, y[j]);
         }
         if (k > 0 && k <= log->settle) memcpy(P, P0, sizeof(double) * NS * NS);
-        for (int j = 0; j < NY && k; j++) {
-            z[j] *= fades;
-            if (k <= log->settle) continue;
-            for (int i = 0; i < NS; i++) P[NS * j + i] *= fades;
-            for (int i = 0; i < NS; i++) P[NS * i + j] *= fades;
-            P[(NS + 1) * j] += q[j] * log->step;
+        if (k > 0) go_on(z, 1, fades, log->step);
+        if (k > 0 && k > log->settle) {
+            go_on(P, NS, fades, log->step);
+            transposed(P);
+            go_on(P, NS, fades, log->step);
+            for (int j = 0; j < NY; j++) P[(NS + 1) * j] += q[j] * log->step;
         }
         for (int j = 0; j < NY; j++) {
             const double measured = log->y[NY * k + j], age = log->late ? log->late[NY * k + j] : 0.0;
@@ -67,15 +95,15 @@ int filter(const Log *log, const double *p, const double *x0, const double *P0, 
             errors[NY * k + j] = variances[NY * k + j] = NAN;
             if (isnan(measured)) continue;
             const double late = part == 0.0 ? 0.0 : part * (part > 0.0 ? y[j] - before[j] : following(&lags, log, k, j) - y[j]);
-            double e = measured - (y[j] - late) - z[j], s = r[NY * k + j];
+            double e = measured - (y[j] - late) - z[NY + j], s = r[NY * k + j];
             for (int l = 0; l < NS; l++) {
-                PH[l] = P[NS * l + j];
-                for (int i = 0; i < NK; i++) PH[l] += P[NS * l + NY + i] * slopes[i];
+                PH[l] = P[NS * l + NY + j];
+                for (int i = 0; i < NK; i++) PH[l] += P[NS * l + 2 * NY + i] * slopes[i];
             }
-            s += PH[j];
+            s += PH[NY + j];
             for (int i = 0; i < NK; i++) {
-                e -= slopes[i] * z[NY + i];
-                s += slopes[i] * PH[NY + i];
+                e -= slopes[i] * z[2 * NY + i];
+                s += slopes[i] * PH[2 * NY + i];
             }
             errors[NY * k + j] = e;
             variances[NY * k + j] = s;
@@ -86,7 +114,7 @@ int filter(const Log *log, const double *p, const double *x0, const double *P0, 
         memcpy(before, y, sizeof y);
         if (states) {
             memcpy(states + NX * k, run_states + NX * k, sizeof(double) * NX);
-            for (int i = 0; i < NS; i++) states[NX * k + NB + i] = z[i] + (i < NY ? 0.0 : x0[NB + i]);
+            for (int i = 0; i < NS; i++) states[NX * k + NB + i] = z[i] + (i < 2 * NY ? 0.0 : x0[NB + i]);
         }
         if (memories) memcpy(memories + NM * k, run_memories + NM * k, sizeof(double) * NM);
         if (covariances) memcpy(covariances + NS * NS * k, P, sizeof(double) * NS * NS);

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Any
 
-from cosim.kernel.kernel import CONSTANT, DISTURBANCE, MEMORY, START, Layout
+from cosim.kernel.kernel import CONSTANT, DEVIATION, DISTURBANCE, MEMORY, START, Layout
 from cosim.kernel.nameless import PREFIX, SLOTS, LocalShape, bases, local_shape, local_signals
 from cosim.model.model import STIFF, Model
 from cosim.model.namespaces import SymbolNamespace
@@ -114,7 +114,8 @@ def generate(model: Model, measured: Sequence[str], unnamed: bool = False, const
 def generate_stepped(model: FmuModel, measured: Sequence[str]) -> Generated:
     """Return the C functions for free runs of an FMU for co-simulation.
 
-    Random states are an addition to each output, and the start states, which do not change.
+    Random states are an unknown input of each output, the deviations of the outputs, which they drive, and the start
+    states, which do not change.
     """
     import sympy
 
@@ -125,17 +126,18 @@ def generate_stepped(model: FmuModel, measured: Sequence[str]) -> Generated:
     values = [sympy.sympify(body.outputs[n]) for n in measured]
     texts = [body.function(C(), "measure", values), body.shaping_function(C(), "shape_all")]
     texts.append(body.function(C(), "library_inputs", _library_inputs(body)))
-    additions = range(len(names), len(names) + len(measured))
+    prefixes = (DISTURBANCE, DEVIATION)
+    states = (*names, *(prefix + n for prefix in prefixes for n in measured), *(START + n for n in model.starts))
     layout = Layout(
         parameters=tuple(body.parameters),
-        states=(*names, *(DISTURBANCE + n for n in measured), *(START + n for n in model.starts)),
+        states=states,
         inputs=tuple(q.name for q in model.inputs),
         outputs=tuple(measured),
-        stochastic=(*additions, *range(additions.stop, additions.stop + len(model.starts))),
+        stochastic=tuple(range(len(names), len(states))),
         noisy=tuple(range(len(measured))),
         memory=len(body.shaping.remembered),
         delay=body.delay,
-        additions=True,
+        is_free_run=True,
     )
     return Generated(layout, "\n".join(texts), library=(0, len(model.inputs), len(names)), stepped=True)
 

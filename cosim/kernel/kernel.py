@@ -16,6 +16,7 @@ from cosim.base.arrays import Array, Rows
 
 DISTURBANCE = "disturbance."  # prefix of a forced state's unknown input, a state of its own
 CONSTANT = "constant."  # prefix of a parameter as constant state, for the filter to estimate
+DEVIATION = "deviation."  # prefix of the deviation of a free run's output, which unknown inputs drive
 START = "start."  # prefix of a start value of an FMU for co-simulation, a constant state
 MEMORY = "disturbance.time"  # parameter with the correlation time of unknown inputs [s]
 
@@ -37,7 +38,7 @@ class Layout:
         driven: Indices of noise-free states with influence on a measured output.
         carrying: Indices of stochastic states whose only random source is a constant state.
         rates: State → state equal to its derivative.
-        additions: True if each unknown input is an addition to an output of a free run.
+        is_free_run: True if unknown inputs drive deviations of the outputs of a free run.
     """
 
     parameters: tuple[str, ...]
@@ -51,7 +52,7 @@ class Layout:
     driven: tuple[int, ...] = ()
     carrying: tuple[int, ...] = ()
     rates: Mapping[str, str] = field(default_factory=dict)
-    additions: bool = False
+    is_free_run: bool = False
 
     @property
     def uncertain(self) -> tuple[str, ...]:
@@ -67,6 +68,11 @@ class Layout:
     def start_places(self) -> list[int]:
         """Return the indices of the start states of a free run."""
         return [k for k, name in enumerate(self.states) if name.startswith(START)]
+
+    @property
+    def deviation_places(self) -> list[int]:
+        """Return the indices of the deviations of a free run's outputs."""
+        return [k for k, name in enumerate(self.states) if name.startswith(DEVIATION)]
 
     @property
     def forced_places(self) -> list[int]:

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cosim.base.arrays import Array, Rows
+from cosim.base.linear_algebra import least_squares
 from cosim.blocks.derivatives import DifferentiableFmu, reals
 from cosim.blocks.fmu import FmuBlock
 from cosim.isolation.limits import Limits
@@ -132,7 +133,9 @@ class LibraryKernel(CompiledKernel):
             self._use(p, data, x0)
             return super().run(data, p, x0, P0, q, r, states=states)
         run = self._free_run(data, p, x0)
-        arrays = [np.ascontiguousarray(a) for a in (run.outputs, run.states, run.memory, self._start_slopes(data, x0))]
+        slopes = self._start_slopes(data, x0)
+        numbers = run.outputs, run.states, run.memory, slopes, propagation(slopes)
+        arrays = [np.ascontiguousarray(a) for a in numbers]
         self._library.use_run(*(a.ctypes.data_as(ctypes.c_void_p) for a in arrays))
         return super().run(data, p, x0, P0, q, r, states=states)
 
@@ -150,6 +153,10 @@ class LibraryKernel(CompiledKernel):
     def simulate_all(self, begins: Sequence[Begin]) -> list[Simulated]:
         """Simulate several times."""
         return [self.simulate(*each[:5], first=each[5]) for each in begins]
+
+    def propagation(self, data: Data, x0: Array) -> Array:
+        """Return the matrix by which deviations of the outputs of a free run go on from row to row."""
+        return propagation(self._start_slopes(data, x0))
 
     def step(self, data: Data, p: Array, points: tuple[Rows, Array, Array], back: int) -> tuple[Array, Array]:
         """Return single steps from rows of a log, as `single_steps`."""
@@ -198,3 +205,25 @@ class LibraryKernel(CompiledKernel):
         values |= {name: float(x0[first + k]) for k, (name, _) in enumerate(self._fmu.starts)}
         prepared = instance.prepare(values, data.start, data.start + len(data.u) * data.step)
         self._library.use_library(ctypes.byref(prepared))
+
+
+def propagation(slopes: Array) -> Array:
+    """Return Φ of δ⁺ = Φ·δ, the deviations of the outputs of a free run from row to row.
+
+    Responses of the outputs to the start states obey the same dynamics as any other small deviation. Φ is their
+    least-squares estimate; a growing Φ is scaled to a lasting one. Without start states, Φ is 0.
+
+    Args:
+        slopes: Slopes of the outputs by each start state, shape (rows, outputs, start states).
+    """
+    _, outputs, starts = slopes.shape
+    if not starts:
+        return np.zeros((outputs, outputs))
+    size = np.sqrt(np.mean(slopes**2, axis=(0, 2)))
+    size[size == 0.0] = 1.0
+    scaled = slopes / size[:, None]
+    scaled = scaled / np.maximum(np.sqrt(np.sum(scaled**2, axis=(0, 1))), np.finfo(float).tiny)
+    before, after = (part.transpose(0, 2, 1).reshape(-1, outputs) for part in (scaled[:-1], scaled[1:]))
+    matrix = least_squares(before, after, rcond=1e-8).T
+    matrix = matrix / max(1.0, float(np.abs(np.linalg.eigvals(matrix)).max()))
+    return np.asarray(matrix * size[:, None] / size)

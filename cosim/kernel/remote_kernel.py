@@ -208,6 +208,10 @@ class RemoteLibraryKernel:
             return [self.simulate(*each[:5], first=each[5]) for each in begins]
         return simulated
 
+    def propagation(self, data: Data, x0: Array) -> Array:
+        """Return the matrix by which deviations of the outputs of a free run go on from row to row."""
+        return np.asarray(workers.call(self, "propagation", (data, x0)))
+
     def step(self, data: Data, p: Array, points: tuple[Rows, Array, Array], back: int) -> tuple[Array, Array]:
         """Return single steps from rows of a log, as `single_steps`."""
         try:

@@ -244,7 +244,7 @@ def _judge(study: Study, a: Attribution, result: SearchResult, progress: Progres
     subject, search = study.subject, result.search
     progress("looking for what has no name", 0.0)
     bare = build_problem(subject, study.logs, True, study.content.noise, study.settings)
-    if bare.layout.additions:
+    if bare.layout.is_free_run:
         bare = replace(bare, x0=search.problem.x0)
     trusted = search.problem.trusted
     coarse, scatter = coarsen(bare, a.best.fit.values), search.problem.scatter

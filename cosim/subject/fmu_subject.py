@@ -1,7 +1,7 @@
 """FMUs as subjects: terms of the general catalogue are added to what the FMU's library computes.
 
 In model exchange a filter evaluates the derivatives of the library. In co-simulation the library runs freely, and the
-filter estimates an addition to each of its outputs.
+filter estimates the deviations of its outputs.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ from cosim.wrapping.wrap import CannotWrap, wrap
 SUBSTEPS = 8  # steps of co-simulation between rows, for forces that follow the outputs
 WAYS = {
     "model-exchange": "model exchange: a filter over the states of the FMU",
-    "co-simulation": "co-simulation: free runs of the FMU, with an estimated addition to each output",
+    "co-simulation": "co-simulation: free runs of the FMU, with estimated deviations of the outputs",
 }
 
 

@@ -34,6 +34,15 @@ ALIKE: tuple[tuple[frozenset[str], str], ...] = (
 )
 
 
+SPECIAL_CASES = {"coulomb": "stribeck"}  # kind of term → kind that equals it at some values
+
+
+def contains(rich: str, simple: str) -> bool:
+    """Return True if a term, named `kind_at_place`, equals another one of its place at some values."""
+    (kind, _, place), (other, _, other_place) = rich.partition("_at_"), simple.partition("_at_")
+    return place == other_place and SPECIAL_CASES.get(other) == kind
+
+
 def are_alike(one: str, other: str) -> bool:
     """Return True if two terms, named `kind_at_place`, of one place are in a class; a delay has no place."""
     (kind, _, place), (other_kind, _, other_place) = one.partition("_at_"), other.partition("_at_")

@@ -349,7 +349,7 @@ class Replays:
         problem, data = self.problem, self.data
         p = problem.numbers(problem.of_log(values, self.index))
         residuals = np.full((len(self.rows), self.length, data.y.shape[1]), np.nan)
-        if problem.layout.additions and len(self.rows):  # a library begins at the start of a log only
+        if problem.layout.is_free_run and len(self.rows):  # a library begins at the start of a log only
             begin, memory = self.starts[0][0], np.zeros(problem.layout.memory)
             whole = data.y - lagged_table(problem.kernel.simulate(data, p, begin, memory).outputs, data.lags)
             residuals[:] = [whole[row + 1 : row + 1 + self.length] for row in self.rows]

@@ -25,7 +25,7 @@ from cosim.refinement.search.fits import Search, SearchResult, key_of
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis, Support
 from cosim.subject.base_parameters import WIDTHS
 from cosim.subject.candidates import Candidate, Free
-from cosim.terms.alike import are_alike
+from cosim.terms.alike import are_alike, contains
 
 RIVAL = 3.0  # score difference within which another hypothesis explains the logs equally well
 REFUTED = 2.33  # standard deviations at which the logs refute a rival
@@ -198,7 +198,7 @@ def _rivals(search: Search, best: Hypothesis) -> tuple[Hypothesis, ...]:
 
 
 def _is_rival(search: Search, best: Hypothesis, h: Hypothesis) -> bool:
-    if h.score - best.score < RIVAL or (search.subject.probed and _is_richer_twin(best, h)):
+    if h.score - best.score < RIVAL or (search.subject.probed and _is_richer_twin(search, best, h)):
         return True
     weight, cost, least = search.problem.scatter, search.cost(h.candidates), search.cost(best.candidates)
     if any(_with_tolerance(h, t, weight) + cost < _with_tolerance(best, t, weight) + least for t in TOLERANCES):
@@ -207,18 +207,37 @@ def _is_rival(search: Search, best: Hypothesis, h: Hypothesis) -> bool:
     return refutation(search.problem, best.fit, h.fit, max(0.0, cost - least)) < REFUTED
 
 
-def _is_richer_twin(best: Hypothesis, h: Hypothesis) -> bool:
-    """Return True if a hypothesis has a richer term in place of one that looks alike, and gains more than chance.
+def _is_richer_twin(search: Search, best: Hypothesis, h: Hypothesis) -> bool:
+    """Return True if a hypothesis has a richer term in place of one that looks alike, and explains the logs as well.
 
-    The gain need not be worth the cost of the further parameters: the simpler term alone would be a wrong name.
+    The gain need not be worth the cost of the further parameters: the simpler term alone would be a wrong name. A term
+    that contains the simpler one must gain more than chance. Any other term must explain the logs at its usual shape,
+    because most terms imitate a simpler one at some extreme shape.
     """
     from scipy.special import chdtri
 
     own, others = set(best.names) - set(h.names), set(h.names) - set(best.names)
     more = sum(len(c.free) for c in h.candidates) - sum(len(c.free) for c in best.candidates)
-    if len(own) != 1 or len(others) != 1 or more < 1 or not are_alike(own.pop(), others.pop()):
+    if len(own) != 1 or len(others) != 1 or more < 1:
         return False
-    return best.fit.objective - h.fit.objective > 0.5 * float(chdtri(more, BY_CHANCE))
+    (simple,), (rich,) = own, others
+    if not are_alike(simple, rich):
+        return False
+    if best.fit.objective - h.fit.objective > 0.5 * float(chdtri(more, BY_CHANCE)):
+        return True
+    return not contains(rich, simple) and _at_usual_shape(search, h, rich) - best.fit.objective < RIVAL
+
+
+def _at_usual_shape(search: Search, h: Hypothesis, name: str) -> float:
+    """Return the objective of a hypothesis with the shape of one term, all parameters without neutral value, fixed."""
+    (rich,) = (c for c in h.candidates if c.name == name)
+    fixed = [f.name for f in rich.free if f.neutral is None]
+    if not fixed:
+        return h.fit.objective
+    usual = replace(rich, free=tuple(f for f in rich.free if f.neutral is not None))
+    rest = tuple(c for c in h.candidates if c is not rich)
+    start = replace(h.fit, free=tuple(f for f in h.fit.free if f.name not in fixed))
+    return search.hypothesis((*rest, usual), start, loosen=False, patient=False).fit.objective
 
 
 def _with_tolerance(h: Hypothesis, times: float, weight: float) -> float:

@@ -9,7 +9,6 @@ over blocks of time to the scatter for a white residual.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import repeat
@@ -43,14 +42,12 @@ def attribute(subject: Subject, problem: Problem, candidates: Sequence[Candidate
     progress("predicting with the equations trusted", 0.0)
     trusted = with_equations_trusted(subject, problem)
     free = error(result.search, result.best)
-    # A model judged by a free run skips this shortcut: unknown inputs explain its slow effects, such as a drift.
-    if math.isfinite(subject.horizon):
-        search = Search(subject, coarsen(trusted), len(candidates), progress)
-        if error(search, search.hypothesis(result.best.candidates, result.best.fit)) > free - CLEARLY:
-            return result
+    search = Search(subject, coarsen(trusted), len(candidates), progress)
+    if error(search, search.hypothesis(result.best.candidates, result.best.fit)) > free - CLEARLY:
+        return result
     other = Attributor(subject, trusted, candidates, progress).run()
     if error(other.search, other.best) > free - CLEARLY:
         return result
-    if problem.layout.additions and len(other.best.candidates) > MOST_TERMS:
+    if problem.layout.is_free_run and len(other.best.candidates) > MOST_TERMS:
         return result
     return replace(other, sensors=result.best.fit.noise.sensors)

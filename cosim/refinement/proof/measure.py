@@ -302,8 +302,8 @@ class _KernelReplays:
         """Return the errors against a simulation with random noise and random deviations of the starts."""
         problem, noise, data, rows = self.problem, self.variant.noise, self.data, self.rows
         errors = rng.standard_normal(data.y.shape) * np.sqrt(problem.variances(noise, self.index))
-        if problem.layout.additions:
-            errors += self._random_additions(rng)
+        if problem.layout.is_free_run:
+            errors += self._random_deviations(rng)
         elif not data.table:
             layout, starts = problem.layout, self.filtered.states.copy()
             if self.filtered.covariances is not None:
@@ -321,15 +321,17 @@ class _KernelReplays:
             errors += self._simulate({**self.variant.values, **memory}, starts, kicks) - self._predict()
         return np.asarray(np.where(np.isnan(data.y), np.nan, errors) / self.gains)
 
-    def _random_additions(self, rng: np.random.Generator) -> Array:
-        """Return random additions to the outputs of a free run, with the fitted variance and correlation time."""
-        noise, shape = self.variant.noise, self.data.y.shape
-        fades = math.exp(-self.data.step / math.exp(noise.memory))
-        deviation = np.exp(0.5 * noise.power)
-        additions = rng.standard_normal(shape) * deviation
-        for k in range(1, shape[0]):
-            additions[k] = fades * additions[k - 1] + math.sqrt(1.0 - fades**2) * additions[k]
-        return np.asarray(additions)
+    def _random_deviations(self, rng: np.random.Generator) -> Array:
+        """Return random deviations of the outputs of a free run, driven by the fitted unknown inputs."""
+        noise, data, kernel = self.variant.noise, self.data, self.problem.kernel
+        propagation = kernel.propagation(data, self.problem.x0[self.index])  # type: ignore[attr-defined]
+        fades = math.exp(-data.step / math.exp(noise.memory))
+        inputs = rng.standard_normal(data.y.shape) * np.exp(0.5 * noise.power)
+        deviations = np.zeros(data.y.shape)
+        for k in range(1, len(inputs)):
+            deviations[k] = propagation @ deviations[k - 1] + data.step * inputs[k - 1]
+            inputs[k] = fades * inputs[k - 1] + math.sqrt(1.0 - fades**2) * inputs[k]
+        return deviations
 
     def _predict(self) -> Array:
         """Return the outputs of the replays, NaN elsewhere."""

@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import chain, combinations
-from operator import itemgetter
 
 import numpy as np
 
@@ -23,7 +22,7 @@ from cosim.estimation.screen import Choice, ScoreTest, Terms
 from cosim.estimation.sensor_noise import erring_stamps
 from cosim.refinement.decision.evidence import scatter_ratio
 from cosim.refinement.decision.judgement import SIGNIFICANT, loss_without
-from cosim.refinement.search.fits import NEGLIGIBLE, SCREEN_ITERATIONS, Progress, Search, SearchResult, Trial, key_of
+from cosim.refinement.search.fits import SCREEN_ITERATIONS, Progress, Search, SearchResult, Trial, key_of
 from cosim.refinement.search.hypotheses import Hypothesis, best_hypothesis
 from cosim.subject.candidates import Candidate
 from cosim.subject.interface import Subject
@@ -168,60 +167,28 @@ class Attributor:
 
     def _proposals(self, best: Hypothesis) -> list[Trial]:
         """Return promising untried sets of candidates with start values."""
-        problem, parts = self.search.problem, best.candidates
-        tests = [ScoreTest(problem, best.fit, parts), *self._tests_with_less_noise(best)]
+        test = ScoreTest(self.search.problem, best.fit, best.candidates)
         self.progress("asking what every candidate promises", 0.0)
-
-        def terms_of(c: Candidate) -> list[Terms]:
-            return [test.terms(c) for test in tests]  # one after the other: they share the runs of an FMU
-
-        columns: list[list[Terms]] = in_parallel(terms_of, list(self.candidates))
-        for t in chain.from_iterable(columns):
+        terms: list[Terms] = in_parallel(test.terms, list(self.candidates))
+        for t in terms:
             name = t.candidate.name
             self.identifiable[name] = max(t.identifiable, self.identifiable.get(name, 0.0))
-        switched = {
-            t.candidate.name: t.candidate for t, *_ in columns if t.switched and t.candidate.name not in best.names
-        }
-        ranking: dict[tuple[str, ...], tuple[float, Trial]] = {}
-        for number, test in enumerate(tests):
-            grown = [terms[number] for terms in columns if terms[number].candidate.name not in switched]
-            choice, loss = Choice(test, grown, parts, problem.values), max(0.0, test.loss - tests[0].loss)
-            for score, trial in self._ranking(choice, best, loss):
-                key = key_of(trial[0])
-                if key not in ranking or score < ranking[key][0]:
-                    ranking[key] = score, trial
-        likely = sorted(ranking.values(), key=itemgetter(0))[:FITTED]
-        return [*(trial for _, trial in likely), *(((*parts, c), None) for c in switched.values())]
+        switched = {t.candidate.name: t.candidate for t in terms if t.switched and t.candidate.name not in best.names}
+        grown = [t for t in terms if t.candidate.name not in switched]
+        ranking = self._ranking(Choice(test, grown, best.candidates, self.search.problem.values), best)
+        return [*(trial for _, trial in ranking[:FITTED]), *(((*best.candidates, c), None) for c in switched.values())]
 
-    def _tests_with_less_noise(self, best: Hypothesis) -> list[ScoreTest]:
-        """Return a score test without each of the unknown additions to outputs of a hypothesis.
-
-        An addition to an output of a free run explains each error of a sensor. What a term promises beside the addition
-        is a small part of what it promises in its place.
-        """
-        problem, noise = self.search.problem, best.fit.noise
-        if not problem.layout.additions or problem.trusted:
-            return []
-        least, places = problem.noise.smallest, np.arange(len(noise.power))
-        active = np.flatnonzero(noise.power > least + NEGLIGIBLE)
-        quieter = {k: replace(noise, power=np.where(places == k, least, noise.power)) for k in active.tolist()}
-        return [ScoreTest(problem, replace(best.fit, noise=n), best.candidates, [k]) for k, n in quieter.items()]
-
-    def _ranking(self, choice: Choice, best: Hypothesis, loss: float) -> list[tuple[float, Trial]]:
-        """Return sets of candidates worth a fit, best first.
-
-        Args:
-            loss: Loss of likelihood by the noise of the test, which the sets must gain too.
-        """
+    def _ranking(self, choice: Choice, best: Hypothesis) -> list[tuple[float, Trial]]:
+        """Return sets of candidates worth a fit, best first."""
         search, parts, ranking = self.search, {c.name: c for c in self.candidates}, []
         for names in self._sets(choice, best):
             if tuple(sorted(names)) in search.tried:
                 continue
             promise, candidates = choice.promise(names), tuple(parts[n] for n in names)
-            dearer, gain = search.cost(candidates) - search.cost(best.candidates), promise.gain - loss
-            worth = HOPE * gain > dearer if dearer > 0.0 else gain > dearer - NEAR
+            dearer = search.cost(candidates) - search.cost(best.candidates)
+            worth = HOPE * promise.gain > dearer if dearer > 0.0 else promise.gain > dearer - NEAR
             if promise.within and worth:
-                ranking.append((best.score - gain + dearer, (candidates, promise.values)))
+                ranking.append((best.score - promise.gain + dearer, (candidates, promise.values)))
         return sorted(ranking, key=lambda entry: entry[0])
 
     def _sets(self, choice: Choice, best: Hypothesis) -> Iterator[tuple[str, ...]]:

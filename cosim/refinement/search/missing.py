@@ -73,7 +73,7 @@ class Steps:
 
     def outputs_along(self, run: Filtered, count: int) -> Array:
         """Return the outputs of the first rows along filtered states, or of a free run."""
-        if not self.problem.layout.additions:
+        if not self.problem.layout.is_free_run:
             return self.step(np.arange(count), run.states, run.memory)[1]
         begin, memory = self.problem.begin_replay(run, 0), np.zeros(self.problem.layout.memory)
         return np.asarray(self.kernel.simulate(self.data, self.p, begin, memory).outputs[:count])
@@ -89,8 +89,8 @@ def smooth_log(problem: Problem, base: Fit, index: int, every: int = 1) -> Missi
     noise = loosen_noise(problem, base.noise)
     run = problem.run({**problem.values, **base.values}, noise, index, states=True)
     rows = min(len(data.u), MOST_ROWS)
-    if layout.additions:
-        return _additions(problem, run, rows, index)
+    if layout.is_free_run:
+        return _deviations(problem, run, rows, index)
     model = _linear(problem, Steps(problem, index, base.values), run.states, run.memory, rows, every)
     readings = problem.data({**problem.values, **base.values}, index).y[:rows]
     value, sigma = _smooth(problem, model, run.states, noise, index, readings)
@@ -99,13 +99,14 @@ def smooth_log(problem: Problem, base: Fit, index: int, every: int = 1) -> Missi
     return MissingInput(time[scored], layout.forced, value[scored], sigma[scored], run.states[:rows][scored])
 
 
-def _additions(problem: Problem, run: Filtered, rows: int, index: int) -> MissingInput:
-    """Return the filtered additions to the outputs of a free run."""
+def _deviations(problem: Problem, run: Filtered, rows: int, index: int) -> MissingInput:
+    """Return the filtered deviations of the outputs of a free run."""
     layout, data, scored = problem.layout, problem.logs[index], slice(count_unscored(problem.logs[index]), rows)
     assert run.covariances is not None
-    variances = np.diagonal(run.covariances, axis1=1, axis2=2)[scored, list(layout.noisy)]
+    places = layout.deviation_places
+    variances = np.diagonal(run.covariances, axis1=1, axis2=2)[scored, [layout.stochastic.index(k) for k in places]]
     time = data.start + data.step * np.arange(rows, dtype=np.float64)
-    value = run.states[scored, layout.noise_places]
+    value = run.states[scored, places]
     return MissingInput(time[scored], layout.forced, value, np.sqrt(variances), run.states[scored])
 
 
@@ -125,21 +126,15 @@ def unknown_inputs(
 ) -> dict[str, float]:
     """Return forced state → size of its unknown input relative to the derivatives of states with the same unit.
 
-    An addition to an output counts relative to the outputs with the same unit.
-
     Args:
         units: Units of the states.
     """
     names, powers = problem.layout.forced, np.exp(0.5 * at.noise.power)
     largest: dict[str, float] = {}  # unit → range of the derivatives
     runs = [problem.run({**problem.values, **at.values}, at.noise, k, states=True) for k in range(len(problem.logs))]
-    additions = problem.layout.additions  # to outputs, not to derivatives
     for name, place in zip(names, problem.layout.forced_places, strict=True):
         change = [
-            run.states[count_unscored(d) :, place]
-            if additions
-            else np.diff(run.states[count_unscored(d) :, place]) / d.step
-            for run, d in zip(runs, problem.logs, strict=True)
+            np.diff(run.states[count_unscored(d) :, place]) / d.step for run, d in zip(runs, problem.logs, strict=True)
         ]
         low, high = np.percentile(np.concatenate(change), (2.5, 97.5))
         largest[units[name]] = max(largest.get(units[name], 1e-300), float(high - low))
@@ -167,7 +162,7 @@ def contributions(problem: Problem, base: Fit, after: Fit, index: int) -> Array:
     """
     layout, data = problem.layout, problem.logs[index]
     runs = [problem.run({**problem.values, **f.values}, f.noise, index, states=True) for f in (base, after)]
-    if layout.additions:
+    if layout.is_free_run:
         change = (runs[1].states - runs[0].states)[:, layout.forced_places]
         return np.asarray(change[min(count_unscored(data), len(change) - 1) : MOST_ROWS])
     without, with_it = (Steps(problem, index, f.values) for f in (base, after))
