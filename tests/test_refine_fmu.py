@@ -258,7 +258,7 @@ def test_check_says_what_refine_can_find_and_what_not(folder: Path) -> None:
     told = cosim.check(write_study(folder, fmu, [still], noise=NOISE))
     text = "\n".join(told)
     for words in (
-        "`cosim refine` will use co-simulation: free runs of the FMU, with an estimated addition to each output",
+        "`cosim refine` will use co-simulation: free runs of the FMU, with estimated deviations of the outputs",
         "forces at speed (through ",
         "not visible: terms at load_torque, which never changes",
         "at least 2 estimation logs are needed",

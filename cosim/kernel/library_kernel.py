@@ -125,7 +125,7 @@ class LibraryKernel(CompiledKernel):
         self._places = {v: self.layout.parameters.index(n) for n, v in parameters.items()}
         self._own, self._stepped = threading.local(), generated.stepped
         self._runs: deque[tuple[Any, Simulated]] = deque(maxlen=RUNS)
-        self._slopes: deque[tuple[Any, Array]] = deque(maxlen=RUNS)
+        self._slopes: deque[tuple[Any, tuple[Array, Array]]] = deque(maxlen=RUNS)
 
     def run(self, data: Data, p: Array, x0: Array, P0: Array, q: Array, r: Array, *, states: bool = False) -> Filtered:
         """Filter one log, as `Kernel.run`."""
@@ -133,9 +133,7 @@ class LibraryKernel(CompiledKernel):
             self._use(p, data, x0)
             return super().run(data, p, x0, P0, q, r, states=states)
         run = self._free_run(data, p, x0)
-        slopes = self._start_slopes(data, x0)
-        numbers = run.outputs, run.states, run.memory, slopes, propagation(slopes)
-        arrays = [np.ascontiguousarray(a) for a in numbers]
+        arrays = [np.ascontiguousarray(a) for a in (run.outputs, run.states, run.memory, *self._responses(data, x0))]
         self._library.use_run(*(a.ctypes.data_as(ctypes.c_void_p) for a in arrays))
         return super().run(data, p, x0, P0, q, r, states=states)
 
@@ -156,7 +154,7 @@ class LibraryKernel(CompiledKernel):
 
     def propagation(self, data: Data, x0: Array) -> Array:
         """Return the matrix by which deviations of the outputs of a free run go on from row to row."""
-        return propagation(self._start_slopes(data, x0))
+        return self._responses(data, x0)[1]
 
     def step(self, data: Data, p: Array, points: tuple[Rows, Array, Array], back: int) -> tuple[Array, Array]:
         """Return single steps from rows of a log, as `single_steps`."""
@@ -174,24 +172,25 @@ class LibraryKernel(CompiledKernel):
         self._runs.append((key, run))
         return run
 
-    def _start_slopes(self, data: Data, x0: Array) -> Array:
-        """Return the slopes of the outputs by each start state, shape (rows, outputs, start states).
+    def _responses(self, data: Data, x0: Array) -> tuple[Array, Array]:
+        """Return the slopes of the outputs by each start state, shape (rows, outputs, start states), and their matrix.
 
         They are those at given parameter values, and change little with the parameters.
         """
         count, rows = len(self._fmu.starts), len(data.u)
         key = data.u.tobytes(), data.start, data.substeps, x0.tobytes()
-        known = next((slopes for other, slopes in self._slopes if other == key), None)
+        known = next((responses for other, responses in self._slopes if other == key), None)
         if known is None:
             p = np.array([self._fmu.values.get(name, 0.0) for name in self.layout.parameters])
             memory, first = np.zeros(self.layout.memory), len(x0) - count
             plain = self.simulate(data, p, x0, memory).outputs
-            known = np.zeros((rows, plain.shape[1], count))
+            slopes = np.zeros((rows, plain.shape[1], count))
             for k, (_, size) in enumerate(self._fmu.starts):
                 moved = x0.copy()
                 moved[first + k] += START_STEP * size
-                slopes = (self.simulate(data, p, moved, memory).outputs - plain) / (moved[first + k] - x0[first + k])
-                known[:, :, k] = np.nan_to_num(slopes, posinf=0.0, neginf=0.0)
+                slope = (self.simulate(data, p, moved, memory).outputs - plain) / (moved[first + k] - x0[first + k])
+                slopes[:, :, k] = np.nan_to_num(slope, posinf=0.0, neginf=0.0)
+            known = slopes, propagation(slopes)
             self._slopes.append((key, known))
         return known
 
