@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +15,13 @@ from cosim.comparison.differences import Compared
 from cosim.comparison.several import ComparedRuns, sentence
 from cosim.comparison.signal_panels import differences, overlay, styles_of
 from cosim.comparison.signals import Difference, format_share, format_size
-from cosim.history.inputs import input_text
+from cosim.history.inputs import DifferingInput, input_text
 from cosim.report.chart_data import to_json
 from cosim.report.drawing import Drawing
 from cosim.report.template import render
 
 TEMPLATE = Path(__file__).with_name("templates") / "several.html.j2"
+MOST_LABELS = 4  # runs whose legends have labels with inputs; legends of more runs have short names
 MAX_ROWS = 200  # signals and inputs in a table; comparison.json has all
 
 
@@ -34,17 +36,20 @@ def several_page(c: ComparedRuns, tolerance: str, options: Sequence[str]) -> str
 
 
 def _context(c: ComparedRuns, tolerance: str, options: Sequence[str]) -> Mapping[str, Any]:
-    labels, base = [c.labels[k] for k in c.drawn], c.drawn.index(c.baseline)
+    base, short = c.drawn.index(c.baseline), c.shorts[c.baseline]
+    labels = [(c.labels if len(c.drawn) <= MOST_LABELS else c.shorts)[k] for k in c.drawn]
     drawing = Drawing(c.time, 2 * len(labels) * max(1, len(c.curves)))
     table = c.table
     differing = [name for name in c.curves if any(d is not None and d.largest for d in table[name])]
     panels = [
-        make(name, c.units[name], labels, c.curves[name], base) for name in differing for make in (overlay, differences)
+        make(name, c.units[name], labels, c.curves[name], base)
+        for name in differing
+        for make in (overlay, partial(differences, short=short))
     ]
     equal = [overlay(name, c.units[name], labels, c.curves[name], base) for name in c.curves if name not in differing]
     paths = [str(c.runs[k].path) for k in (c.baseline, *c.others)]
     return {
-        "base": c.labels[c.baseline],
+        "base": short,
         "count": counted(len(c.others), "run"),
         "outcome": sentence(c),
         "tone": "plain" if not c.judged else "good" if c.same else "bad",
@@ -52,7 +57,7 @@ def _context(c: ComparedRuns, tolerance: str, options: Sequence[str]) -> Mapping
         "judged": c.judged,
         "runs": _run_rows(c),
         "shorts": c.shorts,
-        "inputs": [(f"{i.name}", i.kind, *map(input_text, i.values)) for i in c.inputs[:MAX_ROWS]],
+        "inputs": [(i.name, i.kind, *_input_cells(i)) for i in c.inputs[:MAX_ROWS]],
         "more_inputs": max(0, len(c.inputs) - MAX_ROWS),
         "criteria": [_criterion_row(title, outcomes) for title, outcomes in c.criteria.items()],
         "left_out": c.left_out,
@@ -66,6 +71,13 @@ def _context(c: ComparedRuns, tolerance: str, options: Sequence[str]) -> Mapping
         "repeat": shlex.join(["cosim", "compare", *paths, *options]),
         "version": __version__,
     }
+
+
+def _input_cells(row: DifferingInput) -> list[str]:
+    """Return the values of an input as texts; of paths their last part, if it tells them apart."""
+    texts = [input_text(value) for value in row.values]
+    names = [text.rpartition("/")[2] if text.startswith("/") else text for text in texts]
+    return names if len({*names}) == len({*texts}) else texts
 
 
 def _criterion_row(title: str, outcomes: Sequence[Mapping[str, Any] | None]) -> tuple[Any, ...]:

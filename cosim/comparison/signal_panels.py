@@ -34,12 +34,14 @@ def overlay(name: str, unit: str, runs: Sequence[str], values: Sequence[Array], 
     return Panel(name, label, [Trace(r, v * factor, s) for r, v, s in zip(runs, values, styles, strict=True)])
 
 
-def differences(name: str, unit: str, runs: Sequence[str], values: Sequence[Array], baseline: int = 0) -> Panel:
-    """Return the panel of the differences of a signal from the baseline."""
+def differences(
+    name: str, unit: str, runs: Sequence[str], values: Sequence[Array], baseline: int = 0, short: str = ""
+) -> Panel:
+    """Return the panel of the differences of a signal from the baseline; `short` is its name in the title."""
     label, factor = _display(unit)
     styles, first = styles_of(len(runs), baseline), values[baseline]
     traces = [Trace(runs[k], (values[k] - first) * factor, styles[k]) for k in range(len(runs)) if k != baseline]
-    return Panel(f"{name}, minus {runs[baseline]}", label, traces)
+    return Panel(f"{name}, minus {short or runs[baseline]}", label, traces)
 
 
 def _display(unit: str) -> tuple[str, float]:
