@@ -6,8 +6,9 @@ TESTING := .venv/.testing
 CHECKING := .venv/.checking
 DOCUMENTING := .venv/.documenting
 MUTATING := .venv/.mutating
+RELEASING := .venv/.releasing
 
-.PHONY: run test thorough refine bench blind blind-fmu crash kills fuzz mutants seed check docs english clean fmus
+.PHONY: run test thorough refine bench blind blind-fmu crash kills fuzz mutants seed check docs english dist trial versions clean fmus
 N ?= 24
 CRASHES ?= 200
 KILLS ?= 200
@@ -36,6 +37,10 @@ $(MUTATING): $(TESTING)
 
 $(DOCUMENTING): $(RUNTIME)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
+	@touch $@
+
+$(RELEASING): $(RUNTIME)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[release]'
 	@touch $@
 
 fmus: $(RUNTIME)
@@ -98,5 +103,19 @@ english: $(RUNTIME)
 docs: $(DOCUMENTING)
 	$(BIN)/python docs/site.py $(LINKS)
 
+# wheels and sdists of both distributions
+dist: $(RELEASING)
+	$(BIN)/python -m release.dist
+
+# the distributions in empty environments: no compiler, no network but a folder of wheels
+trial: dist
+	$(BIN)/python -m release.trial $(TRIALS)
+
+# a set of wheels for each Python and platform; tests with the Pythons that are here, and with the oldest dependencies
+versions: $(RELEASING)
+	$(BIN)/python -m release.versions resolve
+	$(BIN)/python -m release.versions run
+	$(BIN)/python -m release.versions run --oldest
+
 clean:
-	rm -rf build results docs/_made docs/_site docs/_site.doctrees .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache *.egg-info
+	rm -rf build results dist docs/_made docs/_site docs/_site.doctrees .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache *.egg-info

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import re
 import shlex
 import shutil
 import subprocess
@@ -13,6 +14,8 @@ import tempfile
 from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
+
+from cosim.base.version import __version__
 
 DOCS = Path(__file__).resolve().parent
 ROOT, MADE, SITE = DOCS.parent, DOCS / "_made", DOCS / "_site"
@@ -149,11 +152,23 @@ def faults(site: Path) -> list[str]:
     return found
 
 
+def publish(site: Path, folder: Path, version: str) -> None:
+    """Copy a site to the folder of its version, and write the page that lists all versions."""
+    shutil.rmtree(folder / version, ignore_errors=True)
+    shutil.copytree(site, folder / version)
+    names = [path.name for path in folder.iterdir() if (path / "index.html").is_file()]
+    names.sort(key=lambda name: [int(part) for part in re.findall(r"\d+", name)], reverse=True)
+    items = "".join(f'<li><a href="{name}/index.html">{name}</a></li>' for name in names)
+    head = '<!DOCTYPE html><html lang="en"><meta charset="utf-8"><title>cosim: versions</title>'
+    (folder / "index.html").write_text(f"{head}<h1>cosim</h1><ul>{items}</ul></html>\n", encoding="utf-8")
+
+
 def main() -> int:
     """Build the site; return 1 for a broken link."""
     options = argparse.ArgumentParser(description="Build the site into docs/_site and check every link.")
     options.add_argument("--external", action="store_true", help="check links to other sites too")
     options.add_argument("--no-gallery", action="store_true", help="keep the reports of the previous build")
+    options.add_argument("--publish", type=Path, metavar="FOLDER", help="copy the site to FOLDER/VERSION")
     chosen = options.parse_args()
     if not chosen.no_gallery:
         gallery()
@@ -168,6 +183,8 @@ def main() -> int:
         "\n".join(found)
         or f"{len(list(SITE.rglob('*.html')))} pages, every link leads somewhere: {SITE / 'index.html'}"
     )
+    if chosen.publish and not found:
+        publish(SITE, chosen.publish, __version__)
     return 1 if found else 0
 
 

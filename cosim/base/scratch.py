@@ -10,6 +10,7 @@ import atexit
 import os
 import shutil
 import stat
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -122,10 +123,10 @@ def lock_file(path: Path, *, create: bool = False) -> int | None:
 
 def lock_descriptor(descriptor: int) -> None:
     """Lock an open file; raise OSError if locked elsewhere or not lockable."""
-    if os.name == "nt":
+    if sys.platform == "win32":
         import msvcrt
 
-        msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined,unused-ignore]
+        msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
     else:
         import fcntl
 

@@ -9,6 +9,7 @@ import os
 import platform
 import re
 import struct
+import sys
 import tempfile
 from pathlib import Path
 
@@ -71,8 +72,9 @@ def header_fault(library: Path) -> Message | None:
 def _loader_fault(name: str, text: str, error: Exception) -> Message:
     """Return the message for a text of the loader, with the remedy of a known cause."""
     if match := TOO_NEW.search(text):
-        has_version = match["name"] == "GLIBC" and hasattr(os, "confstr")
-        own = f", this machine has {os.confstr('CS_GNU_LIBC_VERSION')}" if has_version else ""
+        own = ""
+        if sys.platform == "linux" and match["name"] == "GLIBC":
+            own = f", this machine has {os.confstr('CS_GNU_LIBC_VERSION')}"
         package = MAKERS.get(match["name"], match["name"])
         return messages.OLD_SYSTEM(library=name, name=package, version=match["version"], own=own, reason=text)
     if (match := MISSING.search(text)) and isinstance(_cause(error), OSError):
@@ -94,7 +96,7 @@ def _is_execution_refused(text: str) -> bool:
 
 def _is_without_programs(folder: str) -> bool:
     """Return whether the folder's disk is mounted noexec."""
-    return hasattr(os, "statvfs") and bool(os.statvfs(folder).f_flag & os.ST_NOEXEC)
+    return sys.platform == "linux" and bool(os.statvfs(folder).f_flag & os.ST_NOEXEC)
 
 
 def _cause(error: Exception) -> BaseException:

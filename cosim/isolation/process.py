@@ -261,7 +261,7 @@ def _spawn() -> subprocess.Popen[bytes]:
 
 def _end_group(process: subprocess.Popen[bytes], kill: bool) -> None:
     """End a process and its children."""
-    if os.name == "nt":
+    if sys.platform == "win32":
         if kill and process.poll() is None:
             command = ["taskkill", "/F", "/T", "/PID", str(process.pid)]
             subprocess.run(command, capture_output=True, check=False)

@@ -8,6 +8,7 @@ import itertools
 import json
 import mmap
 import os
+import sys
 from array import array
 from collections.abc import Callable, MutableSequence, Sequence
 from contextlib import suppress
@@ -113,8 +114,9 @@ def mapped_table(path: Path, rows: int, columns: int) -> Array:
         return np.zeros((rows, columns))
     with path.open("r+b") as stream:
         mapped = mmap.mmap(stream.fileno(), 8 * rows * columns)
-    with suppress(OSError, ValueError):  # Linux only; otherwise each page costs a fault during stepping.
-        mapped.madvise(POPULATE_WRITE, 0, min(len(mapped), AHEAD))
+    if sys.platform == "linux":  # elsewhere each page costs a fault during stepping
+        with suppress(OSError, ValueError):
+            mapped.madvise(POPULATE_WRITE, 0, min(len(mapped), AHEAD))
     return np.frombuffer(mapped, np.float64).reshape(rows, columns)
 
 

@@ -143,7 +143,7 @@ def _read(requests: BinaryIO, jobs: queue.SimpleQueue[bytes], scratch: Path) -> 
         jobs.put(content)
     for path in (*_registered_folders(scratch), scratch):
         remove(path)
-    if os.name == "posix" and os.getpgid(0) == os.getpid():
+    if sys.platform != "win32" and os.getpgid(0) == os.getpid():
         os.killpg(0, signal.SIGKILL)  # including processes started by an FMU
     os._exit(1)
 

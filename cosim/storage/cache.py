@@ -182,6 +182,8 @@ def _others_write(status: os.stat_result) -> bool:
 
 def _is_own_group(number: int) -> bool:
     """Return whether a group is the user's private group."""
+    if sys.platform == "win32":
+        return False
     import grp
     import pwd
 

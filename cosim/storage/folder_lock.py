@@ -10,6 +10,7 @@ from __future__ import annotations
 import errno
 import os
 import stat
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
@@ -135,7 +136,7 @@ def _is_shared_with_writers(lock: int, folder: Path) -> bool:
     own, place = os.fstat(lock), folder.stat()
     if not stat.S_ISREG(own.st_mode):
         return False
-    if not hasattr(os, "geteuid"):
+    if sys.platform == "win32":
         return True
     if own.st_uid == os.geteuid() and own.st_nlink == 1:  # never the mode of a file with another name
         with suppress(OSError):  # a disk without permissions
