@@ -59,10 +59,23 @@ class Attributor:
         self.identifiable: dict[str, float] = {}
 
     def run(self) -> SearchResult:
-        """Fit the base model, then promising sets of candidates in rounds, then the finalists; return the result."""
+        """Fit the base model and search; if nothing is found and the base model is then fitted far better, search again.
+
+        The first fit may end in a local optimum with much sensor noise, where no candidate promises anything.
+        """
         search = self.search
         self.progress("recalibrating the base model", 0.0)
         base = self._with_stamp_errors(self._with_stated_noise(search.hypothesis((), None)))
+        result = self._search_from(base)
+        settled = search.tried[()]
+        if result.best.candidates or search.problem.trusted or settled.fit.objective > base.fit.objective - NEAR:
+            return result
+        search.problem, self.identifiable = coarsen(self.fine, settled.fit.values), {}
+        return self._search_from(self._with_stamp_errors(self._with_stated_noise(settled)))
+
+    def _search_from(self, base: Hypothesis) -> SearchResult:
+        """Fit promising sets of candidates in rounds, then the finalists; return the result."""
+        search = self.search
         best, idle = self._start_from(base), 0
         for number in range(ROUNDS):
             proposed = self._proposals(best)
