@@ -59,7 +59,7 @@ class Attributor:
         self.identifiable: dict[str, float] = {}
 
     def run(self) -> SearchResult:
-        """Fit the base model and search; if nothing is found and the base model is then fitted far better, search again.
+        """Fit the base model and search; search again if nothing is found and the base model is then fitted far better.
 
         The first fit may end in a local optimum with much sensor noise, where no candidate promises anything.
         """
