@@ -16,10 +16,11 @@ from cosim.storage.results import Results
 from cosim.system.system import build_system
 from examples.coupling.build import HERE, build_all
 
-FIGURES = ("newton_iterations", "controlled_over_fixed", "controlled_over_fixed_linear")
+FIGURES = ("newton_iterations", "controlled_over_fixed", "controlled_over_fixed_linear", "residual_over_fixed_linear")
 ROW, SECONDS = 0.02, 5.0
 PARTS = 16, 64  # steps of equal length in a row, between which the error is interpolated
 LINEAR = "extrapolate=linear", "interpolate=linear"
+BY_RESIDUAL = "step.estimator=residual", "step.tolerance=1e-3", "step.max=0.004", f"step.rows={ROW}"
 Array = NDArray[np.float64]
 
 
@@ -33,11 +34,17 @@ def coupling_figures(place: Path) -> dict[str, float | str]:
     loop = results(place / "power.yaml").details["loops"][0]
     exact = exact_truck()
     controlled = results(place / "truck.yaml")
-    points, error = controlled.details["steps"]["communication_points"], error_of(controlled, exact)
+    by_residual = results(place / "truck.yaml", BY_RESIDUAL)
+
+    def over_fixed(run: Results, overrides: tuple[str, ...] = ()) -> float:
+        points = points_of_equal_steps(place / "truck.yaml", error_of(run, exact), exact, overrides)
+        return float(run.details["steps"]["communication_points"] / points)
+
     return {
         "newton_iterations": loop["iterations"]["total"] / loop["points"],
-        "controlled_over_fixed": points / points_of_equal_steps(place / "truck.yaml", error, exact),
-        "controlled_over_fixed_linear": points / points_of_equal_steps(place / "truck.yaml", error, exact, LINEAR),
+        "controlled_over_fixed": over_fixed(controlled),
+        "controlled_over_fixed_linear": over_fixed(controlled, LINEAR),
+        "residual_over_fixed_linear": over_fixed(by_residual, LINEAR),
     }
 
 
