@@ -285,8 +285,19 @@ class Switching(Observer):
         return self.seen[-1] == 0.0
 
 
-def test_the_thermostat_of_the_example_switches_the_heater(tmp_path: Path) -> None:
-    cosim.build(tmp_path / "build" / "oven", model=f"{EXAMPLES / 'oven.py'}:Oven")
+@pytest.fixture(scope="module")
+def oven(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of the oven's FMU."""
+    folder = tmp_path_factory.mktemp("oven")
+    cosim.build(folder, model=f"{EXAMPLES / 'oven.py'}:Oven")
+    return folder
+
+
+def example(name: str, oven: Path) -> str:
+    return (EXAMPLES / name).read_text(encoding="utf-8").replace("../../build/oven", str(oven))
+
+
+def test_the_thermostat_of_the_example_switches_the_heater(oven: Path, tmp_path: Path) -> None:
     ports = free_port(), free_port()
     command = [sys.executable, str(EXAMPLES / "thermostat.py"), str(ports[1]), str(ports[0])]
     observer = Switching()
@@ -294,9 +305,8 @@ def test_the_thermostat_of_the_example_switches_the_heater(tmp_path: Path) -> No
         try:
             assert thermostat.stdout is not None
             assert thermostat.stdout.readline().strip() == b"ready"
-            text = (EXAMPLES / "oven_udp.yaml").read_text(encoding="utf-8")
-            text = text.replace("5005", str(ports[0])).replace("5006", str(ports[1]))
-            text = text.replace("../../build/oven", str(tmp_path / "build" / "oven")).replace("pace: 10", "pace: 100")
+            text = example("oven_udp.yaml", oven).replace("pace: 10", "pace: 100")
+            text = text.replace("udp: 5005", f"udp: {ports[0]}").replace("udp: 5006", f"udp: {ports[1]}")
             (tmp_path / "oven.yaml").write_text(text.replace("2 min", "2 h"), encoding="utf-8")
             ran = cosim.run(tmp_path / "oven.yaml", tmp_path / "o", observers=[observer], report=False)
         finally:
@@ -307,5 +317,6 @@ def test_the_thermostat_of_the_example_switches_the_heater(tmp_path: Path) -> No
     assert ran["oven.board"][: off // 2].max() < 342.0
     sent, received = ran.manifest["partners"][1]["sent"], ran.manifest["partners"][0]["messages"]
     assert sent >= received >= 2
+    assert [*ran.manifest["timings"]["components"]] == ["oven"]
     cosim.run(tmp_path / "o" / "manifest.json", tmp_path / "again", [f"duration={ran.time[-1]:g}"], report=False)
     assert (tmp_path / "again" / "results.csv").read_bytes() == (tmp_path / "o" / "results.csv").read_bytes()
