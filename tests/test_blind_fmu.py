@@ -295,6 +295,14 @@ def test_a_fifth_is_a_fifth_of_the_distance_from_neutral() -> None:
     assert lag == {"frequency": 500.0, "damping": 0.5}
 
 
+def test_a_lag_of_a_sensor_is_one_that_the_integration_resolves() -> None:
+    """A shorter lag would act as the shortest, and the answer would be wrong."""
+    rig = RIGS["dc_motor", "co_simulation"]
+    low, _ = rig.entries["lag_at_angle"].limits
+    assert rig.resolves({"lag_at_angle": {"time": low}, "lag_at_voltage": {"time": 0.1 * low}})
+    assert not rig.resolves({"lag_at_angle": {"time": 0.2 * low}})
+
+
 def test_scores_are_by_size_and_way() -> None:
     found = {"verdict": "effect_found", "effects": [{"name": "delay", "parameters": {}}], "rivals": [], "seconds": 5.0}
     found |= {"sensors": [], "error": {"after": {"y": 1.0}}, "error_true": {"y": 1.0}, "disturbance": "small"}

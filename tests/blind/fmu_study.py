@@ -122,6 +122,9 @@ def _known(study: FmuStudy, names: Sequence[str], rng: np.random.Generator) -> S
         return found
     entries = found.rig.entries
     found = replace(found, truth={name: shrunk(entries[name], values) for name, values in found.truth.items()})
+    assert isinstance(found.rig, FmuRig)
+    if not found.rig.resolves(found.truth):
+        return None
     found = replace(found, costs=costs(found.rig, found.base, found.truth, conditions(found)))
     return found if min(found.costs.values()) >= LEAST else None
 
