@@ -122,3 +122,30 @@ def test_a_sweep_is_listed_with_its_runs(tmp_path: Path) -> None:
     record = {"sweep": {}, "runs": 50, "failed": 2, "met_all": 40, "criteria": [{"name": "x", "met": 40, "of": 48}]}
     (folder / "sweep.json").write_text(json.dumps(record))
     assert entries(tmp_path)[0].outcome == "50 runs, 2 failed, 40 met all criteria"
+
+
+@pytest.mark.parametrize(
+    ("words", "file", "stage"),
+    [
+        (["refine", "study.yaml"], "study/refine.json", "cosim.refinement.workflow.attribute"),
+        (["fit", "e1.csv", "--fmu", "tank.fmu"], "tank-fit/fit.json", "cosim.calibration.workflow.find_misbehaviour"),
+    ],
+)
+def test_an_interrupted_search_leaves_the_earlier_results(
+    here: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], file: str, stage: str
+) -> None:
+    stopped: list[bool] = []
+
+    def stop(*_: Any, **__: Any) -> Any:
+        stopped.append(True)
+        raise KeyboardInterrupt
+
+    earlier = here / "results" / file
+    earlier.parent.mkdir(parents=True)
+    earlier.write_text('{"verdict": "no_effect", "study": "study.yaml", "fmu": "tank.fmu"}')
+    monkeypatch.setattr(stage, stop)
+    assert CliRunner().invoke(app, [*words, "--no-report"]).exit_code != 0
+    assert stopped
+    assert json.loads(earlier.read_text())["verdict"] == "no_effect"
+    assert not (earlier.parent / "runs").exists()
+    assert [entry.outcome for entry in entries()] == ["no_effect"]
