@@ -182,6 +182,22 @@ class Firefox:
         self._folder.cleanup()
 
 
+def cpu_seconds() -> float:
+    """Return the processor time of this process and all below it; 0 where there is no /proc."""
+    parents, times = dict[int, int](), dict[int, float]()
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = stat.read_text().rpartition(")")[2].split()
+        except OSError:
+            continue
+        parents[int(stat.parent.name)] = int(fields[1])
+        times[int(stat.parent.name)] = (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+    below = {os.getpid()}
+    for _ in range(10):
+        below |= {child for child, parent in parents.items() if parent in below}
+    return sum(seconds for process, seconds in times.items() if process in below)
+
+
 def wait_ready(browser: Any) -> None:
     """Wait until the page has drawn all curves."""
     end = time.monotonic() + 60
@@ -201,7 +217,9 @@ def measure(browser: Any, folder: Path, numbers: list[int]) -> dict[str, float]:
             browser.open(url)
             wait_ready(browser)
             for name, script in (("zoom", ZOOM), ("cursor", CURSOR)):
+                used = cpu_seconds()
                 times = browser.evaluate(script)
+                found[f"{name}_{curves}_cpu_ms"] = 1000 * (cpu_seconds() - used) / len(times)
                 found |= {f"{name}_{curves}_curves_ms": times[len(times) // 2], f"{name}_{curves}_p90_ms": times[-3]}
     runs = [str(path) for path in sorted((folder / "many").iterdir()) if path.is_dir()]
     with served(*runs, "--layout", str(folder / "none.json")) as (url, started):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import socket
 import urllib.request
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -325,6 +326,15 @@ def test_bad_input_ends_with_code_2_and_the_reason(folder: Path, words: str, mes
     assert sorted(folder.rglob("*")) == before
 
 
+def test_a_port_in_use_ends_with_code_2(folder: Path) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        done = CliRunner().invoke(app, ["view", "tank", "--no-browser", "--port", str(taken.getsockname()[1])])
+    assert isinstance(done.exception, InputError)
+    assert done.exception.code == "E-SRV-001"
+
+
 def test_prepared_runs_are_told(folder: Path) -> None:
     done = CliRunner().invoke(app, ["view", "tank*", "--prepare", "--json"])
     assert [run["name"] for run in json.loads(done.stdout)["runs"]] == ["tank/0001", "tank"]
@@ -422,6 +432,11 @@ def test_an_export_that_is_too_large_asks_for_a_zoom(
     with pytest.raises(HTTPError, match="400") as refused:
         page[1](f"export.csv?{of}")
     assert "zoom in" in json.loads(refused.value.read())["error"]
+
+
+def test_another_token_reads_nothing(page: tuple[ViewPage, Ask]) -> None:
+    with pytest.raises(HTTPError, match="404"):
+        urllib.request.urlopen(f"{page[0].server.origin}/{'x' * 43}/about", timeout=10)
 
 
 def test_layouts_are_kept_in_a_file(page: tuple[ViewPage, Ask], tmp_path: Path) -> None:

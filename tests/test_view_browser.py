@@ -73,6 +73,11 @@ def test_signals_are_searched_dragged_and_added_by_keys(browser: Browser, page_o
     page.keyboard.press("Enter")  # of both runs, on an axis of their unit
     assert _names(page) == ["mass.x · run 0", "mass.f · run 0", "mass.f · run 1"]
     assert page.locator(".axis-unit").all_inner_texts() == ["1: [m]", "2: [N]"]
+    page.fill("#find", "mass.v")
+    row.first.drag_to(page.locator(".y-ticks").first)  # to an axis, whatever its unit
+    assert page.locator(".axis-unit").all_inner_texts() == ["1: [m, m/s]", "2: [N]"]
+    page.keyboard.press("Escape")
+    page.locator("#tree").focus()
     page.keyboard.press("Shift+Enter")
     assert page.locator("figure.plot").count() == 2
     row.first.drag_to(page.locator("#new-plot"))

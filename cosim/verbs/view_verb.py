@@ -16,6 +16,7 @@ from cosim.verbs.terminal import LAST, progress_bar, say, say_finding, say_json,
 
 MOST_NAMES = 5
 LAYOUTS = "view.json"
+GRACE = 10.0  # [s] without a page until the command ends
 
 
 def command(
@@ -73,4 +74,4 @@ def command(
 
 def _wait(page: object) -> None:
     with suppress(KeyboardInterrupt, Terminated):  # which is how a browser of signals ends
-        page.wait_for_close(say_note, float("inf"))  # type: ignore[attr-defined]
+        page.wait_for_close(say_note, float("inf"), GRACE)  # type: ignore[attr-defined]

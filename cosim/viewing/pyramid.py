@@ -97,10 +97,12 @@ class Recording:
         units: Name of a signal → unit, "" without unit, in the order of the file.
         rows: Number of rows.
         added: Units of signals that were computed here.
+        needed: Signals that are read one after the other now, for a subclass that reads several at once.
     """
 
     def __init__(self, columns: Mapping[str, Array], units: Mapping[str, str], rows: int) -> None:
         self.units, self.rows, self.added = dict(units), rows, dict[str, str]()
+        self.needed: frozenset[str] = frozenset()
         self.sizes = level_sizes(rows)
         # Above the rows, all levels stand one behind the other in a column.
         self.begins = [0, 0, *accumulate(self.sizes[1:-1])]

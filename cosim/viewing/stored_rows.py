@@ -27,7 +27,7 @@ from cosim.base.scratch import process_folder
 from cosim.base.units import factor
 from cosim.storage.csv_source import CSV, read_heading
 from cosim.storage.folders import content_of
-from cosim.storage.parquet_source import PARQUET, ROWS_A_GROUP, UNIT
+from cosim.storage.parquet_source import PARQUET, UNIT
 from cosim.storage.results import Results, read_results
 from cosim.storage.table_columns import is_time, split_heading
 from cosim.storage.table_source import source_of
@@ -36,7 +36,8 @@ from cosim.viewing.pyramid import FACTOR, TIME, Part, Places, Recording, join_bl
 
 FOLDER, ABOUT, VERSION = ".view", "about.json", 1
 SMALL = 4_000_000  # size of a table that is read as a whole [bytes]
-GROUP_VALUES, LEAST_GROUP = 1 << 23, FACTOR**3  # values written at a time, rows of a group at least
+GROUP_VALUES = 1 << 23  # values written at a time
+LEAST_GROUP, MOST_GROUP = FACTOR**3, 4 * FACTOR**3  # rows of a group
 MEMORY = 1 << 28  # of columns kept from files [bytes]
 BLOCK = 1 << 24  # of text read at a time [bytes]
 Progress = Callable[[int, int], None] | None
@@ -50,20 +51,22 @@ class Chunks:
         self._size, self._used, self._lock = size, 0, threading.Lock()
         self._chunks = OrderedDict[Any, Array]()
 
-    def get(self, key: Any, read: Callable[[], Array]) -> Array:
-        """Return a chunk, read if it is not here."""
+    def get(self, key: Any) -> Array | None:
+        """Return a chunk if it is here."""
         with self._lock:
             if key in self._chunks:
                 self._chunks.move_to_end(key)
-                return self._chunks[key]
-        chunk = read()
+            return self._chunks.get(key)
+
+    def put(self, chunks: Mapping[Any, Array]) -> None:
+        """Keep chunks in the place of those that were used longest ago."""
         with self._lock:
-            if key not in self._chunks:
-                self._chunks[key] = chunk
-                self._used += chunk.nbytes
+            for key, chunk in chunks.items():
+                if key not in self._chunks:
+                    self._chunks[key] = chunk
+                    self._used += chunk.nbytes
             while self._used > self._size and len(self._chunks) > 1:
                 self._used -= self._chunks.popitem(last=False)[1].nbytes
-        return chunk
 
 
 CHUNKS = Chunks()
@@ -101,17 +104,20 @@ class StoredRecording(Recording):
         return values
 
     def _chunk(self, part: Part, name: str, group: int) -> Array:
-        def read() -> Array:
-            with self._lock:
-                file = self._files.get(part)
-                if file is None:
-                    parquet = optional("pyarrow.parquet", "cosim view")
-                    file = self._files[part] = parquet.ParquetFile(self._folder / f"{part}.parquet", memory_map=True)
-                # A column a also brings a.b, whose path begins with its name.
-                column = file.read_row_group(group, columns=[name], use_threads=False).column(name)
-            return np.asarray(column.to_numpy(), dtype=np.float64)
-
-        return CHUNKS.get((id(self), part, name, group), read)
+        """Return a column of a row group, read together with the other columns that are needed now."""
+        if (found := CHUNKS.get((id(self), part, name, group))) is not None:
+            return found
+        names = {name, *(n for n in self.needed if CHUNKS.get((id(self), part, n, group)) is None)} - {*self.added}
+        with self._lock:
+            file = self._files.get(part)
+            if file is None:
+                parquet = optional("pyarrow.parquet", "cosim view")
+                file = self._files[part] = parquet.ParquetFile(self._folder / f"{part}.parquet", memory_map=True)
+            # A column a also brings a.b, whose path begins with its name.
+            table = file.read_row_group(group, columns=sorted(names), use_threads=False)
+        chunks = {n: np.asarray(table.column(n).to_numpy(), dtype=np.float64) for n in names}
+        CHUNKS.put({(id(self), part, n, group): chunk for n, chunk in chunks.items()})
+        return chunks[name]
 
 
 def open_rows(path: Path, units: Mapping[str, str], text: Sequence[str], progress: Progress = None) -> Recording:
@@ -251,7 +257,7 @@ def _parquet_columns(
     def batches() -> Batches:
         size, rows, done = path.stat().st_size, max(1, file.metadata.num_rows), 0
         with file:
-            for batch in file.iter_batches(ROWS_A_GROUP):
+            for batch in file.iter_batches(MOST_GROUP):
                 done += batch.num_rows
                 arrays = [batch.column(k).cast("float64", safe=False) for k in chosen]
                 yield [a.to_numpy(zero_copy_only=False) for a in arrays], size * done // rows
@@ -274,7 +280,7 @@ def _write(draft: Path, heads: list[tuple[str, str]], batches: Batches, path: Pa
     """Write rows and extremes; return the description of a cache."""
     units = dict(heads[1:])
     names, scale = [TIME, *units], factor(heads[0][1], "s") or 1.0
-    group = max(LEAST_GROUP, min(ROWS_A_GROUP, GROUP_VALUES // len(names) // LEAST_GROUP * LEAST_GROUP))
+    group = max(LEAST_GROUP, min(MOST_GROUP, GROUP_VALUES // len(names) // LEAST_GROUP * LEAST_GROUP))
     size, rows, last, ends = path.stat().st_size, 0, -np.inf, list[float]()
     files = [_GroupFile(draft / f"{part}.parquet", names, group) for part in ("rows", "low", "high")]
     seconds: list[tuple[Array, Array]] = []  # the second level

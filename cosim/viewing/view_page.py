@@ -188,7 +188,10 @@ class ViewPage(ServedPage):
         curves = _content(request).get(key)
         if not isinstance(curves, list):
             raise _refused("a list of curves")
-        return [self._curve(curve) for curve in curves]
+        found = [self._curve(curve) for curve in curves]
+        for run in self._runs:
+            run.rows.needed = frozenset(name for each, name in found if each is run)
+        return found
 
     def _curve(self, curve: Any) -> tuple[ViewedRun, str]:
         """Return run and name of a curve, which is [number of the run, name of the signal]."""
