@@ -52,7 +52,7 @@ CURSOR = """(async () => {
 
 
 def make_runs(folder: Path, runs: int, rows: int, signals: int) -> None:
-    """Write runs as Parquet, unless they are there."""
+    """Write missing runs as Parquet."""
     import pyarrow as pa
     from pyarrow import parquet
 
@@ -82,7 +82,7 @@ def write_layout(file: Path, run: str, curves: int) -> None:
 
 @contextmanager
 def served(*words: str) -> Iterator[tuple[str, float]]:
-    """Start `cosim view`; yield its address and the seconds until it was printed."""
+    """Start `cosim view`; yield its address and the duration of its start [s]."""
     begin = time.monotonic()
     command = [sys.executable, "-m", "cosim", "view", *words, "--no-browser"]
     with subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True) as process:
@@ -183,7 +183,7 @@ class Firefox:
 
 
 def cpu_seconds() -> float:
-    """Return the processor time of this process and all below it; 0 where there is no /proc."""
+    """Return the processor time of this process and its descendants; 0 without /proc."""
     parents, times = dict[int, int](), dict[int, float]()
     for stat in Path("/proc").glob("[0-9]*/stat"):
         try:
