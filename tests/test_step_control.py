@@ -137,6 +137,25 @@ def test_steps_at_their_minimum_with_too_large_an_error_are_told(tmp_path: Path)
     assert "0.01 s: first at t = 1" in warning
 
 
+def test_no_step_is_shorter_than_the_minimum(tmp_path: Path) -> None:
+    """Where min divides no interval between rows, too."""
+    _, manifest = ran(truck(tmp_path), "step: {max: 20 ms, min: 11 ms, tolerance: 1e-6}\n", seconds=1.5)
+    assert manifest["steps"]["sizes"]["0 %"] >= 0.011
+    _, manifest = ran(tmp_path, "step: {max: 20 ms, min: 3 ms, rows: 25 ms, tolerance: 1e-6}\n", seconds=1.5)
+    assert manifest["steps"]["sizes"]["0 %"] >= 0.003
+    assert manifest["steps"]["sizes"]["100 %"] <= 0.020
+
+
+def test_residuals_without_extrapolated_inputs_are_told(tmp_path: Path) -> None:
+    coupled_fmu(tmp_path / "a.fmu", LINEAR, saves=False)
+    chain = (
+        "name: chain\nduration: 0.1\nstep: {max: 20 ms, min: 1 ms}\ncomponents: {a: {fmu: a.fmu}, b: {fmu: a.fmu}}\n"
+    )
+    (tmp_path / "chain.yaml").write_text(f"{chain}connections: [{{from: a.y0, to: b.u0}}]\n")
+    warnings = run(tmp_path / "chain.yaml", tmp_path / "out", report=False).manifest["warnings"]
+    assert any("judges nothing" in warning for warning in warnings)
+
+
 def test_components_with_a_step_of_their_own_step_at_rows(tmp_path: Path) -> None:
     """A sampled FMU counts its steps: one for each two rows."""
     truck(tmp_path)
@@ -173,6 +192,7 @@ def test_manifest_and_report_state_steps_and_sizes(tmp_path: Path) -> None:
         ("{max: 20 ms, min: 1 ms, rows: 10 ms}", "max at most rows"),
         ("{max: 20 ms}", "step.min"),
         ("{max: 20 ms, min: 0}", "step.min"),
+        ("{max: 20 ms, min: 1e-16}", "too short"),
         ("{max: 20 ms, min: 1 ms, tolerance: -1}", "step.tolerance"),
         ("{max: 20 ms, min: 1 ms, estimator: guess}", "step.estimator"),
         ("{max: 20 ms, min: 1 ms, estimator: energy}", "needs bonds"),

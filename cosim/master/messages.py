@@ -35,8 +35,13 @@ LOOP_NOT_SOLVED = Template(
 )
 TOLERANCE_NOT_MET = Template(
     "W-MAS-011",
-    "the error of {count} steps is above the tolerance {tolerance:g} although they are the shortest, {step:g} s: first "
-    "at t = {time:.6g} s, {error:.2g} of {signal}. Give a shorter min or a larger tolerance",
+    "the error of {count} steps is above the tolerance {tolerance:g} although min allows no shorter ones, {step:g} s: "
+    "first at t = {time:.6g} s, {error:.2g} of {signal}. Give a shorter min or a larger tolerance",
+)
+NOTHING_JUDGED = Template(
+    "W-MAS-012",
+    "no input is extrapolated, so that estimator: residual judges nothing and steps grow to {step:g} s whatever their "
+    "error; give one step: of that length, or FMUs that save and restore their state (estimator: halving)",
 )
 NO_WAY_BACK = Template(
     "E-MAS-009",

@@ -167,6 +167,8 @@ class ControlledSteps:
         finally:
             if self.count.failed:
                 master.notes.append(self.count.warning(self.control))
+            if self.control.estimator == "residual" and not self.sources:
+                master.notes.append(messages.NOTHING_JUDGED(step=self.control.longest))
 
     def record(self) -> dict[str, Any]:
         """Return the entry of the manifest."""
@@ -176,11 +178,12 @@ class ControlledSteps:
         """Make the steps between two rows."""
         control, make = self.control, self._halve if self.control.estimator == "halving" else self._step_once
         while t < end:
-            parts = max(1, math.ceil((end - t) / self.wish - ROUNDING))
-            until = end if parts == 1 else t + (end - t) / parts
+            rest = end - t
+            most = math.floor(rest / control.shortest + ROUNDING), math.ceil(rest / control.longest - ROUNDING)
+            parts = min(max(1, math.ceil(rest / self.wish - ROUNDING)), max(1, *most))
+            until = end if parts == 1 else t + rest / parts
             h = until - t
-            is_shortest = h <= control.shortest * (1.0 + ROUNDING)
-            error, name = make(k, t, until, final=is_shortest)
+            error, name = make(k, t, until, final=parts == max(1, *most))
             if math.isnan(error):  # taken back
                 continue
             self.count.accept(t, h, error, name)

@@ -26,6 +26,10 @@ BONDS_WITHOUT_ENERGY = Template(
     "E-SCN-022", "bonds belong to estimator: energy, which this is not ({estimator}); leave one of them out"
 )
 ENERGY_WITHOUT_BONDS = Template("E-SCN-023", "estimator: energy needs bonds: [{{effort: a.force, flow: b.velocity}}]")
+MIN_BELOW_RESOLUTION = Template(
+    "E-SCN-024",
+    "min is {min:g} s, too short for floating-point times of this run; give at least {resolution:.2g} s",
+)
 NO_BAND = Template("E-SCN-005", "{kind} needs a band; add the allowed distance from its target")
 NEEDLESS_BAND = Template("E-SCN-006", "{kind} takes no band; leave it out")
 INTERVAL_OUTSIDE = Template(

@@ -26,6 +26,7 @@ from cosim.storage.yaml_nodes import Document, Location, NotYaml
 
 MOST_STEPS = 2e7
 ROUNDING = 1e-9  # relative tolerance for a whole number of steps
+TICKS = 1000  # spacings of floating-point times in the shortest controlled step
 
 
 class ScenarioFile:
@@ -142,6 +143,10 @@ class ScenarioFile:
             where = ("step", "min" if control.min > control.max else "max")
             message = messages.CONTROL_OUT_OF_ORDER(min=control.min, max=control.max, rows=rows)
             faults.append(self.fault(where, message))
+        resolution = TICKS * math.ulp(abs(self.scenario.start_time) + self.scenario.duration)
+        if control.min < resolution:
+            message = messages.MIN_BELOW_RESOLUTION(min=control.min, resolution=resolution)
+            faults.append(self.fault(("step", "min"), message))
         if control.bonds and control.estimator not in (None, "energy"):
             faults.append(self.fault(("step", "bonds"), messages.BONDS_WITHOUT_ENERGY(estimator=control.estimator)))
         if control.estimator == "energy" and not control.bonds:

@@ -110,7 +110,8 @@ class StoppedRun:
         """Return the results; raise InputError if there are none."""
         rows = rows_in(self.folder)
         if rows is None:
-            raise InputError.at(self.folder, messages.NOTHING_TO_RESUME())
+            lost = messages.NOTHING_TO_RESUME() if self.state is None else messages.ROWS_OF_ANOTHER_RUN()
+            raise InputError.at(self.folder, lost)
         return read_results(rows, {}, self.record.get("beside", ()))
 
     def check_end(self, until: float | None) -> None:
@@ -195,8 +196,10 @@ def open_stopped(path: Path) -> StoppedRun:
     remove_drafts(kept, (STATE, BESIDE, RUN))
     source = next((file for file in (kept / RUN, folder / MANIFEST) if file.is_file()), None)
     record = {} if source is None else content_of(source)
-    if source is None or not isinstance(record.get("scenario"), dict):
+    if source is None or (source.name == MANIFEST and "scenario" not in record):
         raise InputError.at(folder, messages.NOTHING_TO_RESUME())
+    if not isinstance(record.get("scenario"), dict):
+        raise InputError.at(source, messages.DAMAGED_CHECKPOINT(reason="it has no scenario"))
     if (version := record.get("cosim_version")) != __version__:
         raise InputError.at(source, messages.OTHER_VERSION(version=version, own=__version__))
     timings = record.get("timings")
