@@ -117,9 +117,9 @@ def read_key(path: Path, *, secret: bool) -> tuple[bytes, bytes]:
     from zmq.auth import load_certificate
 
     try:
-        if secret and os.name == "posix" and stat.S_IMODE(path.stat().st_mode) & 0o077:
-            raise LinkError(messages.OPEN_KEY(file=path), exit_code=2)
         public, private = load_certificate(path)
+        if secret and private and os.name == "posix" and stat.S_IMODE(path.stat().st_mode) & 0o077:
+            raise LinkError(messages.OPEN_KEY(file=path), exit_code=2)
     except (OSError, ValueError) as error:
         raise LinkError(messages.NO_KEY_FILE(file=path, reason=" ".join(str(error).split())), exit_code=2) from None
     if len(public) != 40 or (secret and len(private or b"") != 40):
