@@ -84,6 +84,9 @@ def test_removal_takes_earlier_runs_and_never_the_newest(results: Path) -> None:
     every = entries(results)
     assert [e.name for e in plan_removal(every, keep=1).entries] == ["tank/0001"]
     assert not plan_removal(every, older=1e6).entries
+    reverse = find_entries(["tank/0002", "tank/0001"])  # the latest stay, in whatever order they are named
+    assert [e.name for e in plan_removal(every, keep=1, chosen=reverse).entries] == ["tank/0001"]
+    assert not plan_removal(every, keep=1, chosen=reverse[:1]).entries
     plan = plan_removal(every)
     assert [e.name for e in plan.entries] == ["tank/0001", "tank/0002"]
     assert plan.size == sum(p.stat().st_size for e in plan.entries for p in e.folder.iterdir())
@@ -112,7 +115,14 @@ def test_the_commands_list_open_and_remove(results: Path) -> None:
 
 
 def test_results_without_a_report_and_several_results_are_named(results: Path) -> None:
-    for words, message in ((["open", "2"], "has no report.html"), (["open", "tank/*"], "2 results match: 1 tank/0001")):
+    for words, message in (
+        (["open", "2"], "has no report.html"),
+        (["open", "results/mine"], "holds no results of a command"),
+        (["open", "tank/*"], "2 results match: 1 tank/0001"),
+        (["list", "--results", "nowhere"], "no such folder"),
+        (["gc", "--results", "nowhere"], "no such folder"),
+        (["compare", "4", "3"], "holds no rows"),
+    ):
         error = CliRunner().invoke(app, words).exception
         assert isinstance(error, InputError)
         assert message in str(error)
@@ -136,8 +146,11 @@ def test_runs_are_compared_by_number(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert done.exit_code == 0, done.output
     content = json.loads(done.output)
     assert content["signals"][0]["largest"] == 2.0
-    assert [p.name[:7] for p in Path("results").iterdir() if "and" in p.name] == ["run-1-_"]
-    assert "run 2 (ref.signals.x.start = 3)" in next(Path("results").glob("run-1*/report.html")).read_text()
+    assert "run 2 (ref.signals.x.start = 3)" in Path("results/runs-1-2/report.html").read_text()
+    assert runner.invoke(app, ["run", "s.yaml", "--no-report", "--in-process"]).exit_code == 0
+    again = runner.invoke(app, ["compare", "1", "2"])  # run 2 has moved to an earlier run
+    assert again.exit_code == 0, again.output
+    assert Path("results/runs-1-2/runs/0001/comparison.json").is_file()
 
 
 def test_a_path_that_is_not_there_is_told_as_a_path_beside_other_results(results: Path) -> None:

@@ -106,7 +106,8 @@ def _run_rows(c: ComparedRuns) -> list[dict[str, Any]]:
 
 def _largest(comparison: Compared) -> str:
     d = max(comparison.differences, key=lambda d: d.share)
-    return f"{d.name}: {format_size(d, d.largest)} ({format_share(d)})" if d.largest else "equal"
+    share = format_share(d).replace(" %", "\u00a0%")  # on one line
+    return f"{d.name}: {format_size(d, d.largest)} ({share})" if d.largest else "equal"
 
 
 def _note(comparison: Compared) -> str:

@@ -47,6 +47,7 @@ def compare(
     report: bool = True,
     write: bool = True,
     force: bool = False,
+    shorts: Sequence[str] | None = None,
 ) -> tuple[Compared, Path]:
     """Compare run b with run a; write comparison.json and report.html.
 
@@ -55,6 +56,7 @@ def compare(
         absolute: Size in the signal's unit, added to the share.
         write: Whether to write files.
         force: Whether to overwrite the files of another command.
+        shorts: Short names of both runs, for the name of the default folder.
 
     Returns:
         The comparison and its folder.
@@ -64,9 +66,10 @@ def compare(
     """
     _check_tolerance(a.path, tolerance, absolute)
     comparison = compare_runs(a, b, tolerance, absolute)
-    place = folder_named(f"{a.name} and {b.name}") if folder is None else named_path(folder)
+    names, paths = shorts or (a.name, b.name), [a.path, b.path]
+    place = folder_named(_name_of(names, paths)) if folder is None else named_path(folder)
     if write:
-        _prepare(place, [a.path, b.path], force=force, keep=folder is None)
+        _prepare(place, paths, force=force, numbered=folder is None and _is_numbered(names), keep=folder is None)
         page = partial(render, TEMPLATE, context(comparison)) if report else None
         _write(place, comparison.as_json(), page)
     return comparison, place
@@ -107,7 +110,7 @@ def compare_all(
     names = [base.short, *(s.short for k, s in enumerate(sources) if k != baseline)]
     place = folder_named(_name_of(names, paths)) if folder is None else named_path(folder)
     if write:
-        _prepare(place, paths, force=force, keep=folder is None)
+        _prepare(place, paths, force=force, numbered=folder is None and _is_numbered(names), keep=folder is None)
         options = _options(tolerance, absolute)
         page = (
             partial(several_page, comparison, _tolerance(tolerance, absolute, "the baseline"), options)
@@ -119,7 +122,7 @@ def compare_all(
 
 
 def _name_of(names: Sequence[str], paths: Sequence[Path]) -> str:
-    """Return the name of the comparison of several runs: `runs 1-2-3`; that of many ends with a hash of their paths."""
+    """Return the name of a comparison: `runs 1-2-3`; that of many runs ends with a hash of their paths."""
     numbers = [name.removeprefix(NUMBERED) for name in names]
     text = f"runs {'-'.join(numbers)}" if all(map(str.isdecimal, numbers)) else " and ".join(names)
     if len(text) <= LONGEST_NAME:
@@ -128,17 +131,27 @@ def _name_of(names: Sequence[str], paths: Sequence[Path]) -> str:
     return f"{names[0]} and {len(names) - 1} others {digest[:8]}"
 
 
+def _is_numbered(names: Sequence[str]) -> bool:
+    """Return whether the name of a comparison has the number of a run."""
+    return any(name.startswith(NUMBERED) and name.removeprefix(NUMBERED).isdecimal() for name in names)
+
+
 def _check_tolerance(path: Path, tolerance: float | None, absolute: float) -> None:
     for name, value in (("--tol", tolerance), ("--abs", absolute)):
         if value is not None and not (math.isfinite(value) and value >= 0):
             raise InputError.at(path, messages.NEGATIVE_TOLERANCE(option=name, value=value))
 
 
-def _prepare(place: Path, paths: Sequence[Path], *, force: bool, keep: bool) -> None:
-    """Check that a folder may take a comparison; move an earlier one to `runs`."""
+def _prepare(place: Path, paths: Sequence[Path], *, force: bool, numbered: bool, keep: bool) -> None:
+    """Check that a folder may take a comparison; move an earlier one to `runs`.
+
+    Args:
+        numbered: Whether the folder is named by numbers, which mean other paths after a further run or `cosim gc`.
+    """
     read = [p / "manifest.json" if p.is_dir() else p for p in paths]
     others = ", ".join(str(path) for path in paths[1:])
-    check_overwritable(place, "cosim compare", str(paths[0]), others, force=force, keep=keep)
+    compared = () if numbered else (str(paths[0]), others)
+    check_overwritable(place, "cosim compare", *compared, force=force, keep=keep)
     check_writable(place, FILES, read)
     if keep:
         keep_earlier(place, "cosim compare")

@@ -114,6 +114,17 @@ def find_entries(texts: Sequence[str], results: Path | None = None) -> list[Entr
     return [*found.values()]
 
 
+def listed_entries(texts: Sequence[str] | None, results: Path) -> list[Entry]:
+    """Return the entries of texts, without texts all of a folder.
+
+    Raises:
+        InputError: A text matches no entry, or the folder is not the default one and not there.
+    """
+    if results != RESULTS and not results.is_dir():
+        raise InputError.at(results, messages.NO_FOLDER())
+    return find_entries(texts, results) if texts else entries(results)
+
+
 def match_entries(text: str, every: Sequence[Entry], root: Path = RESULTS) -> list[Entry]:
     """Return the entries of a number, a name, a pattern or a folder within the folder of results."""
     if text.isdecimal():

@@ -25,20 +25,26 @@ class Removal:
     size: int
 
 
-def plan_removal(entries: Sequence[Entry], *, keep: int = 0, older: float = 0.0) -> Removal:
+def plan_removal(
+    entries: Sequence[Entry], *, keep: int = 0, older: float = 0.0, chosen: Iterable[Entry] | None = None
+) -> Removal:
     """Return the earlier runs to remove; the newest results of a name stay.
 
     Args:
-        keep: Number of earlier runs of each name that stay.
+        entries: All results, the oldest first.
+        keep: Number of earlier runs of each name that stay: the latest ones.
         older: Age [days] from which a run is removed.
+        chosen: Entries that may be removed; by default all.
     """
     by_name: dict[str, list[Entry]] = {}
     for entry in entries:
         if not entry.is_newest:
             by_name.setdefault(entry.name.partition("/")[0], []).append(entry)
     limit = time.time() - DAY * older
-    chosen = [e for runs in by_name.values() for e in runs[: len(runs) - keep if keep else None] if e.time <= limit]
-    return Removal(tuple(chosen), sum(_size(entry.folder) for entry in chosen))
+    names = {entry.name for entry in (entries if chosen is None else chosen)}
+    outdated = [e for runs in by_name.values() for e in runs[: max(0, len(runs) - keep)] if e.time <= limit]
+    removed = tuple(entry for entry in outdated if entry.name in names)
+    return Removal(removed, sum(_size(entry.folder) for entry in removed))
 
 
 @folder_locks()

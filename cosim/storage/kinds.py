@@ -244,8 +244,9 @@ def shell_path(path: Path) -> str:
 
 
 def refuse_folder(path: Path, kinds: str) -> None:
-    """Raise InputError for the folder of another command."""
-    if (artefact := folder_kind(path)) is not None:
+    """Raise InputError for the folder of another command, not for an incomplete folder of a wanted kind."""
+    artefact = folder_kind(path)
+    if artefact is not None and artefact.folder not in kinds:
         step = artefact.folder_step.format(file=shell_path(path))
         raise InputError.at(path, messages.OTHER_KIND(kind=artefact.folder, wanted=kinds, step=step))
 

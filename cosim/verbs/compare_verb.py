@@ -192,7 +192,8 @@ def command(
     options: dict[str, Any] = {"tolerance": tolerance, "absolute": absolute, "report": report, "force": force}
     comparison: Compared | ComparedRuns
     if len(sources) == 2:
-        comparison, folder = compare_two(*_both(sources, place), out, **options)
+        shorts = [sources[place].short, sources[1 - place].short]
+        comparison, folder = compare_two(*_both(sources, place), out, **options, shorts=shorts)
         lines = _lines(comparison)
     else:
         comparison, folder = compare_all(sources, out, baseline=place, **options)

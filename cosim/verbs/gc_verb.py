@@ -20,7 +20,7 @@ UNITS = ("B", "kB", "MB", "GB", "TB")
 
 def command(
     names: Annotated[
-        Texts, typer.Argument(metavar="[RUN]...", help="Numbers, names or patterns such as 'tank/*' (default: all).")
+        Texts, typer.Argument(metavar="[RUN]", help="Numbers, names or patterns such as 'tank/*' (default: all).")
     ] = None,
     keep: Annotated[int, typer.Option("--keep", min=0, help="Earlier runs of each name that stay.")] = 0,
     older: Annotated[float, typer.Option("--older", min=0.0, help="Remove runs older than this number of days.")] = 0.0,
@@ -35,10 +35,10 @@ def command(
     Example: cosim gc --keep 5
     """
     from cosim.history import messages
-    from cosim.history.entries import entries, find_entries
+    from cosim.history.entries import entries, listed_entries
     from cosim.history.removal import plan_removal, remove
 
-    plan = plan_removal(find_entries(names, results) if names else entries(results), keep=keep, older=older)
+    plan = plan_removal(entries(results), keep=keep, older=older, chosen=listed_entries(names, results))
     amount = f"{counted(len(plan.entries), 'earlier run')}, {_size(plan.size)}"
     removed = [entry.name for entry in plan.entries]
     if removed:
@@ -50,7 +50,8 @@ def command(
                 removed = []
     warnings = remove(plan.entries) if removed else []
     warn(*warnings)
-    say(f"removed: {amount}" if removed else "nothing is removed")
+    nothing = "nothing is removed" if plan.entries else "nothing is removed: no earlier run is among these results"
+    say(f"removed: {amount}" if removed else nothing)
     if as_json:
         say_json({"removed": removed, "bytes": plan.size if removed else 0})
 

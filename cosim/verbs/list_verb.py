@@ -20,7 +20,7 @@ WIDEST = 60  # characters of the changes
 
 def command(
     names: Annotated[
-        Texts, typer.Argument(metavar="[RUN]...", help="Numbers, names or patterns such as 'tank/*' (default: all).")
+        Texts, typer.Argument(metavar="[RUN]", help="Numbers, names or patterns such as 'tank/*' (default: all).")
     ] = None,
     results: Annotated[Path, typer.Option("--results", help="Folder of results.")] = RESULTS,
     as_json: Json = False,
@@ -29,9 +29,9 @@ def command(
 
     Example: cosim list 'tank*'
     """
-    from cosim.history.entries import entries, find_entries
+    from cosim.history.entries import listed_entries
 
-    found = find_entries(names, results) if names else entries(results)
+    found = listed_entries(names, results)
     if as_json:
         say_json({"results": [_as_json(entry) for entry in found]})
         return

@@ -30,6 +30,7 @@ def command(
     """
     from cosim.history import messages
     from cosim.history.entries import find_entries
+    from cosim.storage.artefact import folder_kind
 
     folder, verb = Path(run), ""
     if run.isdecimal() or not folder.is_dir():
@@ -40,6 +41,8 @@ def command(
         folder, verb = found[0].folder, found[0].verb
     page = folder / PAGE
     if not page.is_file():
+        if folder_kind(folder) is None:
+            raise InputError.at(folder, messages.NOT_RESULTS())
         cure = f"`cosim report {folder}` writes it" if verb in {"run", ""} else "run the command again with a report"
         raise InputError.at(folder, messages.NO_REPORT(cure=cure))
     say(f"report: {page}")

@@ -23,7 +23,7 @@ def command(
     runs: Annotated[
         Texts,
         typer.Argument(
-            metavar="[RUN]...",
+            metavar="[RUN]",
             help="Numbers, names or patterns of results, folders, or tables of rows (default: the newest results).",
         ),
     ] = None,
