@@ -67,6 +67,10 @@ def test_signals_are_searched_dragged_and_added_by_keys(browser: Browser, page_o
     row.nth(1).drag_to(page.locator(".box").first)
     until(page, DRAWN)
     assert _names(page) == ["mass.x · run 0"]
+    row.nth(2).dblclick()
+    until(page, DRAWN)
+    assert _names(page) == ["mass.x · run 0", "Mass.x · run 0"]
+    page.locator(".away").nth(1).click()
     page.select_option("#group", "signal")
     page.fill("#find", "mass.f")
     page.locator("#tree").focus()

@@ -3,6 +3,7 @@
 /* exported SignalTree */
 
 const ROW = 26; // height of a row [px]
+const DOUBLE = 500; // between the clicks of a double-click, at most [ms]
 
 // Names as a tree of their parts; a name may be a signal and a group at once.
 function trieOf(names) {
@@ -33,9 +34,6 @@ class SignalTree {
     new ResizeObserver(() => this.draw()).observe(box);
     box.addEventListener("keydown", (event) => this.key(event));
     box.addEventListener("click", (event) => this.click(event));
-    box.addEventListener("dblclick", (event) => {
-      if (event.target.closest("[data-at]")) this.add(this.rows[this.at].curves(), event.shiftKey);
-    });
     box.addEventListener("dragstart", (event) => {
       const row = this.rows[event.target.closest("[data-at]")?.dataset.at];
       event.dataTransfer.setData("text/plain", JSON.stringify({ curves: row.curves() }));
@@ -184,8 +182,12 @@ class SignalTree {
     const place = event.target.closest("[data-at]");
     if (!place) return;
     this.at = Number(place.dataset.at);
-    const row = this.rows[this.at];
-    if (row.group && event.detail < 2) this.fold(row, !row.isOpen);
+    const row = this.rows[this.at],
+      // A click draws the rows anew, after which a browser tells no dblclick.
+      again = this.clicked?.id === row.id && event.timeStamp - this.clicked.time < DOUBLE;
+    this.clicked = again ? null : { id: row.id, time: event.timeStamp };
+    if (again) this.add(row.curves(), event.shiftKey);
+    else if (row.group) this.fold(row, !row.isOpen);
     else this.draw();
   }
 
