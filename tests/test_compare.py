@@ -8,11 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from cosim.base.errors import InputError
 from cosim.comparison.differences import Compared, compare_runs
 from cosim.simulation.run_files import RecordedRun
 from cosim.storage.results import Results, read_results
+from cosim.verbs.cli import app
 from tests.seen import faults
 from tests.test_first_steps import told
 from tests.typed import typed_fmu
@@ -295,6 +297,20 @@ def test_a_page_is_not_made_again_of_a_torn_manifest(tmp_path: Path, text: str) 
     (tmp_path / "manifest.json").write_text(text)
     assert "manifest.json: is no manifest of a run" in told("report", tmp_path, code=2)
     assert not (tmp_path / "report.html").exists()
+
+
+@pytest.mark.parametrize("count", [2, 3])
+def test_a_torn_manifest_is_a_warning_of_a_comparison(tmp_path: Path, count: int) -> None:
+    folders = [tmp_path / name for name in "abc"[:count]]
+    for folder in folders:
+        folder.mkdir()
+        (folder / "results.csv").write_text("time,a.x\n0,0\n1,1\n")
+        (folder / "manifest.json").write_text('{"units": {"a.x": "m"}}')
+    words = ["compare", *map(str, folders), "--out", str(tmp_path / "out"), "--no-report"]
+    assert "damaged" not in CliRunner().invoke(app, words).stderr
+    (folders[1] / "manifest.json").write_text('{"units": {"a.x": "')
+    said = CliRunner().invoke(app, words).stderr
+    assert said.count("damaged") == said.count(f"{folders[1] / 'manifest.json'} is damaged") == 1
 
 
 def test_a_comparison_is_written_over_by_one_of_the_same_runs_alone(tmp_path: Path) -> None:

@@ -105,6 +105,21 @@ def test_time_outside_of_components_and_of_loading_is_told_apart() -> None:
     assert record["slower"] == []
 
 
+def test_a_reading_counts_where_its_time_does() -> None:
+    clock = Clock()
+    times = ComponentTimes(["wheel", "road"], 2, float, clock=clock)
+    for made, doing in [(0, NOTHING)] * 600 + [(0, call(0, OTHER))] * 12 + [(1, call(1, ADVANCE))] * 5:
+        clock.now += 0.005
+        times.read(made, doing)
+    clock.now += 0.005
+    times.read(1, NOTHING)
+    record = times.record()
+    assert record["readings"] == 12 + 5 + 1  # not those of the worker's start
+    spent = record["rest"] + sum(record["components"][n][c] for n, c in (("wheel", "other"), ("road", "step")))
+    assert spent == pytest.approx(0.005 * record["readings"])
+    assert time_sentence(record) == ""
+
+
 def test_the_sentence_names_the_slow_component() -> None:
     components = {"wheel": {"share": 0.96}, "road": {"share": 0.04}}
     timings = {"readings": 2000, "components": components}

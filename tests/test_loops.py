@@ -167,6 +167,7 @@ def test_a_loop_without_solution_is_named_with_residual_and_time_and_keeps_its_r
     assert failure.value.time > 0.0
     for part in ("a → b → a", "a.u0", "b.u0", "does not converge: after", "tolerance 1e-08"):
         assert part in message, message
+    assert "more iterations" not in message  # They ended early, because none led nearer.
     rows = (tmp_path / "out" / "results.csv").read_text().splitlines()
     assert len(rows) == 1 + round(failure.value.time / 0.1)
 
@@ -181,6 +182,15 @@ def test_a_loop_that_never_has_a_solution_fails_at_the_start(tmp_path: Path) -> 
 def test_a_loop_of_gain_one_has_no_solution(tmp_path: Path) -> None:
     with pytest.raises(SimulationError, match=r"does not converge: after .* returns \+1 more"):
         linear(tmp_path, 1.0)
+
+
+@pytest.mark.parametrize("method", ["newton", "anderson"])
+def test_more_iterations_are_proposed_where_they_ran_out(tmp_path: Path, method: str) -> None:
+    coupled_fmu(tmp_path / "a.fmu", SQUARE)
+    coupled_fmu(tmp_path / "b.fmu", LINEAR)
+    more = f"loops: {{iterations: 1, method: {method}}}\n"
+    with pytest.raises(SimulationError, match=r"after 1 iterations .* more iterations \(loops: \{iterations: 5\}\)"):
+        ran(tmp_path, {"a": {"p0": 0.2}, "b": {"p0": 1.0}}, TWO, more)
 
 
 def test_a_late_fmu_without_states_is_named(tmp_path: Path) -> None:

@@ -159,6 +159,17 @@ def test_an_experiment_sets_parameters_and_inputs(fmu: Path, tmp_path: Path) -> 
         cosim.check(path)
 
 
+def test_files_that_an_experiment_names_and_the_fmu_lacks_are_warnings(fmu: Path, tmp_path: Path) -> None:
+    run = Experiment("lost", parameters="two.ssv", stimuli="../../../in.csv", references="out.csv")
+    file = RelatedFile("a.exp", "experiment", EXPERIMENTS)
+    path = _with(fmu, tmp_path, (file, experiments_text("a", [run])), two_ssv=SSV)
+    notes = [line for line in cosim.check(path, load=False) if getattr(line, "code", "").startswith("W-REL")]
+    assert [note.partition("warning: ")[2] for note in notes] == [
+        'a.exp names ../../../in.csv (stimuli of experiment "lost"), outside the FMU; it is not read',
+        'a.exp names out.csv (references of experiment "lost"), which is not in the FMU',
+    ]
+
+
 def test_other_types_are_listed(fmu: Path, tmp_path: Path) -> None:
     file = RelatedFile("a.mo", "model", "text/modelica", "the source", (("variant:a", ""),))
     path = _with(fmu, tmp_path, (file, b"model A end A;"))

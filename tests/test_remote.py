@@ -128,6 +128,12 @@ def test_keys_of_both_sides_are_needed(there: Path, tmp_path: Path, monkeypatch:
         monkeypatch.setenv(wire.SERVER_KEY, str(keys["server"][0]))
         monkeypatch.setenv(wire.CLIENT_KEY, str(keys["friend"][1]))
         assert len(cosim.run(path, report=False).time) == 11
+    monkeypatch.setenv(wire.CLIENT_KEY, str(keys["friend"][0]))
+    error = refusal(path)
+    assert f"{keys['friend'][0]}" in str(error)
+    assert "it has no secret key of 40 characters" in str(error)
+    assert error.exit_code == 2
+    monkeypatch.setenv(wire.CLIENT_KEY, str(keys["friend"][1]))
     keys["friend"][1].chmod(0o644)
     assert "others may read" in str(refusal(path))
     monkeypatch.delenv(wire.CLIENT_KEY)

@@ -202,6 +202,11 @@ def removed_rows(folder: Path) -> None:
     (folder / "results.csv").unlink()
 
 
+def damaged_record(folder: Path) -> None:
+    record = folder / "checkpoint" / "run.json"
+    record.write_text(record.read_text()[:-100])
+
+
 def removed_all(folder: Path) -> None:
     for path in [*folder.rglob("*.*"), folder / "checkpoint" / "state"]:
         path.unlink()
@@ -215,18 +220,20 @@ def removed_all(folder: Path) -> None:
         (half_written, "E-SIM-064"),
         (changed_row, "E-SIM-065"),
         (changed_fmu, "E-SIM-001"),
-        (removed_rows, "E-SIM-060"),
+        (removed_rows, "E-SIM-065"),
+        (damaged_record, "E-SIM-064"),
         (removed_all, "E-SIM-060"),
     ],
 )
+@pytest.mark.parametrize("options", [{"resume": True}, {"until": 2.0}])
 def test_a_folder_that_does_not_belong_together_is_refused_and_left_alone(
-    in_c: Walk, tmp_path: Path, damage: Callable[[Path], None], code: str
+    in_c: Walk, tmp_path: Path, damage: Callable[[Path], None], code: str, options: dict[str, Any]
 ) -> None:
     part = shutil.copytree(in_c[2], tmp_path / "part")
     damage(part)
     before = {path: path.read_bytes() for path in part.rglob("*") if path.is_file()}
     with pytest.raises(InputError) as refused:
-        run(part, resume=True, report=False)
+        run(part, report=False, **options)
     assert refused.value.code == code
     assert refused.value.exit_code == 2
     assert before == {path: path.read_bytes() for path in part.rglob("*") if path.is_file()}
@@ -243,8 +250,10 @@ def test_a_finished_run_has_nothing_to_resume(in_c: Walk, options: dict[str, Any
 
 
 def test_an_end_between_two_communication_points_is_refused(in_c: Walk) -> None:
-    with pytest.raises(InputError, match=r"use a whole divisor of duration 1\.005 s"):
-        run(in_c[1], until=1.005, report=False)
+    for folder, end, ends in ((in_c[1], 1.0049, r"give 1\.01 s"), (in_c[2], 1.0049, r"give 1 s or 1\.01 s")):
+        with pytest.raises(InputError, match=rf"--until 1\.0049 s .* {ends}$") as refused:
+            run(folder, until=end, report=False)
+        assert (refused.value.code, refused.value.exit_code) == ("E-SIM-078", 2)
 
 
 def test_a_run_that_goes_on_takes_no_other_settings(in_c: Walk, tmp_path: Path) -> None:

@@ -60,7 +60,7 @@ class ComponentTimes:
     at: Callable[[int], float]
     warn: Callable[[Slower], None] = lambda slower: None
     clock: Callable[[], float] = time.monotonic
-    readings: int = 0
+    readings: int = 0  # whose time is counted
     rest: float = 0.0  # [s] between calls of components, as for a checkpoint
     _random: random.Random = field(default_factory=lambda: random.Random(0))
 
@@ -80,12 +80,13 @@ class ComponentTimes:
         now = self.clock()
         elapsed, self._last = now - self._last, now
         number, call = divmod(doing, CALLS)
-        self.readings += 1
         self._reached = max(self._reached, made)
         if 0 <= number < len(self.components):
             self._bins[min(len(self._bins) - 1, self._bin(made)), number, call] += elapsed
+            self.readings += 1
         elif made:  # Before the first row, the worker starts.
             self.rest += elapsed
+            self.readings += 1
         if now - self._marks[-1][0] >= 0.5 * WINDOW:
             self._mark(now, made)
 

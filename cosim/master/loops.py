@@ -214,7 +214,8 @@ class LoopSolver:
         worst = int(np.argmax(np.abs(outcome.residual) / np.maximum(np.abs(outcome.z), self._roots.scale)))
         fields = {"signal": self.back[worst].name, "value": float(outcome.z[worst])}
         fields |= {"residual": float(outcome.residual[worst]), "loop": self.name, "count": outcome.iterations}
-        fields |= {"more": 5 * self.settings.iterations}
+        gave_up = outcome.iterations < self.settings.iterations  # because no step leads nearer
+        fields |= {"more": "" if gave_up else messages.MORE_ITERATIONS(count=5 * self.settings.iterations)}
         signals = ", ".join(t.name for t in self._transfers)
         message = messages.LOOP_NOT_SOLVED(signals=signals, tolerance=self.settings.tolerance, **fields)
         raise SimulationError("algebraic loop", t, message)

@@ -31,8 +31,9 @@ LOOP_NOT_SOLVED = Template(
     "E-MAS-008",
     "{loop} does not converge: after {count} iterations {signal} is {value:.6g}, and the loop returns {residual:+.3g} "
     "more (relative tolerance {tolerance:g}). Signals of the loop: {signals}. If it has a solution, start values near "
-    "it help, or more iterations (loops: {{iterations: {more}}}); order: [...] or algorithm: jacobi do not solve it",
+    "it help{more}; order: [...] or algorithm: jacobi do not solve it",
 )
+MORE_ITERATIONS = Template("N-MAS-063", ", or more iterations (loops: {{iterations: {count}}})")
 TOLERANCE_NOT_MET = Template(
     "W-MAS-011",
     "the error of {count} steps is above the tolerance {tolerance:g} although min allows no shorter ones, {step:g} s: "

@@ -63,10 +63,25 @@ def _read(path: Path, folder: Path) -> tuple[list[Carried], list[str]]:
         elif file.role.startswith("experiment") and file.type == EXPERIMENTS:
             base = f"{FOLDER}/{file.source}".rpartition("/")[0]
             experiments = read_experiments(file.source, (folder / member).read_bytes())
-            carried += [Carried(path, folder, each, base, file.role) for each in experiments]
+            found = [Carried(path, folder, each, base, file.role) for each in experiments]
+            notes += [warning for each in found for warning in _lost(file.source, each)]
+            carried += found
         else:
             notes.append(_listed(file))
     return carried, notes
+
+
+def _lost(name: str, carried: Carried) -> list[str]:
+    """Return warnings on files that an experiment names and that are not in the FMU."""
+    notes: list[str] = []
+    for key in ("parameters", "stimuli", "references"):
+        source = getattr(carried.experiment, key)
+        path = carried.path(source)
+        if source and (path is None or not path.is_file()):
+            template = messages.OUTSIDE if path is None else messages.FILE_MISSING
+            note = template(manifest=name, source=source, role=f"{key} of {carried.title}")
+            notes.append(note.after("warning: "))
+    return notes
 
 
 def _listed(file: RelatedFile) -> str:

@@ -41,6 +41,9 @@ ALREADY_FINISHED = Template(
     "E-SIM-061", "its run is finished, at t = {time:g} s; --until T with a later time T extends it"
 )
 END_NOT_LATER = Template("E-SIM-062", "--until {end:g} s is not after t = {time:g} s, which the run has reached")
+END_BETWEEN_STEPS = Template(
+    "E-SIM-078", "--until {end:.12g} s is between two communication points, {step:g} s apart; give {ends}"
+)
 OTHER_VERSION = Template(
     "E-SIM-063",
     "its run is of cosim {version}, and this is {own}: the same bytes cannot be promised; go on with that version, or "

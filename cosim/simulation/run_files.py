@@ -10,7 +10,7 @@ from typing import Any
 from cosim.base.errors import InputError
 from cosim.simulation import messages
 from cosim.storage.artefact import folder_kind
-from cosim.storage.folders import manifest_in, replay_record
+from cosim.storage.folders import manifest_in, replay_record, warnings_on
 from cosim.storage.kinds import LOG, check_given, refuse_folder
 from cosim.storage.results import Results, read_results, rows_in
 from cosim.storage.table_source import suffixes
@@ -20,12 +20,13 @@ WANTED = "the folder of a run or a table of its rows"
 
 @dataclass(frozen=True)
 class RecordedRun:
-    """Results read from files, with their path, their name, and the manifest if there is one."""
+    """Results read from files, with their path, their name, the manifest if there is one, and warnings on it."""
 
     path: Path
     name: str
     results: Results
     manifest: Mapping[str, Any] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
 
     @property
     def criteria(self) -> list[dict[str, Any]]:
@@ -52,4 +53,4 @@ def read_ran(path: Path) -> RecordedRun:
     units = manifest.get("units") or replay_record(path).get("units")
     text = manifest.get("beside")
     results = read_results(rows, units if isinstance(units, dict) else {}, text if isinstance(text, list) else ())
-    return RecordedRun(path, path.resolve().name, results, manifest)
+    return RecordedRun(path, path.resolve().name, results, manifest, warnings_on(path))

@@ -9,6 +9,7 @@ results/NAME/checkpoint/run.json   manifest of the run before its outcome
 from __future__ import annotations
 
 import copy
+import math
 import os
 import shutil
 import time
@@ -31,6 +32,7 @@ from cosim.isolation.rows import read_exact, read_table
 from cosim.master.checkpoint import BESIDE, FORMAT, ROWS, STATE, Continuation, RowsHash
 from cosim.master.inbox import Change
 from cosim.master.remote import IN_USE, read_state
+from cosim.scenario.messages import STEP_NOT_A_DIVISOR
 from cosim.scenario.scenario import Scenario
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation import messages
@@ -100,10 +102,21 @@ class StoppedRun:
         return checkpoint
 
     def scenario(self, until: float | None) -> ScenarioFile:
-        """Return the scenario, ending at `until` [s] if given."""
+        """Return the scenario, ending at `until` [s] if given.
+
+        Raises:
+            InputError: The end is between two communication points.
+        """
         start = self.record["scenario"].get("start_time", 0.0)
         overrides = [] if until is None else [f"duration={until - start!r}"]
-        return ScenarioFile(self.source, overrides, option="--until")
+        file = ScenarioFile(self.source, overrides, option="--until")
+        if until is not None and any(fault.code == STEP_NOT_A_DIVISOR.code for fault in file.faults):
+            step = file.scenario.step
+            count = math.floor((until - start) / step)
+            ends = [end for end in (start + count * step, start + (count + 1) * step) if end > self.reached]
+            text = " or ".join(f"{end:.12g} s" for end in ends)
+            raise InputError.at(self.folder, messages.END_BETWEEN_STEPS(end=until, step=step, ends=text))
+        return file
 
     @cached_property
     def results(self) -> Results:
@@ -114,16 +127,17 @@ class StoppedRun:
             raise InputError.at(self.folder, lost)
         return read_results(rows, {}, self.record.get("beside", ()))
 
+    @property
+    def reached(self) -> float:
+        """Return the time [s] of the last checkpoint or row."""
+        if self.state is not None:
+            return float(self.checkpoint["time"])
+        return float(self.results.time[-1]) if len(self.results.time) else -math.inf
+
     def check_end(self, until: float | None) -> None:
         """Raise InputError if the end is not later."""
-        if until is None:
-            return
-        if self.state is not None:
-            reached = float(self.checkpoint["time"])
-        else:
-            reached = float(self.results.time[-1]) if len(self.results.time) else -np.inf
-        if until <= reached:
-            raise InputError.at(self.folder, messages.END_NOT_LATER(time=reached, end=until))
+        if until is not None and until <= self.reached:
+            raise InputError.at(self.folder, messages.END_NOT_LATER(time=self.reached, end=until))
 
     def start(self, system: System, scenario: Scenario) -> Continuation | None:
         """Return rows and state to go on from; None if the run begins again, because its rows are recorded in part.

@@ -65,6 +65,12 @@ def manifest_in(folder: Path) -> dict[str, Any]:
     return content_of(folder / "manifest.json")
 
 
+def warnings_on(folder: Path) -> tuple[str, ...]:
+    """Return a warning if the manifest in a folder is damaged."""
+    file = folder / "manifest.json"
+    return (messages.DAMAGED_MANIFEST(file=file),) if file.is_file() and not content_of(file) else ()
+
+
 def content_of(path: Path) -> dict[str, Any]:
     """Return a JSON mapping from a regular file, empty if unreadable."""
     try:

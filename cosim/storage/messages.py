@@ -179,4 +179,7 @@ OCTAVE_FORMAT = Template(
     "E-STO-105", "is a file in a format of Octave's own; write it as save('-v7', 'NAME.mat', 'time', …)"
 )
 BAD_TABLE = Template("E-STO-102", "is no {format} file that can be read: {reason}; write it again")
+DAMAGED_MANIFEST = Template(
+    "W-STO-106", "{file} is damaged: units, texts, inputs and criteria of its run are not known; run it again"
+)
 MCAP_TIME = Template("E-STO-103", "times from {first:g} s to {last:g} s: MCAP counts from 0; take another format")

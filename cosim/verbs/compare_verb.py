@@ -194,10 +194,11 @@ def command(
     if len(sources) == 2:
         shorts = [sources[place].short, sources[1 - place].short]
         comparison, folder = compare_two(*_both(sources, place), out, **options, shorts=shorts)
+        warn(*comparison.a.warnings, *comparison.b.warnings)
         lines = _lines(comparison)
     else:
         comparison, folder = compare_all(sources, out, baseline=place, **options)
-        warn(*comparison.left_out)
+        warn(*comparison.left_out, *(warning for run in comparison.runs for warning in run.warnings))
         lines = _lines_of_several(comparison)
     if as_json:
         say_json(comparison.as_json())

@@ -10,7 +10,7 @@ from typing import Any
 
 from cosim.base.errors import Fault, InputError, refuse
 from cosim.history.entries import Entry, entries, match_entries
-from cosim.storage.folders import manifest_in, replay_record
+from cosim.storage.folders import manifest_in, replay_record, warnings_on
 from cosim.storage.kinds import LOG, check_given, refuse_folder
 from cosim.storage.results import rows_in
 from cosim.storage.yaml_file import did_you_mean
@@ -111,6 +111,7 @@ def open_runs(places: Iterable[RunPlace], bar: Bar) -> tuple[list[ViewedRun], li
             with bar(f"converting {place.label}") as progress:
                 rows = open_rows(place.file, _units(units), text if isinstance(text, list) else [], progress)
             runs.append(ViewedRun(place, rows, state))
+            notes += warnings_on(folder)
             notes += [note for note in notes_on(place.file) if note not in notes]
         except InputError as error:
             (named if place.is_named else faults).extend(error.faults)
