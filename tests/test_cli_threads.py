@@ -10,7 +10,7 @@ import os, sys
 os.environ.pop("OPENBLAS_NUM_THREADS", None)
 from cosim import __main__ as program
 assert "numpy" not in sys.modules
-sys.argv = ["cosim", "refine", "-h"]
+sys.argv = ["cosim", "compare", "a.csv", "b.csv"]
 try:
     program.main()
 except SystemExit:

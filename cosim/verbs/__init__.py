@@ -9,7 +9,8 @@ import warnings
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from cosim.base.registry import ExtensionWarning, Verb, added_verbs
+from cosim.base.registry import VERBS as ADDED
+from cosim.base.registry import ExtensionWarning, Verb, added_verbs, names
 from cosim.verbs import messages
 
 if TYPE_CHECKING:  # signatures of the functions, for type checkers
@@ -65,11 +66,14 @@ VERBS = {  # in the order of `cosim -h`
 }
 
 
-def verbs() -> Iterator[tuple[str, Verb]]:
-    """Yield name and declaration of every verb; warn of a package that redefines a verb of cosim."""
-    yield from VERBS.items()
-    for name, verb in added_verbs():
+def verbs(only: str = "") -> Iterator[tuple[str, Verb]]:
+    """Yield name and declaration of every verb, or of one of cosim.
+
+    Warns of each package that redefines a verb of cosim.
+    """
+    yield from [(only, VERBS[only])] if only else VERBS.items()
+    for name in names(ADDED):
         if name in VERBS:
             warnings.warn(messages.VERB_EXISTS(name=name), ExtensionWarning, stacklevel=2)
-        else:
-            yield name, verb
+    if not only:
+        yield from ((name, verb) for name, verb in added_verbs() if name not in VERBS)

@@ -66,8 +66,7 @@ warnings.showwarning = _show_warning
 
 def _register(*, only: str = "") -> None:
     """Register the commands of all verbs, or of one verb of cosim, so that the others need not be imported."""
-    every = [(only, VERBS[only])] if only in VERBS and VERBS[only].command else verbs()
-    for name, verb in every:
+    for name, verb in verbs(only if only in VERBS and VERBS[only].command else ""):
         if verb.command and (command := attempt(name, verb.command)) is not None:
             _app.command(name, cls=VerbHelp, rich_help_panel=verb.group)(with_manner(command))
 
