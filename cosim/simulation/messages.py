@@ -32,7 +32,9 @@ COUPLING_ERROR = Template("N-SIM-018", "half the step changes at most {changes}{
 CHANGED_WHILE_RUNNING = Template(
     "N-SIM-019", "{count} made while it ran; the manifest holds them as events, so that it repeats the run"
 )
-NO_RUN_FOLDER = Template("E-SIM-074", "no such folder; --resume and --until take the folder of a run, as results/NAME")
+NO_RUN_FOLDER = Template(
+    "E-SIM-074", "not the folder of a run; --resume and --until take the folder of an earlier run, as results/NAME"
+)
 NOTHING_TO_RESUME = Template(
     "E-SIM-060",
     "no run is in it that could go on; `cosim run SCENARIO` begins one, `checkpoint: 60 s` keeps checkpoints",
