@@ -16,8 +16,9 @@ from cosim.history.entries import Entry, entries
 from cosim.residuals import workflow as replaying
 from cosim.simulation.workflow import run
 from cosim.verbs.cli import app
-from tests.test_resume import Stop
+from tests.test_resume import PAUSE, Stop
 from tests.test_verbs import desk as desk
+from tests.walker import walker_scenario
 
 AREA = "components.tank.start.area={}"
 
@@ -84,13 +85,14 @@ def test_results_of_long_commands_are_kept_too(here: Path, name: str, words: Seq
 
 
 def test_an_interrupted_run_keeps_the_earlier_one_and_is_listed(here: Path) -> None:
-    run("run.yaml", None, report=False)
+    scenario = walker_scenario(here, pause=PAUSE)  # slow enough to be stopped on its way
+    run(scenario, None, ["components.saving.start.pause=0"], report=False)
     with pytest.raises(Interrupted):
-        run("run.yaml", None, [AREA.format(0.7)], observers=[Stop(0.1)], report=False)
-    earlier, newest = _listed("tank")
-    assert earlier.name == "tank/0001"
+        run(scenario, None, ["seed=7"], observers=[Stop(0.1)], report=False)
+    earlier, newest = entries()
+    assert earlier.name == f"{newest.name}/0001"
     assert "interrupted" in newest.outcome
-    assert dict(newest.changes) == {"components.tank.start.area": 0.7}
+    assert dict(newest.changes) == {"components.saving.start.pause": PAUSE, "seed": 7}
 
 
 def test_an_interrupted_replay_keeps_the_earlier_one_and_is_listed(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
