@@ -73,7 +73,7 @@ def remote_block(fmu: Path) -> Iterator[RemoteFmu]:
 
 @contextmanager
 def echo() -> Iterator[Callable[[bytes], bytes]]:
-    """Yield a function that sends a message to another process and returns its answer."""
+    """Yield a function that exchanges one message with another process and returns the answer."""
     import zmq
 
     with (

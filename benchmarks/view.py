@@ -231,7 +231,7 @@ def measure(browser: Any, folder: Path, numbers: list[int]) -> dict[str, float]:
 
 
 def main() -> None:
-    """Make the tables, convert them, and measure in each browser that is there."""
+    """Write and convert the tables, and measure in each installed browser."""
     options = argparse.ArgumentParser(description=__doc__)
     options.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()) / "cosim-bench-view")
     options.add_argument("--rows", type=int, default=1_000_000)

@@ -204,7 +204,7 @@ def try_sdists(folder: Path) -> None:
 
 
 def try_container(folder: Path) -> None:
-    """Run the commands of the Containerfile; build it where there is a builder with its base image."""
+    """Run the commands of the Containerfile, and build its image if one of `BUILDERS` has the base image."""
     place = Place(folder)
     for name, text in recipe(ROOT / "Containerfile"):
         if name == "COPY":

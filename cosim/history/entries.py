@@ -49,12 +49,12 @@ class Entry:
 
     @property
     def label(self) -> str:
-        """Return a name that differs from those of other entries, with the changes: `run 3 (mass = 440)`."""
+        """Return the number and the changed inputs: `run 3 (mass = 440)`."""
         return f"{self.short} ({self.changed or self.name})"
 
     @property
     def short(self) -> str:
-        """Return a short name that differs from those of other entries: `run 3`."""
+        """Return the number as a short name: `run 3`."""
         return f"run {self.number}"
 
     @property

@@ -166,7 +166,7 @@ class ProbedModel:
         return {names.index(pair.position): names.index(pair.velocity) for pair in pairs}
 
     def _shown(self) -> dict[int, int]:
-        """Return output → state that equals it, by index."""
+        """Return the index of the state that each output equals, by index of the output."""
         outputs = [q.name for q in self.structure.outputs]
         return {
             outputs.index(y): k for k, q in enumerate(self.structure.states) if (y := self.structure.shown.get(q.name))

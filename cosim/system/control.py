@@ -91,7 +91,7 @@ def _steps_at_rows(scenario: Scenario, name: str) -> bool:
 
 
 def _check_step_lengths(components: Mapping[str, Component], diagnosis: Diagnosis) -> None:
-    """Note FMUs that take no steps of other lengths."""
+    """Note a fault for each FMU whose communication step is fixed."""
     for name, component in components.items():
         if not isinstance(component, FmuBlock) or component.changes_by_events:
             continue

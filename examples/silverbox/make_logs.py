@@ -34,7 +34,7 @@ def rows(recording: Path) -> list[tuple[str, str]]:
 
 
 def write_log(path: Path, part: list[tuple[str, str]]) -> None:
-    """Write one log whose time starts at 0."""
+    """Write a log that begins at 0 s."""
     lines = (f"{k * STEP:.7f},{u},{y}" for k, (u, y) in enumerate(part))
     path.write_text("\n".join(["time,V1 [V],V2 [V]", *lines]) + "\n", encoding="utf-8")
 

@@ -200,7 +200,7 @@ def held_out_gains(search: Search, better: Hypothesis, worse: Hypothesis) -> tup
 
 
 def _with_prior_of(others: Fit, f: Free, scatter: float) -> Free:
-    """Return a parameter whose prior is its estimate from the other logs, or its usual size without an estimate."""
+    """Return a parameter with its estimate from the other logs as prior; without an estimate, with its usual size."""
     sigma = others.sigma(f.name) * math.sqrt(scatter)
     return replace(f, prior=(others.values[f.name], sigma or f.size))
 
