@@ -1,4 +1,4 @@
-"""Messages about results that are there."""
+"""Messages of `cosim list`, `open` and `gc`, and on results named by number, name or pattern."""
 
 from cosim.base.messages import Template
 

@@ -54,7 +54,7 @@ NO_OTHER_STEPS = Template(
     "{component} takes steps of one length only, so that they cannot be controlled; give it a step of its own "
     "(components.{component}.step)",
 )
-NO_HALVING = Template("E-SYS-052", "no step is repeated in halves: {reason}; leave estimator out, or set residual")
+NO_HALVING = Template("E-SYS-052", "estimator: halving is not possible: {reason}; leave estimator out, or set residual")
 NO_OUTPUT_OF_BOND = Template("E-SYS-053", 'no connected output "{signal}"{hint}')
 BOND_ONE_SIDED = Template("E-SYS-054", "{signal} is connected to no input of {owner}, the other side of the bond")
 BOND_CONVERTS = Template(

@@ -8,7 +8,7 @@ NO_ROW = Template("E-VIE-003", "has no row yet; wait for the end of the run, or 
 LEFT_OUT = Template("W-VIE-004", "{run} is left out: {reason}")
 EARLIER = Template("N-VIE-005", "the newest {count} of {all} results are shown; name the others")
 SLOW_ROWS = Template(
-    "N-VIE-006", "{file} is read as a whole each time, because pyarrow is not installed; {command} keeps it quick"
+    "N-VIE-006", "{file} is read as a whole each time, because pyarrow is not installed; install it with {command}"
 )
 TEMPORARY = Template("N-VIE-007", "{folder} cannot be written, so that its rows are converted anew each time")
 LOST = Template("W-VIE-008", "{run} was removed or replaced; what is drawn of it stays, zoom shows the others")
