@@ -106,5 +106,5 @@ def _times(first: int, call: Callable[[int], object]) -> NDArray[np.float64]:
 
 if __name__ == "__main__":
     for name, times in zip(("step", "bare message and answer"), remote_times(Path(sys.argv[1])), strict=True):
-        least, median, most = np.percentile(times, (0, 50, 90))
-        print(f"{name}: at least {least:.0f} us, median {median:.0f} us, 90 % below {most:.0f} us")
+        least, quarter, median, most = np.percentile(times, (0, 25, 50, 90))
+        print(f"{name}: at least {least:.0f} us, quarter {quarter:.0f}, median {median:.0f}, 90 % below {most:.0f} us")

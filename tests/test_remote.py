@@ -10,6 +10,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -20,9 +21,10 @@ import pytest
 import cosim
 from cosim.base.errors import Crashed, InputError, SimulationError
 from cosim.blocks import wire
+from cosim.blocks.channel import Broken, Channel
 from cosim.blocks.link import Control, Session
 from cosim.blocks.wire import LinkError, Operation
-from cosim.serving.fmu_server import FmuServer, make_key
+from cosim.serving.fmu_server import FmuServer, _State, make_key
 from examples.coupling.build import build_all
 from tests.native import NEEDS_COMPILER
 from tests.walker import walker_fmu, walker_scenario
@@ -229,30 +231,84 @@ def test_a_session_ends_with_its_client(there: Path, tmp_path: Path) -> None:
         assert process.wait(100) == 0  # 30 s where the client had not come yet
 
 
+JOB: dict[str, object] = {
+    "fmu": "other.fmu", "sha256": None, "name": "w", "values": {}, "connected": [], "recorded": [],
+    "settings": {"way": "co-simulation"},
+}  # fmt: skip
+
+
+def opened(session: Session) -> None:
+    session.call(wire.pack(Operation.OPEN, content={"start": 0.0, "stop": 1.0}))
+
+
 def test_another_peer_neither_holds_nor_ends_a_session(there: Path) -> None:
-    zmq = pytest.importorskip("zmq")
     with serving(there, "--once") as (at, process):
-        job = {"fmu": "other.fmu", "sha256": None, "name": "w", "values": {}, "connected": [], "recorded": []}
-        session = Session(at, "w", {**job, "settings": {"way": "co-simulation"}})
-        context = session._control.context
-        peers = [context.socket(zmq.PAIR) for _ in range(2)]
-        for peer in peers:
-            peer.linger = 0
-        place = session._socket.last_endpoint.decode()
-        peers[0].connect(place)
-        time.sleep(0.3)
-        opening = {"start": 0.0, "stop": 1.0}
-        with pytest.raises(SimulationError, match="wrong token"):
-            session.call(wire.pack(Operation.OPEN, content={"token": "0" * 64, **opening}))
-        session.call(wire.pack(Operation.OPEN, content={"token": session.token, **opening}))
-        peers[1].connect(place)
-        time.sleep(0.3)
-        peers[1].close()
-        session.call(wire.pack(Operation.START))  # goes on
-        session._socket.close(0)  # as a client that is killed
+        session = Session(at, "w", JOB)
+        place = session._channel.socket.getpeername()
+        peers = [socket.create_connection(place, 5.0) for _ in range(2)]
+        peers[0].sendall(b"GET / HTTP/1.1\r\n\r\n")  # names a length that is not allowed
+        assert peers[0].recv(1) == b""
+        stranger = Channel(peers[1], "0" * 64, is_server=False)
+        stranger.send(wire.pack(Operation.OPEN, content={"start": 0.0, "stop": 1.0}))
+        with pytest.raises(Broken):  # without the session's key
+            stranger.receive()
+        opened(session)
+        with pytest.raises(ConnectionRefusedError):  # The session has its client.
+            socket.create_connection(place, 5.0)
+        session.call(wire.pack(Operation.START))
+        session._channel.close()  # as a client that is killed
         assert process.wait(20) == 0
-        peers[0].close()
         session.close()
+        for peer in peers:
+            peer.close()
+
+
+def pair(key: str = "a0" * 32, other: str = "a0" * 32) -> tuple[Channel, Channel]:
+    """Both ends of a connection."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        ends = socket.create_connection(listener.getsockname()), listener.accept()[0]
+    return Channel(ends[0], key, is_server=False), Channel(ends[1], other, is_server=True)
+
+
+@pytest.mark.parametrize("fault", ["changed", "repeated", "other key"])
+def test_a_message_that_is_changed_or_repeated_ends_the_connection(fault: str) -> None:
+    here, there = pair(other=("a1" if fault == "other key" else "a0") * 32)
+    with here.socket, there.socket:
+        sent: list[bytes] = []
+        here._send = sent.append
+        here.send(b"values")
+        content = bytearray(sent[0])
+        assert b"values" not in content
+        if fault == "repeated":
+            there._begun += content
+            assert there.receive() == b"values"
+        content[-1] ^= fault == "changed"
+        there._begun += content
+        with pytest.raises(Broken, match="changed"):
+            there.receive()
+
+
+def test_long_messages_arrive_in_parts() -> None:
+    here, there = pair()
+    with here.socket, there.socket:
+        message = bytes(range(256)) * 10_000
+        thread = threading.Thread(target=here.send, args=(message,))
+        thread.start()
+        assert there.receive() == message
+        thread.join()
+        there.most = 1000
+        here.send(bytes(1000))
+        with pytest.raises(Broken, match="1000 are allowed"):
+            there.receive()
+
+
+def test_a_server_forgets_ended_sessions(there: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cosim.serving.fmu_server.MOST_ENDED", 1)
+    with FmuServer([there]) as server:
+        server._sessions |= {number: _State("", running=number == -3) for number in range(-3, 1)}
+        monkeypatch.setattr(server, "_serve", lambda *_: None)
+        server._open(b"", "", JOB)
+        assert sorted(server._sessions) == [-3, 0, 1]
 
 
 @NEEDS_COMPILER

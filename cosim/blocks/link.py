@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import time
 from contextlib import suppress
 from typing import Any, Self
@@ -9,6 +10,7 @@ from typing import Any, Self
 from cosim.base.errors import Crashed, FmuError, SimulationError
 from cosim.base.messages import Message
 from cosim.blocks import messages
+from cosim.blocks.channel import Broken, Channel, has_message
 from cosim.blocks.component import EarlyEnd
 from cosim.blocks.wire import (
     HEAD,
@@ -26,10 +28,10 @@ from cosim.blocks.wire import (
 
 CONNECTING, ANSWERING, STARTING = 5.0, 5.0, 60.0  # times [s] for a handshake, an answer, a new process of the server
 ERROR = int(Operation.ERROR)
-LIVENESS = 1000  # time [ms] without answer after which the server is asked whether the session goes on
+LIVENESS = 1.0  # time [s] without answer after which the server is asked whether the session goes on
 
 
-def connect(context: Any, kind: int, at: str, keys: Keys | None) -> Any:
+def _connect(context: Any, at: str, keys: Keys | None) -> Any:
     """Return a connected socket.
 
     Raises:
@@ -38,7 +40,7 @@ def connect(context: Any, kind: int, at: str, keys: Keys | None) -> Any:
     zmq = zeromq()
     from zmq.utils.monitor import recv_monitor_message
 
-    socket = context.socket(kind)
+    socket = context.socket(zmq.DEALER)
     socket.linger, socket.maxmsgsize, socket.connect_timeout = 0, MOST_VALUES, int(1000 * CONNECTING)
     if keys is not None:
         socket.curve_publickey, socket.curve_secretkey, socket.curve_serverkey = keys.public, keys.secret, keys.server
@@ -73,15 +75,23 @@ def _failures(zmq: Any) -> tuple[int, ...]:
     )
 
 
+def _connect_session(host: str, port: int) -> socket.socket:
+    """Return a connection to a session; raise LinkError if there is none."""
+    try:
+        return socket.create_connection((host, port), CONNECTING)
+    except OSError as error:
+        place = f"{host}:{port}"
+        raise LinkError(messages.UNUSABLE_ADDRESS(at=place, reason=error.strerror or str(error))) from None
+
+
 class Control:
     """The control connection to a server; a context manager."""
 
     def __init__(self, at: str) -> None:
         self.at, self.keys = at, client_keys(at)
-        zmq = zeromq()
-        self.context = zmq.Context()
+        self.context = zeromq().Context()
         try:
-            self._socket = connect(self.context, zmq.DEALER, at, self.keys)
+            self._socket = _connect(self.context, at, self.keys)
         except BaseException:
             self.context.term()
             raise
@@ -130,16 +140,16 @@ class Session:
     def __init__(self, at: str, name: str, job: dict[str, Any]) -> None:
         self.at, self.name, self.time = at, name, 0.0
         self._control = Control(at)
-        zmq = zeromq()
         try:
             opened = self._control.ask("open", STARTING, **job)
-            self.number, self.token = opened["session"], opened["token"]
-            place = f"{split_address(at)[0]}:{opened['port']}"
-            self._socket = connect(self._control.context, zmq.PAIR, place, self._control.keys)
+            self.number = opened["session"]
+            connection = _connect_session(split_address(at)[0], opened["port"])
+            self._channel = Channel(connection, opened["token"], is_server=False)
         except BaseException:
             self._control.close()
             raise
-        self._socket.rcvtimeo, self._again = LIVENESS, zmq.Again
+        self._channel.socket.settimeout(LIVENESS)
+        self._send, self._receive = self._channel.send, self._channel.receive
 
     def call(self, message: bytes) -> bytes:
         """Send a message of a session and return its answer.
@@ -147,14 +157,16 @@ class Session:
         Raises:
             SimulationError: The FMU failed, its process crashed, or the connection broke.
         """
-        socket = self._socket
-        socket.send(message)
-        while True:
-            try:
-                answer: bytes = socket.recv()
-                break
-            except self._again:
-                self._check()
+        try:
+            self._send(message)
+            while True:
+                try:
+                    answer = self._receive()
+                    break
+                except TimeoutError:
+                    self._check()
+        except Broken as end:
+            raise self._end(str(end)) from None
         if len(answer) < HEAD.size or answer[0] != VERSION:
             raise self._lost("its answer has another version")
         if answer[1] == ERROR:
@@ -163,16 +175,24 @@ class Session:
 
     def _check(self) -> None:
         """Raise Crashed unless the server says that the session goes on."""
-        try:
-            state = self._control.ask("status", session=self.number)
-        except LinkError as error:
-            raise self._lost(str(error)) from None
-        if state["state"] == "running" or self._socket.poll(0):
-            return
+        if self._state()["state"] != "running" and not has_message(self._channel.socket):
+            raise self._end("the server has ended the session")
+
+    def _end(self, reason: str) -> Crashed:
+        """Return the error of a session that has ended; the server knows why its process has."""
+        end = time.monotonic() + ANSWERING
+        while (state := self._state())["state"] == "running" and time.monotonic() < end:
+            time.sleep(0.05)
         if ended := state.get("ended"):
             message = Message(f"on {self.at}: {ended['text']}", ended["code"])
-            raise Crashed(self.name, self.time, message)
-        raise self._lost("the server has ended the session")
+            return Crashed(self.name, self.time, message)
+        return self._lost(reason)
+
+    def _state(self) -> dict[str, Any]:
+        try:
+            return self._control.ask("status", session=self.number)
+        except LinkError as error:
+            raise self._lost(str(error)) from None
 
     def _lost(self, reason: str) -> Crashed:
         return Crashed(self.name, self.time, messages.CONNECTION_LOST(at=self.at, reason=reason))
@@ -189,5 +209,5 @@ class Session:
     def close(self) -> None:
         """Close the connection; the server ends its process."""
         with suppress(Exception):  # A closed socket is closed.
-            self._socket.close(0)
+            self._channel.close()
             self._control.close()

@@ -1,7 +1,7 @@
 """The protocol between a master and a server of FMUs, its version and its keys.
 
-Control messages are JSON: describe, open, status. In a session each message is one frame: a small head, doubles, and
-JSON where doubles do not suffice; a step is one message and its answer. A second frame would cost each side 10 µs.
+Control messages are JSON by ZeroMQ with CURVE: describe, open, status. In a session each message is a small head,
+doubles, and JSON where doubles do not suffice; a step is one message and its answer (see `cosim.blocks.channel`).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from cosim.base.extras import optional
 from cosim.base.messages import Message
 from cosim.blocks import messages
 
-VERSION = 2
+VERSION = 3
 LOOPBACK = "127.0.0.1"
 SERVER_KEY, CLIENT_KEY = "COSIM_SERVER_KEY", "COSIM_CLIENT_KEY"  # environment variables with files
 MOST_CONTROL, MOST_VALUES = 4_000_000, 64_000_000  # sizes of messages [bytes]

@@ -13,17 +13,30 @@ from typing import Any, Self
 
 from cosim.base.errors import FmuError, InputError, SimulationError
 from cosim.base.messages import code_of
-from cosim.blocks.wire import LOOPBACK, MOST_CONTROL, VERSION, Keys, LinkError, decode, encode, read_key, zeromq
+from cosim.blocks.channel import CIPHERS
+from cosim.blocks.wire import (
+    LOOPBACK,
+    MOST_CONTROL,
+    VERSION,
+    Keys,
+    LinkError,
+    decode,
+    encode,
+    read_key,
+    split_address,
+    zeromq,
+)
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import OTHER
 from cosim.isolation.watch import Watch, fmi_calls
 from cosim.serving import messages
 from cosim.serving.offer import Offer, invalid
-from cosim.serving.session import SessionJob, guard, prepare, secure, serve
+from cosim.serving.session import SessionJob, prepare, serve
 
 MOST_SESSIONS = 16
+MOST_ENDED = 16  # ended sessions whose reason is kept for their clients
 POLL = 20  # interval [ms] of a look at finished sessions
-MODULES = ("cosim.serving.session", "fmpy.fmi2", "fmpy.fmi3", "zmq")
+MODULES = ("cosim.serving.session", "fmpy.fmi2", "fmpy.fmi3", CIPHERS)
 
 
 @dataclass
@@ -33,6 +46,32 @@ class _State:
     client: str
     ended: Mapping[str, str] | None = None
     running: bool = True
+
+
+class KnownClients:
+    """The clients that may connect, by their public keys in Z85."""
+
+    def __init__(self, keys: Sequence[bytes]) -> None:
+        self._keys = frozenset(keys)
+
+    def callback(self, domain: str, key: bytes) -> bool:
+        """Return whether a client may connect."""
+        return key in self._keys
+
+
+def _guard_clients(context: Any, clients: Sequence[bytes]) -> Any:
+    """Start the check of clients' keys in a context."""
+    from zmq.auth.thread import ThreadAuthenticator
+
+    check = ThreadAuthenticator(context)
+    check.start()
+    check.configure_curve_callback(domain="*", credentials_provider=KnownClients(clients))
+    return check
+
+
+def _secure(socket: Any, keys: Keys) -> None:
+    """Make a socket accept known clients only."""
+    socket.curve_server, socket.curve_publickey, socket.curve_secretkey = True, keys.public, keys.secret
 
 
 class FmuServer:
@@ -64,11 +103,11 @@ class FmuServer:
         self.offer, self.host, self._say = Offer(folders), host, say
         zmq = zeromq("cosim serve")
         self._context = zmq.Context()
-        self._guard = guard(self._context, self._known) if self.keys is not None else None
+        self._guard = _guard_clients(self._context, self._known) if self.keys is not None else None
         self._socket = self._context.socket(zmq.ROUTER)
         self._socket.linger, self._socket.maxmsgsize = 1000, MOST_CONTROL
         if self.keys is not None:
-            secure(self._socket, self.keys)
+            _secure(self._socket, self.keys)
         try:
             self._socket.bind(f"tcp://{host}:{port or '*'}")
         except zmq.ZMQError as error:
@@ -76,7 +115,8 @@ class FmuServer:
             is_used = error.errno == zmq.EADDRINUSE
             text = messages.PORT_REFUSED(host=host, port=port, reason=str(error))
             raise InputError.at(Path("--port"), messages.PORT_IN_USE(port=port) if is_used else text) from None
-        self.port = int(self._socket.last_endpoint.decode().rpartition(":")[2])
+        place = self._socket.last_endpoint.decode().removeprefix("tcp://")
+        self._address, self.port = split_address(place)
         self._ports = (port + 1, port + MOST_SESSIONS) if port else (0, 0)
         self._sessions: dict[int, _State] = {}
         self._numbers = count(1)
@@ -152,11 +192,12 @@ class FmuServer:
             frozenset(request["connected"]),
             frozenset(request["recorded"]),
             _settings(request["settings"]),
-            self.host,
+            self._address,
             self._ports,
-            self.keys,
-            client.encode(),
         )
+        ended = [number for number, state in self._sessions.items() if not state.running]
+        for number in ended[:-MOST_ENDED]:
+            del self._sessions[number]
         number = next(self._numbers)
         self._sessions[number] = state = _State(client)
         threading.Thread(target=self._serve, args=(sender, number, state, job), daemon=True).start()

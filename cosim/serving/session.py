@@ -5,25 +5,31 @@ from __future__ import annotations
 import ctypes
 import os
 import secrets
+import select
+import socket
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import CosimError, FmuError, SimulationError
 from cosim.base.messages import code_of
+from cosim.blocks.channel import Broken, Channel, has_ended
 from cosim.blocks.component import EarlyEnd
 from cosim.blocks.description import read_description
 from cosim.blocks.fmu import FmuBlock
-from cosim.blocks.wire import HEAD, MOST_VALUES, VERSION, Keys, LinkError, Operation, decode, pack, unpack, zeromq
+from cosim.blocks.wire import HEAD, MOST_VALUES, VERSION, LinkError, Operation, decode, pack, unpack
 from cosim.isolation import worker as here
 from cosim.isolation.rows import OTHER
 from cosim.serving import messages
 
 OPENING = 30.0  # time [s] for the client to come
-BEAT, SILENCE = 2000, 60_000  # interval of heartbeats and time without one that ends a session [ms]
+LOOK = 0.5  # interval [s] of a look at the connection
+MOST_FIRST, MOST_STRANGERS = 1 << 16, 16  # size of a first message [bytes]; peers that have sent none
+STEP, CLOSE = int(Operation.STEP), int(Operation.CLOSE)
 LOST = 3  # exit code of a process that has lost its client
 
 
@@ -33,9 +39,7 @@ class SessionJob:
 
     Attributes:
         ports: First and last port to try; (0, 0) for any free port.
-        keys: Keys of the server, None without.
-        client: Public key of the client.
-        token: Secret that the client must know.
+        token: Key of the session, which only its client receives.
     """
 
     path: Path
@@ -47,40 +51,22 @@ class SessionJob:
     settings: Mapping[str, Any]
     host: str
     ports: tuple[int, int] = (0, 0)
-    keys: Keys | None = None
-    client: bytes = b""
     token: str = field(default_factory=lambda: secrets.token_hex(32))
-
-
-class KnownClients:
-    """The clients that may connect, by their public keys in Z85."""
-
-    def __init__(self, keys: Sequence[bytes]) -> None:
-        self._keys = frozenset(keys)
-
-    def callback(self, domain: str, key: bytes) -> bool:
-        """Return whether a client may connect."""
-        return key in self._keys
-
-
-def guard(context: Any, clients: Sequence[bytes]) -> Any:
-    """Start the check of clients' keys in a context."""
-    from zmq.auth.thread import ThreadAuthenticator
-
-    check = ThreadAuthenticator(context)
-    check.start()
-    check.configure_curve_callback(domain="*", credentials_provider=KnownClients(clients))
-    return check
-
-
-def secure(socket: Any, keys: Keys) -> None:
-    """Make a socket accept known clients only."""
-    socket.curve_server, socket.curve_publickey, socket.curve_secretkey = True, keys.public, keys.secret
 
 
 # -- in the process of the session --------------------------------------------------------------------
 
 _sessions: list[_Session] = []
+
+
+def _end_process() -> None:
+    here.progress.words = messages.CLIENT_GONE().encode()
+    os._exit(LOST)
+
+
+def _drop(strangers: list[Channel], peer: Channel) -> None:
+    strangers.remove(peer)
+    peer.close()
 
 
 def prepare(job: SessionJob) -> int:
@@ -97,75 +83,81 @@ def serve() -> None:
 
 class _Session:
     def __init__(self, job: SessionJob) -> None:
-        zmq = zeromq()
         self.job = job
-        self._context = context = zmq.Context()
-        self._guard = guard(context, [job.client]) if job.keys is not None else None
-        self._socket = socket = context.socket(zmq.PAIR)
-        socket.linger, socket.maxmsgsize = 1000, MOST_VALUES
-        socket.heartbeat_ivl, socket.heartbeat_timeout = BEAT, SILENCE
-        if job.keys is not None:
-            secure(socket, job.keys)
-        self._watch = socket.get_monitor_socket(zmq.EVENT_ACCEPTED | zmq.EVENT_DISCONNECTED)
-        self.port = self._bind(zmq)
-        self._client: int | None = None  # descriptor of the client's connection, once it has opened the session
+        self._listener = self._bind()
+        self.port: int = self._listener.getsockname()[1]
         self._closed = threading.Event()
         self._block: Any = None
         self._step: Callable[[float, float], None]
 
-    def _bind(self, zmq: Any) -> int:
+    def _bind(self) -> socket.socket:
         first, last = self.job.ports
         for port in range(first, last + 1):
-            try:
-                self._socket.bind(f"tcp://{self.job.host}:{port or '*'}")
-            except zmq.ZMQError:
-                continue
-            return int(self._socket.last_endpoint.decode().rpartition(":")[2])
+            with suppress(OSError):
+                return socket.create_server((self.job.host, port))
         raise LinkError(messages.NO_PORT(first=first, last=last))
 
     def serve(self) -> None:
         """Answer messages until the session is closed."""
-        guarding = threading.Thread(target=self._end_without_client, daemon=True)
-        guarding.start()
-        socket, is_over = self._socket, False
-        while not is_over:
-            message = socket.recv() if self._client is not None else self._first_message()
-            try:
-                is_over = message[1] == Operation.CLOSE
-                answer = self._answer(message)
-            except Exception as error:
-                answer = pack(Operation.ERROR, content=self._about(error))
-            if is_over:
-                self._closed.set()
-            socket.send(answer)
-        guarding.join()
-        socket.close()
-        self._context.destroy(1000)
+        try:
+            channel, message = self._first_message()
+            threading.Thread(target=self._end_without_client, args=(channel.socket,), daemon=True).start()
+            is_over = False
+            while not is_over:
+                try:
+                    is_over = message[1] == CLOSE
+                    answer = self._answer(message)
+                except Exception as error:
+                    answer = pack(Operation.ERROR, content=self._about(error))
+                if is_over:
+                    self._closed.set()
+                channel.send(answer)
+                message = b"" if is_over else channel.receive()
+        except Broken:
+            if not self._closed.is_set():
+                _end_process()
+        else:
+            channel.close()
 
-    def _first_message(self) -> bytes:
-        """Return a message before the session is open; remember its connection."""
-        frame = self._socket.recv(copy=False)
-        self._sender = frame.get(zeromq().SRCFD)
-        return bytes(frame.bytes)
+    def _first_message(self) -> tuple[Channel, bytes]:
+        """Return the connection of the client and its first message, which proves that it has the session's key.
 
-    def _end_without_client(self) -> None:
-        """End the process when its client is gone, also in a hung FMU.
+        Other peers come and go without effect.
 
-        Other peers that connect come and go without effect.
+        Raises:
+            Broken: The client has not come.
         """
-        zmq = zeromq()
-        from zmq.utils.monitor import recv_monitor_message
-
-        gone: set[int] = set()  # descriptors; one that is used again is not gone
+        strangers: list[Channel] = []
         end = time.monotonic() + OPENING
-        while not self._closed.is_set():
-            if self._watch.poll(200):
-                event = recv_monitor_message(self._watch)
-                (gone.add if event["event"] == zmq.EVENT_DISCONNECTED else gone.discard)(event["value"])
-            is_alone = time.monotonic() > end if self._client is None else self._client in gone
-            if is_alone and not self._closed.wait(0.5):
-                here.progress.words = messages.CLIENT_GONE().encode()
-                os._exit(LOST)
+        with self._listener as listener:
+            while (left := end - time.monotonic()) > 0:
+                ready = select.select([listener, *(peer.socket for peer in strangers)], [], [], left)[0]
+                for peer in [peer for peer in strangers if peer.socket in ready]:
+                    try:
+                        message = peer.receive()
+                    except (Broken, BlockingIOError) as reason:
+                        if isinstance(reason, Broken):
+                            _drop(strangers, peer)
+                        continue
+                    strangers.remove(peer)
+                    while strangers:
+                        _drop(strangers, strangers[0])
+                    peer.socket.setblocking(True)
+                    peer.most = MOST_VALUES
+                    return peer, message
+                if listener in ready:
+                    connection, _ = listener.accept()
+                    connection.setblocking(False)
+                    strangers.append(Channel(connection, self.job.token, is_server=True, most=MOST_FIRST))
+                    if len(strangers) > MOST_STRANGERS:
+                        _drop(strangers, strangers[0])
+        raise Broken("the client has not come")
+
+    def _end_without_client(self, connection: socket.socket) -> None:
+        """End the process when its client is gone, also in a hung FMU."""
+        while not self._closed.wait(LOOK):
+            if has_ended(connection) and not self._closed.wait(LOOK):
+                _end_process()
 
     def _about(self, error: Exception) -> dict[str, Any]:
         """Return an error as JSON, without the place of the file."""
@@ -184,14 +176,16 @@ class _Session:
         version, operation, t, h = HEAD.unpack_from(message)
         if version != VERSION:
             raise LinkError(messages.OTHER_VERSION(here=VERSION, there=version))
-        if operation == Operation.OPEN:
-            return self._open(decode(message[HEAD.size :]))
-        if self._block is None:
-            raise LinkError(messages.BAD_REQUEST(reason="the session is not open"))
-        if operation == Operation.STEP:
+        if operation == STEP and self._block is not None:
             self._take(message)
             self._step(t, h)
             return self._shown()
+        if operation == Operation.OPEN:
+            if self._block is not None:
+                raise LinkError(messages.BAD_REQUEST(reason="the session is open"))
+            return self._open(decode(message[HEAD.size :]))
+        if self._block is None:
+            raise LinkError(messages.BAD_REQUEST(reason="the session is not open"))
         block = self._block
         if operation == Operation.EXCHANGE:
             self._take(message)
@@ -216,9 +210,6 @@ class _Session:
 
     def _open(self, content: Mapping[str, Any]) -> bytes:
         job = self.job
-        if self._block is not None or not secrets.compare_digest(str(content["token"]), job.token):
-            raise LinkError(messages.BAD_REQUEST(reason="wrong token"))
-        self._client = self._sender
         self._block = block = FmuBlock(
             job.name,
             job.path,
