@@ -138,7 +138,7 @@ def test_the_last_row_is_recorded_also_between_two_multiples(tmp_path: Path) -> 
         ("{every: -1}", "ref.x", ":4:17"),
         ("{signals: [ref.x, ref.z]}", "ref.x", ':4:27: no signal matches "ref.z"; did you mean "ref.y"?'),
         ("{signals: [rex.*]}", "more.x", 'no component "rex"; did you mean "ref"?'),
-        ('{signals: ["*.speed"]}', "more.x", 'no signal matches "*.speed"; there are ref.x, ref.y, more.x'),
+        ('{signals: ["*.speed"]}', "more.x", 'no signal matches "*.speed"; there are ref.x, ref.y and more.x'),
         ("{signals: []}", "ref.x", "record.signals is a list: it should have at least 1 entries, not 0"),
         ("{signal: [ref.x]}", "ref.x", "signal"),
         ("{signals: [more.x]}", "ref.x", "ref.x is not recorded, and the criterion needs it; add it to record:"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -212,45 +212,64 @@ def compare_several(
         InputError: Every run that cannot be read, or that shares no signal or time with the baseline.
     """
     reader = _Reader(sources)
-    a = reader[baseline]
+    base = reader[baseline]
+    others = {k: source for k, source in enumerate(sources) if k != baseline}
+    comparisons, left_out = _compare_each(base, others, reader, tolerance, absolute)
+    bare = {baseline: replace(base, results=NOTHING), **{k: c.b for k, c in comparisons.items()}}
+    kept = sorted(bare)
+    shorts, labels, inputs = _names_of([sources[k] for k in kept], [bare[k] for k in kept])
+    runs = {k: replace(bare[k], name=label) for k, label in zip(kept, labels, strict=True)}
+    named = tuple(replace(c, a=runs[baseline], b=runs[k]) for k, c in sorted(comparisons.items()))
+    ranked = sorted(comparisons, key=lambda k: -max(d.share for d in comparisons[k].differences))
+    drawn = sorted([baseline, *ranked[: MAX_RUNS - 1]])
+    places = tuple(map(kept.index, drawn))
+    about = tuple(map(runs.__getitem__, kept)), shorts, kept.index(baseline), named, inputs, places
+    compared = ComparedRuns(*about, base.results.time, {}, {}, left_out)
+    return _with_curves(compared, base.results, (reader[k] for k in drawn))
+
+
+def _with_curves(compared: ComparedRuns, base: Results, drawn: Iterable[RecordedRun]) -> ComparedRuns:
+    """Add the values of the signals that differ most in the drawn runs, at the times of the baseline."""
+    names = [name for name in compared.ranking if name in base][:MAX_SIGNALS]
+    units = {name: base.units.get(name, "") for name in names}
+    by_run = [[_at_times(run, name, units[name], base.time) for name in names] for run in drawn]
+    curves = {name: [values[place] for values in by_run] for place, name in enumerate(names)}
+    return replace(compared, curves=curves, units=units)
+
+
+def _names_of(
+    sources: Sequence[RunSource], runs: Sequence[RecordedRun]
+) -> tuple[tuple[str, ...], Sequence[str], tuple[DifferingInput, ...]]:
+    """Return short names and labels of runs, and the inputs that differ."""
+    shorts = _different([source.short for source in sources])
+    longer = [
+        short if short != source.short else source.longer or short
+        for source, short in zip(sources, shorts, strict=True)
+    ]
+    labels, inputs = label_runs(runs, shorts, longer)
+    return tuple(shorts), labels, tuple(inputs)
+
+
+def _compare_each(
+    base: RecordedRun, others: Mapping[int, RunSource], reader: _Reader, tolerance: float | None, absolute: float
+) -> tuple[dict[int, Compared], tuple[str, ...]]:
+    """Compare runs with the baseline; return comparisons by index without rows, and reasons of what is left out.
+
+    Raises:
+        InputError: Every run that cannot be read or compared, unless it is optional.
+    """
     comparisons: dict[int, Compared] = {}
-    bare: dict[int, RecordedRun] = {baseline: replace(a, results=NOTHING)}
     faults: list[Fault] = []
     left_out: list[Fault] = []
-    for k, source in enumerate(sources):
-        if k == baseline:
-            continue
+    for k, source in others.items():
         try:
-            b = reader[k]
-            found = compare_runs(a, b, tolerance, absolute)
+            found = compare_runs(base, reader[k], tolerance, absolute)
         except InputError as error:
             (left_out if source.is_optional else faults).extend(error.faults)
             continue
-        bare[k] = replace(b, results=NOTHING)
-        comparisons[k] = replace(found, values={}, time=NOTHING.time)
+        comparisons[k] = replace(found, b=replace(found.b, results=NOTHING), values={}, time=NOTHING.time)
     refuse(faults or ([] if comparisons else left_out))
-    kept = sorted(bare)
-    shorts = _different([sources[k].short for k in kept])
-    longer = [
-        short if short != sources[k].short else sources[k].longer or short
-        for k, short in zip(kept, shorts, strict=True)
-    ]
-    labels, inputs = label_runs([bare[k] for k in kept], shorts, longer)
-    runs = {k: replace(bare[k], name=label) for k, label in zip(kept, labels, strict=True)}
-    named = [replace(c, a=runs[baseline], b=runs[k]) for k, c in sorted(comparisons.items())]
-    ranked = sorted(comparisons, key=lambda k: -max(d.share for d in comparisons[k].differences))
-    drawn = sorted([baseline, *ranked[: MAX_RUNS - 1]])
-    places = tuple(kept.index(k) for k in drawn)
-    about = tuple(runs[k] for k in kept), tuple(shorts), kept.index(baseline), tuple(named), tuple(inputs), places
-    compared = ComparedRuns(*about, a.results.time, {}, {}, tuple(map(str, left_out)))
-    numeric = [name for name in compared.ranking if name in a.results][:MAX_SIGNALS]
-    units = {name: a.results.units.get(name, "") for name in numeric}
-    curves: dict[str, list[Array]] = {name: [] for name in numeric}
-    for k in drawn:
-        run = reader[k]
-        for name in numeric:
-            curves[name].append(_at_times(run, name, units[name], a.results.time))
-    return replace(compared, curves=curves, units=units)
+    return comparisons, tuple(map(str, left_out))
 
 
 def label_runs(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -36,20 +35,9 @@ def several_page(c: ComparedRuns, tolerance: str, options: Sequence[str]) -> str
 
 
 def _context(c: ComparedRuns, tolerance: str, options: Sequence[str]) -> Mapping[str, Any]:
-    base, short = c.drawn.index(c.baseline), c.shorts[c.baseline]
-    labels = [(c.labels if len(c.drawn) <= MOST_LABELS else c.shorts)[k] for k in c.drawn]
-    drawing = Drawing(c.time, 2 * len(labels) * max(1, len(c.curves)))
-    table = c.table
-    differing = [name for name in c.curves if any(d is not None and d.largest for d in table[name])]
-    panels = [
-        make(name, c.units[name], labels, c.curves[name], base)
-        for name in differing
-        for make in (overlay, partial(differences, short=short))
-    ]
-    equal = [overlay(name, c.units[name], labels, c.curves[name], base) for name in c.curves if name not in differing]
     paths = [str(c.runs[k].path) for k in (c.baseline, *c.others)]
     return {
-        "base": short,
+        "base": c.shorts[c.baseline],
         "count": counted(len(c.others), "run"),
         "outcome": sentence(c),
         "tone": "plain" if not c.judged else "good" if c.same else "bad",
@@ -61,16 +49,30 @@ def _context(c: ComparedRuns, tolerance: str, options: Sequence[str]) -> Mapping
         "more_inputs": max(0, len(c.inputs) - MAX_ROWS),
         "criteria": [_criterion_row(title, outcomes) for title, outcomes in c.criteria.items()],
         "left_out": c.left_out,
-        "signals": [(name, *map(_difference_cell, cells)) for name, cells in list(table.items())[:MAX_ROWS]],
+        "signals": [(name, *map(_difference_cell, cells)) for name, cells in list(c.table.items())[:MAX_ROWS]],
         "more_signals": max(0, len(c.ranking) - MAX_ROWS),
-        "plots": drawing.plots(panels),
-        "equal": drawing.plots(equal),
+        **_charts(c),
         "is_drawn": _drawn(c),
         "baseline": c.baseline,
-        "data": to_json(drawing.series),
         "repeat": shlex.join(["cosim", "compare", *paths, *options]),
         "version": __version__,
     }
+
+
+def _charts(c: ComparedRuns) -> dict[str, Any]:
+    """Return charts of signals that differ and of equal ones, with their data."""
+    base, short, table = c.drawn.index(c.baseline), c.shorts[c.baseline], c.table
+    labels = [(c.labels if len(c.drawn) <= MOST_LABELS else c.shorts)[k] for k in c.drawn]
+    drawing = Drawing(c.time, 2 * len(labels) * max(1, len(c.curves)))
+    differing, equal = [], []
+    for name, curves in c.curves.items():
+        about = name, c.units[name], labels, curves, base
+        if any(d is not None and d.largest for d in table[name]):
+            differing += [overlay(*about), differences(*about, short=short)]
+        else:
+            equal.append(overlay(*about))
+    plots = drawing.plots(differing)
+    return {"plots": plots, "equal": drawing.plots(equal), "data": to_json(drawing.series)}
 
 
 def _input_cells(row: DifferingInput) -> list[str]:

@@ -47,6 +47,16 @@ class Patience:
     fair: int = FAIR
     reached: float = np.inf
 
+    def ends(self, done: int, objective: float, promised: float, paced: float) -> bool:
+        """Return whether a fit is abandoned.
+
+        Args:
+            done: Iterations so far.
+            promised, paced: Improvements that the quadratic model promises, and that the last pace would reach.
+        """
+        hope = max(promised, paced) if objective > self.reached else promised
+        return done >= self.fair and objective - hope > self.goal
+
 
 ENDLESS = Patience()
 
@@ -189,26 +199,21 @@ class _Scoring:
     def run(self, iterations: int, patience: Patience) -> Fit:
         """Iterate until the objective converges."""
         self.scored = self._evaluate(self.theta)
-        done, converged, is_cut, pace, limit, is_kept = 0, False, False, 0.0, iterations, False
+        done, converged, is_cut, pace, is_kept = 0, False, False, 0.0, False
         slopes = np.zeros((0, 0)), np.zeros((0, 0))
         end = processor_time() + MAX_SECONDS  # unlike the clock, no matter of what else the machine does
         information = np.zeros((len(self.theta),) * 2)
-        if not np.isfinite(self.scored.nll):
-            limit = 0  # The filter diverges at the start values.
+        limit = iterations * int(np.isfinite(self.scored.nll))  # The filter may diverge at the start values.
         while done < limit and not (converged or is_cut):
             slopes = slopes if is_kept else self.sensitivities()
             gradient, curvature = self.derivatives(*slopes)
-            if not (np.isfinite(gradient).all() and np.isfinite(curvature).all()):
+            if not np.isfinite([*gradient, *curvature.flat]).all():
                 break  # The model diverges near this point, so no search direction exists.
             information = curvature
             before = self._objective(self.theta, self.scored)
             expected = 0.5 * float(gradient @ least_squares(information, gradient))
-            hope = PROMISE * expected
-            limit = iterations
-            if before > patience.reached:  # The optimum is far away.
-                limit *= LONGER
-                hope = max(hope, pace * (limit - done))
-            if done >= patience.fair and before - hope > patience.goal:
+            limit = iterations * (LONGER if before > patience.reached else 1)  # the optimum is far away
+            if patience.ends(done, before, PROMISE * expected, pace * (limit - done)):
                 break
             damping = self.damping
             pace = self._move(gradient, information)

@@ -153,3 +153,17 @@ class Structure:
     def acting(self) -> tuple[ProbedParameter, ...]:
         """Return parameters that change a rate or output."""
         return tuple(p for p in self.parameters if p.acts)
+
+    @property
+    def idle(self) -> tuple[str, ...]:
+        """Return names of parameters that change nothing."""
+        return tuple(p.name for p in self.parameters if not (p.acts or p.starts))
+
+    @property
+    def without_port(self) -> tuple[str, ...]:
+        """Return velocities that no input changes directly."""
+        return tuple(p.velocity for p in self.pairs if not p.ports)
+
+    def shown_as(self, state: str) -> str:
+        """Return the output that equals a state, else the state itself."""
+        return self.shown.get(state, state)

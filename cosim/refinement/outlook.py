@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
@@ -81,28 +82,25 @@ def _force_place(pair: Pair) -> str:
 
 def _blind_spots(study: Study, subject: FmuSubject) -> Iterator[Message]:
     """Yield what these logs, or this interface, cannot show."""
-    s, logs, names = subject.structure, study.logs, subject.names
-    still = [q.name for q in s.inputs if not any(np.ptp(log.inputs[names[q.name]]) > 0.0 for log in logs)]
-    if still:
-        yield messages.STILL_INPUTS(names=join_names(still))
-    logged = {name for log in logs for name in log.outputs}
-    missing = [q.name for q in s.outputs if names[q.name] not in logged]
-    if missing:
-        yield messages.UNLOGGED_OUTPUTS(names=join_names(missing))
-    idle = [p.name for p in s.parameters if not p.acts and not p.starts]
-    if idle:
-        yield messages.IDLE_PARAMETERS(names=join_names(idle))
-    without = [p.velocity for p in s.pairs if not p.ports]
-    if s.way == "co-simulation":
-        if without:
-            yield messages.NO_PORT(names=join_names(without))
-        if len({log.path for log in logs}) < FEWEST_STEPPED:
-            yield messages.FEW_LOGS(least=FEWEST_STEPPED)
-    one_way = [p.velocity for p in s.pairs if _goes_one_way(logs, with_place(s.shown.get(p.velocity, p.velocity)))]
-    if one_way:
-        yield messages.ONE_WAY(names=join_names(one_way))
+    s, logs, names, is_stepped = subject.structure, study.logs, subject.names, subject.structure.way == "co-simulation"
+    logged = set().union(*(log.outputs for log in logs))
+    places = (
+        (messages.STILL_INPUTS, [q.name for q in s.inputs if _is_still(logs, names[q.name])]),
+        (messages.UNLOGGED_OUTPUTS, [q.name for q in s.outputs if names[q.name] not in logged]),
+        (messages.IDLE_PARAMETERS, s.idle),
+        (messages.NO_PORT, s.without_port if is_stepped else ()),
+        (messages.ONE_WAY, [p.velocity for p in s.pairs if _goes_one_way(logs, with_place(s.shown_as(p.velocity)))]),
+    )
+    yield from (message(names=join_names(found)) for message, found in places if found)
+    if is_stepped and len(set(map(attrgetter("path"), logs))) < FEWEST_STEPPED:
+        yield messages.FEW_LOGS(least=FEWEST_STEPPED)
     if not study.content.logs.validation:
         yield messages.NOTHING_SEALED(logs=counted(len(study.content.logs.estimation), "log"))
+
+
+def _is_still(logs: Sequence[Log], name: str) -> bool:
+    """Return whether an input is constant in each log."""
+    return not any(np.ptp(log.inputs[name]) > 0.0 for log in logs)
 
 
 def _goes_one_way(logs: Sequence[Log], name: str) -> bool:

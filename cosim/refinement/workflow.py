@@ -6,7 +6,6 @@ opened after all decisions.
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -40,7 +39,7 @@ from cosim.refinement.decision.judgement import BETTER, decide
 from cosim.refinement.decision.sentences import floor_warning
 from cosim.refinement.decision.trust import attribute
 from cosim.refinement.proof.carried import carry_sealed_logs
-from cosim.refinement.proof.measure import FLOOR_SEED, final_log_parameters, noise_floor, rmse
+from cosim.refinement.proof.measure import FLOOR_SEED, Evidence, final_log_parameters, noise_floor, rmse
 from cosim.refinement.proof.nearest import ladder, nearest
 from cosim.refinement.proof.prediction_fit import compare_with_predictions
 from cosim.refinement.proof.prediction_search import search_nearest
@@ -49,7 +48,7 @@ from cosim.refinement.proof.refined_models import Variant, refined_subject, vari
 from cosim.refinement.proof.replay_check import check_with_replays, moved_beyond_tolerance
 from cosim.refinement.proof.sealed import find_rises
 from cosim.refinement.proof.table_errors import add_dependence, errors_on_held_out_rows
-from cosim.refinement.record import Floors, Measurements, Replayed, keep_finite, record
+from cosim.refinement.record import Floors, Measurements, Part, Replayed, keep_finite, record
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.search.fits import SearchResult
 from cosim.refinement.search.hypotheses import Attribution
@@ -59,7 +58,6 @@ from cosim.refinement.search.unnamed import Leftover, find_unnamed_terms
 from cosim.refinement.study import Study, read_study
 from cosim.storage.files import (
     FilePath,
-    atomic_write,
     check_writable,
     delay_stops,
     hold_stops,
@@ -67,12 +65,14 @@ from cosim.storage.files import (
     one_stop,
     release_stops,
     scratch_folder,
+    write_json,
 )
 from cosim.storage.folder_lock import folder_locks
 from cosim.storage.folders import check_overwritable, keep_earlier
 from cosim.subject.candidates import Candidate
 from cosim.subject.interface import Subject, Workplace
 
+DELIVERED = {"refined": "after", "nearest": "nearest"}  # name of written files → variant
 RESULTS = (*REFINED, *NEAREST, ANSWER)  # in the order of their publication
 Progress = Callable[[str, float], None]
 
@@ -128,9 +128,7 @@ def refine(
     with scratch_folder(folder, ".refine-") as scratch, Workplace(scratch, limits, in_process=in_process) as place:
         progress("building the refined FMU", 0.0)
         variants = _variants(study, attribution, claims)
-        files = [*variants["after"].subject.write(scratch, folder, "refined")]
-        if "nearest" in variants:
-            files += variants["nearest"].subject.write(scratch, folder, "nearest")
+        files = _write_models(variants, scratch, folder)
         progress("replaying through the FMUs", 0.0)
         sealed = study.unseal()  # after all decisions
         sets: LogSets = {"estimation": study.logs, "validation": sealed} if sealed else {"estimation": study.logs}
@@ -144,27 +142,21 @@ def refine(
         claims = replace(claims, risen=_rises(claims, played, subject), remaining=remaining, written=bool(files))
         ends = final_log_parameters(variants["after"], problem, sealed)
         hold_stops()  # From here, a result exists that must not be lost.
-        warnings += failure_warnings(problem)
-        warnings += [v.subject.undelivered for v in variants.values() if v.subject.undelivered][:1]
-        if lacking := next((v.subject.missing_platforms for v in variants.values() if v.subject.missing_platforms), ()):
-            warnings.append(messages.MISSING_PLATFORMS(names=join_names(lacking)))
+        warnings += [*failure_warnings(problem), *_delivery_warnings(variants)]
         warnings += [*warnings_of(way), *_floor_warnings(floors, played, subject)]
         study = replace(study, warnings=(*study.warnings, *warnings))
         measured = Measurements(played, floors, way, ends, time.perf_counter() - start)
         written = record(study, attribution, claims, problem, between, measured)
-        with atomic_write(scratch / ANSWER) as stream:
-            json.dump(written.model_dump(mode="json"), stream, indent=2, ensure_ascii=False, allow_nan=False)
-            stream.write("\n")
+        content = written.model_dump(mode="json")
+        write_json(scratch / ANSWER, content, allow_nan=False)
         if study.content.carry_logs and sealed:
-            fmus = [path for path in files if path.suffix == ".fmu"]
-            carry_sealed_logs(fmus, sealed, written.model_dump(mode="json"))
+            carry_sealed_logs([path for path in files if path.suffix == ".fmu"], sealed, content)
         with delay_stops():
             if keep:
                 keep_earlier(folder, "cosim refine")
             _publish(files, scratch / ANSWER, folder)
         release_stops()
-    evidence = {name: {part: by[subject.horizon] for part, by in parts.items()} for name, parts in played.items()}
-    content = written.model_dump(mode="json")
+    evidence = _at_horizon(played, subject.horizon)
     outcome = Refinement(study, attribution, claims, content, folder, problem, variants, evidence)
     if report:
         from cosim.refinement.report.refine_page import write_refine_report
@@ -299,6 +291,28 @@ def _variants(study: Study, a: Attribution, claims: Claims) -> dict[str, Variant
         of_other = variant_of(other, settings, nearest_fit.fit if nearest_fit else a.unfitted)
         variants["nearest"] = variants["after"] if nearest_fit is claimed else of_other
     return variants
+
+
+def _write_models(variants: Mapping[str, Variant], scratch: Path, folder: Path) -> list[Path]:
+    """Write the refined model, and the nearest one if there is any; return the files."""
+    files: list[Path] = []
+    for name, key in DELIVERED.items():
+        if key in variants:
+            files += variants[key].subject.write(scratch, folder, name)
+    return files
+
+
+def _delivery_warnings(variants: Mapping[str, Variant]) -> Iterator[str]:
+    """Yield why there is no FMU, and the platforms that it lacks."""
+    subjects = [variant.subject for variant in variants.values()]
+    yield from dict.fromkeys(s.undelivered for s in subjects if s.undelivered)
+    for names in dict.fromkeys(s.missing_platforms for s in subjects if s.missing_platforms):
+        yield messages.MISSING_PLATFORMS(names=join_names(names))
+
+
+def _at_horizon(played: Replayed, horizon: float) -> dict[str, dict[Part, Evidence]]:
+    """Return the replays over one horizon by variant and set of logs."""
+    return {name: {part: by[horizon] for part, by in parts.items()} for name, parts in played.items()}
 
 
 def failure_warnings(problem: Problem) -> Iterator[str]:

@@ -159,10 +159,7 @@ def write_replay(
     report_step = None if progress is None else lambda done: progress(min(done, total), total)
     remote = None if worker is None else DriveApart(worker, log, fmu, report_step, limits=limits, given=given)
     with remote or Drive(log, fmu, report_step, given=given) as drive:
-        findings = gate(log, rate or drive.rate, strict=rate is not None, traits=drive.traits, spikes={})
-        findings += _version_findings(drive)
-        findings += input_unit_findings(log, drive.starts, drive.traits.bounds if drive.traits else {})
-        refuse_faults(log, findings)
+        findings = _findings(drive, log, rate)
         written = "report.html", REPLAY, NEXT_STUDY
         check_writable(folder, (rows_file.name, residual_file.name, *written), (log.path, fmu))
         if keep:
@@ -192,6 +189,15 @@ def write_replay(
             ended.left = folder
             raise ended from None
     return comparison
+
+
+def _findings(drive: Drive, log: Log, rate: float | None) -> list[Finding]:
+    """Return the findings of the gate; raise InputError if the log has faults."""
+    findings = gate(log, rate or drive.rate, strict=rate is not None, traits=drive.traits, spikes={})
+    findings += _version_findings(drive)
+    findings += input_unit_findings(log, drive.starts, drive.traits.bounds if drive.traits else {})
+    refuse_faults(log, findings)
+    return findings
 
 
 def _remove_outdated(folder: Path, names: Iterable[str], rows_file: Path) -> None:

@@ -465,6 +465,12 @@ class Scenario(Part):
         return (self.record.signals or []) if isinstance(self.record, Recording) else self.record
 
     @property
+    def isolated(self) -> frozenset[str]:
+        """Return names of components with a process of their own."""
+        every = self.components.items()
+        return frozenset(name for name, c in every if isinstance(c, FmuComponent) and c.process == "own")
+
+    @property
     def courses(self) -> tuple[int, int]:
         """Return the degrees of extrapolation and interpolation."""
         default = COURSES[0] if self.control is None else COURSES[1]

@@ -195,6 +195,23 @@ def _exact(value: Any, signal: Signal) -> Any:
     return str(value) if signal.kind == "String" else int(value)
 
 
+def _record_of(folder: Path) -> tuple[Path, dict[str, Any]]:
+    """Return the record of the run in a folder, and its file.
+
+    Raises:
+        InputError: There is none, or it is damaged or of another version.
+    """
+    source = next((file for file in (folder / FOLDER / RUN, folder / MANIFEST) if file.is_file()), None)
+    record = {} if source is None else content_of(source)
+    if source is None or (source.name == MANIFEST and "scenario" not in record):
+        raise InputError.at(folder, messages.NOTHING_TO_RESUME())
+    if not isinstance(record.get("scenario"), dict):
+        raise InputError.at(source, messages.DAMAGED_CHECKPOINT(reason="it has no scenario"))
+    if (version := record.get("cosim_version")) != __version__:
+        raise InputError.at(source, messages.OTHER_VERSION(version=version, own=__version__))
+    return source, record
+
+
 def open_stopped(path: Path) -> StoppedRun:
     """Lock the folder of a run; return the run.
 
@@ -208,14 +225,7 @@ def open_stopped(path: Path) -> StoppedRun:
     kept = folder / FOLDER
     wait_for_worker(kept)
     remove_drafts(kept, (STATE, BESIDE, RUN))
-    source = next((file for file in (kept / RUN, folder / MANIFEST) if file.is_file()), None)
-    record = {} if source is None else content_of(source)
-    if source is None or (source.name == MANIFEST and "scenario" not in record):
-        raise InputError.at(folder, messages.NOTHING_TO_RESUME())
-    if not isinstance(record.get("scenario"), dict):
-        raise InputError.at(source, messages.DAMAGED_CHECKPOINT(reason="it has no scenario"))
-    if (version := record.get("cosim_version")) != __version__:
-        raise InputError.at(source, messages.OTHER_VERSION(version=version, own=__version__))
+    source, record = _record_of(folder)
     timings = record.get("timings")
     lasted = float(timings.get("simulate", 0.0)) if isinstance(timings, dict) else 0.0
     state = read_state(kept / STATE)

@@ -200,8 +200,7 @@ def run(
         else:
             options = force, nearest, rows_name("results", format_)
             prepared = _prepare_new(path, folder, overrides, options, software, worker)
-            if (rows := prepared.rows) > MANY_ROWS and prepared.rows_file.endswith(".csv"):
-                tell(messages.MANY_ROWS(rows=rows))
+            _tell_size(prepared, tell)
         if inputs:
             functions = InputFunctions(inputs)
             functions.check(prepared.system)
@@ -225,6 +224,12 @@ def run(
         failure.left = prepared.place
         raise failure
     return Outcome(stepped.results, record, files.rows)
+
+
+def _tell_size(prepared: _Prepared, tell: Callable[[str], None]) -> None:
+    """Offer another format for many rows."""
+    if prepared.rows > MANY_ROWS and prepared.rows_file.endswith(".csv"):
+        tell(messages.MANY_ROWS(rows=prepared.rows))
 
 
 def _prepare_new(

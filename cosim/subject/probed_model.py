@@ -80,7 +80,7 @@ class ProbedModel:
 
     def middle(self, state: Quantity) -> float:
         """Return the mean of a state's readings, or its start value without any."""
-        shown = self.structure.shown.get(state.name, state.name)
+        shown = self.structure.shown_as(state.name)
         columns = [log.outputs[shown] for log in self.logs if shown in log.outputs]
         return float(np.nanmean(np.concatenate(columns))) if columns else state.start
 
@@ -157,7 +157,7 @@ class ProbedModel:
 
     def _named_states(self) -> list[Quantity]:
         """Return the states with names of the model: that of an output that shows the state, else the FMU's."""
-        return [replace(q, name=with_place(self.structure.shown.get(q.name, q.name))) for q in self.states]
+        return [replace(q, name=with_place(self.structure.shown_as(q.name))) for q in self.states]
 
     def _rates(self) -> dict[int, int]:
         """Return position → velocity that equals its derivative, by index."""

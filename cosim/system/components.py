@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -54,8 +54,8 @@ def _component(
     if isinstance(component, ReferenceComponent):
         return reference(name, component.signals)
     if isinstance(component, PlaybackComponent):
-        sources = (connection.source.partition(".") for connection in file.scenario.connections)
-        return playback(name, file.resolve(component.file), {v for owner, _, v in sources if owner == name})
+        sources = [connection.source for connection in file.scenario.connections]
+        return playback(name, file.resolve(component.file), _variables_of(name, sources))
     if isinstance(component, FixComponent):
         return _fixes(file.scenario, name, component, diagnosis)
     return _fmu(file, name, component, designed, read, diagnosis)
@@ -95,16 +95,11 @@ def _fmu(
             return None
     path = file.resolve(component.fmu) if distant is None else distant.path
     if not path.is_file():
-        is_built = is_model(BASE) and path.name in model_entry().built
-        cure = f'; "cosim build --out {path.parent}" makes it' if is_built else ""
-        if file.manifest is not None:
-            cure += f"; put it there, or {path.name} beside {file.path.name}"
-        diagnosis.note(("components", name, "fmu"), messages.NO_FMU(path=path, cure=cure))
+        diagnosis.note(("components", name, "fmu"), messages.NO_FMU(path=path, cure=_cure(file, path)))
         return None
     description = read(path)
     start = _start_values(name, description, {**designed, **component.start}, diagnosis)
-    targets = (connection.target.partition(".") for connection in file.scenario.connections)
-    connected = frozenset(variable for owner, _, variable in targets if owner == name)
+    connected = frozenset(_variables_of(name, [connection.target for connection in file.scenario.connections]))
     if component.interface not in (None, *ways(description)):
         message = messages.INTERFACE_NOT_OFFERED(fmu=path.name, interfaces=" and ".join(ways(description)))
         diagnosis.note(("components", name, "interface"), message)
@@ -130,6 +125,18 @@ def _fmu(
         logging=component.logging,
         solver=component.solver,
     )
+
+
+def _variables_of(component: str, ends: Iterable[str]) -> set[str]:
+    """Return the variables of a component among ends of connections, `component.variable`."""
+    return {variable for owner, _, variable in (end.partition(".") for end in ends) if owner == component}
+
+
+def _cure(file: ScenarioFile, path: Path) -> str:
+    """Return what provides a missing FMU, "" if nothing is known to."""
+    is_built = is_model(BASE) and path.name in model_entry().built
+    cure = f'; "cosim build --out {path.parent}" makes it' if is_built else ""
+    return cure if file.manifest is None else f"{cure}; put it there, or {path.name} beside {file.path.name}"
 
 
 def _find_distant(name: str, component: FmuComponent, at: str, diagnosis: Diagnosis) -> Distant | None:

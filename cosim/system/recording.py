@@ -24,8 +24,6 @@ from cosim.storage.yaml_file import did_you_mean
 from cosim.system import messages
 from cosim.system.wiring import RowLayout
 
-MOST_NAMED = 5  # signals in a message
-
 
 @dataclass(frozen=True)
 class RecordedPart:
@@ -111,23 +109,20 @@ def _objection(
     pattern: str, scenario: Scenario, components: Mapping[str, Component], layout: RowLayout
 ) -> Message | None:
     """Return the objection to a pattern that matches no signal, with near names."""
-    name = pattern.partition(".")[0]
+    name, is_pattern = pattern.partition(".")[0], "*" in pattern.partition(".")[0]
     columns = (*layout.columns, *layout.beside)
     if any(matches(pattern, *_parts(column)) for column in columns):
         return None
-    if "*" not in name and name not in scenario.components:
+    if not is_pattern and name not in scenario.components:
         return messages.RECORD_WITHOUT_COMPONENT(name=name, hint=did_you_mean(name, scenario.components))
-    component = components.get(name)
-    if "*" in name and len(components) < len(scenario.components):
-        return None  # It may be a signal of a component that is faulty itself.
-    if component is None and "*" not in name:
+    # It may be a signal of a component that is faulty itself.
+    if not ({*scenario.components} if is_pattern else {name}) <= {*components}:
         return None
-    others = [column for column in columns if "*" in name or column.startswith(f"{name}.")]
-    if isinstance(component, FmuBlock):
+    others = [column for column in columns if column.startswith("" if is_pattern else f"{name}.")]
+    if isinstance(component := components.get(name), FmuBlock):
         others += [f"{name}.{v.name}" for v in component.description.modelVariables]
     near = did_you_mean(pattern.replace("*", ""), others)
-    some = ", ".join(others[:MOST_NAMED]) + (", …" if len(others) > MOST_NAMED else "")
-    return messages.RECORD_WITHOUT_SIGNAL(pattern=pattern, hint=near or f"; there are {some or 'none'}")
+    return messages.RECORD_WITHOUT_SIGNAL(pattern=pattern, hint=near or f"; there are {join_names(others) or 'none'}")
 
 
 def _parts(column: str) -> tuple[str, str]:

@@ -100,9 +100,8 @@ def build_system(file: ScenarioFile, start_values: Designed | None = None) -> Sy
     recording = recorded_part(scenario, components, layout, diagnosis)
     if is_whole:
         _check_criteria(scenario, layout.columns, recording, diagnosis)
-    plan = Schedule()
-    if is_whole and all(transfers):
-        plan = schedule(scenario, components, transfers, diagnosis)
+    is_connected = is_whole and all(transfers)
+    plan = schedule(scenario, components, transfers, diagnosis) if is_connected else Schedule()
     check_events(file, plan.stages, diagnosis)
     control = control_of(scenario, components, layout, list(chain.from_iterable(transfers)), diagnosis)
     blocks = {name: c for name, c in components.items() if isinstance(c, FmuBlock)}
@@ -112,8 +111,8 @@ def build_system(file: ScenarioFile, start_values: Designed | None = None) -> Sy
     targets = Targets(descriptions, {c.target for c in scenario.connections})
     check_live(file, targets, layout.columns, layout.beside, diagnosis)
     diagnosis.raise_any()
-    warnings = [*diagnosis.warnings, *connection_warnings(file, components)]
-    warnings += [warning for block in blocks.values() for warning in block.warnings]
+    of_blocks = chain.from_iterable(block.warnings for block in blocks.values())
+    warnings = *diagnosis.warnings, *connection_warnings(file, components), *of_blocks
     return System(
         plan.stages,
         plan.held,
@@ -121,12 +120,12 @@ def build_system(file: ScenarioFile, start_values: Designed | None = None) -> Sy
         layout.units,
         scenario.seed,
         scenario.start_time,
-        tuple(warnings),
+        warnings,
         {name: (c.path, c.description) for name, c in blocks.items()},
         layout.beside,
         layout.signals,
         events,
-        frozenset(n for n, c in scenario.components.items() if isinstance(c, FmuComponent) and c.process == "own"),
+        scenario.isolated,
         clock_wires=plan.clock_wires,
         loops=plan.loops,
         solving=scenario.loops,

@@ -119,17 +119,20 @@ class Formula:
     def _value(self, node: ast.AST, depth: int) -> Quantity:
         if depth > DEEPEST:
             self._refuse("it is nested too deeply")
-        if isinstance(node, ast.Constant) and isinstance(node.value, (int, float)):
-            return Quantity(float(node.value), "")
-        if isinstance(node, ast.Name):
-            return self._signal(node.id)
-        if isinstance(node, ast.UnaryOp) and isinstance(node.op, (ast.USub, ast.UAdd)):
-            inner = self._value(node.operand, depth + 1)
-            return Quantity(-inner.values if isinstance(node.op, ast.USub) else inner.values, inner.unit)
-        if isinstance(node, ast.BinOp) and type(node.op) in ARITHMETIC:
-            return self._combine(type(node.op), *(self._value(side, depth + 1) for side in (node.left, node.right)))
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and not node.keywords:
-            return self._call(node.func.id, [self._value(each, depth + 1) for each in node.args])
+        match node:
+            case ast.Constant(value=int() | float() as number):
+                return Quantity(float(number), "")
+            case ast.Name(id=name):
+                return self._signal(name)
+            case ast.UnaryOp(op=ast.UAdd(), operand=operand):
+                return self._value(operand, depth + 1)
+            case ast.UnaryOp(op=ast.USub(), operand=operand):
+                inner = self._value(operand, depth + 1)
+                return Quantity(-inner.values, inner.unit)
+            case ast.BinOp(op=op, left=left, right=right) if type(op) in ARITHMETIC:
+                return self._combine(type(op), self._value(left, depth + 1), self._value(right, depth + 1))
+            case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
+                return self._call(name, [self._value(each, depth + 1) for each in arguments])
         return self._refuse("a part of it is not allowed")
 
     def _combine(self, kind: type[ast.operator], left: Quantity, right: Quantity) -> Quantity:
