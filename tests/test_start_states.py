@@ -7,9 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 from cosim.estimation import fit as fitting
-from cosim.estimation.posing import build_problem, halve_log
+from cosim.estimation.posing import build_problem, halve_log, with_equations_trusted
 from cosim.estimation.problem import Problem
 from cosim.estimation.start_states import with_likely_starts
 from cosim.kernel.kernel import Begin, simulate_all
@@ -95,16 +96,31 @@ def test_deviations_of_outputs_go_on_as_those_by_start_states_do() -> None:
     slopes[0] = [[1.0, 0.0, 0.3], [0.0, 50.0, -2.0]]
     for k in range(1, 200):
         slopes[k] = matrix @ slopes[k - 1]
-    assert propagation(slopes) == pytest.approx(matrix, abs=1e-9)
+    now, before = np.hsplit(propagation(slopes), 2)
+    assert now == pytest.approx(matrix, abs=1e-9)
+    assert (before == 0.0).all()
     assert (propagation(np.empty((200, 2, 0))) == 0.0).all()
     growing = propagation(1.05 ** np.arange(200)[:, None, None] * slopes)
-    assert np.abs(np.linalg.eigvals(growing)).max() == pytest.approx(1.0)
+    assert np.abs(np.linalg.eigvals(growing[:, :2])).max() == pytest.approx(1.0)
+
+
+def test_the_row_before_stands_for_hidden_velocities() -> None:
+    """A pendulum on a spring shows its two positions only; its deviations swing as the positions do."""
+    rates = np.array([[0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0], [-4.0, 1.0, -0.1, 0.0], [2.0, -30.0, 0.0, -0.2]])
+    whole, states = expm(0.02 * rates), np.eye(4)
+    positions = np.array([(states := whole @ states)[:2] for _ in range(400)])
+    matrix = propagation(positions)
+    went = [*positions[:2]]
+    for _ in range(300):
+        went.append(matrix @ np.vstack([went[-1], went[-2]]))
+    assert np.array(went)[300] == pytest.approx(positions[300], abs=1e-6)
 
 
 def test_a_deviation_of_both_angles_stays_and_a_twist_fades(problem: Problem) -> None:
     """Nothing holds the shaft; its spring and damper take a twist out."""
     matrix = problem.kernel.propagation(problem.logs[0], problem.x0[0])  # type: ignore[attr-defined]
-    turned, twisted = (np.linalg.matrix_power(matrix, 300) @ [1.0, 0.0, end] for end in (1.0, -1.0))
+    both = np.vstack([matrix, np.eye(3, 6)])
+    turned, twisted = (np.linalg.matrix_power(both, 300) @ [1.0, 0.0, end, 1.0, 0.0, end] for end in (1.0, -1.0))
     assert turned[[0, 2]] == pytest.approx(1.0, abs=0.01)
     assert abs(twisted[0] - twisted[2]) < 0.01
 
@@ -120,7 +136,10 @@ def test_a_late_reading_lies_between_two_rows_of_the_run(problem: Problem) -> No
     assert np.nanmax(np.abs(errors[10:-5, 0])) < 1e-9 * np.ptp(y[:, 0])
 
 
-def test_slopes_that_serve_two_steps_lead_to_the_same_values(problem: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_slopes_that_serve_two_steps_lead_to_the_same_values(
+    study: Study, problem: Problem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    problem = with_equations_trusted(study.subject, problem)  # noise that is not there has many likely levels
     free = [Free("motor_b", 0.0, 1.0, 0.002, (0.02, 0.002)), Free("load_J", 0.001, 1.0, 0.003, (0.03, 0.003))]
     start = {**problem.values, "motor_b": 0.024, "load_J": 0.033}
     noise, results = problem.plain, []

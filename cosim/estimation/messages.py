@@ -12,3 +12,8 @@ UNSTATED_NOISE = Template(
     "the model does not state the noise of {outputs} (sensor_variance); the logs show {line}, which is used. "
     "Write it into the study to state another",
 )
+CELLS = Template(
+    "W-FIT-003",
+    "the readings repeat a few values: {cells}. The noise of such a sensor is at least its cell over √12; "
+    "this is read off the logs, and no candidate",
+)

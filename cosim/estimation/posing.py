@@ -14,7 +14,7 @@ from cosim.estimation.data import count_unscored, data_of, folds
 from cosim.estimation.per_log import Origin, own_parameters
 from cosim.estimation.problem import Problem, Settings
 from cosim.estimation.readings import readings_of, readings_of_table
-from cosim.kernel.kernel import CONSTANT, DEVIATION, DISTURBANCE, MEMORY, Data, Layout
+from cosim.kernel.kernel import CONSTANT, DEVIATION, DISTURBANCE, EARLIER, MEMORY, Data, Layout
 from cosim.logs.log import Log, slowness
 from cosim.subject.candidates import Free
 from cosim.subject.interface import Subject
@@ -118,7 +118,8 @@ def start_covariance(subject: Subject, problem: Problem) -> Array:
     variances = {n: 10 * v for n, v in zip(layout.outputs, problem.r.tolist(), strict=True) if n in measured}
     variances = {**subject.start_variance, **variances}
     derived = {layout.states[k] for k in layout.carrying}  # from a constant, with the uncertainty of the constant
-    names = [n for n in layout.uncertain if not n.startswith((DISTURBANCE, DEVIATION, CONSTANT)) and n not in derived]
+    known = DISTURBANCE, DEVIATION, EARLIER, CONSTANT
+    names = [n for n in layout.uncertain if not n.startswith(known) and n not in derived]
     if not variances.keys() >= set(names):
         ranges = dict(zip(layout.states, _range(problem).tolist(), strict=True))
         variances = {name: ranges[name] ** 2 or 1.0 for name in names} | variances

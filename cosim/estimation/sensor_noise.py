@@ -96,6 +96,14 @@ def noise_warnings(problem: Problem, noise: Noise, subject: Subject) -> tuple[Me
     return tuple(warnings)
 
 
+def cell_warnings(problem: Problem, subject: Subject) -> tuple[Message, ...]:
+    """Return a warning about sensors that read in cells."""
+    finest, units = np.max([r.resolution for r in problem.readings], axis=0), {q.name: q.unit for q in subject.outputs}
+    pairs = zip(problem.layout.outputs, finest.tolist(), strict=True)
+    cells = [f"{name} reads in cells of {plain(cell, 3)} {units[name]}" for name, cell in pairs if cell > 0.0]
+    return (messages.CELLS(cells=join_names(cells)),) if cells else ()
+
+
 def _line(levels: Mapping[str, float]) -> str:
     return f"`noise: {{{', '.join(f'{name}: {level:.2g}' for name, level in levels.items())}}}`"
 

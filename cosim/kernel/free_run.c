@@ -1,13 +1,18 @@
 /* Unknown deviations of the outputs of a free run, and unknown start states, in place of a filter over states.
  *
  * The deviations d of the outputs go on from row to row as those by start states do, and an unknown input w of each drives them:
- *   d+ = Phi d + h w,  w a Gauss-Markov process, w' = -w/T + noise
- * A change z of a start state changes the outputs by its slopes times z. A Kalman filter estimates all from the readings. The last
- * NS states are w, d, both in the order of the outputs, and the start states. */
-#define NK (NS - 2 * NY)
+ *   d+ = Phi d + Psi d- + h w,  w a Gauss-Markov process, w' = -w/T + noise
+ * The deviations d- of the row before stand for hidden states, such as velocities. Without these, Psi is 0 and d- is left out. A
+ * change z of a start state changes the outputs by its slopes times z. A Kalman filter estimates all from the readings. The last
+ * NS states are d-, w, d, all in the order of the outputs, and the start states. */
+#define NW NY
+#define ND (2 * NY)
+#define NZ (3 * NY)
+#define NK (NS - NZ)
 static __thread const double *run_outputs, *run_states, *run_memories, *run_slopes, *run_propagation;
 
-/* Called before each filter, with the free run at the same parameters: rows x NY, rows x NX, rows x NM, rows x NY x NK, NY x NY. */
+/* Called before each filter, with the free run at the same parameters: rows x NY, rows x NX, rows x NM, rows x NY x NK, and
+ * Phi beside Psi, NY x 2 NY. */
 void use_run(const double *outputs, const double *states, const double *memories, const double *slopes, const double *propagation)
 {
     run_outputs = outputs;
@@ -17,19 +22,31 @@ void use_run(const double *outputs, const double *states, const double *memories
     run_propagation = propagation;
 }
 
-/* Rows w and d of the transition times a matrix, a vector with `count` 1. */
-static void go_on(double *a, int count, double fades, double h)
+static int has_hidden(void)
+{
+    for (int j = 0; j < NY; j++)
+        for (int l = NY; l < 2 * NY; l++)
+            if (run_propagation[2 * NY * j + l] != 0.0) return 1;
+    return 0;
+}
+
+/* Rows d-, w and d of the transition times a matrix, whose columns before `first` are left out. */
+static void go_on(double *a, int first, int count, int hidden, double fades, double h)
 {
     double moved[NY][NS + 1];
+    for (int j = 0; j < NY; j++) {
+        const double *now = run_propagation + 2 * NY * j, *before = now + NY;
+        for (int i = first; i < count; i++) moved[j][i] = h * a[count * (NW + j) + i];
+        for (int l = 0; l < NY; l++)
+            for (int i = first; i < count; i++) moved[j][i] += now[l] * a[count * (ND + l) + i];
+        for (int l = 0; hidden && l < NY; l++)
+            for (int i = first; i < count; i++) moved[j][i] += before[l] * a[count * l + i];
+    }
     for (int j = 0; j < NY; j++)
-        for (int i = 0; i < count; i++) {
-            moved[j][i] = h * a[count * j + i];
-            for (int l = 0; l < NY; l++) moved[j][i] += run_propagation[NY * j + l] * a[count * (NY + l) + i];
-        }
-    for (int j = 0; j < NY; j++)
-        for (int i = 0; i < count; i++) {
-            a[count * j + i] *= fades;
-            a[count * (NY + j) + i] = moved[j][i];
+        for (int i = first; i < count; i++) {
+            if (hidden) a[count * j + i] = a[count * (ND + j) + i];
+            a[count * (NW + j) + i] *= fades;
+            a[count * (ND + j) + i] = moved[j][i];
         }
 }
 
@@ -63,6 +80,7 @@ int filter(const Log *log, const double *p, const double *x0, const double *P0, 
 {
     double z[NS + 1] = {0.0}, P[NS * NS + 1], before[NY], kept[NY][NK + 1];
     const double fades = exp(-log->step / p[LASTING]);
+    const int hidden = has_hidden(), first = hidden ? 0 : NW;
     memcpy(P, P0, sizeof(double) * NS * NS);
     Lags lags = lags_of(log);
     for (int k = 0; k < log->rows; k++) {
@@ -75,12 +93,12 @@ int filter(const Log *log, const double *p, const double *x0, const double *P0, 
             y[j] = lag_over_row(&lags, j, lags.m + j, y[j]);
         }
         if (k > 0 && k <= log->settle) memcpy(P, P0, sizeof(double) * NS * NS);
-        if (k > 0) go_on(z, 1, fades, log->step);
+        if (k > 0) go_on(z, 0, 1, hidden, fades, log->step);
         if (k > 0 && k > log->settle) {
-            go_on(P, NS, fades, log->step);
+            go_on(P, first, NS, hidden, fades, log->step);
             transposed(P);
-            go_on(P, NS, fades, log->step);
-            for (int j = 0; j < NY; j++) P[(NS + 1) * j] += q[j] * log->step;
+            go_on(P, first, NS, hidden, fades, log->step);
+            for (int j = NW; j < ND; j++) P[(NS + 1) * j] += q[j] * log->step;
         }
         for (int j = 0; j < NY; j++) {
             const double measured = log->y[NY * k + j], age = log->late ? log->late[NY * k + j] : 0.0;
@@ -95,26 +113,26 @@ int filter(const Log *log, const double *p, const double *x0, const double *P0, 
             errors[NY * k + j] = variances[NY * k + j] = NAN;
             if (isnan(measured)) continue;
             const double late = part == 0.0 ? 0.0 : part * (part > 0.0 ? y[j] - before[j] : following(&lags, log, k, j) - y[j]);
-            double e = measured - (y[j] - late) - z[NY + j], s = r[NY * k + j];
-            for (int l = 0; l < NS; l++) {
-                PH[l] = P[NS * l + NY + j];
-                for (int i = 0; i < NK; i++) PH[l] += P[NS * l + 2 * NY + i] * slopes[i];
+            double e = measured - (y[j] - late) - z[ND + j], s = r[NY * k + j];
+            for (int l = first; l < NS; l++) {
+                PH[l] = P[NS * l + ND + j];
+                for (int i = 0; i < NK; i++) PH[l] += P[NS * l + NZ + i] * slopes[i];
             }
-            s += PH[NY + j];
+            s += PH[ND + j];
             for (int i = 0; i < NK; i++) {
-                e -= slopes[i] * z[2 * NY + i];
-                s += slopes[i] * PH[2 * NY + i];
+                e -= slopes[i] * z[NZ + i];
+                s += slopes[i] * PH[NZ + i];
             }
             errors[NY * k + j] = e;
             variances[NY * k + j] = s;
-            for (int l = 0; l < NS; l++) z[l] += PH[l] * e / s;
-            for (int l = 0; l < NS; l++)
-                for (int i = 0; i <= l; i++) P[NS * i + l] = P[NS * l + i] -= PH[l] * PH[i] / s;
+            for (int l = first; l < NS; l++) z[l] += PH[l] * e / s;
+            for (int l = first; l < NS; l++)
+                for (int i = first; i <= l; i++) P[NS * i + l] = P[NS * l + i] -= PH[l] * PH[i] / s;
         }
         memcpy(before, y, sizeof y);
         if (states) {
             memcpy(states + NX * k, run_states + NX * k, sizeof(double) * NX);
-            for (int i = 0; i < NS; i++) states[NX * k + NB + i] = z[i] + (i < 2 * NY ? 0.0 : x0[NB + i]);
+            for (int i = 0; i < NS; i++) states[NX * k + NB + i] = z[i] + (i < NZ ? 0.0 : x0[NB + i]);
         }
         if (memories) memcpy(memories + NM * k, run_memories + NM * k, sizeof(double) * NM);
         if (covariances) memcpy(covariances + NS * NS * k, P, sizeof(double) * NS * NS);

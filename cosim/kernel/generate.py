@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Any
 
-from cosim.kernel.kernel import CONSTANT, DEVIATION, DISTURBANCE, MEMORY, START, Layout
+from cosim.kernel.kernel import CONSTANT, DEVIATION, DISTURBANCE, EARLIER, MEMORY, START, Layout
 from cosim.kernel.nameless import PREFIX, SLOTS, LocalShape, bases, local_shape, local_signals
 from cosim.model.model import STIFF, Model
 from cosim.model.namespaces import SymbolNamespace
@@ -114,8 +114,8 @@ def generate(model: Model, measured: Sequence[str], unnamed: bool = False, const
 def generate_stepped(model: FmuModel, measured: Sequence[str]) -> Generated:
     """Return the C functions for free runs of an FMU for co-simulation.
 
-    Random states are an unknown input of each output, the deviations of the outputs, which they drive, and the start
-    states, which do not change.
+    Random states are the deviations of the outputs in the row before, an unknown input of each output, the deviations
+    of the outputs, which it drives, and the start states, which do not change.
     """
     import sympy
 
@@ -126,7 +126,7 @@ def generate_stepped(model: FmuModel, measured: Sequence[str]) -> Generated:
     values = [sympy.sympify(body.outputs[n]) for n in measured]
     texts = [body.function(C(), "measure", values), body.shaping_function(C(), "shape_all")]
     texts.append(body.function(C(), "library_inputs", _library_inputs(body)))
-    prefixes = (DISTURBANCE, DEVIATION)
+    prefixes = (EARLIER, DISTURBANCE, DEVIATION)
     states = (*names, *(prefix + n for prefix in prefixes for n in measured), *(START + n for n in model.starts))
     layout = Layout(
         parameters=tuple(body.parameters),
@@ -134,7 +134,7 @@ def generate_stepped(model: FmuModel, measured: Sequence[str]) -> Generated:
         inputs=tuple(q.name for q in model.inputs),
         outputs=tuple(measured),
         stochastic=tuple(range(len(names), len(states))),
-        noisy=tuple(range(len(measured))),
+        noisy=tuple(range(len(measured), 2 * len(measured))),
         memory=len(body.shaping.remembered),
         delay=body.delay,
         is_free_run=True,

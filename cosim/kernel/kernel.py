@@ -17,6 +17,7 @@ from cosim.base.arrays import Array, Rows
 DISTURBANCE = "disturbance."  # prefix of a forced state's unknown input, a state of its own
 CONSTANT = "constant."  # prefix of a parameter as constant state, for the filter to estimate
 DEVIATION = "deviation."  # prefix of the deviation of a free run's output, which unknown inputs drive
+EARLIER = "earlier."  # prefix of the deviation in the row before, which stands for hidden states
 START = "start."  # prefix of a start value of an FMU for co-simulation, a constant state
 MEMORY = "disturbance.time"  # parameter with the correlation time of unknown inputs [s]
 

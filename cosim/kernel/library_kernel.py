@@ -6,6 +6,7 @@ import ctypes
 import threading
 from collections import deque
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
@@ -25,6 +26,8 @@ from cosim.kernel.kernel import MEMORY, Begin, Data, Filtered, Inputs, Simulated
 NAME = "model"  # component name in messages
 RUNS = 16  # kept free runs
 STEP = 1e-6  # step of differences, as a share of a state's usual size
+HIDDEN, EXACT = 4.0, 1e-6  # ratio of squared errors, and share of the squared change, from which states are hidden
+PULSE = 1e-2  # of an input, as a share of its range
 START_STEP = 1e-2  # step of a start state, as a share of the change that moves an output by its spread
 
 _loading = threading.Lock()  # the working folder changes while a library is loaded
@@ -153,7 +156,7 @@ class LibraryKernel(CompiledKernel):
         return [self.simulate(*each[:5], first=each[5]) for each in begins]
 
     def propagation(self, data: Data, x0: Array) -> Array:
-        """Return the matrix by which deviations of the outputs of a free run go on from row to row."""
+        """Return the matrices by which deviations of the outputs of a free run go on, as `propagation`."""
         return self._responses(data, x0)[1]
 
     def step(self, data: Data, p: Array, points: tuple[Rows, Array, Array], back: int) -> tuple[Array, Array]:
@@ -173,9 +176,10 @@ class LibraryKernel(CompiledKernel):
         return run
 
     def _responses(self, data: Data, x0: Array) -> tuple[Array, Array]:
-        """Return the slopes of the outputs by each start state, shape (rows, outputs, start states), and their matrix.
+        """Return the slopes of the outputs by each start state (rows, outputs, start states), and the propagation.
 
-        They are those at given parameter values, and change little with the parameters.
+        They are those at given parameter values, and change little with the parameters. Without start states, pulses of
+        the inputs in the first row tell the propagation.
         """
         count, rows = len(self._fmu.starts), len(data.u)
         key = data.u.tobytes(), data.start, data.substeps, x0.tobytes()
@@ -190,9 +194,23 @@ class LibraryKernel(CompiledKernel):
                 moved[first + k] += START_STEP * size
                 slope = (self.simulate(data, p, moved, memory).outputs - plain) / (moved[first + k] - x0[first + k])
                 slopes[:, :, k] = np.nan_to_num(slope, posinf=0.0, neginf=0.0)
-            known = slopes, propagation(slopes)
+            known = slopes, propagation(slopes if count else self._pulse_responses(data, p, x0, plain))
             self._slopes.append((key, known))
         return known
+
+    def _pulse_responses(self, data: Data, p: Array, x0: Array, plain: Array) -> Array:
+        """Return the changes of the outputs after a pulse of each input that moves, shape (rows, outputs, inputs).
+
+        Args:
+            plain: Outputs without a pulse.
+        """
+        responses = []
+        for k in np.flatnonzero(np.ptp(data.u, axis=0)):
+            moved = data.u.copy()
+            moved[0, k] += PULSE * np.ptp(data.u[:, k])
+            run = self.simulate(replace(data, u=moved), p, x0, np.zeros(self.layout.memory))
+            responses.append(np.nan_to_num(run.outputs - plain, posinf=0.0, neginf=0.0)[1:])
+        return np.stack(responses, axis=2) if responses else np.zeros((*plain.shape, 0))
 
     def _use(self, p: Array, data: Data, x0: Array) -> None:
         """Prepare this thread's instance for the parameter and start values."""
@@ -206,23 +224,32 @@ class LibraryKernel(CompiledKernel):
         self._library.use_library(ctypes.byref(prepared))
 
 
-def propagation(slopes: Array) -> Array:
-    """Return Φ of δ⁺ = Φ·δ, the deviations of the outputs of a free run from row to row.
+def propagation(responses: Array) -> Array:
+    """Return Φ and Ψ of δ⁺ = Φ·δ + Ψ·δ⁻, the deviations of the outputs of a free run from row to row, side by side.
 
-    Responses of the outputs to the start states obey the same dynamics as any other small deviation. Φ is their
-    least-squares estimate; a growing Φ is scaled to a lasting one. Without start states, Φ is 0.
+    Any small deviation obeys the same dynamics. Φ and Ψ are their least-squares estimates. If the deviation in one row
+    does not tell the next one, states are hidden, e.g. the velocity of a position, and the row before stands for them;
+    otherwise Ψ is 0. Growing deviations are scaled to lasting ones. Without responses, both are 0.
 
     Args:
-        slopes: Slopes of the outputs by each start state, shape (rows, outputs, start states).
+        responses: Deviations of the outputs (rows, outputs, responses).
     """
-    _, outputs, starts = slopes.shape
-    if not starts:
-        return np.zeros((outputs, outputs))
-    size = np.sqrt(np.mean(slopes**2, axis=(0, 2)))
+    _, outputs, count = responses.shape
+    nothing = np.zeros((outputs, outputs))
+    if not count:
+        return np.hstack([nothing, nothing])
+    size = np.sqrt(np.mean(responses**2, axis=(0, 2)))
     size[size == 0.0] = 1.0
-    scaled = slopes / size[:, None]
+    scaled = responses / size[:, None]
     scaled = scaled / np.maximum(np.sqrt(np.sum(scaled**2, axis=(0, 1))), np.finfo(float).tiny)
-    before, after = (part.transpose(0, 2, 1).reshape(-1, outputs) for part in (scaled[:-1], scaled[1:]))
-    matrix = least_squares(before, after, rcond=1e-8).T
-    matrix = matrix / max(1.0, float(np.abs(np.linalg.eigvals(matrix)).max()))
-    return np.asarray(matrix * size[:, None] / size)
+    rows = scaled.transpose(0, 2, 1)
+    before, now, after = (part.reshape(-1, outputs) for part in (rows[:-2], rows[1:-1], rows[2:]))
+    both = np.hstack([now, before])
+    plain, fuller = (least_squares(known, after, rcond=1e-8).T for known in (now, both))
+    left, less, change = (float(np.sum((after - of) ** 2)) for of in (now @ plain.T, both @ fuller.T, now))
+    is_hidden = left > max(HIDDEN * less, EXACT * change)
+    matrix = fuller if is_hidden else np.hstack([plain, nothing])
+    lasting = np.vstack([matrix, np.eye(outputs, 2 * outputs)])
+    growth = max(1.0, float(np.abs(np.linalg.eigvals(lasting)).max()))
+    powers = np.repeat([growth, growth**2], outputs)
+    return np.asarray(matrix / powers * size[:, None] / np.tile(size, 2))

@@ -209,7 +209,7 @@ class RemoteLibraryKernel:
         return simulated
 
     def propagation(self, data: Data, x0: Array) -> Array:
-        """Return the matrix by which deviations of the outputs of a free run go on from row to row."""
+        """Return the matrices by which deviations of the outputs of a free run go on, as `propagation`."""
         return np.asarray(workers.call(self, "propagation", (data, x0)))
 
     def step(self, data: Data, p: Array, points: tuple[Rows, Array, Array], back: int) -> tuple[Array, Array]:

@@ -28,6 +28,7 @@ class SensorError(Effect):
     outputs: ClassVar[tuple[str, ...]] = ()
     late: ClassVar[bool] = False  # True if `value` is a latency of readings
     lagging: ClassVar[bool] = False  # True if `value` is a time constant of the sensor
+    complete: ClassVar[float | None] = None  # value of the complete error, if a fit that begins without it stays away
 
     def measure(self, value: Number) -> Number:
         """Return the reading for a true value."""
@@ -90,6 +91,7 @@ class Magnitude(SensorError):
     """Magnitude in place of the signed value: reading (1 − m)·y + m·|y|, m = 1 for a sensor without direction."""
 
     equation = "reading (1 − m)·y + m·|y|"
+    complete = 1.0
 
     value: float
 

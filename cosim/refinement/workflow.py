@@ -22,7 +22,7 @@ from cosim.estimation.per_log import drop_own_parameters
 from cosim.estimation.posing import build_problem, coarsen, varied_inputs
 from cosim.estimation.predictability import predictable_horizon
 from cosim.estimation.problem import Problem
-from cosim.estimation.sensor_noise import at_rest, first_noise, noise_warnings
+from cosim.estimation.sensor_noise import at_rest, cell_warnings, first_noise, noise_warnings
 from cosim.estimation.start_states import with_likely_starts
 from cosim.isolation.limits import Limits
 from cosim.loading.refined import ANSWER, NEAREST, REFINED
@@ -124,6 +124,8 @@ def refine(
     claims = _add_nearest(study, claims, result, attribution, problem, limited)
     between = between_rows(result.search.problem, attribution.base)
     warnings = [*noise_warnings(problem, attribution.best.fit.noise, subject), *between.warnings]
+    if subject.probed:
+        warnings += cell_warnings(problem, subject)
     limits = study.content.limits
     with scratch_folder(folder, ".refine-") as scratch, Workplace(scratch, limits, in_process=in_process) as place:
         progress("building the refined FMU", 0.0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 from cosim.model.quantities import Parameter
@@ -17,6 +17,7 @@ class Candidate:
 
     Attributes:
         gain: True for a factor on an input, possibly a single wrong number.
+        complete: Values of the complete error, if a fit that begins without it stays away from them.
     """
 
     name: str
@@ -24,6 +25,7 @@ class Candidate:
     free: tuple[Free, ...]
     starts: tuple[Mapping[str, float], ...]
     gain: bool = False
+    complete: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def parameters(self) -> tuple[str, ...]:

@@ -100,7 +100,8 @@ class ModelSubject(Subject):
             gain=issubclass(kind, Gain),
         )
         if c.name not in self.present:
-            return c
+            whole = getattr(kind, "complete", None)
+            return c if whole is None else replace(c, complete=dict.fromkeys(c.parameters, whole))
         # an effect of the model is recalibrated from its values
         return replace(c, starts=({name: self.values[name] for name in c.parameters},))
 

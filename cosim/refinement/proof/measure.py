@@ -327,11 +327,12 @@ class _KernelReplays:
         propagation = kernel.propagation(data, self.problem.x0[self.index])  # type: ignore[attr-defined]
         fades = math.exp(-data.step / math.exp(noise.memory))
         inputs = rng.standard_normal(data.y.shape) * np.exp(0.5 * noise.power)
-        deviations = np.zeros(data.y.shape)
+        deviations = np.zeros((len(inputs) + 1, inputs.shape[1]))  # after the row before the first
         for k in range(1, len(inputs)):
-            deviations[k] = propagation @ deviations[k - 1] + data.step * inputs[k - 1]
+            both = np.concatenate([deviations[k], deviations[k - 1]])
+            deviations[k + 1] = propagation @ both + data.step * inputs[k - 1]
             inputs[k] = fades * inputs[k - 1] + math.sqrt(1.0 - fades**2) * inputs[k]
-        return deviations
+        return deviations[1:]
 
     def _predict(self) -> Array:
         """Return the outputs of the replays, NaN elsewhere."""

@@ -189,7 +189,20 @@ class Attributor:
         switched = {t.candidate.name: t.candidate for t in terms if t.switched and t.candidate.name not in best.names}
         grown = [t for t in terms if t.candidate.name not in switched]
         ranking = self._ranking(Choice(test, grown, best.candidates, self.search.problem.values), best)
-        return [*(trial for _, trial in ranking[:FITTED]), *(((*best.candidates, c), None) for c in switched.values())]
+        whole = [] if best.candidates else [*self._complete_errors()]
+        known = {key_of(parts) for parts, _ in whole}
+        likely = [trial for _, trial in ranking[:FITTED] if key_of(trial[0]) not in known]
+        return [*likely, *(((*best.candidates, c), None) for c in switched.values()), *whole]
+
+    def _complete_errors(self) -> Iterator[Trial]:
+        """Yield complete errors with the given parameters, as the base fit may have gone where they promise nothing.
+
+        With a sensor that shows the magnitude, it follows one direction only.
+        """
+        for c in self.candidates:
+            if c.complete and (c.name,) not in self.search.tried:
+                given = {f.name: self.search.problem.values[f.name] for f in self.search.free((c,))}
+                yield (c,), {**given, **c.complete}
 
     def _ranking(self, choice: Choice, best: Hypothesis) -> list[tuple[float, Trial]]:
         """Return sets of candidates worth a fit, best first."""

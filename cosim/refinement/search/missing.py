@@ -29,6 +29,7 @@ from cosim.kernel.remote_kernel import RemoteLibraryKernel
 MOST_ROWS = 3000  # largest number of smoothed rows of a log
 LOGS = 2  # number of smoothed logs, from the first
 NUDGE = 1e-4  # difference step relative to the size of a state; kernel steps are smooth on this scale
+TWICE = 1.5  # share of a deviation in the next row from which its velocity is hidden: 2 if it moves on, 1 if it stays
 NONE = 1e-6  # distance of ln input power from the minimum that counts as zero
 
 
@@ -130,19 +131,31 @@ def unknown_inputs(
         units: Units of the states.
     """
     names, powers = problem.layout.forced, np.exp(0.5 * at.noise.power)
-    largest: dict[str, float] = {}  # unit → range of the derivatives
+    largest: dict[tuple[str, int], float] = {}  # unit and order → range of the derivatives
+    orders = _orders(problem)
+    kinds = {n: (units[n], order) for n, order in zip(names, orders, strict=True)}
     runs = [problem.run({**problem.values, **at.values}, at.noise, k, states=True) for k in range(len(problem.logs))]
     for name, place in zip(names, problem.layout.forced_places, strict=True):
         change = [
-            np.diff(run.states[count_unscored(d) :, place]) / d.step for run, d in zip(runs, problem.logs, strict=True)
+            np.diff(run.states[count_unscored(d) :, place], kinds[name][1]) / d.step
+            for run, d in zip(runs, problem.logs, strict=True)
         ]
         low, high = np.percentile(np.concatenate(change), (2.5, 97.5))
-        largest[units[name]] = max(largest.get(units[name], 1e-300), float(high - low))
+        largest[kinds[name]] = max(largest.get(kinds[name], 1e-300), float(high - low))
     return {
-        n: float(p) / largest[units[n]]
+        n: float(p) / largest[kinds[n]]
         for n, p, is_noisy in zip(names, powers, has_unknown_input, strict=True)
         if is_noisy
     }
+
+
+def _orders(problem: Problem) -> list[int]:
+    """Return the order of the derivative that each unknown input changes: 2 for an output whose velocity is hidden."""
+    count = len(problem.layout.noisy)
+    if not problem.layout.is_free_run:
+        return [1] * count
+    now = problem.kernel.propagation(problem.logs[0], problem.x0[0])[:, :count]  # type: ignore[attr-defined]
+    return [2 if keeps > TWICE else 1 for keeps in np.diagonal(now)]
 
 
 def loosen_noise(problem: Problem, noise: Noise) -> Noise:
