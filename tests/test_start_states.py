@@ -119,6 +119,7 @@ def test_the_row_before_stands_for_hidden_velocities() -> None:
 def test_a_deviation_of_both_angles_stays_and_a_twist_fades(problem: Problem) -> None:
     """Nothing holds the shaft; its spring and damper take a twist out."""
     matrix = problem.kernel.propagation(problem.logs[0], problem.x0[0])  # type: ignore[attr-defined]
+    assert [bool(column.any()) for column in matrix[:, 3:].T] == [False, False, True]  # the load's speed is hidden
     both = np.vstack([matrix, np.eye(3, 6)])
     turned, twisted = (np.linalg.matrix_power(both, 300) @ [1.0, 0.0, end, 1.0, 0.0, end] for end in (1.0, -1.0))
     assert turned[[0, 2]] == pytest.approx(1.0, abs=0.01)

@@ -26,7 +26,7 @@ from cosim.kernel.kernel import MEMORY, Begin, Data, Filtered, Inputs, Simulated
 NAME = "model"  # component name in messages
 RUNS = 16  # kept free runs
 STEP = 1e-6  # step of differences, as a share of a state's usual size
-HIDDEN, EXACT = 4.0, 1e-6  # ratio of squared errors, and share of the squared change, from which states are hidden
+HIDDEN, EXACT = 1.5, 1e-6  # fall of ln squared errors from which a state is hidden; share of the squared change
 PULSE = 1e-2  # of an input, as a share of its range
 START_STEP = 1e-2  # step of a start state, as a share of the change that moves an output by its spread
 
@@ -227,29 +227,52 @@ class LibraryKernel(CompiledKernel):
 def propagation(responses: Array) -> Array:
     """Return Φ and Ψ of δ⁺ = Φ·δ + Ψ·δ⁻, the deviations of the outputs of a free run from row to row, side by side.
 
-    Any small deviation obeys the same dynamics. Φ and Ψ are their least-squares estimates. If the deviation in one row
-    does not tell the next one, states are hidden, e.g. the velocity of a position, and the row before stands for them;
-    otherwise Ψ is 0. Growing deviations are scaled to lasting ones. Without responses, both are 0.
+    Any small deviation obeys the same dynamics. Φ and Ψ are their least-squares estimates. An output of which the row
+    before tells a hidden state, e.g. the velocity of a position, has a column in Ψ; the others have zeros there.
+    Growing deviations are scaled to lasting ones. Without responses, both are 0.
 
     Args:
         responses: Deviations of the outputs (rows, outputs, responses).
     """
     _, outputs, count = responses.shape
-    nothing = np.zeros((outputs, outputs))
+    whole = np.zeros((outputs, 2 * outputs))
     if not count:
-        return np.hstack([nothing, nothing])
+        return whole
     size = np.sqrt(np.mean(responses**2, axis=(0, 2)))
     size[size == 0.0] = 1.0
     scaled = responses / size[:, None]
     scaled = scaled / np.maximum(np.sqrt(np.sum(scaled**2, axis=(0, 1))), np.finfo(float).tiny)
     rows = scaled.transpose(0, 2, 1)
-    before, now, after = (part.reshape(-1, outputs) for part in (rows[:-2], rows[1:-1], rows[2:]))
-    both = np.hstack([now, before])
-    plain, fuller = (least_squares(known, after, rcond=1e-8).T for known in (now, both))
-    left, less, change = (float(np.sum((after - of) ** 2)) for of in (now @ plain.T, both @ fuller.T, now))
-    is_hidden = left > max(HIDDEN * less, EXACT * change)
-    matrix = fuller if is_hidden else np.hstack([plain, nothing])
-    lasting = np.vstack([matrix, np.eye(outputs, 2 * outputs)])
+    now, before, after = (part.reshape(-1, outputs) for part in (rows[1:-1], rows[:-2], rows[2:]))
+    chosen, matrix = _with_hidden_states(now, before, after)
+    whole[:, [*range(outputs), *(outputs + j for j in chosen)]] = matrix
+    lasting = np.vstack([whole, np.eye(outputs, 2 * outputs)])
     growth = max(1.0, float(np.abs(np.linalg.eigvals(lasting)).max()))
     powers = np.repeat([growth, growth**2], outputs)
-    return np.asarray(matrix / powers * size[:, None] / np.tile(size, 2))
+    return np.asarray(whole / powers * size[:, None] / np.tile(size, 2))
+
+
+def _with_hidden_states(now: Array, before: Array, after: Array) -> tuple[list[int], Array]:
+    """Return the outputs whose row before tells a hidden state, and the matrix of `now` and these to `after`.
+
+    Outputs are added one by one as long as the next row is told far better; of equal ones, the one told worst so far.
+    """
+    change = np.sum((after - now) ** 2, axis=0)
+    change[change == 0.0] = 1.0
+
+    def told(chosen: list[int]) -> tuple[Array, Array]:
+        known = np.hstack([now, before[:, chosen]])
+        matrix = least_squares(known, after, rcond=1e-8)
+        left = np.sum((after - known @ matrix) ** 2, axis=0) / change
+        return matrix.T, np.log(np.maximum(left, EXACT))
+
+    chosen: list[int] = []
+    matrix, left = told(chosen)
+    while rest := [j for j in range(now.shape[1]) if j not in chosen]:
+        trials = {j: told([*chosen, j]) for j in rest}
+        best = min(rest, key=lambda j: (float(trials[j][1].sum()), -left[j]))
+        if left.sum() - trials[best][1].sum() < HIDDEN:
+            break
+        chosen.append(best)
+        matrix, left = trials[best]
+    return chosen, matrix

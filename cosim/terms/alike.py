@@ -8,7 +8,8 @@ ALIKE: tuple[tuple[frozenset[str], str], ...] = (
     (
         frozenset({"delay", "lag", "second_order_lag", "rate_limit", "latency"}),
         "steps of each input in several sizes, with five times as many rows: a delay waits, a lag begins at once, "
-        "and a limit of the rate takes longer for a larger step",
+        "and a limit of the rate takes longer for a larger step; at an input and at a sensor of a linear plant, "
+        "only a second sensor or a reading of the input behind the lag tells",
     ),
     (
         frozenset({"dead_band", "play", "coulomb", "stribeck"}),

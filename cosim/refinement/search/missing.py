@@ -29,7 +29,6 @@ from cosim.kernel.remote_kernel import RemoteLibraryKernel
 MOST_ROWS = 3000  # largest number of smoothed rows of a log
 LOGS = 2  # number of smoothed logs, from the first
 NUDGE = 1e-4  # difference step relative to the size of a state; kernel steps are smooth on this scale
-TWICE = 1.5  # share of a deviation in the next row from which its velocity is hidden: 2 if it moves on, 1 if it stays
 NONE = 1e-6  # distance of ln input power from the minimum that counts as zero
 
 
@@ -154,8 +153,8 @@ def _orders(problem: Problem) -> list[int]:
     count = len(problem.layout.noisy)
     if not problem.layout.is_free_run:
         return [1] * count
-    now = problem.kernel.propagation(problem.logs[0], problem.x0[0])[:, :count]  # type: ignore[attr-defined]
-    return [2 if keeps > TWICE else 1 for keeps in np.diagonal(now)]
+    matrix = problem.kernel.propagation(problem.logs[0], problem.x0[0])  # type: ignore[attr-defined]
+    return [1 + bool(column.any()) for column in matrix[:, count:].T]
 
 
 def loosen_noise(problem: Problem, noise: Noise) -> Noise:
