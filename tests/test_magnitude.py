@@ -11,6 +11,7 @@ from cosim.estimation.posing import build_problem
 from cosim.refinement.decision.judgement import decide
 from cosim.refinement.search.attribution import Attributor
 from cosim.refinement.study import read_study
+from cosim.refinement.workflow import _candidates
 from cosim.residuals.drive import Drive, log_of_fmu
 from tests.blind.fmu_build import PLANTS, build
 from tests.logs import write_log
@@ -35,7 +36,9 @@ def test_the_magnitude_is_tried_from_the_given_parameters(tmp_path: Path) -> Non
     path.write_text(json.dumps({"model": fmu.name, "logs": lists, "tolerance": wide}))
     study = read_study(path)
     problem = build_problem(study.subject, study.logs, noise={"speed": NOISE}, settings=study.settings)
-    candidates = [c for c in study.subject.candidates(["voltage"]) if c.name in ON_TRIAL]
+    every = _candidates(study)
+    assert not {"bias_at_current", "bias_at_angle"} & {c.name for c in every}  # no log has these outputs
+    candidates = [c for c in every if c.name in ON_TRIAL]
     best = decide(Attributor(study.subject, problem, candidates).run()).best
     assert best.names == ("magnitude_at_speed",)
     assert abs(best.fit.values["magnitude_at_speed.value"] - 1.0) < 0.1

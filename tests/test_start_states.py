@@ -21,6 +21,7 @@ from cosim.refinement.search.missing import unknown_inputs
 from cosim.refinement.study import Study, read_study
 from cosim.residuals.drive import Drive, log_of_fmu
 from cosim.subject.candidates import Free
+from cosim.subject.fmu_subject import FmuSubject
 from tests.blind.fmu_build import build
 from tests.logs import write_log
 
@@ -124,6 +125,17 @@ def test_a_deviation_of_both_angles_stays_and_a_twist_fades(problem: Problem) ->
     turned, twisted = (np.linalg.matrix_power(both, 300) @ [1.0, 0.0, end, 1.0, 0.0, end] for end in (1.0, -1.0))
     assert turned[[0, 2]] == pytest.approx(1.0, abs=0.01)
     assert abs(twisted[0] - twisted[2]) < 0.01
+
+
+def test_pulses_of_inputs_tell_the_same_without_start_values(study: Study, problem: Problem) -> None:
+    subject = study.subject
+    assert isinstance(subject, FmuSubject)
+    log = log_of_fmu(study.logs[0].path, subject.structure.fmu)
+    bare = FmuSubject.of_fmu(replace(subject.structure, starts=()), [log])
+    posed = build_problem(bare, study.logs, noise=NOISE)
+    assert not posed.layout.start_places
+    known, pulsed = (p.kernel.propagation(p.logs[0], p.x0[0]) for p in (problem, posed))  # type: ignore[attr-defined]
+    assert pulsed == pytest.approx(known, rel=0.01, abs=1e-3 * np.abs(known).max())
 
 
 def test_a_late_reading_lies_between_two_rows_of_the_run(problem: Problem) -> None:

@@ -225,12 +225,16 @@ def _divergences(study: Study, problem: Problem) -> Iterator[Fault]:
 
 
 def _candidates(study: Study) -> list[Candidate]:
-    """Return the candidates named by the study, or all."""
+    """Return the candidates named by the study, or all; of an FMU, without the sensors of outputs that no log has."""
     subject, named = study.subject, study.content.candidates
     candidates = list(
         drop_own_parameters(subject.candidates(varied_inputs(subject, study.logs)), study.settings.per_log)
     )
-    return candidates if named is None else [c for c in candidates if c.name in named]
+    if named is not None:
+        return [c for c in candidates if c.name in named]
+    logged = set().union(*(log.outputs for log in study.logs))
+    unread = {kind.name for kind in subject.sensors if subject.probed and logged.isdisjoint(kind.affected())}
+    return [c for c in candidates if c.name not in unread]
 
 
 def _judge(study: Study, a: Attribution, result: SearchResult, progress: Progress) -> Claims:

@@ -199,9 +199,12 @@ class Attributor:
 
         With a sensor that shows the magnitude, it follows one direction only.
         """
-        for c in self.candidates:
-            if c.complete and (c.name,) not in self.search.tried:
-                given = {f.name: self.search.problem.values[f.name] for f in self.search.free((c,))}
+        problem = self.search.problem
+        untried = [c for c in self.candidates if c.complete and (c.name,) not in self.search.tried]
+        plain = problem.score(problem.values, problem.plain).nll if untried else 0.0
+        for c in untried:
+            if problem.score({**problem.values, **c.complete}, problem.plain).nll != plain:  # it acts on these logs
+                given = {f.name: problem.values[f.name] for f in self.search.free((c,))}
                 yield (c,), {**given, **c.complete}
 
     def _ranking(self, choice: Choice, best: Hypothesis) -> list[tuple[float, Trial]]:
