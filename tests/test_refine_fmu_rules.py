@@ -30,14 +30,14 @@ def hypothesis(estimates: Mapping[str, tuple[float, float]]) -> Hypothesis:
 
 
 @pytest.mark.parametrize(("probed", "names"), [(True, ("late",)), (False, ("lag", "late"))])
-def test_a_part_of_an_fmus_claim_has_an_interval_without_the_neutral_value(
+def test_a_part_of_an_fmus_claim_is_further_from_neutral_than_the_best_of_all_by_chance(
     monkeypatch: pytest.MonkeyPatch, probed: bool, names: tuple[str, ...]
 ) -> None:
     monkeypatch.setattr(judgement, "with_intervals", lambda search, h: h)
     alone = hypothesis({"late": (2.6, 0.1)})
-    search: Any = SimpleNamespace(subject=SimpleNamespace(probed=probed), tried={("late",): alone})
+    search: Any = SimpleNamespace(subject=SimpleNamespace(probed=probed), tried={("late",): alone}, on_trial=50)
     dropped: dict[str, str] = {}
-    best = judgement._with_certain_parts(search, hypothesis({"lag": (0.2, 0.3), "late": (2.4, 0.3)}), dropped)
+    best = judgement._with_certain_parts(search, hypothesis({"lag": (1.0, 0.3), "late": (2.4, 0.3)}), dropped)
     assert best.names == names
     assert list(dropped) == (["lag"] if probed else [])
 

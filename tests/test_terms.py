@@ -23,6 +23,7 @@ from cosim.terms.catalogue import (
     Overflow,
     Play,
     RateLimit,
+    Saturation,
     SecondOrderLag,
     Stribeck,
     bound_terms,
@@ -195,6 +196,16 @@ def test_a_file_without_terms_is_refused(tmp_path: Path) -> None:
     file.write_text("LIMIT = 3\n")
     with pytest.raises(InputError, match="holds no term"):
         own_terms(file)
+
+
+def test_a_saturation_acts_as_soon_as_it_is_below_the_largest_value_of_the_logs() -> None:
+    """The score test steps from neutral; a limit far above all values would promise nothing."""
+    bound = bind(Saturation, replace(INPUT, units={**INPUT.units, "M": "V"}, sizes={**INPUT.sizes, "M": 5.0}))
+    (limit,) = parameters_of(bound)
+    assert (limit.default, limit.neutral, limit.bounds[0], limit.unit) == (0.2, 0.2, 0.2, "1/V")
+    assert bound().change(SCALAR, -9.0) == -9.0
+    assert bound(inverse_limit=1.01 * 0.2).change(SCALAR, 5.0) == pytest.approx(5.0 / 1.01)
+    assert bound(inverse_limit=1.01 * 0.2).change(SCALAR, 4.9) == 4.9
 
 
 def test_names_of_variables_become_parts_of_names() -> None:

@@ -68,8 +68,9 @@ def effect(
                 resolved=p.name in resolved,
             )
         )
-        is_one_sided = p.neutral is not None and p.neutral == p.bounds[0]
-        first[full] = p.typical if is_one_sided and p.typical else values[full]  # detectable if one-sided
+        first[full] = values[full]
+        if p.typical and p.neutral is not None and p.neutral == p.bounds[0]:
+            first[full] = p.neutral + p.typical  # detectable if one-sided
     others = ({f"{name}.{own}": value for own, value in start.items()} for start in starts)
     return Candidate(name, kind, tuple(free), (first, *others), gain)
 

@@ -72,6 +72,11 @@ class ProbedModel:
             return 0.5 * self.ranges[name] or 1.0
         return self.structure.scales.get(name) or 1.0
 
+    def largest(self, name: str) -> float:
+        """Return the largest magnitude of an input, or its usual size."""
+        columns = [log.inputs[name] for log in self.logs if name in log.inputs]
+        return max((float(np.abs(u).max()) for u in columns), default=0.0) or self.size(name)
+
     def rate(self, name: str) -> float:
         """Return the usual rate of change of a signal."""
         columns = [log.outputs[name] for log in self.logs if name in log.outputs]
@@ -89,8 +94,8 @@ class ProbedModel:
     def places(self) -> Iterator[Place]:
         """Yield every place of terms."""
         for k, q in enumerate(self.structure.inputs):
-            sizes = {"u": self.size(q.name), "T": self.step}
-            yield Place(with_place(q.name), {"u": q.unit, "T": "s"}, sizes, k)
+            sizes = {"u": self.size(q.name), "M": self.largest(q.name), "T": self.step}
+            yield Place(with_place(q.name), {"u": q.unit, "M": q.unit, "T": "s"}, sizes, k)
         yield from filter(None, map(self._place_of_pair, self.structure.pairs))
         names = [q.name for q in self.states]
         for name in self.structure.storages:

@@ -64,17 +64,20 @@ class DeadBand(InputTerm):
 
 @dataclass(frozen=True, kw_only=True)
 class Saturation(InputTerm):
-    """Limit of an input."""
+    """Limit of an input; without effect at the largest value of the logs, from where its effect grows steadily."""
 
     kind = "saturation"
     equation = "clip(u, ±1/i) in place of u"
 
-    inverse_limit: float = scaled("1/u", neutral=0.0, typical=0.7, low=0.0, high=10.0, doc="inverse i of the limit")
+    inverse_limit: float = scaled(
+        "1/M", default=1.0, neutral=1.0, typical=0.2, low=1.0, high=10.0, doc="inverse i of the limit"
+    )
 
     def change(self, m: Namespace, value: Number) -> Number:
         """Return clip(u, ±1/i)."""
-        limit = 1.0 / m.maximum(self.inverse_limit, 1e-3 / self.place.sizes["u"])
-        return m.where(self.inverse_limit > 0.0, m.clip(value, -limit, limit), value)
+        least = 1.0 / self.place.sizes.get("M", 1.0)
+        limit = 1.0 / m.maximum(self.inverse_limit, least)
+        return m.where(self.inverse_limit > (1.0 + 1e-9) * least, m.clip(value, -limit, limit), value)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -57,7 +57,7 @@ class Term(Effect):
 
 @dataclass(frozen=True, kw_only=True)
 class InputTerm(Term):
-    """A term that changes one input on its way to the FMU; symbol of `scaled`: u."""
+    """A term that changes one input on its way to the FMU; symbols of `scaled`: u, M (largest value), T (row)."""
 
     def change(self, m: Namespace, value: Number) -> Number:
         """Return the changed input, for a term without memory."""

@@ -266,6 +266,13 @@ def required_scatters(scatters: float, tried: int) -> float:
     return float(-ndtri(ndtr(-scatters) / max(1, tried)))
 
 
+def deviations_by_chance(tried: int) -> float:
+    """Return the standard deviations from neutral that the best of several candidates exceeds by chance in 1 %."""
+    from scipy.special import ndtri
+
+    return float(-ndtri(0.5 * BY_CHANCE / max(1, tried)))
+
+
 def chance_limit(problem: Problem, f: Fit, tried: int) -> float:
     """Return the least gain per scatter beyond chance.
 

@@ -14,6 +14,7 @@ from cosim.estimation.problem import Problem
 from cosim.logs.channel_noise import NORMAL_95
 from cosim.refinement.decision.evidence import (
     chance_limit,
+    deviations_by_chance,
     error_ratios,
     fit_given_model,
     held_out_gains,
@@ -103,15 +104,19 @@ def _with_certain_parts(search: Search, best: Hypothesis, dropped: dict[str, str
     """Return a hypothesis with intervals; of an FMU, without parts that may have no effect.
 
     Of the many terms of a general catalogue one often corrects another one, at a value that differs between the logs.
+    A part is certain if it stands further from neutral than the best of all candidates does by chance.
 
     Args:
         dropped: Name of a dropped part → reason, to add to.
     """
     best = with_intervals(search, best)
-    weak = [c for c in best.candidates if c.kind != "parameter" and not best.is_away(c, NORMAL_95)]
-    if not (search.subject.probed and weak):
+    if not search.subject.probed:
         return best
-    dropped[weak[0].name] = "its interval contains the value without effect"
+    least = deviations_by_chance(search.on_trial)
+    weak = [c for c in best.candidates if c.kind != "parameter" and not best.is_away(c, least)]
+    if not weak:
+        return best
+    dropped[weak[0].name] = f"its value is less than {least:.1f} standard deviations from that without effect"
     others = tuple(c for c in best.candidates if c is not weak[0])
     rest = search.tried.get(key_of(others)) or search.hypothesis(others, best.fit)
     search.tried[rest.names] = rest
