@@ -28,18 +28,28 @@ class Clock:
 
 
 def sampled(
-    lengths: Callable[[int], list[tuple[int, float]]], seed: int = 1, warn: Callable[[Slower], None] = lambda s: None
+    lengths: Callable[[int], list[tuple[int, float]]],
+    seed: int = 1,
+    warn: Callable[[Slower], None] = lambda s: None,
+    *,
+    controlled: bool = False,
 ) -> ComponentTimes:
-    """Sample a run of which each step consists of calls with their lengths [s]."""
+    """Sample a run of which each row consists of calls with their lengths [s].
+
+    Args:
+        controlled: Whether each call is one of several steps of a row.
+    """
     clock, rng = Clock(), np.random.default_rng(seed)
     times = ComponentTimes(["wheel", "road"], ROWS, lambda rows: 0.02 * max(0, rows - 1), warn, clock)
     end = due = 0.0
+    steps = 0
     for k in range(1, ROWS):
         for doing, length in lengths(k):
             end += length
+            steps += controlled
             while due < end:
                 clock.now = due
-                times.read(k, doing)
+                times.read(k, doing, steps)
                 due += times.pause() * rng.uniform(0.9, 1.1)
     return times
 
@@ -96,6 +106,22 @@ def test_a_warning_comes_while_the_run_is_slow_and_only_once() -> None:
     warnings.clear()
     sampled(steady, warn=warnings.append)
     assert warnings == []
+
+
+@pytest.mark.parametrize("length", [0.002, 0.02])
+def test_controlled_steps_are_compared_by_their_own_number(length: float) -> None:
+    """More steps for a row are no slower component; longer ones are."""
+
+    def lengths(k: int) -> list[tuple[int, float]]:
+        return [(call(0, ADVANCE), 0.002)] if k <= 500 else [(call(0, ADVANCE), length)] * 8
+
+    warnings: list[Slower] = []
+    times = sampled(lengths, warn=warnings.append, controlled=True)
+    if length > 0.002:
+        assert times.slower()[0].factor == pytest.approx(10.0, rel=0.15)
+        assert [slower.component for slower in warnings] == ["wheel"]
+    else:
+        assert (times.slower(), warnings) == ([], [])
 
 
 def test_time_outside_of_components_and_of_loading_is_told_apart() -> None:

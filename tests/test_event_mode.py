@@ -423,7 +423,6 @@ def test_an_fmu_that_breaks_the_rules_of_event_mode_stops_the_run_with_its_words
         ({"fmu": "clocked.fmu", "clocks": {"trigger": {"at": [1, 0.5]}}}, (), "are not in order"),
         ({"fmu": "clocked.fmu", "clocks": {"trigger": {"at": [1]}}}, ("b.crossed → b.trigger",), "keep one"),
         ({"fmu": "clocked.fmu"}, ("b.x → b.trigger",), "types do not agree"),
-        ({"fmu": "clocked.fmu", "process": "own"}, (), "needs the process of the other FMUs"),
         ({"fmu": "clocked.fmu", "start": {"sample": 1}}, (), "Clock"),
     ],
 )

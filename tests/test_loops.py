@@ -184,6 +184,11 @@ def test_a_loop_of_gain_one_has_no_solution(tmp_path: Path) -> None:
         linear(tmp_path, 1.0)
 
 
+def test_a_tolerance_below_rounding_is_named(tmp_path: Path) -> None:
+    with pytest.raises(SimulationError, match=r"or a larger tolerance: this residual is rounding"):
+        linear(tmp_path, -0.99, "loops: {tolerance: 1e-17}\n")
+
+
 @pytest.mark.parametrize("method", ["newton", "anderson"])
 def test_more_iterations_are_proposed_where_they_ran_out(tmp_path: Path, method: str) -> None:
     coupled_fmu(tmp_path / "a.fmu", SQUARE)

@@ -472,9 +472,7 @@ def test_where_no_step_can_be_taken_back_the_reason_is_said(tmp_path: Path) -> N
     fmu = {"fmu": str(typed_fmu(tmp_path))}
     error = coupling_error(scenario(tmp_path, {"a": fmu, "b": fmu}, (("b.r_out", "a.r_in"),)))
     assert error.steps == {}
-    assert error.sentence.endswith(
-        "not known: values beside numbers, events, several rates or processes are not taken back"
-    )
+    assert error.sentence.endswith("not known: values beside numbers, events or several rates are not taken back")
 
 
 def test_a_fault_on_a_component_with_a_step_of_its_own_is_refused(tmp_path: Path) -> None:

@@ -192,6 +192,11 @@ class EventFmu(FmuBlock):
         """Return the clocks that the FMU ticks by itself."""
         return [c for c in self.clocks.values() if c.causality != "input"]
 
+    def ask_for_small_steps(self) -> None:
+        """Ask the FMU to return after each of its own steps, if it can."""
+        calls, about = self.event_calls, self.description.coSimulation
+        calls.in_small_steps = calls.gives_updates and about.canReturnEarlyAfterIntermediateUpdate
+
     # -- initialization ----------------------------------------------------------------------------
 
     def bind(self, row: Row, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:

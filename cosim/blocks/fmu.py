@@ -62,6 +62,7 @@ class FmuBlock:
         recorded: Names of further variables to record at every communication point.
         logging: Whether debug logging is on.
         solver: Solver for model exchange.
+        solver_step: Longest step of this solver [s]; None for 1/50 of the run.
         compiles: Whether sources may be compiled for a missing library; None for the current permission.
     """
 
@@ -80,6 +81,7 @@ class FmuBlock:
         recorded: frozenset[str] = frozenset(),
         logging: bool = False,
         solver: Solver | None = None,
+        solver_step: float | None = None,
         compiles: bool | None = None,
     ) -> None:
         self.name, self.path, self.description = name, path, description
@@ -92,13 +94,14 @@ class FmuBlock:
             recorded=recorded,
             logging=logging,
             solver=solver,
+            solver_step=solver_step,
             compiles=compiles,
         )
         self._recipe = make, (name, path, description, start, connected)
         self._calls = self._make_calls(way)
         self._calls.tolerance = default_tolerance(description) if tolerance is None else tolerance
         if isinstance(self._calls, ModelExchange2):
-            self._calls.solver_name = solver
+            self._calls.solver_name, self._calls.longest = solver, solver_step
         self.instance = Instance(path, self._calls, logging=logging, compiles=compiles)
         # With equal steps, a replay of a run of pythonfmu's FMUs repeats the run bit for bit.
         self.nominal_step = self.instance.by_pythonfmu

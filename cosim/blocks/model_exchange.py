@@ -33,6 +33,7 @@ class ModelExchange2(Calls):
     """FMI 2.0 model exchange.
 
     Attributes:
+        longest: Longest step of the solver [s]; None for a share of the run.
         stops_at_events: Whether a step ends at its first event, which `handle_event` then handles.
         cause: Kind of the event at which the last step ended; "" without one.
     """
@@ -46,6 +47,7 @@ class ModelExchange2(Calls):
         self.time, self.next_event = 0.0, None
         self.solver: Any = None
         self.solver_name: Solver | None = None
+        self.longest: float | None = None
         self._started = False
         self._events: deque[float] = deque(maxlen=MOST_EVENTS)  # times of the last events
         self.event_counts = {"state": 0, "time": 0, "step": 0}
@@ -133,7 +135,7 @@ class ModelExchange2(Calls):
             states=self.description.numberOfContinuousStates,
             indicators=self.description.numberOfEventIndicators,
             start=self.start_time,
-            longest=(self.stop_time - self.start_time) / LONGEST,
+            longest=self.longest or (self.stop_time - self.start_time) / LONGEST,
             tolerance=TOLERANCE if self.tolerance is None else self.tolerance,
         )
 

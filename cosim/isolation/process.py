@@ -111,7 +111,7 @@ class Worker:
         """
         self.start()
         self.progress.made[0], self.progress.doing[0], self.progress.named[0] = 0, doing, 0
-        self.progress.asked[0] = self.progress.ending[0] = 0
+        self.progress.asked[0] = self.progress.ending[0] = self.progress.steps[0] = 0
         self.progress.words = b""
         clock = Clock(watch or Watch(), self.progress)
         try:
@@ -180,7 +180,7 @@ class Worker:
             except queue.Empty:
                 assert self._process is not None
                 if times is not None:
-                    times.read(self.progress.made[0], self.progress.doing[0])
+                    times.read(self.progress.made[0], self.progress.doing[0], self.progress.steps[0])
                     if time.monotonic() < next_look:
                         continue
                     next_look = time.monotonic() + POLL

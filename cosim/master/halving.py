@@ -25,8 +25,8 @@ from cosim.system.system import System
 
 def rollback_objection(system: System) -> str:
     """Return the reason against repeating steps, or ""."""
-    if system.beside or system.events or system.apart or any(stage.every > 1 for stage in system.stages):
-        return "values beside numbers, events, several rates or processes are not taken back"
+    if system.beside or system.events or any(stage.every > 1 for stage in system.stages):
+        return "values beside numbers, events or several rates are not taken back"
     for stage in system.stages:
         component = stage.component
         if isinstance(component, EventFmu):

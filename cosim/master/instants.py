@@ -33,6 +33,8 @@ from cosim.isolation.rows import ADVANCE, CALLS, GET, OTHER, PUT
 from cosim.master import messages
 from cosim.master.copying import Copies, Copying, copy_values, doubles
 from cosim.master.initialization import EXACT_SWEEPS, is_settled
+from cosim.master.loops import LoopSolver
+from cosim.master.step_control import ControlledSteps
 from cosim.storage.results import Results
 from cosim.system.event_blocks import is_exchange, takes_part_of_step
 from cosim.system.system import System
@@ -59,6 +61,8 @@ class EventRun(Protocol):
     doing: MutableSequence[int]
     done: int
     notes: list[str]
+    controlled: ControlledSteps | None
+    solvers: tuple[LoopSolver, ...]
     calls: tuple[Callable[[int], None], ...]
 
     def _next_call(self, k: int) -> int: ...
@@ -185,6 +189,7 @@ class Instants:
         parts = self._parts()
         self.flexible = [part for part in parts if part.is_flexible]
         self.rigid = [part for part in parts if not part.is_flexible]
+        self.looped = {name for loop in master.system.loops for name in loop.members}
         self.events = [part for part in parts if isinstance(part.component, EventFmu)]
         self.exchanges = [part for part in parts if is_exchange(part.component)]
         self.by_name = {part.component.name: part for part in self.events}
@@ -206,7 +211,7 @@ class Instants:
                 k,
                 master.pulls[stage.component.name],
                 stage.every,
-                takes_part_of_step(stage),
+                takes_part_of_step(stage, master.system.loops),
                 self.begin,
             )
             for k, stage in enumerate(stages)
@@ -237,9 +242,7 @@ class Instants:
         alone = [part for part in self.flexible if part.rank == EARLY and isinstance(part.component, EventFmu)]
         if len(alone) > 1:
             for part in alone:
-                calls = part.component.event_calls
-                about = part.component.description.coSimulation
-                calls.in_small_steps = calls.gives_updates and about.canReturnEarlyAfterIntermediateUpdate
+                part.component.ask_for_small_steps()
 
     # -- course ----------------------------------------------------------------------------------------
 
@@ -272,21 +275,34 @@ class Instants:
         finally:
             master.done = master.row_count[0]
             self._note_leads()
+            if master.controlled is not None:
+                master.controlled.note()
 
     def _step_to_point(self, k: int, *, has_calls: bool) -> None:
-        t, end = self.begin + (k - 1) * self.h, self.begin + k * self.h
+        begin, end = self.begin + (k - 1) * self.h, self.begin + k * self.h
+        t = begin
         self.close = CLOSE * self.h + 2 * ULPS * math.ulp(max(abs(t), abs(end)))
         for part in self.rigid:
-            if (k - 1) % part.every == 0:
+            if part.component.name in self.looped:
+                copy_values(self.master.row, part.pulls, k)
+            elif (k - 1) % part.every == 0:
                 self._put(part, k)
         while True:
-            t = self._advance(self._target(t, end), k)
+            since, control = t, self.master.controlled
+            target = self._target(t, end)
+            if control is not None:
+                target = control.limit(t, target, end)
+            t = self._advance(target, k)
+            if control is not None:
+                control.judge_step(since, t)
             if t >= end - self.close:
                 break
             self._instant(t, k - 1, [part for part in self.events if part.is_flexible])
         for part in self.rigid:
-            if k % part.every == 0:
+            if k % part.every == 0 and part.component.name not in self.looped:
                 self._step_rigid(part, k, end)
+        for solver in self.master.solvers:
+            solver.step(begin, end - begin, k)
         if has_calls:
             self._apply_events(k)
         self._instant(end, k, self.events)

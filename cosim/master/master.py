@@ -179,12 +179,13 @@ class Master:
 
     def _step_on(self) -> None:
         """Make all steps, in C if possible, otherwise in Python."""
+        if self.system.control is not None:
+            self.controlled = ControlledSteps(self, self.system.control)
         if self.instants is not None:
             self._begin_loop("Python: event mode")
             self.instants.run()
             return
-        if self.system.control is not None:
-            self.controlled = ControlledSteps(self, self.system.control)
+        if self.controlled is not None:
             self._begin_loop("Python: steps are controlled")
             self.controlled.make_all()
             return

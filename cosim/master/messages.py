@@ -33,6 +33,9 @@ LOOP_NOT_SOLVED = Template(
     "more (relative tolerance {tolerance:g}). Signals of the loop: {signals}. If it has a solution, start values near "
     "it help{more}; order: [...] or algorithm: jacobi do not solve it",
 )
+LARGER_TOLERANCE = Template(
+    "N-MAS-064", ", or a larger tolerance: this residual is rounding (loops: {{tolerance: 1e-8}})"
+)
 MORE_ITERATIONS = Template("N-MAS-063", ", or more iterations (loops: {{iterations: {count}}})")
 TOLERANCE_NOT_MET = Template(
     "W-MAS-011",

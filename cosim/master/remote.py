@@ -212,7 +212,8 @@ def simulate_rows(system: System, steps: int, h: float, job: RowsJob) -> WorkerE
     failure: SimulationError | None = None
     try:
         keeper = _keeper(job, mapped) if job.keeps else None
-        rows = Rows(mapped, beside, progress.made, progress.doing, _store_loop, progress.asked, keeper, job.given)
+        shared = progress.made, progress.doing, _store_loop, progress.asked, keeper, job.given, progress.steps
+        rows = Rows(mapped, beside, *shared)
         with _inbox(system, h, FileChannel(job.channel, progress), observed=job.observed) as inbox:
             results = _run(system, steps, h, obey if job.observed else None, rows, inbox)
     except StoppedRun as run:

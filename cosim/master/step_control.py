@@ -29,6 +29,7 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import SimulationError
 from cosim.blocks.fmu import FmuBlock
+from cosim.isolation.rows import Rows
 from cosim.master import messages
 from cosim.master.copying import Copying, Noisy, Plain, Through, copy_values
 from cosim.master.extrapolation import Polynomial
@@ -108,6 +109,8 @@ class ControlledRun(Announcer, Protocol):
     table: Array
     row_count: MutableSequence[int]
     done: int
+    has_events: bool
+    rows: Rows
     notes: list[str]
     calls: tuple[Callable[[int], None], ...]
 
@@ -127,8 +130,9 @@ class ControlledSteps:
         self.master, self.control, system = master, control, master.system
         stages, others, held = self._divided()
         self.fmus = [s.component for s in stages if isinstance(s.component, FmuBlock)]
-        self.actives = [master.active(stage) for stage in stages]
-        self.others = [(stage.every, master.active(stage), master.copying.of(late)) for stage, late in others]
+        if not master.has_events:
+            self.actives = [master.active(stage) for stage in stages]
+            self.others = [(stage.every, master.active(stage), master.copying.of(late)) for stage, late in others]
         self.held = master.copying.of(held)
         received = {t.target: t.source for t in held if not any(t.beside)}
         self.received, self.sources = {target: k for k, target in enumerate(received)}, list(received.values())
@@ -165,10 +169,15 @@ class ControlledSteps:
                 master.done = master.row_count[0] = k + 1
                 master.look(k)
         finally:
-            if self.count.failed:
-                master.notes.append(self.count.warning(self.control))
-            if self.control.estimator == "residual" and not self.sources:
-                master.notes.append(messages.NOTHING_JUDGED(step=self.control.longest))
+            self.note()
+
+    def note(self) -> None:
+        """Note steps above the tolerance, and an estimator without signals."""
+        notes = self.master.notes
+        if self.count.failed:
+            notes.append(self.count.warning(self.control))
+        if self.control.estimator == "residual" and not self.sources:
+            notes.append(messages.NOTHING_JUDGED(step=self.control.longest))
 
     def record(self) -> dict[str, Any]:
         """Return the entry of the manifest."""
@@ -176,19 +185,40 @@ class ControlledSteps:
 
     def _fill(self, k: int, t: float, end: float) -> None:
         """Make the steps between two rows."""
-        control, make = self.control, self._halve if self.control.estimator == "halving" else self._step_once
+        make = self._halve if self.control.estimator == "halving" else self._step_once
         while t < end:
-            rest = end - t
-            most = math.floor(rest / control.shortest + ROUNDING), math.ceil(rest / control.longest - ROUNDING)
-            parts = min(max(1, math.ceil(rest / self.wish - ROUNDING)), max(1, *most))
-            until = end if parts == 1 else t + rest / parts
+            until, is_shortest = self._next(t, end)
             h = until - t
-            error, name = make(k, t, until, final=parts == max(1, *most))
+            error, name = make(k, t, until, final=is_shortest)
             if math.isnan(error):  # taken back
                 continue
             self.count.accept(t, h, error, name)
             self._choose(h, error)
             t = until
+
+    def _next(self, t: float, end: float) -> tuple[float, bool]:
+        """Return the end of the next step, and whether no shorter one is allowed."""
+        rest = end - t
+        most = math.floor(rest / self.control.shortest + ROUNDING), math.ceil(rest / self.control.longest - ROUNDING)
+        parts = min(max(1, math.ceil(rest / self.wish - ROUNDING)), max(1, *most))
+        return end if parts == 1 else t + rest / parts, parts == max(1, *most)
+
+    # -- steps with event mode ------------------------------------------------------------------
+
+    def limit(self, t: float, target: float, end: float) -> float:
+        """Return the end of a step from t, at most the next event's time, and remember the held inputs."""
+        self.past.add(t, self._values(self.sources))
+        return min(target, self._next(t, end)[0])
+
+    def judge_step(self, t: float, reached: float) -> None:
+        """Judge a step by the values at its end, and choose the next one."""
+        expected = self.past(reached)
+        judged = self._bonds(expected) if self.control.estimator == "energy" else self._judge(self.sources, expected)
+        self._count_exchange()
+        self.count.accept(t, reached - t, *judged)
+        self._choose(reached - t, judged[0])
+
+    # -- step sizes -------------------------------------------------------------------------------
 
     def _choose(self, h: float, error: float) -> None:
         """Choose the next step."""
@@ -265,7 +295,11 @@ class ControlledSteps:
         for step, _, _, plain, noisy, others in self.actives:
             copy_values(self.master.row, (plain, noisy, others), k)
             step(t, until - t)
+        self._count_exchange()
+
+    def _count_exchange(self) -> None:
         self.count.made += 1
+        self.master.rows.steps[0] = self.count.made
 
     def _step_others(self, k: int, end: float) -> None:
         """Step the components that step only at rows."""

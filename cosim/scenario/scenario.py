@@ -153,6 +153,7 @@ class FmuComponent(Part):
     tolerance: relative tolerance of its solver
     logging:   whether debug logging is on
     solver:    solver for model exchange
+    solver_step: longest step of this solver [s]; by default 1/50 of the run
     sha256:    SHA-256 of the file, as written to a manifest
     """
 
@@ -167,6 +168,7 @@ class FmuComponent(Part):
     tolerance: Positive | None = None
     logging: bool = False
     solver: Literal["cvode", "solve_ivp"] | None = None
+    solver_step: PositiveSeconds | None = None
     sha256: str | None = None
 
 

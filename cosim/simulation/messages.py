@@ -78,11 +78,6 @@ REPLAY_ON_RESUME = Template(
     "{names} cannot save the state: a resumed run replays the recorded inputs from the start, which takes as long as "
     "these steps took",
 )
-NOT_EXTENDABLE = Template(
-    "E-SIM-073",
-    "{names}: the longest step of the solver of model exchange depends on the end, so a longer run has other rows; run "
-    "the scenario with --set duration={duration:g}",
-)
 GETS_SLOWER = Template(
     "W-SIM-075", "{component} takes {factor:.2g} times longer for a step since t = {since:g} s than before"
 )

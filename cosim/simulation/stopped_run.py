@@ -18,6 +18,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,7 @@ from cosim.base.scratch import lock_file
 from cosim.base.version import __version__
 from cosim.blocks.component import Signal
 from cosim.blocks.fmu import FmuBlock
+from cosim.blocks.model_exchange import LONGEST, ModelExchange2
 from cosim.isolation.rows import read_exact, read_table
 from cosim.master.checkpoint import BESIDE, FORMAT, ROWS, STATE, Continuation, RowsHash
 from cosim.master.inbox import Change
@@ -101,14 +103,26 @@ class StoppedRun:
         checkpoint: Mapping[str, Any] = {} if self.state is None else unpack(self.state)
         return checkpoint
 
-    def scenario(self, until: float | None) -> ScenarioFile:
+    def solver_steps(self, system: System) -> dict[str, float]:
+        """Return the longest steps [s] that solvers of model exchange had so far, where they depend on the end."""
+        scenario = ScenarioFile(self.source).scenario
+        stop = scenario.start_time + scenario.step * scenario.steps  # as the master computes it
+        calls = {s.component.name: s.component.calls for s in system.stages if isinstance(s.component, FmuBlock)}
+        exchanged = {name: each for name, each in calls.items() if isinstance(each, ModelExchange2)}
+        return {n: (stop - scenario.start_time) / LONGEST for n, each in exchanged.items() if each.longest is None}
+
+    def scenario(self, until: float | None, solver_steps: Mapping[str, float] = MappingProxyType({})) -> ScenarioFile:
         """Return the scenario, ending at `until` [s] if given.
+
+        Args:
+            solver_steps: Component → longest step of its solver [s].
 
         Raises:
             InputError: The end is between two communication points.
         """
         start = self.record["scenario"].get("start_time", 0.0)
         overrides = [] if until is None else [f"duration={until - start!r}"]
+        overrides += [f"components.{name}.solver_step={longest!r}" for name, longest in solver_steps.items()]
         file = ScenarioFile(self.source, overrides, option="--until")
         if until is not None and any(fault.code == STEP_NOT_A_DIVISOR.code for fault in file.faults):
             step = file.scenario.step
@@ -326,9 +340,3 @@ def replayed_names(system: System, checkpoint: Mapping[str, Any]) -> Sequence[st
 def unsaved_names(system: System) -> Sequence[str]:
     """Return the components that cannot save their state."""
     return [s.component.name for s in system.stages if not getattr(s.component, "saves", False)]
-
-
-def exchanged_names(system: System) -> Sequence[str]:
-    """Return the FMUs in model exchange."""
-    blocks = [s.component for s in system.stages if isinstance(s.component, FmuBlock)]
-    return [block.name for block in blocks if block.calls.way == "model-exchange"]

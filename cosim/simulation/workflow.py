@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.drafts import is_full
-from cosim.base.errors import DiskFull, InputError, SimulationError, Terminated, stop_error
+from cosim.base.errors import DiskFull, SimulationError, Terminated, stop_error
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import allocate
 from cosim.master.checkpoint import Continuation, Keeping
@@ -35,7 +35,6 @@ from cosim.simulation.stopped_run import (
     StoppedRun,
     begin_keeping,
     end_keeping,
-    exchanged_names,
     keep_state,
     open_stopped,
     replayed_names,
@@ -270,9 +269,10 @@ def _prepare_stopped(
     file = stopped.scenario(until)
     check_pinned(file)
     system = build_system(file)
-    if until is not None and (names := exchanged_names(system)):
-        message = messages.NOT_EXTENDABLE(names=", ".join(names), duration=file.scenario.duration)
-        raise InputError.at(stopped.folder, message)
+    steps = {} if until is None else stopped.solver_steps(system)
+    if steps:
+        file = stopped.scenario(until, steps)
+        system = build_system(file)
     start = stopped.start(system, file.scenario)
     check_writable(stopped.folder, (stopped.rows_file, MANIFEST, "report.html"), file.files)
     if changes := stopped.changes:
@@ -280,6 +280,8 @@ def _prepare_stopped(
         start = start and replace(start, changes=changes)
     record = stopped.base(system.warnings if until is not None or stopped.has_outcome else None)
     record["scenario"]["duration"] = file.scenario.duration
+    for name, longest in steps.items():
+        record["scenario"]["components"][name]["solver_step"] = longest
     tell(_how_it_goes_on(stopped, system, start, file.scenario))
     files, extra = stopped.rows_file, stopped.warnings
     return _Prepared(

@@ -124,6 +124,7 @@ def _fmu(
         recorded=_recorded_names(scenario.recorded, name, description),
         logging=component.logging,
         solver=component.solver,
+        solver_step=component.solver_step,
     )
 
 

@@ -12,7 +12,7 @@ from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.sources import SourceBlock
 from cosim.fmi.sampled import sampled_by
 from cosim.scenario.diagnosis import Diagnosis
-from cosim.scenario.scenario import Bond, FixComponent, FmuComponent, Scenario, StepControl
+from cosim.scenario.scenario import Bond, FixComponent, Scenario, StepControl
 from cosim.storage.yaml_file import did_you_mean
 from cosim.system import messages
 from cosim.system.wiring import Components, RowLayout, Transfer
@@ -65,7 +65,7 @@ def control_of(
     at_rows = frozenset(name for name, c in components.items() if _steps_at_rows(scenario, name))
     controlled = {name: c for name, c in components.items() if name not in at_rows}
     _check_step_lengths(controlled, diagnosis)
-    obstacle = next(_obstacles(scenario, controlled), "")
+    obstacle = next(_obstacles(controlled), "")
     if settings.estimator == "halving" and obstacle:
         diagnosis.note(("step", "estimator"), messages.NO_HALVING(reason=obstacle))
     nominal = tuple(_nominal(components, column) for column in layout.columns)
@@ -76,12 +76,18 @@ def control_of(
     return Control(estimator, *limits, nominal, outputs, tuple(bonds), at_rows)
 
 
+def courses_of(scenario: Scenario, components: Components) -> tuple[int, int]:
+    """Return the degrees of extrapolation and interpolation; with event mode, inputs are held."""
+    return (0, 0) if any(isinstance(c, EventFmu) for c in components.values()) else scenario.courses
+
+
 def _check_event_mode(scenario: Scenario, components: Components, diagnosis: Diagnosis) -> None:
-    """Note FMUs in event mode, whose inputs are held."""
-    if scenario.control is not None or any(scenario.courses):
-        for name, component in components.items():
-            if isinstance(component, EventFmu):
-                diagnosis.note(("components", name), messages.CONTROL_AND_EVENT_MODE(component=name))
+    """Note FMUs in event mode beside courses of inputs."""
+    if {scenario.extrapolate, scenario.interpolate} <= {None, "hold"}:
+        return
+    for name, component in components.items():
+        if isinstance(component, EventFmu):
+            diagnosis.note(("components", name), messages.COURSES_AND_EVENT_MODE(component=name))
 
 
 def _steps_at_rows(scenario: Scenario, name: str) -> bool:
@@ -93,18 +99,17 @@ def _steps_at_rows(scenario: Scenario, name: str) -> bool:
 def _check_step_lengths(components: Mapping[str, Component], diagnosis: Diagnosis) -> None:
     """Note a fault for each FMU whose communication step is fixed."""
     for name, component in components.items():
-        if not isinstance(component, FmuBlock) or component.changes_by_events:
+        if not isinstance(component, FmuBlock) or component.changes_by_events or isinstance(component, EventFmu):
             continue
         if not takes_any_step(component.description) or sampled_by(component.path) is not None:
             diagnosis.note(("components", name), messages.NO_OTHER_STEPS(component=name))
 
 
-def _obstacles(scenario: Scenario, components: Mapping[str, Component]) -> Iterator[str]:
+def _obstacles(components: Mapping[str, Component]) -> Iterator[str]:
     """Yield reasons against taking steps back."""
     for name, component in components.items():
-        declared = scenario.components[name]
-        if isinstance(declared, FmuComponent) and declared.process == "own":
-            yield f"{name} has a process of its own"
+        if isinstance(component, EventFmu):
+            yield f"steps of {name} end at its events"
         elif isinstance(component, FmuBlock) and not component.instance.rolls_back:
             yield f"{name} saves no state"
         elif not isinstance(component, FmuBlock | SourceBlock):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -24,7 +24,7 @@ from cosim.scenario.scenario_file import ScenarioFile
 from cosim.scenario.start_values import Misfit
 from cosim.storage.yaml_file import did_you_mean
 from cosim.system import messages
-from cosim.system.schedule import Stage
+from cosim.system.schedule import Loop, Schedule, Stage
 
 
 def event_block(
@@ -147,9 +147,11 @@ def is_exchange(component: Component) -> bool:
     return isinstance(component, FmuBlock) and isinstance(component.calls, ModelExchange2)
 
 
-def takes_part_of_step(stage: Stage) -> bool:
-    """Return whether a component steps to any event."""
+def takes_part_of_step(stage: Stage, loops: Sequence[Loop] = ()) -> bool:
+    """Return whether a component steps to any event; the components of an algebraic loop make whole steps."""
     component = stage.component
+    if any(component.name in loop.members for loop in loops):
+        return False
     if stage.every > 1 or (component.nominal_step is True and isinstance(component, FmuBlock)):
         return False
     if isinstance(component, EventFmu):
@@ -176,27 +178,20 @@ def clock_interval(block: FmuBlock | None, target: str, value: Any) -> Any:
     return float(value)
 
 
-def check_events(file: ScenarioFile, stages: Sequence[Stage], diagnosis: Diagnosis) -> None:
-    """Note faults and warnings of event mode."""
-    events = [stage.component for stage in stages if isinstance(stage.component, EventFmu)]
+def check_events(plan: Schedule, apart: Collection[str], diagnosis: Diagnosis, connected: Collection[str]) -> None:
+    """Note faults and warnings of event mode.
+
+    Args:
+        apart: Components with a process of their own.
+        connected: Inputs with a source.
+    """
+    events = [stage.component for stage in plan.stages if isinstance(stage.component, EventFmu)]
     if not events:
         return
-    for fmu in events:
-        _check_process(file, fmu, events, diagnosis)
-    for stage in stages:
-        if not takes_part_of_step(stage):
-            diagnosis.warnings.append(messages.EVENTS_AT_POINTS(component=stage.component.name))
-    connected = {c.target for c in file.scenario.connections}
+    for stage in plan.stages:
+        name = stage.component.name
+        if not takes_part_of_step(stage, plan.loops) or (name in apart and is_exchange(stage.component)):
+            diagnosis.warnings.append(messages.EVENTS_AT_POINTS(component=name))
     clocks = (f"{fmu.name}.{signal.name}" for fmu in events for signal in fmu.inputs if signal.kind == "Clock")
     if idle := [name for name in clocks if name not in connected]:
         diagnosis.warnings.append(messages.CLOCK_NEVER_TICKS(names=", ".join(idle)))
-
-
-def _check_process(file: ScenarioFile, fmu: EventFmu, events: Sequence[EventFmu], diagnosis: Diagnosis) -> None:
-    """Note a fault for a process of its own."""
-    about = fmu.description.coSimulation or fmu.description.scheduledExecution
-    is_single = bool(getattr(about, "canBeInstantiatedOnlyOncePerProcess", False))
-    if is_single and sum(other.path == fmu.path for other in events) > 1:
-        diagnosis.note(("components", fmu.name, "fmu"), messages.APART_WITH_EVENTS(component=fmu.name))
-    elif getattr(file.scenario.components[fmu.name], "process", None) == "own":
-        diagnosis.note(("components", fmu.name, "process"), messages.APART_WITH_EVENTS(component=fmu.name))

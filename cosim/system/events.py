@@ -11,6 +11,7 @@ from cosim.blocks.description import enumeration_items, unit_of
 from cosim.blocks.faults import steps_in
 from cosim.blocks.fmu import FmuBlock
 from cosim.scenario.diagnosis import Diagnosis
+from cosim.scenario.scenario import FmuComponent
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.scenario.start_values import Misfit, bounds_of, convert_value
 from cosim.storage.yaml_file import did_you_mean
@@ -51,6 +52,8 @@ def changes_of(file: ScenarioFile, blocks: Mapping[str, FmuBlock], diagnosis: Di
             continue
         for target, written in event.set.items():
             name, _, variable = target.partition(".")
+            if name not in blocks and isinstance(scenario.components.get(name), FmuComponent):
+                continue  # Its FMU cannot be used, which is a fault already.
             value = clock_interval(blocks.get(name), target, written)
             value = targets.value(target, written) if value is None else value
             if isinstance(value, Misfit):

@@ -60,10 +60,10 @@ BOND_ONE_SIDED = Template("E-SYS-054", "{signal} is connected to no input of {ow
 BOND_CONVERTS = Template(
     "E-SYS-055", "{signal} is converted on its way to {target}; a bond needs one unit on both sides"
 )
-CONTROL_AND_EVENT_MODE = Template(
+COURSES_AND_EVENT_MODE = Template(
     "E-SYS-056",
-    "{component} runs in event mode, in which steps are not controlled and inputs are held; give one step: and leave "
-    "extrapolate and interpolate out, or set event_mode: false",
+    "{component} runs in event mode, with which inputs are held during a step; leave extrapolate and interpolate out, "
+    "or set event_mode: false",
 )
 
 # Events
@@ -92,8 +92,13 @@ OWN_STEP_IN_LOOP = Template(
 )
 EVENT_MODE_IN_LOOP = Template(
     "E-SYS-050",
-    "{component} runs in event mode, with which algebraic loops are not solved ({loop}); state the order of the "
-    "components (order: [...]), or set event_mode: false",
+    "{component} is part of the algebraic loop {loop} and runs in event mode, in which it cannot be solved; state the "
+    "order of the components (order: [...]), or set event_mode: false",
+)
+EXCHANGE_IN_LOOP = Template(
+    "E-SYS-098",
+    "{component} is part of the algebraic loop {loop} and uses model exchange, beside an FMU in event mode; choose "
+    "interface: co-simulation, or state the order of the components (order: [...])",
 )
 LOOP_OF_NO_REALS = Template(
     "E-SYS-049",
@@ -163,11 +168,6 @@ CLOCK_CHANGED = Template("E-SYS-079", "{source} to {target}: no factor, offset, 
 CLOCK_NEVER_TICKS = Template(
     "W-SYS-080", "{names}: never ticks; connect it to an output clock, or give its times under clocks:"
 )
-APART_WITH_EVENTS = Template(
-    "E-SYS-081",
-    "{component} has event mode, which needs the process of the other FMUs; leave out process: own, and use an FMU "
-    "that allows one instance in a process only once",
-)
 EVENTS_AT_POINTS = Template(
     "W-SYS-082",
     "{component} takes only steps of one length: an event within a step reaches it at the end of the step",
@@ -185,5 +185,5 @@ SAME_FIELD = Template("E-SYS-093", "{name} and {other} would both be {field} of 
 NOT_REMOTE = Template(
     "E-SYS-086",
     "{fmu} uses model exchange, event mode, clocks or scheduled execution, which are not offered at another machine; "
-    "leave out at:, or give interface: co-simulation",
+    "leave out at: (process: own keeps it apart here), or give interface: co-simulation or event_mode: false",
 )

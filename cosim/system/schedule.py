@@ -124,10 +124,14 @@ def _keys_agree(
 
 def _check_loops(loops: Sequence[Loop], components: Components, every: Mapping[str, int], diagnosis: Diagnosis) -> None:
     """Note faults of loops that cannot be solved."""
+    has_events = any(isinstance(component, EventFmu) for component in components.values())
     for loop in loops:
-        for name in (n for n, component in components.items() if isinstance(component, EventFmu)):
-            diagnosis.note(("components", name), messages.EVENT_MODE_IN_LOOP(component=name, loop=loop.name))
         for name in loop.members:
+            component = components[name]
+            if isinstance(component, EventFmu):
+                diagnosis.note(("components", name), messages.EVENT_MODE_IN_LOOP(component=name, loop=loop.name))
+            elif has_events and getattr(component, "changes_by_events", False):
+                diagnosis.note(("components", name), messages.EXCHANGE_IN_LOOP(component=name, loop=loop.name))
             if every[name] > 1:
                 diagnosis.note(("components", name, "step"), messages.OWN_STEP_IN_LOOP(component=name, loop=loop.name))
         for transfer in loop.transfers:

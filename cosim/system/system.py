@@ -20,7 +20,7 @@ from cosim.scenario.scenario_file import ScenarioFile
 from cosim.storage.yaml_file import did_you_mean
 from cosim.system import messages
 from cosim.system.components import Designed, build_components
-from cosim.system.control import Control, control_of
+from cosim.system.control import Control, control_of, courses_of
 from cosim.system.event_blocks import check_events
 from cosim.system.events import Events, Targets, changes_of
 from cosim.system.feasible import check_feasible
@@ -102,7 +102,7 @@ def build_system(file: ScenarioFile, start_values: Designed | None = None) -> Sy
         _check_criteria(scenario, layout.columns, recording, diagnosis)
     is_connected = is_whole and all(transfers)
     plan = schedule(scenario, components, transfers, diagnosis) if is_connected else Schedule()
-    check_events(file, plan.stages, diagnosis)
+    check_events(plan, scenario.isolated, diagnosis, {c.target for c in scenario.connections})
     control = control_of(scenario, components, layout, list(chain.from_iterable(transfers)), diagnosis)
     blocks = {name: c for name, c in components.items() if isinstance(c, FmuBlock)}
     events = changes_of(file, blocks, diagnosis)
@@ -130,7 +130,7 @@ def build_system(file: ScenarioFile, start_values: Designed | None = None) -> Sy
         loops=plan.loops,
         solving=scenario.loops,
         control=control,
-        courses=scenario.courses,
+        courses=courses_of(scenario, components),
         distant={name: c.distant.sha256 for name, c in blocks.items() if isinstance(c, RemoteFmu)},
         recording=recording,
     )
