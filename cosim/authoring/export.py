@@ -12,8 +12,8 @@ from typing import Any
 from cosim.authoring import messages
 from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.scratch import temporary_folder
-from cosim.base.units import computed_in, parse
-from cosim.blocks.description import enumeration_items, unit_definition, ways
+from cosim.base.units import computed_in
+from cosim.blocks.description import enumeration_items, ways
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.profile import Profile, profile_function
 from cosim.coupling.algorithms import algorithms
@@ -24,9 +24,7 @@ from cosim.scenario.scenario import Connection, FixComponent, FmuComponent, Play
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.manifest import check_pinned
 from cosim.simulation.packaged import IMPORTERS
-from cosim.ssp.notes import BASE_UNITS
-from cosim.ssp.structure import Units
-from cosim.ssp.write import SspConnector, SspFmu, Value, Whole, write_ssp
+from cosim.ssp.write import SspConnector, SspFmu, Value, Whole, defined_units, write_ssp
 from cosim.storage.files import FilePath, named_path
 from cosim.storage.table import read_columns
 from cosim.system.system import System, build_system
@@ -78,7 +76,16 @@ def export_ssp(
         s = file.scenario
         stop = s.start_time + s.duration
         ends = [(_split(c.source), _split(c.target)) for c in s.connections]
-        whole = Whole(s.name, s.description, models, ends, _units(system, models), s.start_time, stop, s.step)
+        whole = Whole(
+            s.name,
+            s.description,
+            models,
+            ends,
+            defined_units((_description(system, m.name), port.unit) for m in models for port in m.ports),
+            s.start_time,
+            stop,
+            s.step,
+        )
         write_ssp(target, whole)
     return Exported(target, tuple(_notes(file)))
 
@@ -231,15 +238,6 @@ def _recording_signals(path: Path, names: set[str]) -> dict[str, TimeSignal]:
     return signals
 
 
-def _units(system: System, models: list[SspFmu]) -> Units:
-    """Return the SI definition of each unit of the connectors: exponents of the base units, factor and offset."""
-    units: dict[str, tuple[float, ...]] = {}
-    for model in models:
-        description = system.fmus[model.name][1] if model.name in system.fmus else None
-        for port in model.ports:
-            definition = None if description is None else unit_definition(description, port.unit)
-            if definition is None and (unit := parse(port.unit)) is not None:
-                definition = (*(float(unit.exponents.get(n, 0)) for n in BASE_UNITS), unit.factor, unit.offset)
-            if port.unit and definition is not None:
-                units.setdefault(port.unit, definition)
-    return units
+def _description(system: System, name: str) -> Any:
+    """Return the model description of a component; None for a source in C."""
+    return system.fmus[name][1] if name in system.fmus else None

@@ -22,7 +22,16 @@ ARTEFACTS = (
         keys=(frozenset({"verdict", "candidates"}),),
         verb="cosim refine",
         marks=("refine.json",),
-        files=("refine.json", "model.yaml", "plant.fmu", "nearest.yaml", "nearest.fmu", "report.html"),
+        files=(
+            "refine.json",
+            "model.yaml",
+            "plant.fmu",
+            "nearest.yaml",
+            "nearest.fmu",
+            "plant.ssp",
+            "nearest.ssp",
+            "report.html",
+        ),
         folder="the folder of a refine",
         folder_step="`cosim build --model {file}` builds its model, `cosim excite {file}` seeks the experiment "
         "that decides",

@@ -40,7 +40,7 @@ from cosim.storage.files import FilePath
 from cosim.storage.kinds import STUDY, check_form, refuse_other
 from cosim.storage.yaml_file import UNIT_OF_KEY, Positive, PositiveSeconds, YamlFile, did_you_mean
 from cosim.subject.base_parameters import tolerances
-from cosim.subject.fmu_subject import FmuSubject
+from cosim.subject.fmu_subject import Delivery, FmuSubject
 from cosim.subject.interface import Subject
 from cosim.subject.model_subject import ModelSubject
 
@@ -110,6 +110,7 @@ class StudyFile(BaseModel):
     horizon:    Duration of the replays that measure errors, if different from the model's, or `free run` [s].
     terms:      File with further terms for an FMU, subclasses of `cosim.terms.Force`, `InputTerm` or `RateTerm`.
     carry_logs: Whether the refined FMU carries the validation logs, with the errors before and after.
+    delivery:   `ssp` for an FMU that must not be repackaged: an SSP of the original and of FMUs with the terms.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -132,6 +133,7 @@ class StudyFile(BaseModel):
     limits: Limits | None = None
     terms: FileName = ""
     carry_logs: bool = False
+    delivery: Delivery = "fmu"
     horizon: PositiveSeconds | Literal["free run"] | None = None
 
     def judged(self, subject: AnySubject) -> AnySubject:
@@ -219,6 +221,8 @@ def read_study(path: Path) -> Study:
         return _of_fmu(yaml, content, faults)
     if content.terms:
         faults.append(yaml.fault(("terms",), messages.TERMS_WITHOUT_FMU(model=content.model), key=True))
+    if content.delivery == "ssp":
+        faults.append(yaml.fault(("delivery",), messages.SSP_WITHOUT_FMU(model=content.model), key=True))
     try:
         loaded = load_model(content.model, path.parent, yaml)
     except InputError as error:
@@ -305,6 +309,7 @@ def _of_fmu(yaml: YamlFile, content: StudyFile, faults: list[Fault]) -> Study:
         raise InputError([yaml.fault(("model",), message)])
     subject = FmuSubject.of_fmu(probed.structure, logs, terms, content.limits or Limits())
     subject.source += f", because {probed.reason}"
+    subject.delivery = content.delivery
     content, unit_faults = _in_units(yaml, _in_names_of(subject, content), subject)
     subject = content.judged(subject)
     faults += [*unit_faults, *_key_faults(yaml, content, subject, unlisted=False)]

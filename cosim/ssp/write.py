@@ -12,10 +12,13 @@ import zipfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from cosim.base.drafts import draft_of
+from cosim.base.units import parse
 from cosim.base.version import __version__
+from cosim.blocks.description import unit_definition
 from cosim.ssp.elements import NAMESPACES
 from cosim.ssp.notes import BASE_UNITS
 from cosim.ssp.structure import Units
@@ -60,6 +63,22 @@ class Whole:
     start: float
     stop: float
     step: float
+
+
+def defined_units(used: Iterable[tuple[Any, str]]) -> Units:
+    """Return the SI definition of each unit: exponents of the base units, factor and offset.
+
+    Args:
+        used: Model description, or None, and unit of each connector.
+    """
+    units: dict[str, tuple[float, ...]] = {}
+    for description, name in used:
+        definition = None if description is None else unit_definition(description, name)
+        if definition is None and (unit := parse(name)) is not None:
+            definition = (*(float(unit.exponents.get(n, 0)) for n in BASE_UNITS), unit.factor, unit.offset)
+        if name and definition is not None:
+            units.setdefault(name, definition)
+    return units
 
 
 def write_ssp(path: Path, whole: Whole) -> Path:

@@ -26,15 +26,19 @@ from cosim.kernel.kernel import DISTURBANCE, START, Begin, Data, Kernel, simulat
 from cosim.kernel.library_kernel import NO_LIMITS, LibraryOf
 from cosim.kernel.messages import NO_CONSTANTS
 from cosim.loading.file import LoadedModel
+from cosim.loading.refined import SSPS
 from cosim.logs.log import Log
 from cosim.model.traits import Traits
 from cosim.probing.fmu_structure import StartValue, Structure
 from cosim.residuals.remote_drive import MODULES, DriveApart
 from cosim.residuals.starts import StartParameter, start_parameters
 from cosim.residuals.windows import Replay
+from cosim.subject import messages
+from cosim.subject.effect_ssp import EffectSsp, NotInSsp
 from cosim.subject.interface import Predict, Replayer, Start, Workplace
 from cosim.subject.model_subject import FILES, ModelSubject
 from cosim.subject.probed_model import ProbedModel
+from cosim.subject.ssp_replayer import SspReplayer
 from cosim.subject.start_state import start_state
 from cosim.terms.alike import experiments_for
 from cosim.terms.fmu_model import FmuModel, fmu_model
@@ -42,6 +46,7 @@ from cosim.terms.language import with_place
 from cosim.terms.term_printing import term_code
 from cosim.wrapping.wrap import CannotWrap, wrap
 
+Delivery = Literal["fmu", "ssp"]
 SUBSTEPS = 8  # steps of co-simulation between rows, for forces that follow the outputs
 WAYS = {
     "model-exchange": "model exchange: a filter over the states of the FMU",
@@ -55,12 +60,18 @@ class FmuSubject(ModelSubject):
     Attributes:
         structure: Structure of the FMU along the logs.
         limits: Limits of a pass of the filter over a log.
+        delivery: `ssp` for an original that must not be repackaged: an SSP with the terms beside it.
+        ssp: SSP of the original and the terms, once built.
     """
 
     probed = True
 
-    def __init__(self, loaded: LoadedModel, structure: Structure, limits: Limits = NO_LIMITS) -> None:
+    def __init__(
+        self, loaded: LoadedModel, structure: Structure, limits: Limits = NO_LIMITS, delivery: Delivery = "fmu"
+    ) -> None:
         super().__init__(loaded)
+        self.delivery: Delivery = delivery
+        self.ssp: Path | None = None
         self.structure, self.limits = structure, limits
         self.is_stepped = structure.way == "co-simulation"
         self.source = f"{structure.fmu}, {WAYS[structure.way]}"
@@ -156,13 +167,15 @@ class FmuSubject(ModelSubject):
 
     def refined(self, claims: Mapping[str, float]) -> FmuSubject:
         """Return the subject with claimed values."""
-        return FmuSubject(super().refined(claims).loaded, self.structure, self.limits)
+        return FmuSubject(super().refined(claims).loaded, self.structure, self.limits, self.delivery)
 
-    def replayer(self, place: Workplace) -> LibraryReplayer:
-        """Return a replayer of the delivered FMU, or of the model if no FMU can stand for it."""
-        if not self._can_begin_anywhere:
+    def replayer(self, place: Workplace) -> Replayer:
+        """Return a replayer of the delivered FMU or SSP, or of the model if neither can stand for it."""
+        if not self._can_begin_anywhere and self.delivery == "fmu":
             return LibraryReplayer(self, self.kernel([q.name for q in self.outputs]), "own")
         delivered = self._delivered(place.folder)
+        if self.ssp is not None and self.is_stepped:
+            return SspReplayer(self, self.ssp, place)
         if delivered is None:
             return LibraryReplayer(self, self.kernel([q.name for q in self.outputs]), "own")
         return LibraryReplayer(self, self._kernel_of(delivered), "native")
@@ -179,7 +192,15 @@ class FmuSubject(ModelSubject):
         return self.is_stepped or not any(e.memory or e.delay for e in self.model.awake)
 
     def _delivered(self, folder: Path) -> Path | None:
-        """Return the FMU with the terms, built once; None if it cannot be built, with the reason in `undelivered`."""
+        """Return the FMU with the terms, built once; None if it cannot be built, with the reason in `undelivered`.
+
+        An SSP takes its place in `ssp` if the study wants one, or if the FMU cannot be built.
+        """
+        if self.ssp is not None or self.undelivered:
+            return None
+        if self.delivery == "ssp":
+            self._build_ssp(folder, "")
+            return None
         if self.fmu is None or not self.fmu.is_file():
             path = folder / f"replayed{len([*folder.glob('replayed*.fmu')])}.fmu"
             model, own = self.model, {p.name for p in self.parameters}
@@ -193,10 +214,26 @@ class FmuSubject(ModelSubject):
                 kept = {n: v for n, v in values.items() if n in known}
                 wrapped = wrap(self.structure.fmu, code, kept, path, substep=substep)
             except (CannotWrap, NoCompiler, CompilerFailed) as error:
-                self.undelivered = str(error)
+                self._build_ssp(folder, str(error))
                 return None
             self.fmu, self.missing_platforms = path, tuple(wrapped.left_out)
         return self.fmu
+
+    def _build_ssp(self, folder: Path, reason: str) -> None:
+        """Build the SSP of the original and the terms.
+
+        Args:
+            reason: Why there is no FMU; "" if the study wants none.
+        """
+        path = folder / f"replayed{len([*folder.glob('replayed*.ssp')])}.ssp"
+        parts = EffectSsp(self, self.structure.fmu, self._description, dict(self.loaded.parameters))
+        try:
+            self.ssp = parts.write(path)
+        except NotInSsp as error:
+            why = reason or messages.SSP_WANTED()
+            self.undelivered = messages.NOTHING_DELIVERED(reason=why.rstrip("."), cure=error)
+        else:
+            self.undelivered = messages.SSP_INSTEAD(reason=reason.rstrip(".")) if reason else ""
 
     def _kernel_of(self, fmu: Path) -> Kernel:
         """Return the kernel of a delivered FMU, which holds terms and values itself."""
@@ -209,16 +246,20 @@ class FmuSubject(ModelSubject):
         return kernel(plain, [q.name for q in self.outputs], fmu=of_fmu)
 
     def write(self, scratch: Path, folder: Path, name: str) -> Sequence[Path]:
-        """Write plant.fmu or nearest.fmu: the original with the terms and values."""
+        """Write plant.fmu or nearest.fmu: the original with the terms and values; or plant.ssp or nearest.ssp."""
         fmu = self._delivered(scratch)
+        if self.ssp is not None:
+            return (Path(copyfile(self.ssp, scratch / SSPS[name == "nearest"])),)
         return () if fmu is None else (Path(copyfile(fmu, scratch / FILES[name][1])),)
 
     def main_file(self, name: Literal["refined", "nearest"]) -> str:
-        """Return the name of the FMU, the only file."""
-        return FILES[name][1]
+        """Return the name of the FMU or SSP, the only file."""
+        return FILES[name][1] if self.ssp is None else SSPS[name == "nearest"]
 
     def use(self, folder: Path) -> list[str]:
-        """Return a command line that simulates the delivered FMU."""
+        """Return a command line that simulates the delivered FMU or SSP."""
+        if self.ssp is not None:
+            return ["cosim", "run", str((folder / SSPS[0]).resolve())]
         return ["cosim", "simulate", str((folder / FILES["refined"][1]).resolve())]
 
 
