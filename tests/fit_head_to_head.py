@@ -1,11 +1,12 @@
 """`cosim fit` against estim8 and scipy on the same binaries and logs: held-out error and number of simulations.
 
-    python -m tests.fit_head_to_head                    cosim fit and scipy's least squares
+    python -m tests.fit_head_to_head                    cosim fit, and scipy's local and global search
     python -m tests.fit_head_to_head --estim8 PYTHON    also estim8, by the interpreter of an environment of its own
 
 Each plant of own C has wrong parameters, two logs of its true ones with white noise, and a held-out log. Every method
-starts from the same values, within the same bounds. A simulation is one run over one log. The held-out error is that of
-a free run, relative to the noise, as the geometric mean over the outputs; 1 is the noise itself.
+runs the same library, starts from the same values or searches within the same bounds. scipy runs it by the driver of
+replays, estim8 by FMPy. A simulation is one run over one log. The held-out error is that of a free run, relative to the
+noise, as the geometric mean over the outputs; 1 is the noise itself.
 """
 
 from __future__ import annotations
@@ -20,11 +21,12 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.optimize import least_squares
+from scipy.optimize import differential_evolution, least_squares
 
 import cosim
 from cosim.logs.log import Log
@@ -140,8 +142,12 @@ def by_cosim(bench: Bench) -> Answer:
     return Answer(fitted.values, fitted.record["simulations"], time.monotonic() - begin)
 
 
-def by_scipy(bench: Bench) -> Answer:
-    """Return the answer of scipy's least squares with its default differences; outputs are weighted by their spread."""
+def by_scipy(bench: Bench, *, everywhere: bool = False) -> Answer:
+    """Return the answer of scipy with its defaults; outputs are weighted by their spread.
+
+    Args:
+        everywhere: Differential evolution within the bounds, in place of least squares from the first values.
+    """
     begin, runs = time.monotonic(), 0
     names = [*bench.first]
     with bench.drive(bench.logs[0]) as one, bench.drive(bench.logs[1]) as two:
@@ -153,8 +159,11 @@ def by_scipy(bench: Bench) -> Answer:
             values = dict(zip(names, x.tolist(), strict=True))
             return np.concatenate([e / spread[n] for drive in (one, two) for n, e in residuals(drive, values).items()])
 
-        first, ends = np.array([*bench.first.values()]), np.array([*bench.bounds.values()]).T
-        found = least_squares(miss, first, bounds=(ends[0], ends[1]), x_scale=first)
+        first, ends = np.array([*bench.first.values()]), np.array([*bench.bounds.values()])
+        if everywhere:
+            found = differential_evolution(lambda x: float(np.sum(miss(x) ** 2)), ends, seed=1)
+        else:
+            found = least_squares(miss, first, bounds=(ends[:, 0], ends[:, 1]), x_scale=first)
     return Answer(dict(zip(names, found.x.tolist(), strict=True)), runs, time.monotonic() - begin)
 
 
@@ -186,6 +195,7 @@ def table(python: str | None, plants: Sequence[str]) -> Iterator[str]:
             yield f"| {case.plant} | first values | {bench.error(bench.first):.3g} | | |"
             yield f"| | true values | {bench.error(bench.truth):.4f} | | |"
             methods: dict[str, Any] = {"cosim fit": by_cosim, "scipy least_squares": by_scipy}
+            methods["scipy differential_evolution"] = partial(by_scipy, everywhere=True)
             if python:
                 methods["estim8"] = lambda b: by_estim8(b, python)
             for name, method in methods.items():

@@ -11,10 +11,14 @@ import numpy as np
 import pytest
 
 from cosim.estimation.fit import Fit
+from cosim.model.quantities import Quantity
+from cosim.probing.fmu_structure import ProbedParameter
 from cosim.refinement.decision import judgement, trust
 from cosim.refinement.proof import replay_check
 from cosim.refinement.search.fits import SearchResult
 from cosim.refinement.search.hypotheses import Hypothesis
+from cosim.subject import probed_model
+from cosim.subject.base_parameters import spread_of_base
 from cosim.subject.candidates import Candidate, Free
 from cosim.terms.alike import experiments_for
 
@@ -120,3 +124,10 @@ def test_free_runs_name_two_terms_at_most_with_equations_trusted(
     problem: Any = SimpleNamespace(layout=layout)
     result = trust.attribute(subject, problem, (), lambda stage, share: None)
     assert (result.best is many) is is_repeated
+
+
+def test_a_parameter_of_zero_has_a_size() -> None:
+    """An infinite size made every estimate NaN."""
+    tried = ProbedParameter(Quantity("tilt", "rad", ""), acts=True, starts=False, tried=0.1)
+    p = probed_model._parameter(tried)
+    assert spread_of_base(p, 0.0, 0.02) == pytest.approx(0.001)

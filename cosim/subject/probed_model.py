@@ -13,7 +13,7 @@ import numpy as np
 from cosim.base.units import unit_product
 from cosim.logs.log import Log
 from cosim.model.quantities import Parameter, Quantity
-from cosim.probing.fmu_structure import Pair, Structure
+from cosim.probing.fmu_structure import Pair, ProbedParameter, Structure
 from cosim.terms.catalogue import bound_terms, delay_of, sensor_errors
 from cosim.terms.fmu_model import Dependencies, FmuModel, fmu_model
 from cosim.terms.language import Place, with_place
@@ -134,7 +134,7 @@ class ProbedModel:
         """Return the model with every term at every place."""
         s = self.structure
         signals = self._named_states(), _named(s.inputs), _named(s.outputs)
-        parameters = [_parameter(p.quantity) for p in s.acting]
+        parameters = [_parameter(p) for p in s.acting]
         listed = (*s.states, *s.inputs, *s.outputs, *(p.quantity for p in s.acting))
         fastest = FINEST / s.largest_rate if s.largest_rate > 0.0 else math.inf
         return fmu_model(
@@ -196,10 +196,12 @@ def _named(quantities: Sequence[Quantity]) -> list[Quantity]:
     return [replace(q, name=with_place(q.name)) for q in quantities]
 
 
-def _parameter(q: Quantity) -> Parameter:
-    """Return the declaration of an FMU's parameter; without bounds, it keeps its sign."""
+def _parameter(p: ProbedParameter) -> Parameter:
+    """Return the declaration of a parameter. Without bounds, it keeps its sign; the size of 0 is the one tried."""
+    q = p.quantity
     low, high = q.bounds
     if q.start != 0.0:
         ends = sorted((q.start / WIDEST, q.start * WIDEST))
         low, high = max(low, ends[0]), min(high, ends[1])
-    return Parameter(with_place(q.name), q.start, q.unit, q.doc, (low, high))
+    typical = abs(p.tried) if q.start == 0.0 else None
+    return Parameter(with_place(q.name), q.start, q.unit, q.doc, (low, high), typical=typical)
