@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from cosim.estimation.data import data_of
 from cosim.estimation.fit import Fit
+from cosim.logs.log import read_log
 from cosim.model.quantities import Quantity
 from cosim.probing.fmu_structure import ProbedParameter
 from cosim.refinement.decision import judgement, trust
@@ -21,6 +24,7 @@ from cosim.subject import probed_model
 from cosim.subject.base_parameters import spread_of_base
 from cosim.subject.candidates import Candidate, Free
 from cosim.terms.alike import experiments_for
+from tests.logs import write_log
 
 
 def hypothesis(estimates: Mapping[str, tuple[float, float]]) -> Hypothesis:
@@ -131,3 +135,13 @@ def test_a_parameter_of_zero_has_a_size() -> None:
     tried = ProbedParameter(Quantity("tilt", "rad", ""), acts=True, starts=False, tried=0.1)
     p = probed_model._parameter(tried)
     assert spread_of_base(p, 0.0, 0.02) == pytest.approx(0.001)
+
+
+def test_a_log_of_an_fmu_without_inputs_has_rows(tmp_path: Path) -> None:
+    path = write_log(tmp_path / "a.csv", {"time": np.arange(20.0), "x": np.sin(np.arange(20.0))})
+    log = read_log(path, (), (Quantity("x", "", ""),))
+    subject: Any = SimpleNamespace(substeps=lambda step: 1)
+    layout: Any = SimpleNamespace(inputs=(), outputs=("x",))
+    data = data_of(subject, log, layout, 0.0)
+    assert data.u.shape == (20, 0)
+    np.testing.assert_array_equal(data.y[:, 0], log.outputs["x"])

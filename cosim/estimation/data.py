@@ -36,7 +36,7 @@ def data_of(
     grid = log.grid
     rows = int(grid[-1]) + 1
     last = np.searchsorted(grid, np.arange(rows), side="right") - 1
-    u = np.column_stack([log.inputs[name][last] for name in layout.inputs])
+    u = np.column_stack([np.zeros((rows, 0)), *(log.inputs[name][last] for name in layout.inputs)])  # perhaps none
     y = np.full((rows, len(layout.outputs)), np.nan)
     y[grid] = _outputs(log, layout)
     late = np.zeros_like(y)
