@@ -124,7 +124,7 @@ def test_a_term_at_an_input_acts_as_its_equation_one_step_late(
 def test_a_sensor_reads_what_its_equation_says_one_step_late(study: Study, tmp_path: Path) -> None:
     errors = {"bias_at_level__value": 0.2, "scale_at_level__value": 1.5, "latency_at_level__value": 3 * STEP}
     subject = subject_of(study, **errors, area=0.25)
-    ssp = EffectSsp(subject, subject.structure.fmu, subject._description, subject.loaded.parameters)
+    ssp = EffectSsp(subject.loaded, subject.structure, subject._description)
     path = ssp.write(tmp_path / "x.ssp")
     run = cosim.run(path, set={"duration": 4.0, "components.original.start.inflow": 0.05}, in_process=True)
     true, read = run["original.level"], run["sensor_terms.level"]
@@ -133,8 +133,9 @@ def test_a_sensor_reads_what_its_equation_says_one_step_late(study: Study, tmp_p
 
 
 def test_terms_inside_the_original_are_refused(study: Study) -> None:
-    parts = EffectSsp(subject_of(study), Path("x.fmu"), SimpleNamespace(coSimulation=None), {})
-    with pytest.raises(NotInSsp, match=r"x.fmu offers no co-simulation"):
+    subject = subject_of(study)
+    parts = EffectSsp(subject.loaded, subject.structure, SimpleNamespace(coSimulation=None))
+    with pytest.raises(NotInSsp, match=r"Tank.fmu offers no co-simulation"):
         parts.check()
 
 

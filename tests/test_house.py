@@ -102,7 +102,7 @@ def test_the_framework_names_no_module_of_the_example_in_a_text() -> None:
         if path.suffix == ".py" and path.parts[0] == "cosim"
         for node in ast.walk(ast.parse((ROOT / path).read_text(encoding="utf-8")))
         if isinstance(node, ast.Constant) and isinstance(node.value, str) and module.fullmatch(node.value)
-        if not node.value.endswith((".fmu", ".yaml", ".py"))
+        if not node.value.endswith((".fmu", ".ssp", ".yaml", ".py"))
     ]
     assert found == []
 

@@ -9,22 +9,22 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from cosim.base.scratch import temporary_folder
 from cosim.blocks.description import takes_any_step
 from cosim.fmi.fmu_build import Recipe, build
 from cosim.fmi.model_description import Description
 from cosim.fmi.ports import Port, parameter_port, quantity_port
+from cosim.loading.file import LoadedModel
 from cosim.model.quantities import Parameter, Quantity
 from cosim.model.symbolic.languages import Python
+from cosim.probing.fmu_structure import Structure
 from cosim.ssp.write import SspConnector, SspFmu, Whole, defined_units, write_ssp
 from cosim.subject import messages
+from cosim.terms.fmu_model import FmuModel
 from cosim.terms.language import Force, RateTerm
 from cosim.terms.term_printing import print_readings, print_terms
-
-if TYPE_CHECKING:
-    from cosim.subject.fmu_subject import FmuSubject
 
 ORIGINAL, INPUTS, SENSORS = "original", "input_terms", "sensor_terms"  # components
 PRINTED = "cosim.fmi.printed_terms"
@@ -39,16 +39,16 @@ class NotInSsp(ValueError):
 
 @dataclass(frozen=True)
 class EffectSsp:
-    """The parts of the SSP of a subject with claimed terms.
+    """The parts of the SSP of an FMU with claimed terms.
 
     Attributes:
-        values: Claimed values: parameters of terms, of sensor errors and of the original.
+        loaded: Model of the FMU, with the claimed values of terms, sensor errors and the original.
+        structure: Structure of the original.
     """
 
-    subject: FmuSubject
-    original: Path
+    loaded: LoadedModel
+    structure: Structure
     description: Any
-    values: Mapping[str, float]
 
     def write(self, path: Path) -> Path:
         """Write the SSP completely or not at all.
@@ -62,7 +62,7 @@ class EffectSsp:
             models += [self._input_terms(folder)] if self.acting else []
             models += [self._sensor_terms(folder)] if self.errors else []
             ports = [(self.description, port.unit) for model in models for port in model.ports]
-            name = f"{self.original.stem} with {', '.join(self._names()) or 'its values'}"
+            name = f"{self.structure.fmu.stem} with {', '.join(self._names()) or 'its values'}"
             stop = self.step * 1000
             return write_ssp(
                 path, Whole(name, "", models, self.connections, defined_units(ports), 0.0, stop, self.step)
@@ -71,7 +71,7 @@ class EffectSsp:
     def check(self) -> None:
         """Raise NotInSsp for an original or a term that an SSP cannot express."""
         if self.description.coSimulation is None:
-            raise NotInSsp(messages.NO_CO_SIMULATION(file=self.original.name))
+            raise NotInSsp(messages.NO_CO_SIMULATION(file=self.structure.fmu.name))
         inside = [e.name for e in self.acting if isinstance(e, RateTerm)]
         inside += [e.name for e in self.acting if isinstance(e, Force) and e.place.input < 0]
         if inside:
@@ -81,26 +81,32 @@ class EffectSsp:
             names = [
                 e.name for e in self.acting if isinstance(e, Force) and {e.place.position, e.place.state} - {*shown}
             ]
-            states = ", ".join(self.subject.model.base_states[k].name for k in hidden)
+            states = ", ".join(self.model.base_states[k].name for k in hidden)
             raise NotInSsp(messages.HIDDEN_STATES(names=", ".join(names), states=states))
 
     # -- what acts ----------------------------------------------------------------------------------
 
     @property
+    def model(self) -> FmuModel:
+        """Return the model of the FMU."""
+        assert isinstance(self.loaded.model, FmuModel)
+        return self.loaded.model
+
+    @property
     def acting(self) -> tuple[Any, ...]:
         """Return the terms at inputs and forces."""
-        return tuple(self.subject.model.awake)
+        return tuple(self.model.awake)
 
     @cached_property
     def errors(self) -> dict[str, float]:
         """Return the parameters of the claimed sensor errors."""
-        declared = self.subject.sensor_parameters
-        return {n: float(v) for n, v in self.subject.loaded.sensors.items() if v != declared[n].neutral}
+        declared = self.model.sensor_parameters
+        return {n: float(v) for n, v in self.loaded.sensors.items() if v != declared[n].neutral}
 
     @property
     def step(self) -> float:
         """Return the communication step [s]."""
-        return self.subject.rate / (SUBSTEPS if takes_any_step(self.description) else 1)
+        return self.model.rate / (SUBSTEPS if takes_any_step(self.description) else 1)
 
     def _names(self) -> list[str]:
         return [*(e.name for e in self.acting), *dict.fromkeys(n.partition(".")[0] for n in self.errors)]
@@ -114,9 +120,9 @@ class EffectSsp:
     @cached_property
     def _shown(self) -> dict[int, Quantity]:
         """Return state → output that equals it."""
-        structure = self.subject.structure
+        structure = self.structure
         outputs = {q.name: q for q in structure.outputs}
-        if self.subject.is_stepped:
+        if self.structure.way == "co-simulation":
             return dict(enumerate(structure.outputs))
         names = [structure.shown.get(q.name, "") for q in structure.states]
         return {k: outputs[n] for k, n in enumerate(names) if n in outputs}
@@ -126,7 +132,7 @@ class EffectSsp:
     @property
     def connections(self) -> list[Connection]:
         """Return the connections between the original and the terms."""
-        structure, made = self.subject.structure, list[Connection]()
+        structure, made = self.structure, list[Connection]()
         if self.acting:
             made += [((INPUTS, _acting(q.name)), (ORIGINAL, q.name)) for q in structure.inputs]
             made += [((ORIGINAL, self._shown[k].name), (INPUTS, self._shown[k].name)) for k in self._states]
@@ -136,17 +142,17 @@ class EffectSsp:
 
     def _original(self) -> SspFmu:
         """Return the original with its changed values."""
-        structure, variables = self.subject.structure, self.subject.model.variables  # type: ignore[attr-defined]
+        structure, variables = self.structure, self.model.variables
         ports = [SspConnector(q.name, "input", "Real", q.unit) for q in structure.inputs]
         ports += [SspConnector(q.name, "output", "Real", q.unit) for q in structure.outputs]
-        own = {p.name for p in self.subject.parameters}
-        start = {variables[n]: ("Real", float(v)) for n, v in self.values.items() if n in own}
-        return SspFmu(ORIGINAL, self.original, ports, start)
+        own = {p.name for p in self.model.parameters}
+        start = {variables[n]: ("Real", float(v)) for n, v in self.loaded.parameters.items() if n in own}
+        return SspFmu(ORIGINAL, self.structure.fmu, ports, start)
 
     def _input_terms(self, folder: Path) -> SspFmu:
         """Return the FMU that changes the inputs."""
-        structure, model = self.subject.structure, self.subject.model
-        printed = print_terms(model, [e.name for e in self.acting], Python())  # type: ignore[arg-type]
+        structure, model = self.structure, self.model
+        printed = print_terms(model, [e.name for e in self.acting], Python())
         states, names = [self._shown[k] for k in self._states], [p.name for p in printed.parameters]
         ports = [quantity_port(q, "input") for q in (*structure.inputs, *states)]
         ports += [replace(quantity_port(q, "output"), name=_acting(q.name)) for q in structure.inputs]
@@ -163,8 +169,8 @@ class EffectSsp:
 
     def _sensor_terms(self, folder: Path) -> SspFmu:
         """Return the FMU that changes the readings."""
-        outputs, declared = self.subject.structure.outputs, self.subject.sensor_parameters
-        source, lags, latencies = print_readings(self.subject.model, self.errors)
+        outputs, declared = self.structure.outputs, self.model.sensor_parameters
+        source, lags, latencies = print_readings(self.model, self.errors)
         ports = [replace(quantity_port(q, "input"), name=_true(q.name)) for q in outputs]
         ports += [quantity_port(q, "output") for q in outputs]
         parameters = [self._parameter(replace(declared[n], name=n)) for n in self.errors]
@@ -172,7 +178,7 @@ class EffectSsp:
         return self._fmu(folder, ("SensorTermsFmu", SENSORS), (ports, parameters), content, source)
 
     def _parameter(self, p: Parameter) -> Port:
-        value = self.errors.get(p.name, self.values.get(p.name, float(p.default)))
+        value = self.errors.get(p.name, self.loaded.parameters.get(p.name, float(p.default)))
         return parameter_port(p, float(value))
 
     def _fmu(
@@ -197,7 +203,7 @@ class EffectSsp:
         text = f'"""Terms, printed from their equations."""\n\nimport math\n\ninf = math.inf\n{constants}\n\n\n{source}'
         inputs, outputs = ([p.name for p in ports if p.causality == c] for c in ("input", "output"))
         depends = dict.fromkeys(outputs, inputs)
-        about = Description(f"Terms beside {self.original.stem}", ports, depends, depends, self.step, 10.0, True)
+        about = Description(f"Terms beside {self.structure.fmu.stem}", ports, depends, depends, self.step, 10.0, True)
         recipe = Recipe(("cosim.fmi.terms_fmu", kind), (), about, TEXT, printed=((PRINTED, text),))
         fmu = build(recipe, folder / f"{component}.fmu")
         connectors = [SspConnector(p.name, p.causality, "Real", p.unit) for p in variables[0]]

@@ -175,7 +175,7 @@ class FmuSubject(ModelSubject):
             return LibraryReplayer(self, self.kernel([q.name for q in self.outputs]), "own")
         delivered = self._delivered(place.folder)
         if self.ssp is not None and self.is_stepped:
-            return SspReplayer(self, self.ssp, place)
+            return SspReplayer(self.structure, self.ssp, place)
         if delivered is None:
             return LibraryReplayer(self, self.kernel([q.name for q in self.outputs]), "own")
         return LibraryReplayer(self, self._kernel_of(delivered), "native")
@@ -226,7 +226,7 @@ class FmuSubject(ModelSubject):
             reason: Why there is no FMU; "" if the study wants none.
         """
         path = folder / f"replayed{len([*folder.glob('replayed*.ssp')])}.ssp"
-        parts = EffectSsp(self, self.structure.fmu, self._description, dict(self.loaded.parameters))
+        parts = EffectSsp(self.loaded, self.structure, self._description)
         try:
             self.ssp = parts.write(path)
         except NotInSsp as error:

@@ -7,7 +7,6 @@ import math
 from collections.abc import Generator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,15 +14,13 @@ from cosim.base.arrays import Array
 from cosim.base.scratch import temporary_folder
 from cosim.kernel.kernel import START, Data
 from cosim.logs.log import Log
+from cosim.probing.fmu_structure import Structure
 from cosim.residuals.windows import Replay
 from cosim.simulation.packaged import open_scenario
 from cosim.simulation.workflow import run
 from cosim.subject.effect_ssp import INPUTS, ORIGINAL
 from cosim.subject.interface import Replayer, Start, Workplace
 from cosim.terms.language import with_place
-
-if TYPE_CHECKING:
-    from cosim.subject.fmu_subject import FmuSubject
 
 COMMANDS = "commands"  # component that plays the inputs of a log
 
@@ -32,7 +29,7 @@ COMMANDS = "commands"  # component that plays the inputs of a log
 class SspReplayer(Replayer):
     """Free runs of an SSP from the start of each log, and no shorter replays: an SSP begins at its start only."""
 
-    subject: FmuSubject
+    structure: Structure
     ssp: Path
     place: Workplace
     through: str = "ssp"
@@ -41,7 +38,7 @@ class SspReplayer(Replayer):
         self, log: Log, data: Data, values: Mapping[str, float], starts: Mapping[float, Mapping[int, Start]]
     ) -> Generator[Replay, None, None]:
         """Yield one replay for each horizon."""
-        units = {q.name: q.unit for q in self.subject.outputs}
+        units = {with_place(q.name): q.unit for q in self.structure.outputs}
         grid = np.asarray(log.grid, np.intp)
         for horizon, begins in starts.items():
             table = np.full((log.rows, len(units)), np.nan)
@@ -57,7 +54,7 @@ class SspReplayer(Replayer):
         Raises:
             SimulationError: An FMU fails.
         """
-        structure = self.subject.structure
+        structure = self.structure
         with temporary_folder("replay") as folder, open_scenario(self.ssp) as packaged:
             content = dict(packaged.scenario)
             substeps = max(1, round(data.step / content["step"]))
@@ -86,7 +83,7 @@ class SspReplayer(Replayer):
 
     def _write_commands(self, path: Path, data: Data, substeps: int) -> None:
         """Write the commands of each step; an interpolated input has its value at the middle of the step."""
-        inputs = self.subject.structure.inputs
+        inputs = self.structure.inputs
         heads = [f"{q.name} [{q.unit}]" if q.unit else q.name for q in inputs]
         number = np.arange((len(data.u) - 1) * substeps + 1)
         row, share = number // substeps, (number % substeps + 0.5) / substeps
