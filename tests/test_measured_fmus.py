@@ -111,3 +111,30 @@ def test_the_coupled_drives_show_the_magnitude_of_their_speed(tmp_path: Path) ->
     record = refine(studies_of("coupled_drives", ["drive.mat"], tmp_path), tmp_path / "out").record
     names = {e["name"] for e in record["effects"]} | {*record["nearest"]}
     assert "magnitude_at_speed" in names, record["sentence"]
+
+
+@pytest.mark.thorough
+def test_the_heated_box_lacks_a_lag_of_its_heater(tmp_path: Path) -> None:
+    script = script_of("incubator")
+    data = data_of("incubator", [r.name for r in vars(script).values() if type(r).__name__ == "Recording"])
+    compiled("incubator", tmp_path)
+    _, study = script.make_logs(data, tmp_path)
+    record = refine(study, tmp_path / "out").record
+    hypotheses = [*(r.split(" + ") for r in record["rivals"]), record["nearest"]]
+    assert all({"lag_at_power", "second_order_lag_at_power"} & {*names} for names in hypotheses), record["sentence"]
+
+
+@pytest.mark.thorough
+def test_the_silverbox_fmu_lacks_a_cubic_spring(tmp_path: Path) -> None:
+    """A part of the rows and few candidates; the whole study takes minutes."""
+    script = script_of("silverbox")
+    script.make_logs(data_of("silverbox", ["SNLS80mV.csv"], {"SNLS80mV.csv": ["snls80mv.csv"]}), tmp_path)
+    compiled("silverbox", tmp_path)
+    study = script.write_fmu_study(tmp_path)
+    for name, rows in (("multisine.csv", 3_000), ("arrow.csv", 12_000)):
+        lines = (tmp_path / name).read_text().splitlines(keepends=True)
+        (tmp_path / name).write_text("".join(lines[: rows + 1]))
+    named = ["bias_at_V1", "gain_at_V1", "dead_band_at_V1", "cubic_spring_at_rate", "viscous_at_rate"]
+    study.write_text(f"{study.read_text()}candidates: {named}\n")
+    record = refine(study, tmp_path / "out").record
+    assert {e["name"] for e in record["effects"]} == {"bias_at_V1", "gain_at_V1", "cubic_spring_at_rate"}
