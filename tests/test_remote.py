@@ -24,8 +24,13 @@ from cosim.blocks import wire
 from cosim.blocks.channel import Broken, Channel
 from cosim.blocks.link import Control, Session
 from cosim.blocks.wire import LinkError, Operation
+from cosim.master.master import simulate
+from cosim.scenario.scenario_file import ScenarioFile
 from cosim.serving.fmu_server import FmuServer, _State, make_key
+from cosim.storage.results import Results
+from cosim.system.system import build_system
 from examples.coupling.build import build_all
+from tests.coupled import CHASSIS, LINEAR, TRUCK, WHEEL, coupled_fmu
 from tests.native import NEEDS_COMPILER
 from tests.walker import walker_fmu, walker_scenario
 
@@ -309,6 +314,40 @@ def test_a_server_forgets_ended_sessions(there: Path, monkeypatch: pytest.Monkey
         monkeypatch.setattr(server, "_serve", lambda *_: None)
         server._open(b"", "", JOB)
         assert sorted(server._sessions) == [-3, 0, 1]
+
+
+@NEEDS_COMPILER
+def test_steps_are_taken_back_and_repeated_at_a_server(tmp_path: Path) -> None:
+    for name, law in (("a", LINEAR), ("b", LINEAR), ("chassis", CHASSIS), ("wheel", WHEEL)):
+        coupled_fmu(tmp_path / f"{name}.fmu", law, slopes=law == LINEAR)
+    starts: dict[str, dict[str, float]] = {
+        "a": {"p0": 5.0, "p1": 1.0, "late": 1.0},
+        "b": {"p0": 1.0},
+        "chassis": TRUCK[CHASSIS],
+        "wheel": TRUCK[WHEEL],
+    }
+
+    def ran(names: tuple[str, str], at: dict[str, str], **more: object) -> Results:
+        parts = {name: {"fmu": f"{name}.fmu", "start": starts[name], **at} for name in names}
+        one, other = names
+        wires = [{"from": f"{one}.y0", "to": f"{other}.u0"}, {"from": f"{other}.y0", "to": f"{one}.u0"}]
+        path = tmp_path / "scenario.yaml"
+        path.write_text(json.dumps({"name": "s", "components": parts, "connections": wires, **more}))
+        file = ScenarioFile(path)
+        return simulate(build_system(file), file.scenario.steps, file.scenario.step)
+
+    loop: dict[str, object] = {"duration": 0.3, "step": 0.1}
+    truck: dict[str, object] = {"duration": 1.12, "step": {"max": 0.02, "min": 1e-4, "tolerance": 1e-3}}
+    with serving(tmp_path) as (at, _):
+        for names, more in ((("a", "b"), loop), (("chassis", "wheel"), truck)):
+            here, there = ran(names, {}, **more), ran(names, {"at": at}, **more)
+            assert here.values.tobytes() == there.values.tobytes()
+            assert here.details == there.details
+            if names == ("a", "b"):
+                assert here.details["loops"][0]["repeated"] == ["a"]
+                assert here.details["loops"][0]["derivatives"]["b"] == "directional"
+            else:
+                assert here.details["steps"]["rejected"] > 0
 
 
 @NEEDS_COMPILER

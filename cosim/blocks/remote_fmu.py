@@ -56,10 +56,23 @@ def find_distant(at: str, fmu: str, sha256: str | None) -> Distant:
     return Distant(at, fmu, digest, path)
 
 
-class _AbsentInstance(Instance):
-    """The instance of an FMU that is elsewhere: no state is saved, no step repeated."""
+class _RemoteInstance(Instance):
+    """The instance of an FMU of a server: its states stay there and have numbers here, and none is serialized."""
 
-    rolls_back = serializes = False
+    serializes = False
+
+    def __init__(self, owner: RemoteFmu) -> None:
+        super().__init__(owner.path, owner.calls, logging=False)
+        self.owner, self.fmu = owner, owner  # not None: only a broken connection loses the FMU, and ends the run
+
+    def save_state(self) -> Any:
+        return self.owner.ask(Operation.SAVE)
+
+    def restore_state(self, state: Any, *, keep: bool = False) -> None:
+        self.owner.ask(Operation.RESTORE, {"state": state, "keep": keep})
+
+    def free_state(self, state: Any) -> None:
+        self.owner.ask(Operation.FREE, {"state": state})
 
 
 class RemoteFmu(FmuBlock):
@@ -74,7 +87,7 @@ class RemoteFmu(FmuBlock):
         make, words = self._recipe
         self._recipe = partial(make, distant=distant), words
         self.distant, self._settings = distant, settings
-        self.instance = _AbsentInstance(self.path, self._calls, logging=False)
+        self.instance = _RemoteInstance(self)
         self._session: Session | None = None
         self._outputs: bytes | None = None  # received with a step
 
@@ -167,8 +180,14 @@ class RemoteFmu(FmuBlock):
         self._show(self._call(pack(Operation.CHANGE, doubles=self._in, content=content)))
 
     def slopes(self, outputs: Sequence[str], inputs: Sequence[str]) -> list[list[float]] | None:
-        """Return None: slopes come from differences."""
-        return None
+        """Return directional derivatives of outputs, None if unavailable."""
+        content = {"exact": self._beside[self._exact_in], "outputs": [*outputs], "inputs": [*inputs]}
+        slopes: list[list[float]] | None = self.ask(Operation.SLOPES, content, self._in)
+        return slopes
+
+    def ask(self, operation: Operation, content: Any = None, doubles: Any = b"") -> Any:
+        """Return the JSON of an answer."""
+        return decode(self._call(pack(operation, doubles=doubles, content=content))[HEAD.size :] or b"null")
 
     def slot(self) -> str:
         """Return the reason against the C loop."""

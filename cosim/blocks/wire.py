@@ -36,6 +36,10 @@ class Operation(IntEnum):
     STEP = 4  # set the inputs, step, get the outputs
     CHANGE = 5  # inputs, and JSON: values of an event
     CLOSE = 6
+    SAVE = 7  # save the state to go back to, get its number as JSON
+    RESTORE = 8  # JSON: number of a state, and whether it is kept
+    FREE = 9  # JSON: number of a state
+    SLOPES = 10  # inputs, and JSON: outputs and inputs; get directional derivatives as JSON
     OUTPUTS = 16  # answer with outputs
     SIGNALS = 17  # answer with inputs and outputs
     TEXT = 18  # answer with JSON

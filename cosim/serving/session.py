@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,7 @@ from cosim.serving import messages
 OPENING = 30.0  # time [s] for the client to come
 LOOK = 0.5  # interval [s] of a look at the connection
 MOST_FIRST, MOST_STRANGERS = 1 << 16, 16  # size of a first message [bytes]; peers that have sent none
+MOST_STATES = 100  # saved at once
 STEP, CLOSE = int(Operation.STEP), int(Operation.CLOSE)
 LOST = 3  # exit code of a process that has lost its client
 
@@ -87,6 +89,8 @@ class _Session:
         self._listener = self._bind()
         self.port: int = self._listener.getsockname()[1]
         self._closed = threading.Event()
+        self._states: dict[int, Any] = {}  # saved ones by number
+        self._numbers = count()
         self._block: Any = None
         self._step: Callable[[float, float], None]
 
@@ -197,16 +201,37 @@ class _Session:
             self._step = block.stepping(here.progress.doing, 0)
             here.progress.made[0] = 1
             return pack(Operation.TEXT, content="")
-        if operation == Operation.CHANGE:
+        if operation in (Operation.CHANGE, Operation.SLOPES):
             content = unpack(message, self._inputs, True)
             self._set_exact(content["exact"])
-            block.change(content["values"])
-            return self._signals()
+            if operation == Operation.CHANGE:
+                block.change(content["values"])
+                return self._signals()
+            block.put()
+            return pack(Operation.TEXT, content=block.slopes(content["outputs"], content["inputs"]))
+        if operation in (Operation.SAVE, Operation.RESTORE, Operation.FREE):
+            return pack(Operation.TEXT, content=self._keep(operation, decode(message[HEAD.size :] or b"null")))
         if operation == Operation.CLOSE:
             here.progress.doing[0] = OTHER
             block.close()
             return pack(Operation.TEXT, content=list(block.log))
         raise LinkError(messages.BAD_REQUEST(reason=f"operation {operation}"))
+
+    def _keep(self, operation: int, content: Any) -> int | None:
+        """Save, restore or free a state; return the number of a saved one."""
+        instance = self._block.instance
+        if operation == Operation.SAVE:
+            if len(self._states) >= MOST_STATES:
+                raise LinkError(messages.BAD_REQUEST(reason=f"more than {MOST_STATES} states"))
+            number = next(self._numbers)
+            self._states[number] = instance.save_state()
+            return number
+        state = self._states[content["state"]] if content.get("keep") else self._states.pop(content["state"])
+        if operation == Operation.FREE:
+            instance.free_state(state)
+        else:
+            instance.restore_state(state, keep=content["keep"])
+        return None
 
     def _open(self, content: Mapping[str, Any]) -> bytes:
         job = self.job
@@ -223,9 +248,9 @@ class _Session:
         here.share_log(block)
         self._row = (ctypes.c_double * max(1, len(block.inputs) + len(block.outputs)))()
         self._beside: list[Any] = [None] * (len(block.exact_inputs) + len(block.exact_outputs))
-        count, self._exact = 8 * len(block.inputs), len(block.exact_inputs)
-        self._all = memoryview(self._row).cast("B")[: count + 8 * len(block.outputs)]
-        self._inputs, self._outputs = self._all[:count], self._all[count:]
+        size, self._exact = 8 * len(block.inputs), len(block.exact_inputs)
+        self._all = memoryview(self._row).cast("B")[: size + 8 * len(block.outputs)]
+        self._inputs, self._outputs = self._all[:size], self._all[size:]
         block.bind(self._row, 0, self._beside, 0)
         block.open(float(content["start"]), float(content["stop"]))
         return self._signals()
