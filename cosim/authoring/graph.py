@@ -62,5 +62,5 @@ def _graph(file: ScenarioFile) -> Graph:
     units = {name: signal.unit for name, signal in system.signals.items()}
     arrays = {f"{n.partition('.')[0]}.{s.array}": s.unit for n, s in system.signals.items() if s.array}
     held = {transfer.name for transfer in system.held}
-    order = [stage.component.name for stage in system.stages]
+    order = system.names
     return graph_from(resolve_defaults(file.scenario), order, held, {**arrays, **units})

@@ -27,6 +27,7 @@ from cosim.storage.state_file import pack, sync, unpack, write_durable
 
 ROWS, BESIDE, STATE = "rows", "beside", "state"  # files of a run, in one folder
 FORMAT = 1  # version of the content of a checkpoint
+GRACE, SHORT_GRACE = 10.0, 2.0  # time [s] for a checkpoint at a stop, with and without checkpoints on request
 HASHED = 1 << 20  # values hashed at a time
 
 
@@ -64,6 +65,16 @@ class Keeping:
     folder: Path | None = None
     interval: float | None = None
     start: Continuation | None = None
+
+    @property
+    def given(self) -> int:
+        """Return the number of rows that are there at the start."""
+        return 0 if self.start is None else self.start.count
+
+    @property
+    def grace(self) -> float:
+        """Return the time [s] for a checkpoint at a stop."""
+        return SHORT_GRACE if self.interval is None else GRACE
 
 
 class RowsHash:

@@ -278,6 +278,15 @@ class Instants:
             if master.controlled is not None:
                 master.controlled.note()
 
+    def _advance_controlled(self, t: float, end: float, k: int) -> float:
+        """Advance towards the next instant, no further than the control of the steps allows; return the time."""
+        control, target = self.master.controlled, self._target(t, end)
+        if control is None:
+            return self._advance(target, k)
+        reached = self._advance(control.limit(t, target, end), k)
+        control.judge_step(t, reached)
+        return reached
+
     def _step_to_point(self, k: int, *, has_calls: bool) -> None:
         begin, end = self.begin + (k - 1) * self.h, self.begin + k * self.h
         t = begin
@@ -288,13 +297,7 @@ class Instants:
             elif (k - 1) % part.every == 0:
                 self._put(part, k)
         while True:
-            since, control = t, self.master.controlled
-            target = self._target(t, end)
-            if control is not None:
-                target = control.limit(t, target, end)
-            t = self._advance(target, k)
-            if control is not None:
-                control.judge_step(since, t)
+            t = self._advance_controlled(t, end, k)
             if t >= end - self.close:
                 break
             self._instant(t, k - 1, [part for part in self.events if part.is_flexible])

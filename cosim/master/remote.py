@@ -51,7 +51,6 @@ from cosim.system.system import System
 MODULES = ("cosim.master.remote", "fmpy.fmi2", "fmpy.logging")
 PREFIX = ".rows-"
 IN_USE = "in-use"  # file that a worker locks while it writes into a folder of checkpoints
-GRACE, SHORT_GRACE = 10.0, 2.0  # time [s] for a checkpoint at a stop, with and without checkpoints on request
 DISK_RETRY_SHARE = 0.9  # share of rows to try next on a full disk
 
 
@@ -110,7 +109,7 @@ def simulate_here(
 
 def _feed(observers: Sequence[Observer], system: System, steps: int, h: float, channel: Channel) -> Feed:
     """Return the feed of rows to a run's observers, which may send changes through a channel."""
-    time = system.start + h * np.arange(steps + 1, dtype=np.float64)
+    time = _times_of(system, steps, h)
     control = Control(system, channel) if observers else None
     return Feed(observers, ObservedRun(system.columns, steps + 1, system.start, h, system.units, control), time)
 
@@ -118,6 +117,16 @@ def _feed(observers: Sequence[Observer], system: System, steps: int, h: float, c
 def _early_end(system: System, h: float, done: int) -> EarlyEnd:
     """Return the early end requested by an observer."""
     return EarlyEnd("an observer", _last_time(system, h, done), messages.END_REQUESTED())
+
+
+def _times_of(system: System, steps: int, h: float) -> Array:
+    """Return the times [s] of all rows."""
+    return system.start + h * np.arange(steps + 1, dtype=np.float64)
+
+
+def _time_of_call(system: System, steps: int, h: float, rows: int, call: int) -> float:
+    """Return the simulated time [s] of a call after so many finished rows."""
+    return system.start + h * (max(0, rows - 1) + (call == GET and 0 < rows <= steps))
 
 
 def _last_time(system: System, h: float, rows: int) -> float:
@@ -278,26 +287,17 @@ def simulate_apart(
         FmuError: An FMU does not load.
     """
     columns, limits = len(system.columns), limits or Limits()
-    start = None if keeping is None else keeping.start
-    given = 0 if start is None else start.count
 
     def give(rows: int) -> None:
         feed(rows)
         worker.progress.stop[0] = feed.is_over
 
-    names = [stage.component.name for stage in system.stages]
+    names = system.names
     times = ComponentTimes(names, steps + 1, partial(_last_time, system, h), warn) if warn is not None else None
-    watch = Watch(
-        names,
-        [fmi_calls(getattr(stage.component, "description", None)) for stage in system.stages],
-        lambda rows, call: system.start + h * (max(0, rows - 1) + (call == GET and 0 < rows <= steps)),
-        limits,
-        8 * columns,
-        progress=give,
-        times=times,
-        grace=0.0 if keeping is None else SHORT_GRACE if keeping.interval is None else GRACE,
-    )
-    end = WorkerEnd()
+    grace = 0.0 if keeping is None else keeping.grace
+    calls = [fmi_calls(getattr(stage.component, "description", None)) for stage in system.stages]
+    at = partial(_time_of_call, system, steps, h)
+    watch = Watch(names, calls, at, limits, 8 * columns, progress=give, times=times, grace=grace)
     compile_beforehand(system)
     with ExitStack() as stack:
         worker.start()
@@ -305,36 +305,19 @@ def simulate_apart(
         counters.loop, counters.stop[0], counters.hold[0], counters.sent[0] = b"", 0, 0, 0
         exchange = stack.enter_context(temporary_folder("changes"))  # outlives a crash of the worker
         channel = FileChannel(exchange, counters)
-        if keeping is not None and keeping.folder is not None:
-            table = keeping.folder / ROWS
-            count = _allocate_kept(keeping.folder, steps + 1, 8 * columns, start)
-        else:
-            rows_folder, count = _allocate_rows((folder, Path(tempfile.gettempdir())), steps + 1, 8 * columns)
-            stack.callback(rows_folder.remove)
-            worker.take_along(rows_folder.path)
-            table = rows_folder.path / ROWS
-            if start is not None:
-                _write_start(rows_folder.path, start)
+        kept = keeping or Keeping()
+        table, count = _begin_rows(stack, worker, folder, (steps + 1, 8 * columns), kept)
         feed = _feed(observers, system, steps, h, channel)
         if observers and columns:
             feed.table = np.memmap(table, np.float64, "r", shape=(count, columns))
-        try:
-            interval = None if keeping is None else keeping.interval
-            job = RowsJob(table, limits, exchange, bool(observers), interval, given, keeping is not None)
-            end = worker.call(simulate_rows, system, count - 1, h, job, watch=watch)
-            hold_stops()  # The rows must be saved.
-        except (SimulationError, KeyboardInterrupt, Terminated) as stop:
-            end = WorkerEnd(failure=stop_error(stop, _last_time(system, h, counters.made[0])))
-        except (CosimError, OSError, MemoryError):
-            raise
-        except Exception as error:  # An unexpected error of a library is no reason to lose the rows.
-            end = WorkerEnd(failure=_convert_unexpected(error, watch, counters))
-        done = max(counters.made[0], given)  # A failure before the last given row loses none.
-        state = None if keeping is None or keeping.folder is not None else read_state(table.with_name(STATE))
+        job = RowsJob(table, limits, exchange, bool(observers), kept.interval, kept.given, keeping is not None)
+        end = _end_of(worker, system, count - 1, h, job, watch)
+        done = max(counters.made[0], kept.given)  # A failure before the last given row loses none.
+        state = read_state(table.with_name(STATE)) if kept.folder is None else None
         values = read_table(table, done, columns, mapped=recording is not None)
         beside, changes = read_exact(table.with_name(BESIDE), done), channel.noted()
         feed.end(values)
-        time = system.start + h * np.arange(steps + 1, dtype=np.float64)
+        time = _times_of(system, steps, h)
         if end.last is not None:
             time[done - 1] = end.last
         loop = counters.loop.decode("utf-8", "ignore")
@@ -347,6 +330,41 @@ def simulate_apart(
         failure = _disk_full(time[count - 1].item(), count, steps + 1)
     component_times = {} if times is None else times.record()
     return SteppedRun(results, end.log, failure, changes, state, component_times)
+
+
+def _begin_rows(
+    stack: ExitStack, worker: Worker, folder: Path, size: tuple[int, int], kept: Keeping
+) -> tuple[Path, int]:
+    """Create the file of the rows of a run; return the file and the number of rows that fit.
+
+    It is in the folder of the checkpoints, or in one that is removed with the stack.
+
+    Args:
+        size: Rows, and bytes of a row.
+    """
+    if kept.folder is not None:
+        return kept.folder / ROWS, _allocate_kept(kept.folder, *size, kept)
+    place, count = _allocate_rows((folder, Path(tempfile.gettempdir())), *size)
+    stack.callback(place.remove)
+    worker.take_along(place.path)
+    if kept.start is not None:
+        _write_start(place.path, kept.start)
+    return place.path / ROWS, count
+
+
+def _end_of(worker: Worker, system: System, steps: int, h: float, job: RowsJob, watch: Watch) -> WorkerEnd:
+    """Make the steps in the worker; return how they ended."""
+    counters = worker.progress
+    try:
+        end: WorkerEnd = worker.call(simulate_rows, system, steps, h, job, watch=watch)
+        hold_stops()  # The rows must be saved.
+    except (SimulationError, KeyboardInterrupt, Terminated) as stop:
+        return WorkerEnd(failure=stop_error(stop, _last_time(system, h, counters.made[0])))
+    except (CosimError, OSError, MemoryError):
+        raise
+    except Exception as error:  # An unexpected error of a library is no reason to lose the rows.
+        return WorkerEnd(failure=_convert_unexpected(error, watch, counters))
+    return end
 
 
 def _convert_unexpected(error: Exception, watch: Watch, counters: Progress) -> SimulationError:
@@ -362,14 +380,14 @@ def read_state(path: Path) -> bytes | None:
     return path.read_bytes() if path.is_file() else None
 
 
-def _allocate_kept(folder: Path, rows: int, width: int, start: Continuation | None) -> int:
+def _allocate_kept(folder: Path, rows: int, width: int, kept: Keeping) -> int:
     """Create the kept files; return the number of rows.
 
     Raises:
         DiskFull: No further row fits.
     """
-    count, given = rows, 0 if start is None else start.count
-    while count and count >= given:
+    count, start = rows, kept.start
+    while count and count >= kept.given:
         try:
             allocate(folder / f"{ROWS}.new", count * width)
             if start is None:
@@ -385,7 +403,7 @@ def _allocate_kept(folder: Path, rows: int, width: int, start: Continuation | No
         else:
             (folder / f"{ROWS}.new").replace(folder / ROWS)
             return count
-    raise _disk_full(0.0, given, rows)
+    raise _disk_full(0.0, kept.given, rows)
 
 
 def _write_start(folder: Path, start: Continuation, rows: str = ROWS) -> None:

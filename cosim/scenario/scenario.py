@@ -467,6 +467,11 @@ class Scenario(Part):
         return (self.record.signals or []) if isinstance(self.record, Recording) else self.record
 
     @property
+    def targets(self) -> frozenset[str]:
+        """Return the connected inputs, as `component.variable`."""
+        return frozenset(connection.target for connection in self.connections)
+
+    @property
     def isolated(self) -> frozenset[str]:
         """Return names of components with a process of their own."""
         every = self.components.items()

@@ -84,7 +84,7 @@ def manifest(
         "design": resolve_defaults(file.scenario).get("design"),
         **_real_time(file.scenario),
         "seed": scenario.seed,
-        "order": [stage.component.name for stage in system.stages],
+        "order": system.names,
         "held": [transfer.name for transfer in system.held],
         "beside": [column for column in system.beside if column in recorded],
         "units": {column: unit for column, unit in system.units.items() if unit and column in recorded},

@@ -87,7 +87,7 @@ def _timings(
     file: ScenarioFile, name: str, component: FmuComponent, clocks: Mapping[str, Clock], diagnosis: Diagnosis
 ) -> dict[str, Timing]:
     """Return the scenario's times of clocks."""
-    connected = {c.target for c in file.scenario.connections}
+    connected = file.scenario.targets
     timings = {}
     for clock_name, timing in component.clocks.items():
         clock, full_name = clocks.get(clock_name), f"{name}.{clock_name}"

@@ -40,7 +40,7 @@ def changes_of(file: ScenarioFile, blocks: Mapping[str, FmuBlock], diagnosis: Di
     scenario = file.scenario
     changes: dict[int, dict[str, dict[str, Any]]] = {}
     descriptions = {name: block.description for name, block in blocks.items()}
-    targets = Targets(descriptions, {c.target for c in scenario.connections})
+    targets = Targets(descriptions, scenario.targets)
     values: dict[tuple[float, str], Any] = {}
     events = zip(file.places["events"], scenario.events, strict=True)
     for k, event in sorted(events, key=lambda placed: placed[1].at):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from cosim.blocks.component import Component
+from cosim.blocks.component import Component, Signal
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.faults import steps_in
 from cosim.coupling.algorithms import DEFAULT, WITHOUT_ORDER, Algorithm, algorithms
@@ -135,12 +135,17 @@ def _check_loops(loops: Sequence[Loop], components: Components, every: Mapping[s
             if every[name] > 1:
                 diagnosis.note(("components", name, "step"), messages.OWN_STEP_IN_LOOP(component=name, loop=loop.name))
         for transfer in loop.transfers:
-            name, _, variable = transfer.name.partition(".")
-            signals = (*components[name].inputs, *components[name].exact_inputs)
-            signal = next((s for s in signals if s.name == variable), None)
+            signal = _target_of(transfer, components)
             if any(transfer.beside) or (signal is not None and signal.is_whole):
                 kind = signal.kind if signal is not None else ""
                 diagnosis.note(("connections",), messages.LOOP_OF_NO_REALS(signal=transfer.name, type=kind))
+
+
+def _target_of(transfer: Transfer, components: Components) -> Signal | None:
+    """Return the input that a transfer writes; None for a variable that is no input."""
+    name, _, variable = transfer.name.partition(".")
+    signals = (*components[name].inputs, *components[name].exact_inputs)
+    return next((signal for signal in signals if signal.name == variable), None)
 
 
 def _every(scenario: Scenario, name: str, diagnosis: Diagnosis) -> int:

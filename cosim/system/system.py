@@ -74,6 +74,11 @@ class System:
     recording: RecordedPart | None = None
 
     @property
+    def names(self) -> list[str]:
+        """Return the names of the components in stepping order."""
+        return [stage.component.name for stage in self.stages]
+
+    @property
     def recorded(self) -> frozenset[str]:
         """Return the names of all recorded signals."""
         if (part := self.recording) is None:
@@ -102,13 +107,12 @@ def build_system(file: ScenarioFile, start_values: Designed | None = None) -> Sy
         _check_criteria(scenario, layout.columns, recording, diagnosis)
     is_connected = is_whole and all(transfers)
     plan = schedule(scenario, components, transfers, diagnosis) if is_connected else Schedule()
-    check_events(plan, scenario.isolated, diagnosis, {c.target for c in scenario.connections})
+    check_events(plan, scenario.isolated, diagnosis, scenario.targets)
     control = control_of(scenario, components, layout, list(chain.from_iterable(transfers)), diagnosis)
     blocks = {name: c for name, c in components.items() if isinstance(c, FmuBlock)}
     events = changes_of(file, blocks, diagnosis)
     _check_record(file, components, diagnosis)
-    descriptions = {name: block.description for name, block in blocks.items()}
-    targets = Targets(descriptions, {c.target for c in scenario.connections})
+    targets = Targets({name: block.description for name, block in blocks.items()}, scenario.targets)
     check_live(file, targets, layout.columns, layout.beside, diagnosis)
     diagnosis.raise_any()
     of_blocks = chain.from_iterable(block.warnings for block in blocks.values())
@@ -121,7 +125,7 @@ def build_system(file: ScenarioFile, start_values: Designed | None = None) -> Sy
         scenario.seed,
         scenario.start_time,
         warnings,
-        {name: (c.path, c.description) for name, c in blocks.items()},
+        {name: (block.path, block.description) for name, block in blocks.items()},
         layout.beside,
         layout.signals,
         events,

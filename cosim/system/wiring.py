@@ -346,7 +346,7 @@ def _check_sources(file: ScenarioFile, diagnosis: Diagnosis) -> None:
 
 def connection_warnings(file: ScenarioFile, components: Components) -> Iterator[str]:
     """Yield a warning for each component with unconnected inputs that have no value in the scenario."""
-    driven = {c.target for c in file.scenario.connections}
+    driven = file.scenario.targets
     driven |= {target for event in file.scenario.events for target in event.set}
     driven |= set() if file.scenario.live is None else {*file.scenario.live.inputs}
     for name, component in components.items():
