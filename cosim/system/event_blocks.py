@@ -188,10 +188,17 @@ def check_events(plan: Schedule, apart: Collection[str], diagnosis: Diagnosis, c
     events = [stage.component for stage in plan.stages if isinstance(stage.component, EventFmu)]
     if not events:
         return
+    loops = {name: loop.name for loop in plan.loops for name in loop.members}
     for stage in plan.stages:
-        name = stage.component.name
-        if not takes_part_of_step(stage, plan.loops) or (name in apart and is_exchange(stage.component)):
-            diagnosis.warnings.append(messages.EVENTS_AT_POINTS(component=name))
+        name, reason = stage.component.name, ""
+        if name in loops:
+            reason = f"is part of the algebraic loop {loops[name]}"
+        elif not takes_part_of_step(stage):
+            reason = "takes only steps of one length"
+        elif name in apart and is_exchange(stage.component):
+            reason = "uses model exchange in a process of its own"
+        if reason:
+            diagnosis.warnings.append(messages.EVENTS_AT_POINTS(component=name, reason=reason))
     clocks = (f"{fmu.name}.{signal.name}" for fmu in events for signal in fmu.inputs if signal.kind == "Clock")
     if idle := [name for name in clocks if name not in connected]:
         diagnosis.warnings.append(messages.CLOCK_NEVER_TICKS(names=", ".join(idle)))

@@ -170,7 +170,7 @@ CLOCK_NEVER_TICKS = Template(
 )
 EVENTS_AT_POINTS = Template(
     "W-SYS-082",
-    "{component} takes only steps of one length: an event within a step reaches it at the end of the step",
+    "{component} {reason}: an event within a step reaches it at the end of the step",
 )
 NO_CLOCKS = Template("E-SYS-083", "{component} has no clocks; leave out clocks:")
 CLOCK_NOT_TUNABLE = Template(
