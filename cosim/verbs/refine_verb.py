@@ -110,7 +110,7 @@ def command(
     if as_json:
         keys = ("verdict", "sentence", "effects", "rivals", "error")
         answer = {key: result.record[key] for key in keys if key in result.record}
-        say_json({**answer, **files_in(place, "refine.json", "model.yaml", "plant.fmu")})
+        say_json({**answer, **files_in(place, "refine.json", "model.yaml", "plant.fmu", "plant.ssp")})
     show(place / "report.html", open_=report and open_)
     if result.record["verdict"] == "ambiguous" and not result.study.subject.static:
         from cosim.experiment.ranges import inputs_to_limit
@@ -137,11 +137,13 @@ def _say_verdict(result: Refinement, place: Path, *, report: bool) -> None:
     files = {
         "model": ["model.yaml"],
         "FMU": ["plant.fmu"],
-        "nearest": ["nearest.yaml", "nearest.fmu"],  # the second alone for a study of an FMU
+        "SSP": ["plant.ssp"],
+        "nearest": ["nearest.yaml", "nearest.fmu", "nearest.ssp"],  # the first is that of a model
         "report": ["report.html"] if report else [],
     }
     for name, choices in files.items():
         if file := next((place / choice for choice in choices if (place / choice).is_file()), None):
             say(f"{name + ':':9}{file}")
     if isinstance(original := getattr(result.study.subject, "structure", None), Structure):
-        say(f"The FMU holds {original.fmu.name} whole: check that its licence permits you to pass it on.")
+        kind = "SSP" if (place / "plant.ssp").is_file() else "FMU"
+        say(f"The {kind} holds {original.fmu.name} whole: check that its licence permits you to pass it on.")
