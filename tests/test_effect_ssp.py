@@ -25,7 +25,7 @@ from cosim.subject.interface import Workplace
 from cosim.subject.ssp_replayer import SspReplayer
 from cosim.wrapping.wrap import Wrapper
 from tests.logs import write_log
-from tests.slider import slider_fmu, slider_log
+from tests.slider import slide, slider_fmu, slider_log
 from tests.test_refine_fmu import write_study
 
 TANK = Path(__file__).resolve().parents[1] / "examples" / "tanks" / "tank.py"
@@ -130,6 +130,20 @@ def test_a_sensor_reads_what_its_equation_says_one_step_late(study: Study, tmp_p
     true, read = run["original.level"], run["sensor_terms.level"]
     assert true[-1] > 1.3  # twice as fast as with the area of the FMU
     np.testing.assert_allclose(read[8:], 1.5 * (true[4:-4] + 0.2), rtol=1e-9)
+
+
+def test_a_force_reads_the_velocity_of_the_original(tmp_path: Path) -> None:
+    fmu, keys = slider_fmu(tmp_path / "slider.fmu"), {"mass": 1.0, "gain": 2.0, "offset": 0.0}
+    logs = [slider_log(tmp_path / f"e{k}.csv", {**keys, "damping": 0.5}, seed=k) for k in range(2)]
+    study = read_study(write_study(tmp_path, fmu, logs, delivery="ssp"))
+    columns = slide(0.05 * np.arange(201), {**keys, "damping": 0.5 + 2.0 * 0.2})
+    data = Data(0.05, 0.0, columns["force"][:, None], np.full((201, 2), np.nan), 1)
+    with Workplace(tmp_path, in_process=True) as place:
+        replayer = subject_of(study, viscous_at_velocity__coefficient=0.2).replayer(place)
+        assert isinstance(replayer, SspReplayer)
+        rows = replayer.free_run(data, {})
+    velocity = columns["velocity"]
+    assert np.abs(rows[:, 1] - velocity).max() < 0.02 * np.ptp(velocity)  # two steps of 1/8 row late, of some 20 rows
 
 
 def test_terms_inside_the_original_are_refused(study: Study) -> None:
