@@ -53,6 +53,7 @@ def columns_of(truth: Truth, number: int, rng: np.random.Generator) -> Mapping[s
     """Return the columns of a log, with noise."""
     if truth.fmu == "Tank":
         return _tank(truth, rng)
+    names: tuple[str, ...]
     time = 0.05 * np.arange(401 if truth.fmu == "VanDerPol" else 201)
     if truth.fmu == "VanDerPol":
         phase, start = rng.uniform(0.0, 2.0 * math.pi), rng.uniform(-2.0, 2.0, 2) if number else np.array([2.0, 0.0])
