@@ -14,9 +14,8 @@ from contextlib import suppress
 from typing import Any
 
 from cosim.base.extras import optional
-from cosim.blocks.wire import MOST_VALUES
+from cosim.blocks.wire import CIPHERS, MOST_VALUES
 
-CIPHERS = "cryptography.hazmat.primitives.ciphers.aead"
 SIZE = struct.Struct("<I")  # before each message: its sealed length [bytes]
 NONCE = struct.Struct("<Qxxxx")  # number of a message in its direction
 CHUNK = 1 << 16  # bytes per call of the system

@@ -22,6 +22,7 @@ from cosim.blocks import messages
 
 VERSION = 3
 LOOPBACK = "127.0.0.1"
+CIPHERS = "cryptography.hazmat.primitives.ciphers.aead"
 SERVER_KEY, CLIENT_KEY = "COSIM_SERVER_KEY", "COSIM_CLIENT_KEY"  # environment variables with files
 MOST_CONTROL, MOST_VALUES = 4_000_000, 64_000_000  # sizes of messages [bytes]
 HEAD = struct.Struct("<BBxxxxxxdd")  # version, operation, time [s], length [s]; doubles follow
@@ -101,7 +102,8 @@ def decode(frame: bytes) -> Any:
 
 
 def zeromq(place: str = "at") -> Any:
-    """Return the library pyzmq; raise InputError if it is not installed."""
+    """Return the library pyzmq; raise InputError if it or the one of ciphers is not installed."""
+    optional(CIPHERS, place)
     return optional("zmq", place)
 
 

@@ -13,8 +13,8 @@ from typing import Any, Self
 
 from cosim.base.errors import FmuError, InputError, SimulationError
 from cosim.base.messages import code_of
-from cosim.blocks.channel import CIPHERS
 from cosim.blocks.wire import (
+    CIPHERS,
     LOOPBACK,
     MOST_CONTROL,
     VERSION,
