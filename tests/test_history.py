@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +14,7 @@ from typer.testing import CliRunner
 
 from cosim.base.errors import InputError
 from cosim.history.entries import entries, find_entries
+from cosim.history.inputs import changes_between
 from cosim.history.removal import plan_removal, remove
 from cosim.verbs.cli import app
 
@@ -159,3 +162,44 @@ def test_a_path_that_is_not_there_is_told_as_a_path_beside_other_results(results
     assert "none.csv: no such folder or file" in str(error)
     several = CliRunner().invoke(app, ["compare", "tank/*", "tank"]).exception
     assert "tank" in str(several)
+
+
+@pytest.mark.parametrize("words", [["--version"], ["list"], ["list", "-h"]])
+def test_a_command_that_lists_or_answers_imports_nothing_heavy(results: Path, words: list[str]) -> None:
+    """A list of a thousand runs takes half a second only without the imports of commands that compute."""
+    code = f"""
+import sys
+from cosim.__main__ import main
+sys.argv = ["cosim", *{words!r}]
+try:
+    main()
+finally:
+    heavy = {{"numpy", "scipy", "pydantic", "matplotlib", "ruamel.yaml", "fmpy", "jinja2", "rich"}}
+    print("imported:", sorted(heavy & sys.modules.keys()))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "imported: []"
+
+
+def test_rows_without_a_record_are_listed_with_an_unknown_command(results: Path) -> None:
+    rows = results / "mine" / "results.csv"
+    rows.write_text("time,x\n0,1\n1,2\n")
+    os.utime(rows, (2e9, 2e9))
+    (results / "tank" / "runs" / "0001" / "manifest.json").rename(results / "tank" / "runs" / "0001" / "results.txt")
+    listed = entries(results)
+    assert [(e.name, e.verb, e.outcome, dict(e.changes)) for e in listed[2:]] == [
+        ("tank", "run", "failed: x", {"components.tank.start.outlet": 0.1}),
+        ("mine", "", "rows without a record", {}),
+    ]
+    done = CliRunner().invoke(app, ["list"])
+    assert "rows without a record" in done.output
+    assert "0001" not in done.output  # results.txt is no table
+
+
+def test_changes_are_inputs_of_unequal_branches_only() -> None:
+    before = {"a": {"b": 1, "c": {"d": 2}}, "rows": [{"x": 1}, {"x": 2}], "gone": {"e": 3}, "kind": {"f": 1}}
+    after = {"a": {"b": 1, "c": {"d": 5}}, "rows": [{"x": 1}, {"x": 3}], "new": 0, "kind": "plain"}
+    assert changes_between(before, after) == {
+        "a.c.d": 5, "rows[1].x": 3, "new": 0, "kind": "plain", "gone.e": None, "kind.f": None,
+    }  # fmt: skip
+    assert changes_between(after, after) == {}

@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import pkgutil
 import warnings
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, version
 from pathlib import Path
@@ -186,11 +186,17 @@ def attempt(name: str, place: str) -> Any:
 
 @functools.cache
 def _points_of_group(group: str) -> dict[str, tuple[EntryPoint, ...]]:
-    by_name: dict[str, dict[tuple[str, str], EntryPoint]] = {}
+    by_name: dict[str, list[EntryPoint]] = {}
     for point in entry_points(group=group):
-        # A package listed twice on the path, e.g. also in its own source folder, registers once.
-        by_name.setdefault(point.name, {})[_owner(point), point.value] = point
-    return {name: tuple(points.values()) for name, points in by_name.items()}
+        by_name.setdefault(point.name, []).append(point)
+    return {name: tuple(_without_repeats(points)) for name, points in by_name.items()}
+
+
+def _without_repeats(points: Sequence[EntryPoint]) -> Iterable[EntryPoint]:
+    """Return each entry point once; a package listed twice on the path, e.g. also in its own source folder, repeats."""
+    if len(points) == 1:
+        return points  # without reading the metadata that names its package
+    return {(_owner(point), point.value): point for point in points}.values()
 
 
 @functools.cache

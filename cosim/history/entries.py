@@ -5,19 +5,19 @@ from __future__ import annotations
 import fnmatch
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from cosim.base.errors import InputError
 from cosim.base.suggestions import did_you_mean
 from cosim.history import messages
-from cosim.history.inputs import changes_between, input_text, inputs_of, short_input
+from cosim.history.inputs import changes_between, input_text, input_tree, short_input
 from cosim.storage.artefact import Artefact, artefacts
 from cosim.storage.folders import EARLIER, RESULTS, content_of
 
 OUTCOMES = ("verdict", "status", "sentence")  # keys of a record whose text is an outcome
-UNFINISHED, DAMAGED = "unfinished", "damaged record"
+UNFINISHED, DAMAGED, ROWS_ONLY = "unfinished", "damaged record", "rows without a record"
 MOST_CHANGES = 3  # in a text
 
 
@@ -28,9 +28,9 @@ class Entry:
     Attributes:
         number: Number by age, from 1 for the oldest.
         name: Name within the folder of results: `tank` for the newest, `tank/0001` for an earlier run.
-        verb: Command that wrote the results, without `cosim`.
+        verb: Command that wrote the results, without `cosim`; "" if unknown.
         time: Time of writing [s] since 1970.
-        outcome: Outcome of criteria, verdict or status, `unfinished`, `damaged record`, or "".
+        outcome: Outcome of criteria, verdict or status, `unfinished`, `damaged record`, `rows without a record`, or "".
         changes: Input → value, where it differs from the run before of the same name; None for a removed input.
     """
 
@@ -82,15 +82,18 @@ def entries(results: Path | None = None) -> list[Entry]:
     """
     root = RESULTS if results is None else results
     marks = _marks()
-    every: list[Entry] = []
+    every: list[tuple[_Recorded, Content]] = []
     for name in sorted(_folders(root)):
         before: Mapping[str, Any] | None = None
-        for entry, inputs in _of_name(root / name, name, marks):
-            changes = {} if before is None or not inputs else changes_between(before, inputs)
+        for recorded, content in _of_name(root / name, name, marks):
+            inputs = input_tree(content)
+            every.append((recorded, {} if before is None or not inputs else changes_between(before, inputs)))
             before = inputs or before
-            every.append(replace(entry, changes=changes))
-    every.sort(key=lambda e: (e.time, e.name))
-    return [replace(entry, number=number) for number, entry in enumerate(every, 1)]
+    every.sort(key=lambda each: (each[0].time, each[0].name))
+    return [
+        Entry(number, r.name, r.folder, r.verb, r.time, r.outcome, changes)
+        for number, (r, changes) in enumerate(every, 1)
+    ]
 
 
 def find_entries(texts: Sequence[str], results: Path | None = None) -> list[Entry]:
@@ -146,43 +149,91 @@ def _folders(root: Path) -> Iterator[str]:
 
 @dataclass(frozen=True)
 class _Marks:
-    """Files by which a command is known: of results, of results without their first mark, and all names to look for."""
+    """Files by which a command is known, and all names to look for.
+
+    Attributes:
+        finished: Marks of results.
+        unfinished: Marks of results without their first mark.
+        rows: Names, without ending, of tables of rows.
+    """
 
     finished: Mapping[str, Artefact]
     unfinished: Mapping[str, Artefact]
     names: frozenset[str]
+    rows: frozenset[str]
+
+
+Content = Mapping[str, Any]  # of a record
+
+
+class _Recorded(NamedTuple):
+    """Results of one command without their number and changes."""
+
+    name: str
+    folder: Path
+    verb: str
+    time: float
+    outcome: str
 
 
 def _marks() -> _Marks:
     finished: dict[str, Artefact] = {}
     unfinished: dict[str, Artefact] = {}
+    rows: set[str] = set()
     for artefact in artefacts():
         if artefact.verb:
             finished = {**dict.fromkeys(artefact.marks, artefact), **finished}
             unfinished = {**dict.fromkeys(artefact.unfinished, artefact), **unfinished}
-    return _Marks(finished, unfinished, frozenset((*finished, *(path.partition("/")[0] for path in unfinished))))
+            rows |= {*artefact.tables}
+    names = frozenset((*finished, *(path.partition("/")[0] for path in unfinished)))
+    return _Marks(finished, unfinished, names, frozenset(rows))
 
 
-def _of_name(folder: Path, name: str, marks: _Marks) -> Iterator[tuple[Entry, Mapping[str, Any]]]:
-    """Yield entries and inputs of a name, earlier runs first."""
-    numbers = sorted((n for n in _folders(folder / EARLIER) if n.isdecimal()), key=int)
-    for place, label in (*((folder / EARLIER / n, f"{name}/{n}") for n in numbers), (folder, name)):
+def _of_name(folder: Path, name: str, marks: _Marks) -> Iterator[tuple[_Recorded, Content]]:
+    """Yield the results of a name and the contents of their records, earlier runs first."""
+    earlier = folder / EARLIER
+    numbers = sorted((n for n in _folders(earlier) if n.isdecimal()), key=int)
+    for place, label in (*((earlier / n, f"{name}/{n}") for n in numbers), (folder, name)):
+        there: dict[str, float] = {}
+        tables: list[str] = []
         try:
             with os.scandir(place) as items:
-                there = {item.name: item.stat().st_mtime for item in items if item.name in marks.names}
+                for item in items:
+                    if item.name in marks.names:
+                        there[item.name] = item.stat().st_mtime
+                    elif item.name.partition(".")[0] in marks.rows:
+                        tables.append(item.name)
         except OSError:  # removed meanwhile
             continue
-        mark = next((m for m in marks.finished if m in there), None)
-        is_finished = mark is not None
-        if mark is None:
-            paths = (p for p in marks.unfinished if p.partition("/")[0] in there)
-            mark = next((p for p in paths if (place / p).is_file()), None)
-        if mark is None:
-            continue
-        content = content_of(place / mark) if mark.endswith(".json") else {"status": ""}
-        outcome = UNFINISHED if not is_finished else _outcome(content) if content else DAMAGED
-        verb = (marks.finished if is_finished else marks.unfinished)[mark].verb.removeprefix("cosim ")
-        yield Entry(0, label, place, verb, there[mark.partition("/")[0]], outcome, {}), inputs_of(content)
+        recorded = _by_mark(place, label, there, marks) or (_by_rows(place, label) if tables else None)
+        if recorded is not None:
+            yield recorded
+
+
+def _by_mark(place: Path, label: str, there: Mapping[str, float], marks: _Marks) -> tuple[_Recorded, Content] | None:
+    """Return results with a mark of their command, and the content of their record.
+
+    Args:
+        there: Marks in the folder, and their times.
+    """
+    for mark, artefact in marks.finished.items():
+        if mark in there:
+            content = content_of(place / mark) if mark.endswith(".json") else {"status": ""}
+            outcome = _outcome(content) if content else DAMAGED
+            return _Recorded(label, place, artefact.verb.removeprefix("cosim "), there[mark], outcome), content
+    for mark, artefact in marks.unfinished.items():
+        if (time := there.get(mark.partition("/")[0])) is not None and (place / mark).is_file():
+            content = content_of(place / mark) if mark.endswith(".json") else {}
+            return _Recorded(label, place, artefact.verb.removeprefix("cosim "), time, UNFINISHED), content
+    return None
+
+
+def _by_rows(place: Path, label: str) -> tuple[_Recorded, Content] | None:
+    """Return rows whose record was deleted, or that another tool wrote."""
+    from cosim.storage.results import rows_in  # with numpy, which a list seldom needs
+
+    rows = rows_in(place)
+    return None if rows is None else (_Recorded(label, place, "", rows.stat().st_mtime, ROWS_ONLY), {})
 
 
 def _outcome(content: Mapping[str, Any]) -> str:

@@ -29,17 +29,32 @@ class DifferingInput:
     values: tuple[Any, ...]
 
 
-def inputs_of(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Return path → value of every input in a record of a command: of its scenario, its files and its settings."""
+def input_tree(record: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the parts of a record of a command that have its inputs: its scenario, its files and its settings."""
     scenario = record.get("scenario")
-    inputs = _flatten(scenario) if isinstance(scenario, dict) else {}
-    return inputs | {path: v for key in OWN if key in record for path, v in _flatten(record[key], key).items()}
+    return {**(scenario if isinstance(scenario, dict) else {}), **{key: record[key] for key in OWN if key in record}}
 
 
 def changes_between(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the inputs that differ from those before; None for a removed input."""
-    changed = {key: value for key, value in after.items() if key not in before or before[key] != value}
-    return changed | {key: None for key in before if key not in after}
+    """Return path → value of the inputs that differ between two trees; None for a removed input.
+
+    Equal branches are not searched: most inputs of the next run of a name are the same.
+    """
+    old, new = (_flatten(tree) for tree in _unequal_branches(before, after))
+    changed = {key: value for key, value in new.items() if key not in old or old[key] != value}
+    return changed | {key: None for key in old if key not in new}
+
+
+def _unequal_branches(one: Mapping[str, Any], two: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return two trees without the keys whose values are equal."""
+    first, second = dict(one), dict(two)
+    for key in one.keys() & two.keys():
+        a, b = one[key], two[key]
+        if a == b:
+            del first[key], second[key]
+        elif isinstance(a, dict) and isinstance(b, dict):
+            first[key], second[key] = _unequal_branches(a, b)
+    return first, second
 
 
 def differing_inputs(records: Sequence[Mapping[str, Any]]) -> list[DifferingInput]:
@@ -92,7 +107,7 @@ def _short_value(value: Any) -> str:
 
 def _inputs(record: Mapping[str, Any]) -> dict[tuple[str, str], Any]:
     """Return (kind, name) → value of all inputs in a record."""
-    inputs = {(_kind_of(path), short_input(path)): value for path, value in inputs_of(record).items()}
+    inputs = {(_kind_of(path), short_input(path)): value for path, value in _flatten(input_tree(record)).items()}
     for name, fmu in _mapping(record.get("fmus")).items():
         inputs[FMU, f"{name}.sha256"] = str(_mapping(fmu).get("sha256", ""))[:DIGITS]
     if not inputs:
@@ -121,7 +136,7 @@ def _flatten(value: Any, place: str = "") -> dict[str, Any]:
 
 
 def _add_leaves(value: Any, place: str, leaves: dict[str, Any]) -> None:
-    """Add the leaves of a value, one by one; a list of a thousand runs spends a third of its time here."""
+    """Add the leaves of a value, one by one."""
     if isinstance(value, dict):
         start = f"{place}." if place else ""
         for key, each in value.items():

@@ -74,7 +74,8 @@ def warnings_on(folder: Path) -> tuple[str, ...]:
 def content_of(path: Path) -> dict[str, Any]:
     """Return a JSON mapping from a regular file, empty if unreadable."""
     try:
-        if not path.is_file() or path.stat().st_size > MOST_BYTES:
+        status = path.stat()
+        if not stat.S_ISREG(status.st_mode) or status.st_size > MOST_BYTES:
             return {}
         content = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):

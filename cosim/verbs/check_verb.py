@@ -27,10 +27,8 @@ from cosim.base.messages import with_prefix
 from cosim.base.program import STOPPED
 from cosim.base.registry import resolve
 from cosim.base.settings import Files, ModelName
-from cosim.storage import kinds
 from cosim.storage.artefact import Checking, kind_by_keys, of_kind
 from cosim.storage.files import FilePath
-from cosim.storage.yaml_file import YamlFile
 from cosim.verbs import messages
 from cosim.verbs.options import Compile, Json, Texts
 from cosim.verbs.terminal import say, say_json
@@ -107,6 +105,9 @@ def _check_isolated(path: Path, checking: Checking) -> list[str]:
 
 def _check(path: Path, checking: Checking) -> list[str]:
     """Return the notes of a file; raise InputError with its faults."""
+    from cosim.storage import kinds
+    from cosim.storage.yaml_file import YamlFile
+
     kind: str | None = kinds.CODE
     if not path.suffix.startswith(".py:"):  # FILE.py:Class
         kinds.refuse_unreadable(path, CHECKED_KINDS)

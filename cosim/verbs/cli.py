@@ -27,6 +27,7 @@ from cosim.verbs.outcome import say_partial
 from cosim.verbs.streams import open_streams
 from cosim.verbs.terminal import LAST, say, say_error, say_failure, say_usage, warn
 
+VERSION = "--version"  # needs no verb
 _app = typer.Typer(
     cls=GroupedHelp,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": WHOLE_WIDTH},
@@ -46,7 +47,7 @@ def _show_version(value: bool) -> None:
 @_app.callback()
 def main(
     version: Annotated[
-        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit.")
+        bool, typer.Option(VERSION, callback=_show_version, is_eager=True, help="Show the version and exit.")
     ] = False,
 ) -> None:
     """Define the options before the verb."""
@@ -66,6 +67,8 @@ warnings.showwarning = _show_warning
 
 def _register(*, only: str = "") -> None:
     """Register the commands of all verbs, or of one verb of cosim, so that the others need not be imported."""
+    if only == VERSION:
+        return
     for name, verb in verbs(only if only in VERBS and VERBS[only].command else ""):
         if verb.command and (command := attempt(name, verb.command)) is not None:
             _app.command(name, cls=VerbHelp, rich_help_panel=verb.group)(with_manner(command))

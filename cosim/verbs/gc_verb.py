@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -11,7 +10,7 @@ import typer
 from cosim.base.errors import InputError
 from cosim.base.text import counted
 from cosim.storage.folders import RESULTS
-from cosim.verbs.options import Json, Texts
+from cosim.verbs.options import Json, ResultsFolder, Texts
 from cosim.verbs.terminal import say, say_json, some, warn
 
 MOST_NAMES = 10
@@ -24,7 +23,7 @@ def command(
     ] = None,
     keep: Annotated[int, typer.Option("--keep", min=0, help="Earlier runs of each name that stay.")] = 0,
     older: Annotated[float, typer.Option("--older", min=0.0, help="Remove runs older than this number of days.")] = 0.0,
-    results: Annotated[Path, typer.Option("--results", help="Folder of results.")] = RESULTS,
+    results: ResultsFolder = None,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Remove without a question.")] = False,
     as_json: Json = False,
 ) -> None:
@@ -38,14 +37,15 @@ def command(
     from cosim.history.entries import entries, listed_entries
     from cosim.history.removal import plan_removal, remove
 
-    plan = plan_removal(entries(results), keep=keep, older=older, chosen=listed_entries(names, results))
+    root = results or RESULTS
+    plan = plan_removal(entries(root), keep=keep, older=older, chosen=listed_entries(names, root))
     amount = f"{counted(len(plan.entries), 'earlier run')}, {_size(plan.size)}"
     removed = [entry.name for entry in plan.entries]
     if removed:
         say(f"to remove: {amount}: {some(removed, MOST_NAMES)}")
         if not yes:
             if as_json or not sys.stdin.isatty():
-                raise InputError.at(results, messages.NOT_CONFIRMED())
+                raise InputError.at(root, messages.NOT_CONFIRMED())
             if not typer.confirm("Remove?"):
                 removed = []
     warnings = remove(plan.entries) if removed else []

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import typer
@@ -12,7 +14,12 @@ OTHERS = "Other packages"  # group of verbs that name none
 
 
 class VerbHelp(TyperCommand):
-    """Help of one verb."""
+    """Help of one verb, and its command line."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse a command line without its omitted optional parameters."""
+        with _without_omitted(self, ctx, args, _stays_none):
+            return super().parse_args(ctx, args)
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
         """Return the words after the name of the verb."""
@@ -25,6 +32,11 @@ class VerbHelp(TyperCommand):
 
 class GroupedHelp(TyperGroup):
     """Help of `cosim`: its options and its verbs, one section per group."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse a command line without its omitted options; those of Typer for completions do nothing without value."""
+        with _without_omitted(self, ctx, args, lambda p: p.default is None):
+            return super().parse_args(ctx, args)
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write the options and the groups of verbs."""
@@ -66,6 +78,29 @@ def format_names(parameter: Any) -> str:
     return (
         format_placeholder(parameter) if parameter.param_type_name == "argument" else " ".join(filter(None, spellings))
     )
+
+
+@contextmanager
+def _without_omitted(
+    command: TyperCommand | TyperGroup, ctx: Any, args: list[str], may_omit: Callable[[Any], bool]
+) -> Iterator[None]:
+    """Hide parameters without value: Typer would convert None, for which it imports pydantic."""
+    values, _, _ = command.make_parser(ctx).parse_args(args=[*args])
+    given = {name for name, value in values.items() if value not in (None, ())}
+    every, has_help = command.params, command.add_help_option
+    if "help" not in given:  # which lists all parameters
+        command.params = [p for p in every if p.name in given or not may_omit(p)]
+        command.add_help_option = False
+    try:
+        yield
+    finally:
+        command.params, command.add_help_option = every, has_help
+
+
+def _stays_none(parameter: Any) -> bool:
+    """Return whether a parameter is None if the command line omits it."""
+    others = (parameter.required, parameter.default is not None, parameter.envvar, parameter.callback)
+    return not any(others) and not getattr(parameter, "prompt", None)
 
 
 def _get_group(command: Any) -> str:

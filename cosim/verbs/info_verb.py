@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cosim.blocks.description import C_CODE
 from cosim.verbs.options import Compile, Json, Texts
 from cosim.verbs.terminal import say, say_json, some, table
 
@@ -110,6 +109,8 @@ def _acting(parameter: ProbedParameter) -> str:
 
 def _overview(s: Summary) -> list[str]:
     """Return the lines about an FMU before its variables."""
+    from cosim.blocks.description import C_CODE
+
     experiment = [f"{key} {s.experiment[key]:g}{unit}" for key, unit in UNITS.items() if key in s.experiment]
     without = " without --compile" if C_CODE in s.platforms else ""
     here = "" if s.runs_here else f", so it does not run on this machine{without}"

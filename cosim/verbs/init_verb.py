@@ -7,7 +7,6 @@ from typing import Annotated
 
 import typer
 
-from cosim.storage.kinds import shell_path
 from cosim.verbs.options import Json
 from cosim.verbs.terminal import say, say_json, warn
 
@@ -28,6 +27,7 @@ def command(
     from cosim.authoring.draft import write_draft
     from cosim.authoring.matching import text
     from cosim.base.text import counted
+    from cosim.storage.kinds import shell_path
 
     draft = write_draft(out, fmus)
     matches = draft.matches

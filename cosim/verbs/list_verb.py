@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from datetime import datetime
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from cosim.storage.folders import RESULTS
-from cosim.verbs.options import Json, Texts
+from cosim.verbs.options import Json, ResultsFolder, Texts
 from cosim.verbs.terminal import say, say_json, table
 
 if TYPE_CHECKING:
@@ -22,7 +21,7 @@ def command(
     names: Annotated[
         Texts, typer.Argument(metavar="[RUN]", help="Numbers, names or patterns such as 'tank/*' (default: all).")
     ] = None,
-    results: Annotated[Path, typer.Option("--results", help="Folder of results.")] = RESULTS,
+    results: ResultsFolder = None,
     as_json: Json = False,
 ) -> None:
     """List results: when, what, criteria, and the inputs that changed.
@@ -31,15 +30,16 @@ def command(
     """
     from cosim.history.entries import listed_entries
 
-    found = listed_entries(names, results)
+    root = results or RESULTS
+    found = listed_entries(names, root)
     if as_json:
         say_json({"results": [_as_json(entry) for entry in found]})
         return
     if not found:
-        say(f"no results in {results}")
+        say(f"no results in {root}")
         return
     rows = [(str(e.number), _when(e), e.verb, e.name, e.outcome, _cut(e.changed)) for e in found]
-    say(*table(("no.", "when", "command", "name", "outcome", "changed"), rows))
+    say("\n".join(table(("no.", "when", "command", "name", "outcome", "changed"), rows)))  # a write for all lines
 
 
 def _when(entry: Entry) -> str:

@@ -9,7 +9,7 @@ import typer
 
 from cosim.base.errors import InputError
 from cosim.storage.folders import RESULTS
-from cosim.verbs.options import Json
+from cosim.verbs.options import Json, ResultsFolder
 from cosim.verbs.terminal import say, say_json, show, some
 
 PAGE = "report.html"
@@ -18,7 +18,7 @@ MOST_NAMES = 5
 
 def command(
     run: Annotated[str, typer.Argument(metavar="RUN", help="Number, name or pattern of results, or their folder.")],
-    results: Annotated[Path, typer.Option("--results", help="Folder of results.")] = RESULTS,
+    results: ResultsFolder = None,
     browser: Annotated[
         bool, typer.Option("--browser/--no-browser", help="Open the page, or print its path only.")
     ] = True,
@@ -34,7 +34,7 @@ def command(
 
     folder, verb = Path(run), ""
     if run.isdecimal() or not folder.is_dir():
-        found = find_entries([run], results)
+        found = find_entries([run], results or RESULTS)
         if len(found) > 1:
             names = some([f"{e.number} {e.name}" for e in found], MOST_NAMES)
             raise InputError.at(Path(run), messages.SEVERAL(count=len(found), names=names))

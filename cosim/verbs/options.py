@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-
-from cosim.base.units import read_quantity
 
 
 def out_option(default: str) -> Any:
@@ -20,6 +19,8 @@ def seconds(text: str) -> float:
         return float(text)  # whether nan or inf will do is for the command to say
     except ValueError:
         pass
+    from cosim.base.units import read_quantity
+
     try:
         return read_quantity(text, "s")
     except ValueError as error:
@@ -32,6 +33,7 @@ def time_option(help_: str) -> Any:
 
 
 Texts = list[str] | None
+ResultsFolder = Annotated[Path | None, typer.Option("--results", help="Folder of results (default: results).")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
 Open = Annotated[bool, typer.Option("--open", help="Open the report in a browser.")]
 Report = Annotated[bool, typer.Option("--report/--no-report", help="Write report.html, or do not.")]

@@ -13,7 +13,6 @@ import typer
 from cosim.base.settings import Given, normalize_settings, texts
 from cosim.storage.files import FilePath
 from cosim.storage.folders import folder_of_file
-from cosim.storage.results import rows_in
 from cosim.verbs.options import Compile, Force, Format, InProcess, Json, Open, Report, Texts, out_option
 from cosim.verbs.scratch_results import results_in
 from cosim.verbs.terminal import files_in, progress_bar, say, say_finding, say_json, show, table
@@ -123,6 +122,7 @@ def command(
     from cosim.residuals.next_study import NEXT_STUDY
     from cosim.residuals.replay_sentences import verdict
     from cosim.residuals.workflow import replay as replay_log
+    from cosim.storage.results import rows_in
 
     place = folder_of_file(log) if out is None else out
     with compiling(compile_), progress_bar("replaying") as progress:

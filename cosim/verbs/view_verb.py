@@ -11,7 +11,7 @@ import typer
 from cosim.base.errors import Terminated
 from cosim.base.text import counted
 from cosim.storage.folders import RESULTS
-from cosim.verbs.options import Json, Texts
+from cosim.verbs.options import Json, ResultsFolder, Texts
 from cosim.verbs.terminal import LAST, progress_bar, say, say_finding, say_json, say_note, some, warn
 
 MOST_NAMES = 5
@@ -28,7 +28,7 @@ def command(
         ),
     ] = None,
     *,
-    results: Annotated[Path, typer.Option("--results", help="Folder of results.")] = RESULTS,
+    results: ResultsFolder = None,
     layout: Annotated[
         Path | None,
         typer.Option("--layout", help="File of saved layouts (default: view.json in the folder of results)."),
@@ -50,8 +50,9 @@ def command(
     from cosim.viewing.view_page import ViewPage
     from cosim.viewing.viewed_runs import find_runs, open_runs
 
-    layouts = Layouts(layout or results / LAYOUTS)
-    places, notes = find_runs(runs or (), results)
+    root = results or RESULTS
+    layouts = Layouts(layout or root / LAYOUTS)
+    places, notes = find_runs(runs or (), root)
     opened, warnings = open_runs(places, progress_bar)
     warn(*notes, *warnings)
     labels = [run.place.label for run in opened]
