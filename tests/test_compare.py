@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 from cosim.base.errors import InputError
 from cosim.comparison.differences import Compared, compare_runs
 from cosim.simulation.run_files import RecordedRun
+from cosim.storage.artefact import kind_by_keys
 from cosim.storage.results import Results, read_results
 from cosim.verbs.cli import app
 from tests.seen import faults
@@ -193,6 +194,7 @@ def test_compare_exits_5_beyond_the_tolerance_alone_and_leaves_a_page(tmp_path: 
     assert told("compare", a, b, "--tol", "0.6", *out)
     assert "signals beyond the tolerance" in told("compare", a, b, "--tol", "0.4", *out, code=5)
     record = json.loads((tmp_path / "c" / "comparison.json").read_text())
+    assert kind_by_keys(record) == "an answer of `cosim compare`"
     assert record["within"] is False
     (r_out,) = (s for s in record["signals"] if s["name"] == "typed.r_out")
     assert (r_out["largest"], r_out["beyond"]) == (0.5, True)

@@ -19,6 +19,7 @@ from cosim.comparison.several import ComparedRuns, RunSource, compare_several
 from cosim.comparison.several_page import several_page
 from cosim.history.inputs import differing_inputs, labels_of
 from cosim.simulation.run_files import RecordedRun
+from cosim.storage.artefact import kind_by_keys
 from cosim.storage.results import Results
 from cosim.verbs.cli import app
 
@@ -277,6 +278,7 @@ def test_of_many_signals_the_page_lists_those_that_differ_most() -> None:
 
     found = compare_several([source(0.0), source(1.0), source(2.0)])
     assert found.ranking[0] == "a.x999"
+    assert kind_by_keys(found.as_json()) == "an answer of `cosim compare`"
     page = several_page(found, "", [])
     assert "800 more are in comparison.json" in page
     assert "the 12 signals that differ most" in page

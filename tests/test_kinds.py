@@ -139,7 +139,7 @@ def shelf(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "linear.json": json.dumps({**answer, "model": "m", "states": [], "models": []}),
         "fit.json": json.dumps({**answer, "parameters": {}, "simulations": 1, "logs": []}),
         "sweep.json": json.dumps({**answer, "sweep": {"vary": {}}, "scenario": {}, "runs": 1}),
-        "comparison.json": json.dumps({**answer, "differences": []}),
+        "comparison.json": json.dumps({"a": "x", "b": "y", "tolerance": None, "within": None, "signals": []}),
         "replay.json": json.dumps({**answer, "units": {}}),
         "consistency.json": json.dumps({"runs": 2, "steps": 100, "seed": 1, "rows": []}),
         "identify.json": json.dumps({**answer, "estimates": {}, "tests": {}}),

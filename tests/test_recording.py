@@ -141,6 +141,8 @@ def test_the_last_row_is_recorded_also_between_two_multiples(tmp_path: Path) -> 
         ('{signals: ["*.speed"]}', "more.x", 'no signal matches "*.speed"; there are ref.x, ref.y and more.x'),
         ("{signals: []}", "ref.x", "record.signals is a list: it should have at least 1 entries, not 0"),
         ("{signal: [ref.x]}", "ref.x", "signal"),
+        ("ref.x", "ref.x", ":4:9: record is 'ref.x': it should be a list of patterns of locals and parameters"),
+        ("ref.x", "ref.x", "or a mapping that limits the record, {signals: [plant.x], every: 0.1 s}"),
         ("{signals: [more.x]}", "ref.x", "ref.x is not recorded, and the criterion needs it; add it to record:"),
     ],
 )  # fmt: skip

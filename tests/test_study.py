@@ -62,7 +62,12 @@ def test_another_run_is_another_log(tmp_path: Path, flown: bytes) -> None:
     (tmp_path / "e.csv").write_bytes(flown)
     header, _, *rows = flown.splitlines(keepends=True)
     (tmp_path / "v.csv").write_bytes(b"".join([header, *rows]))
-    assert len(read_study(study(tmp_path)).logs) == 1
+    read = read_study(study(tmp_path), "total: 10 min")
+    assert len(read.logs) == 1
+    assert read.content.limits is not None
+    assert read.content.limits.total == 600.0
+    with pytest.raises(InputError, match="--limits: no limit is called totl"):
+        read_study(study(tmp_path), "totl: 10 min")
 
 
 def test_one_file_under_two_names_is_told_at_each_place(tmp_path: Path, flown: bytes) -> None:

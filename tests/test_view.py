@@ -307,7 +307,7 @@ def test_runs_without_names_are_all_that_can_be_read(folder: Path) -> None:
     ("words", "message"),
     [
         ("nothing", "no such file or folder"),
-        ("9", "no results of this name or number"),
+        ("9", "no results with the number 9; `cosim list` shows 1 to"),
         ("half", "results.csv:2"),
         (".", "has no rows to draw"),
         ("text.txt", "is a text"),

@@ -8,7 +8,7 @@ ARTEFACTS = (
     Artefact(
         "an answer of `cosim compare`",
         "scripts read it; `cosim compare A B` makes one",
-        keys=(frozenset({"schema_version", "differences"}),),
+        keys=(frozenset({"a", "b", "within", "signals"}),),
         verb="cosim compare",
         marks=("comparison.json",),
         files=("comparison.json", "report.html"),

@@ -22,7 +22,7 @@ from cosim.base.registry import BASE
 from cosim.base.text import counted, plain
 from cosim.base.units import has_unit, read_quantity
 from cosim.estimation.problem import Settings
-from cosim.isolation.limits import Limits
+from cosim.isolation.limits import Limits, read_limits
 from cosim.loading.file import LoadedModel, load_model, own_terms
 from cosim.loading.substep import with_substep
 from cosim.logs.gate import gate, gate_faults
@@ -210,13 +210,18 @@ class Study:
         )
 
 
-def read_study(path: Path) -> Study:
+def read_study(path: Path, limits: str = "") -> Study:
     """Read a study and its logs.
+
+    Args:
+        limits: Limits in place of those of the study, such as `total: 10 min`.
 
     Raises:
         InputError: Every fault of the study, its model and its logs.
     """
     yaml, content, faults = keys_of(path)
+    if limits:
+        content = content.model_copy(update={"limits": read_limits(limits)})
     if content.model.lower().endswith(FMU_SUFFIX):
         return _of_fmu(yaml, content, faults)
     if content.terms:

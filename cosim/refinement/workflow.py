@@ -88,6 +88,7 @@ def refine(
     force: bool = True,
     keep: bool = False,
     in_process: bool = False,
+    limits: str = "",
 ) -> Refinement:
     """Refine the model of a study; write refine.json and the refined files to `folder`, all or none.
 
@@ -99,6 +100,7 @@ def refine(
         force: Overwrite results of another study or command.
         keep: Move the files of an earlier refinement to `runs` in the folder.
         in_process: Load FMUs into this process, for a debugger.
+        limits: Limits in place of those of a study file, such as `step: 10 s, total: 10 min`.
 
     Raises:
         InputError: The study or a log has faults.
@@ -109,7 +111,7 @@ def refine(
     progress = progress or (lambda stage, share: None)
     progress("reading the logs", 0.0)
     folder = named_path(folder)
-    study = study if isinstance(study, Study) else read_study(Path(study))
+    study = study if isinstance(study, Study) else read_study(Path(study), limits)
     limited = _within_limit(progress, study.content.limits, start)
     check_overwritable(folder, "cosim refine", *filter(None, [str(study.path or "")]), force=force, keep=keep)
     check_writable(folder, (*RESULTS, "report.html"), study.files)
@@ -126,8 +128,8 @@ def refine(
     warnings = [*noise_warnings(problem, attribution.best.fit.noise, subject), *between.warnings]
     if subject.probed:
         warnings += cell_warnings(problem, subject)
-    limits = study.content.limits
-    with scratch_folder(folder, ".refine-") as scratch, Workplace(scratch, limits, in_process=in_process) as place:
+    allowed = study.content.limits
+    with scratch_folder(folder, ".refine-") as scratch, Workplace(scratch, allowed, in_process=in_process) as place:
         progress("building the refined FMU", 0.0)
         variants = _variants(study, attribution, claims)
         files = _write_models(variants, scratch, folder)

@@ -10,7 +10,7 @@ import numpy as np
 
 from cosim.authoring.draft import write_single
 from cosim.authoring.parts import parts_of
-from cosim.base.errors import CosimError, Fault
+from cosim.base.errors import CosimError, Fault, FmuError, InputError
 from cosim.base.text import amount, counted
 from cosim.comparison.differences import Compared, compare_runs, describe_largest
 from cosim.fmi.related_files import FOLDER, Experiment, member_of
@@ -77,7 +77,8 @@ def run_experiment(carried: Carried, out: Path) -> tuple[list[str], list[Fault]]
         return notes, faults
     except CosimError as error:
         message = messages.FAILED.around(_within(carried, str(error)), experiment=carried.title)
-        return [], [Fault(carried.fmu, 0, 0, message, error.exit_code)]
+        code = FmuError.exit_code if isinstance(error, InputError) else error.exit_code  # its files are part of the FMU
+        return [], [Fault(carried.fmu, 0, 0, message, code)]
 
 
 def _simulate(carried: Carried, out: Path) -> RecordedRun:

@@ -9,7 +9,7 @@ ARTEFACTS = (
         "an answer of `cosim replay`",
         "scripts read it; `cosim replay LOG.csv` makes one",
         keys=(frozenset({"schema_version", "units"}),),
-        without=frozenset({"scenario", "differences", "estimates"}),
+        without=frozenset({"scenario", "estimates"}),
         verb="cosim replay",
         marks=("replay.json", "residual.csv"),
         files=("replay.json", "study.yaml", "report.html"),

@@ -69,6 +69,11 @@ TWO_NUMBERS = Template(
     "{name} is {start:g} in components.{component}.start and {design:g} in design: it runs with the first and"
     " is designed with the second",
 )
+FORMS_OF_RECORD = Template(
+    "E-SCN-025",
+    "it should be a list of patterns of locals and parameters to record beside inputs and outputs, [plant.*], or a "
+    "mapping that limits the record, {{signals: [plant.x], every: 0.1 s}}",
+)
 
 # -- real time ------------------------------------------------------------------------------------
 NO_ADDRESS = Template("E-SCN-051", "it is a port from 1 to 65535, such as 5005, or host:port, such as 192.168.0.7:5005")

@@ -289,6 +289,13 @@ class Recording(Part):
     every: PositiveSeconds | None = None
 
 
+def _check_record(record: Any) -> Any:
+    """Return what is recorded; raise ValueError, which names both forms, for another form."""
+    if not isinstance(record, dict | Recording | list | tuple):
+        raise ValueError(messages.FORMS_OF_RECORD())
+    return record
+
+
 def _kind_of_record(record: Any) -> str:
     """Return the tag of what is recorded."""
     return "«part»" if isinstance(record, dict | Recording) else "«more»"
@@ -436,7 +443,9 @@ class Scenario(Part):
     noise: bool = True
     tolerance: Positive | None = None
     record: Annotated[
-        Annotated[list[str], Tag("«more»")] | Annotated[Recording, Tag("«part»")], Discriminator(_kind_of_record)
+        Annotated[list[str], Tag("«more»")] | Annotated[Recording, Tag("«part»")],
+        Discriminator(_kind_of_record),
+        BeforeValidator(_check_record),
     ] = Field(default_factory=list)
     design: SerializeAsAny[Design] | None = None
     components: dict[Name, Component] = Field(min_length=1)

@@ -12,7 +12,7 @@ import typer
 from cosim.base.settings import Files, Given, normalize_settings, texts
 from cosim.storage.files import FilePath
 from cosim.storage.folders import folder_of_file
-from cosim.verbs.options import Compile, Force, InProcess, Json, Open, Report, Texts, out_option
+from cosim.verbs.options import Compile, Force, InProcess, Json, LimitsText, Open, Report, Texts, out_option
 from cosim.verbs.scratch_results import results_in
 from cosim.verbs.terminal import files_in, say, say_json, show, stages, table, warn
 
@@ -131,10 +131,7 @@ def command(
     report: Report = True,
     in_process: InProcess = False,
     compile_: Compile = False,
-    limits: Annotated[
-        str,
-        typer.Option("--limits", help="Limits of time and memory, for example 'step: 10 s, total: 1 h, memory: 2 GB'."),
-    ] = "",
+    limits: LimitsText = "",
     open_: Open = False,
     force: Force = False,
     as_json: Json = False,

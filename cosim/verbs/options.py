@@ -50,6 +50,10 @@ Compile = Annotated[
     bool,
     typer.Option("--compile", help="Compile and execute the sources of FMUs that have no library for this machine."),
 ]
+LimitsText = Annotated[
+    str,
+    typer.Option("--limits", help="Limits of time and memory, for example 'step: 10 s, total: 1 h, memory: 2 GB'."),
+]
 Format = Annotated[
     str,
     typer.Option(

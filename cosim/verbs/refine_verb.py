@@ -17,7 +17,7 @@ from cosim.storage.files import FilePath
 from cosim.storage.folders import folder_of_file
 from cosim.verbs import messages
 from cosim.verbs.live_option import Live, Port, live_page
-from cosim.verbs.options import Force, InProcess, Json, Open, Report, out_option
+from cosim.verbs.options import Force, InProcess, Json, LimitsText, Open, Report, out_option
 from cosim.verbs.terminal import files_in, say, say_json, show, stages, table, warn
 
 if TYPE_CHECKING:
@@ -36,6 +36,7 @@ def refine(
     report: bool = True,
     force: bool = False,
     in_process: bool = False,
+    limits: str = "",
     progress: Callable[[str, float], None] | None = None,
 ) -> Refined:
     """Find the effect that a model lacks, from measured logs.
@@ -49,6 +50,7 @@ def refine(
         report: Write report.html.
         force: Overwrite results of another study or command in `out`.
         in_process: Load FMUs into this process, for a debugger; limits do not apply.
+        limits: Limits of time and memory in place of those of a study file, for example "total: 10 min".
         progress: Function of (stage, completed share).
 
     Returns:
@@ -69,7 +71,7 @@ def refine(
         source: Any = study
     else:
         source = study_of(study, logs, validation, **(settings or {}))
-    result = refine_study(source, out, progress, report=report, force=force, in_process=in_process)
+    result = refine_study(source, out, progress, report=report, force=force, in_process=in_process, limits=limits)
     return Refined(result.record, Path(out), result.refined)
 
 
@@ -79,6 +81,7 @@ def command(
     out: Annotated[Path | None, out_option("results/NAME of the study")] = None,
     report: Report = True,
     in_process: InProcess = False,
+    limits: LimitsText = "",
     open_: Open = False,
     force: Force = False,
     as_json: Json = False,
@@ -102,7 +105,8 @@ def command(
         live_page("refine", study.stem, live=live, port=port, progress=progress) as page,
     ):
         told = progress if page is None else page
-        result = refine_study(study, place, told, report=report, force=force, keep=keep, in_process=in_process)
+        options: dict[str, Any] = {"report": report, "force": force, "in_process": in_process, "limits": limits}
+        result = refine_study(study, place, told, keep=keep, **options)
         if page is not None:
             page.show_verdict(result.record, place / "report.html")
     warn(*result.study.warnings)

@@ -13,7 +13,7 @@ import typer
 from cosim.base.settings import Given, normalize_settings, texts
 from cosim.storage.files import FilePath
 from cosim.storage.folders import folder_of_file
-from cosim.verbs.options import Compile, Force, Format, InProcess, Json, Open, Report, Texts, out_option
+from cosim.verbs.options import Compile, Force, Format, InProcess, Json, LimitsText, Open, Report, Texts, out_option
 from cosim.verbs.scratch_results import results_in
 from cosim.verbs.terminal import files_in, progress_bar, say, say_finding, say_json, show, table
 
@@ -103,10 +103,7 @@ def command(
     in_process: InProcess = False,
     format_: Format = "csv",
     compile_: Compile = False,
-    limits: Annotated[
-        str,
-        typer.Option("--limits", help="Limits of time and memory, for example 'step: 10 s, total: 1 h, memory: 2 GB'."),
-    ] = "",
+    limits: LimitsText = "",
     open_: Open = False,
     force: Force = False,
     as_json: Json = False,

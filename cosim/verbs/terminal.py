@@ -220,8 +220,10 @@ def stages(numbered: StageNumber | None = None) -> Iterator[Callable[[str, float
         return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.table import Column
 
-    columns = TextColumn("{task.description}"), BarColumn(bar_width=20), TimeElapsedColumn()
+    clock = TimeElapsedColumn(table_column=Column(no_wrap=True))  # on a narrow terminal the bar gets shorter
+    columns = clock, TextColumn("{task.description}"), BarColumn(bar_width=20)
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("starting", total=None)
 

@@ -24,7 +24,4 @@ WRONG_FORMULA = Template(
 NAME_TAKEN = Template("E-VIE-013", "{name} is a signal of the run; give another name")
 MANY_CELLS = Template("E-VIE-014", "these are {count:.0f} million values, more than {limit:.0f} million; zoom in first")
 WRONG_LAYOUTS = Template("E-VIE-015", "is no file of layouts of `cosim view`; name another one as --layout")
-NO_SUCH = Template(
-    "E-VIE-018", "no such file or folder, and no results of this name or number{hint}; `cosim list` shows all"
-)
 PAGE = Template("N-VIE-016", "signals: {url}")

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import Fault, InputError, refuse
-from cosim.history.entries import Entry, entries, match_entries
+from cosim.history.entries import Entry, entries
+from cosim.history.selection import Selected, select_groups
 from cosim.storage.folders import manifest_in, replay_record, warnings_on
 from cosim.storage.kinds import LOG, check_given, refuse_folder
 from cosim.storage.results import rows_in
-from cosim.storage.yaml_file import did_you_mean
 from cosim.viewing import messages
 from cosim.viewing.pyramid import Recording
 from cosim.viewing.stored_rows import notes_on, open_rows
@@ -84,10 +84,10 @@ def find_runs(texts: Sequence[str], results: Path) -> tuple[list[RunPlace], list
         if len(found) > MOST_RUNS:
             notes.append(messages.EARLIER(count=MOST_RUNS, all=len(found)))
         return _differing(found[-MOST_RUNS:]), notes
-    found, faults = [], list[Fault]()
-    for text in texts:
+    found, faults = list[RunPlace](), list[Fault]()
+    for text, group in zip(texts, select_groups(texts, results), strict=True):
         try:
-            found += _of_text(text, results)
+            found += _places_of(text, group)
         except InputError as error:
             faults += error.faults
     refuse(faults)
@@ -125,28 +125,25 @@ def _units(units: Any) -> Mapping[str, str]:
     return {str(name): str(unit) for name, unit in units.items()} if isinstance(units, dict) else {}
 
 
-def _of_text(text: str, results: Path) -> list[RunPlace]:
-    path = Path(text)
-    if text.isdecimal() or not path.exists():
-        every = entries(results)
-        matches = match_entries(text, every, results)
-        if not matches:
-            hint = did_you_mean(text, [entry.name for entry in every])
-            raise InputError.at(path, messages.NO_SUCH(hint=hint))
-        found = [place for entry in matches if (place := _of_entry(entry, is_named=len(matches) == 1)) is not None]
-        if not found:
-            raise InputError.at(matches[0].folder if len(matches) == 1 else path, messages.NO_ROWS())
-        return found
-    if not path.is_dir():
-        check_given(path, LOG)
-        return [RunPlace(path.stem, path.stem, path)]
-    rows = rows_in(path)
-    if rows is None:
-        refuse_folder(path, WANTED)
-        raise InputError.at(path, messages.NO_ROWS())
-    entry = next((e for e in entries(results) if e.folder.resolve() == path.resolve()), None)
-    name = path.resolve().name
-    return [RunPlace(name if entry is None else entry.name, name if entry is None else entry.label, rows)]
+def _places_of(text: str, group: Sequence[Selected]) -> list[RunPlace]:
+    """Return the tables of results that a text names; a pattern leaves out results without rows."""
+    found: list[RunPlace] = []
+    for selected in group:
+        path, entry = selected.path, selected.entry
+        if not path.is_dir():
+            check_given(path, LOG)
+            found.append(RunPlace(path.stem, path.stem, path))
+        elif entry is not None and (place := _of_entry(entry, is_named=not selected.by_pattern)) is not None:
+            found.append(place)
+        elif entry is None and (rows := rows_in(path)) is not None:
+            name = path.resolve().name
+            found.append(RunPlace(name, name, rows))
+        elif not selected.by_pattern:
+            refuse_folder(path, WANTED)
+            raise InputError.at(path, messages.NO_ROWS())
+    if group and not found:
+        raise InputError.at(Path(text), messages.NO_ROWS())
+    return found
 
 
 def _of_entry(entry: Entry, *, is_named: bool) -> RunPlace | None:
