@@ -66,7 +66,7 @@ def test_another_run_is_another_log(tmp_path: Path, flown: bytes) -> None:
     assert len(read.logs) == 1
     assert read.content.limits is not None
     assert read.content.limits.total == 600.0
-    with pytest.raises(InputError, match="--limits: no limit is called totl"):
+    with pytest.raises(InputError, match="--limits: totl: no such limit"):
         read_study(study(tmp_path), "totl: 10 min")
 
 

@@ -306,7 +306,7 @@ def test_runs_without_names_are_all_that_can_be_read(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ("nothing", "no such file or folder"),
+        ("nothing", "no such folder or file"),
         ("9", "no results with the number 9; `cosim list` shows 1 to"),
         ("half", "results.csv:2"),
         (".", "has no rows to draw"),
