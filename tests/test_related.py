@@ -151,7 +151,7 @@ def test_expected_results_are_compared_with_the_default_experiment(fmu: Path, tm
 
 def test_expected_results_that_cannot_be_read_are_a_fault_of_the_fmu(fmu: Path, tmp_path: Path) -> None:
     path = _with(fmu, tmp_path, (RelatedFile("out.csv", "result", CSV), b"y,z\n0,1\n1,2\n"))
-    with pytest.raises(InputError, match='"default experiment" cannot be run: extra/.*out.csv') as error:
+    with pytest.raises(InputError, match=r'"default experiment" cannot be run: extra/.*out.csv') as error:
         cosim.check(path)
     (fault,) = error.value.faults
     assert (fault.exit_code, fault.file) == (3, path)
