@@ -151,3 +151,12 @@ def test_an_interrupted_search_leaves_the_earlier_results(
     assert json.loads(earlier.read_text())["verdict"] == "no_effect"
     assert not (earlier.parent / "runs").exists()
     assert [entry.outcome for entry in entries()] == ["no_effect"]
+
+
+def test_a_record_of_a_later_version_is_named(here: Path) -> None:
+    for gain in ("0.6", "0.7"):
+        _do("run", "run.yaml", "--set", AREA.format(gain), "--no-report")
+    manifest = here / "results" / "tank" / "manifest.json"
+    manifest.write_text(manifest.read_text().replace('"schema_version": 1', '"schema_version": 99'))
+    for words in (["compare", "1", "2", "--no-report"], ["run", str(manifest), "--out", "again", "--no-report"]):
+        assert "has the schema version 99, written by cosim 0.1.0; 1 is known here" in _do(*words).output

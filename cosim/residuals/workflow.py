@@ -47,10 +47,9 @@ from cosim.storage.files import (
     write_text,
 )
 from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import REPLAY, check_overwritable, keep_earlier
+from cosim.storage.folders import REPLAY, SCHEMA_VERSION, check_overwritable, keep_earlier
 from cosim.storage.results import Results, remove_rows, rows_name
 
-SCHEMA_VERSION = 1
 MEASURED = "log"  # component name of measurements, beside PLANT
 
 

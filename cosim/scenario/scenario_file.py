@@ -20,6 +20,7 @@ from cosim.scenario.pinned import with_files_beside
 from cosim.scenario.scenario import Recording, Scenario, StepControl
 from cosim.scenario.signal_units import convert_quantities
 from cosim.storage.artefact import kind_by_keys
+from cosim.storage.folders import later_version
 from cosim.storage.kinds import MANIFEST, SCENARIO, check_form, refuse_other
 from cosim.storage.yaml_file import Origin, YamlFile, did_you_mean, location_in, short
 from cosim.storage.yaml_nodes import Document, Location, NotYaml
@@ -63,6 +64,7 @@ class ScenarioFile:
             self.yaml.overrides[_override(path, data, override, subject)] = subject
         self.faults: list[Fault] = []
         self.warnings: list[str] = []  # about valid parts of the scenario
+        self.warnings += later_version(path, self.manifest or {})
         convert_quantities(data, self.resolve, lambda at, message: self.faults.append(self.fault(at, message)))
         rest = Salvage(data)
         self.scenario = self._validate(rest)

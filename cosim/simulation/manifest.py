@@ -18,10 +18,10 @@ from cosim.scenario.pinned import key_of, sha256
 from cosim.scenario.scenario import FmuComponent, Scenario, resolve_defaults
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation import messages
+from cosim.storage.folders import SCHEMA_VERSION
 from cosim.system.events import point_of, time_of
 from cosim.system.system import System
 
-SCHEMA_VERSION = 1
 PACKAGES = ("FMPy", "pythonfmu", "numpy", "scipy", "filterpy", "control", "pydantic")
 
 

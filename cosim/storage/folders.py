@@ -7,7 +7,7 @@ import os
 import re
 import shutil
 import stat
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -25,6 +25,7 @@ EARLIER = "runs"  # folder of earlier runs inside a results folder, 0001 and so 
 MOVING, LIST = ".moving", ".files"  # inside EARLIER: a run being moved, and the list of its files
 UPWARDS = re.compile(r"^([\w ]+: \"?)(?=\.\./)", re.MULTILINE)  # a YAML key whose value is a relative path upwards
 REPLAY = "replay.json"  # stored with the rows of a replay
+SCHEMA_VERSION = 1  # of manifest.json, replay.json and sweep.json
 MOST_BYTES = 200_000_000  # size of a JSON or YAML file [bytes]
 MOST_LISTED, LONGEST_NAME = 10_000_000, 255  # size of the list of a move [bytes], length of a name
 
@@ -66,9 +67,21 @@ def manifest_in(folder: Path) -> dict[str, Any]:
 
 
 def warnings_on(folder: Path) -> tuple[str, ...]:
-    """Return a warning if the manifest in a folder is damaged."""
+    """Return a warning if the manifest in a folder is damaged, or of a later version."""
     file = folder / "manifest.json"
-    return (messages.DAMAGED_MANIFEST(file=file),) if file.is_file() and not content_of(file) else ()
+    if not file.is_file():
+        return ()
+    manifest = content_of(file)
+    return later_version(file, manifest) if manifest else (messages.DAMAGED_MANIFEST(file=file),)
+
+
+def later_version(file: Path, record: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return a warning if a later version of cosim wrote a record in another form."""
+    version = record.get("schema_version", SCHEMA_VERSION)
+    if version == SCHEMA_VERSION:
+        return ()
+    by = record.get("cosim_version", "another version")
+    return (messages.LATER_RECORD(file=file, found=version, by=by, known=SCHEMA_VERSION),)
 
 
 def content_of(path: Path) -> dict[str, Any]:

@@ -182,4 +182,9 @@ BAD_TABLE = Template("E-STO-102", "is no {format} file that can be read: {reason
 DAMAGED_MANIFEST = Template(
     "W-STO-106", "{file} is damaged: units, texts, inputs and criteria of its run are not known; run it again"
 )
+LATER_RECORD = Template(
+    "W-STO-107",
+    "{file} has the schema version {found}, written by cosim {by}; {known} is known here: keys that are new or changed "
+    "are not read, use that version of cosim",
+)
 MCAP_TIME = Template("E-STO-103", "times from {first:g} s to {last:g} s: MCAP counts from 0; take another format")

@@ -23,7 +23,7 @@ from cosim.isolation.limits import Limits
 from cosim.scenario.scenario import Criterion
 from cosim.storage.files import FilePath, atomic_write, check_writable, delay_stops, hold_stops, named_path, one_stop
 from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import check_overwritable, content_of, folder_named, keep_earlier
+from cosim.storage.folders import SCHEMA_VERSION, check_overwritable, content_of, folder_named, keep_earlier
 from cosim.sweeps import messages
 from cosim.sweeps.batch import obstacle_to_arrays
 from cosim.sweeps.reading import Sweep, read_sweep
@@ -38,7 +38,6 @@ REPEATED = 20  # random runs repeated through FMUs
 # runs per job; fixed, so that results do not depend on the workers
 CHUNK: Mapping[Way, int] = {"arrays": 512, "fmus": 8}
 MAX_LISTED_FAILURES = 20
-SCHEMA_VERSION = 1
 Progress = Callable[[int, int], None]
 
 

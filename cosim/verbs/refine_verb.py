@@ -119,8 +119,8 @@ def command(
     if result.record["verdict"] == "ambiguous" and not result.study.subject.static:
         from cosim.experiment.ranges import inputs_to_limit
 
-        limits = [f"--limit {name}=VALUE" for name in inputs_to_limit(result.study.subject)]
-        say(f"an experiment that would decide: {' '.join(['cosim excite', shlex.quote(str(place)), *limits])}")
+        ranges = [f"--limit {name}=VALUE" for name in inputs_to_limit(result.study.subject)]
+        say(f"an experiment that would decide: {' '.join(['cosim excite', shlex.quote(str(place)), *ranges])}")
 
 
 def _say_verdict(result: Refinement, place: Path, *, report: bool) -> None:
