@@ -236,12 +236,16 @@ def _by_rows(place: Path, label: str) -> tuple[_Recorded, Content] | None:
     return None if rows is None else (_Recorded(label, place, "", rows.stat().st_mtime, ROWS_ONLY), {})
 
 
+def _outcome_of_sweep(content: Mapping[str, Any], runs: int) -> str:
+    counts = f"{runs} runs" + (f", {content['failed']} failed" if content.get("failed") else "")
+    met = content.get("met_all") if content.get("criteria") else None
+    return counts if met is None else f"{counts}, {met} met all criteria"
+
+
 def _outcome(content: Mapping[str, Any]) -> str:
     """Return the outcome in a record: criteria, else verdict, status or sentence."""
     if "sweep" in content and isinstance(runs := content.get("runs"), int):
-        met = content.get("met_all") if content.get("criteria") else None
-        counts = f"{runs} runs" + (f", {content['failed']} failed" if content.get("failed") else "")
-        return counts if met is None else f"{counts}, {met} met all criteria"
+        return _outcome_of_sweep(content, runs)
     if "signals" in content and "within" in content:  # of a comparison
         return {True: "within the tolerance", False: "beyond the tolerance"}.get(content["within"], "")
     criteria = content.get("criteria")

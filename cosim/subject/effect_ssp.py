@@ -72,8 +72,7 @@ class EffectSsp:
         """Raise NotInSsp for an original or a term that an SSP cannot express."""
         if self.description.coSimulation is None:
             raise NotInSsp(messages.NO_CO_SIMULATION(file=self.structure.fmu.name))
-        inside = [e.name for e in self.acting if isinstance(e, RateTerm)]
-        inside += [e.name for e in self.acting if isinstance(e, Force) and e.place.input < 0]
+        inside = [e.name for e in self.acting if isinstance(e, RateTerm) or _lacks_port(e)]
         if inside:
             raise NotInSsp(messages.INSIDE(names=", ".join(inside)))
         shown, hidden = self._shown, [k for k in self._states if k not in self._shown]
@@ -225,3 +224,8 @@ def _renumbered(source: str, places: Mapping[str, str]) -> str:
     for old, new in places.items():
         source = source.replace(old, new)
     return source
+
+
+def _lacks_port(term: Any) -> bool:
+    """Return whether a term is a force that no input of the original can bring in."""
+    return isinstance(term, Force) and term.place.input < 0

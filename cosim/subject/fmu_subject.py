@@ -202,22 +202,29 @@ class FmuSubject(ModelSubject):
             self._build_ssp(folder, "")
             return None
         if self.fmu is None or not self.fmu.is_file():
-            path = folder / f"replayed{len([*folder.glob('replayed*.fmu')])}.fmu"
-            model, own = self.model, {p.name for p in self.parameters}
-            assert isinstance(model, FmuModel)
-            signals = self.structure.outputs if self.is_stepped else self.structure.states
-            code = term_code(model, [e.name for e in model.awake], [q.name for q in signals])
-            values = {model.variables[n] if n in own else n: float(v) for n, v in self.loaded.parameters.items()}
-            known = {*(p.name for p in code.parameters), *model.variables.values()}
-            substep = self.rate / self.substeps(self.rate)
             try:
-                kept = {n: v for n, v in values.items() if n in known}
-                wrapped = wrap(self.structure.fmu, code, kept, path, substep=substep)
+                self._wrap(folder / f"replayed{len([*folder.glob('replayed*.fmu')])}.fmu")
             except (CannotWrap, NoCompiler, CompilerFailed) as error:
                 self._build_ssp(folder, str(error))
                 return None
-            self.fmu, self.missing_platforms = path, tuple(wrapped.left_out)
         return self.fmu
+
+    def _wrap(self, path: Path) -> None:
+        """Build the FMU with the terms.
+
+        Raises:
+            CannotWrap, NoCompiler, CompilerFailed: It cannot be built.
+        """
+        model, own = self.model, {p.name for p in self.parameters}
+        assert isinstance(model, FmuModel)
+        signals = self.structure.outputs if self.is_stepped else self.structure.states
+        code = term_code(model, [e.name for e in model.awake], [q.name for q in signals])
+        values = {model.variables[n] if n in own else n: float(v) for n, v in self.loaded.parameters.items()}
+        known = {*(p.name for p in code.parameters), *model.variables.values()}
+        substep = self.rate / self.substeps(self.rate)
+        kept = {n: v for n, v in values.items() if n in known}
+        wrapped = wrap(self.structure.fmu, code, kept, path, substep=substep)
+        self.fmu, self.missing_platforms = path, tuple(wrapped.left_out)
 
     def _build_ssp(self, folder: Path, reason: str) -> None:
         """Build the SSP of the original and the terms.

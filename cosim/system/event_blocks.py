@@ -178,6 +178,16 @@ def clock_interval(block: FmuBlock | None, target: str, value: Any) -> Any:
     return float(value)
 
 
+def _reason_for_points(stage: Stage, loops: Mapping[str, str], apart: Collection[str]) -> str:
+    """Return why a component gets events at the end of its step only, "" if it gets them at once."""
+    name = stage.component.name
+    if name in loops:
+        return f"is part of the algebraic loop {loops[name]}"
+    if not takes_part_of_step(stage):
+        return "takes only steps of one length"
+    return "uses model exchange in a process of its own" if name in apart and is_exchange(stage.component) else ""
+
+
 def check_events(plan: Schedule, apart: Collection[str], diagnosis: Diagnosis, connected: Collection[str]) -> None:
     """Note faults and warnings of event mode.
 
@@ -190,15 +200,8 @@ def check_events(plan: Schedule, apart: Collection[str], diagnosis: Diagnosis, c
         return
     loops = {name: loop.name for loop in plan.loops for name in loop.members}
     for stage in plan.stages:
-        name, reason = stage.component.name, ""
-        if name in loops:
-            reason = f"is part of the algebraic loop {loops[name]}"
-        elif not takes_part_of_step(stage):
-            reason = "takes only steps of one length"
-        elif name in apart and is_exchange(stage.component):
-            reason = "uses model exchange in a process of its own"
-        if reason:
-            diagnosis.warnings.append(messages.EVENTS_AT_POINTS(component=name, reason=reason))
+        if reason := _reason_for_points(stage, loops, apart):
+            diagnosis.warnings.append(messages.EVENTS_AT_POINTS(component=stage.component.name, reason=reason))
     clocks = (f"{fmu.name}.{signal.name}" for fmu in events for signal in fmu.inputs if signal.kind == "Clock")
     if idle := [name for name in clocks if name not in connected]:
         diagnosis.warnings.append(messages.CLOCK_NEVER_TICKS(names=", ".join(idle)))

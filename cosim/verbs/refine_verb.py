@@ -138,6 +138,14 @@ def _say_verdict(result: Refinement, place: Path, *, report: bool) -> None:
             after, nearest = r.after if has_claim else "", r.nearest if errors.nearest else ""
             rows.append((r.channel, r.before, r.recalibrated, after, nearest, r.floor))
         say(f"\n{errors.title}, root mean square error:", *table(header, rows), "")
+    _say_files(place, report=report)
+    if isinstance(original := getattr(result.study.subject, "structure", None), Structure):
+        kind = "SSP" if (place / "plant.ssp").is_file() else "FMU"
+        say(f"The {kind} holds {original.fmu.name} whole: check that its licence permits you to pass it on.")
+
+
+def _say_files(place: Path, *, report: bool) -> None:
+    """Print the written files."""
     files = {
         "model": ["model.yaml"],
         "FMU": ["plant.fmu"],
@@ -148,6 +156,3 @@ def _say_verdict(result: Refinement, place: Path, *, report: bool) -> None:
     for name, choices in files.items():
         if file := next((place / choice for choice in choices if (place / choice).is_file()), None):
             say(f"{name + ':':9}{file}")
-    if isinstance(original := getattr(result.study.subject, "structure", None), Structure):
-        kind = "SSP" if (place / "plant.ssp").is_file() else "FMU"
-        say(f"The {kind} holds {original.fmu.name} whole: check that its licence permits you to pass it on.")

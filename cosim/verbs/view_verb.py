@@ -56,9 +56,9 @@ def command(
     opened, warnings = open_runs(places, progress_bar)
     warn(*notes, *warnings)
     labels = [run.place.label for run in opened]
-    counts = (len(opened), sum(len(r.rows.units) for r in opened), sum(r.rows.rows for r in opened))
-    amounts = ", ".join(counted(*each) for each in zip(counts, ("run", "signal", "row"), strict=True))
-    say(f"{amounts}: {some(labels, MOST_NAMES)}")
+    signals, rows = sum(len(r.rows.units) for r in opened), sum(r.rows.rows for r in opened)
+    amounts = counted(len(opened), "run"), counted(signals, "signal"), counted(rows, "row")
+    say(f"{', '.join(amounts)}: {some(labels, MOST_NAMES)}")
     about = {"runs": [{"name": r.place.name, "file": str(r.place.file), "rows": r.rows.rows} for r in opened]}
     if prepare:
         if as_json:

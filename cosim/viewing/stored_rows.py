@@ -276,6 +276,14 @@ def _choose(columns: Sequence[tuple[str, str, bool]], text: Sequence[str]) -> li
     return [0, *firsts.values()]
 
 
+def _further_levels(seconds: Sequence[tuple[Array, Array]], sizes: Sequence[int]) -> list[tuple[Array, Array]]:
+    """Return the extremes of the second level and of those above; none for few rows."""
+    if len(sizes) < 3:
+        return []
+    low, high = (np.concatenate(sides, axis=1) for sides in zip(*seconds, strict=True))
+    return [(low, high), *make_levels(low, high, sizes[2:])]
+
+
 def _write(draft: Path, heads: list[tuple[str, str]], batches: Batches, path: Path, progress: Progress) -> Any:
     """Write rows and extremes; return the description of a cache."""
     units = dict(heads[1:])
@@ -302,9 +310,7 @@ def _write(draft: Path, heads: list[tuple[str, str]], batches: Batches, path: Pa
                 progress(done, size)
         if not rows:
             raise ValueError("there is no row")
-        sizes = level_sizes(rows)
-        low, high = (np.concatenate(sides, axis=1) for sides in zip(*seconds, strict=True))
-        for level in [(low, high), *make_levels(low, high, sizes[2:])] if len(sizes) > 2 else []:
+        for level in _further_levels(seconds, level_sizes(rows)):
             for file, side in zip(files[1:], level, strict=True):
                 file.add(side)
     finally:
