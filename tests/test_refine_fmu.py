@@ -277,10 +277,18 @@ def test_a_replay_leaves_the_study_that_goes_on(folder: Path, tmp_path: Path) ->
     assert f"next: cosim refine {tmp_path / 'out' / 'study.yaml'}" in done.stdout
     study = read_study(tmp_path / "out" / "study.yaml")
     assert (study.content.columns, len(study.logs)) == ({"w": "speed"}, 1)
-    fitted = cosim.fit(tmp_path / "out" / "study.yaml", vary=["resistance"], in_process=True, report=False)
-    assert set(fitted.values) == {"resistance"}
     cosim.replay(folder / "e1.csv", tmp_path / "out", fmu, report=False, force=True)  # nothing is missing
     assert not (tmp_path / "out" / "study.yaml").exists()
+
+
+@pytest.mark.thorough
+def test_a_fit_takes_the_study_of_a_replay(folder: Path, tmp_path: Path) -> None:
+    fmu = build(folder / "model_exchange2.fmu", "dc_motor", 2, ways=("model_exchange",))
+    columns = columns_of(folder / "dry_e1.csv")
+    log = write_log(tmp_path / "log.csv", {n.replace("speed", "w"): v for n, v in columns.items()})
+    cosim.replay(log, tmp_path / "out", fmu, columns=["w=speed"], report=False)
+    fitted = cosim.fit(tmp_path / "out" / "study.yaml", vary=["resistance"], in_process=True, report=False)
+    assert set(fitted.values) == {"resistance"}
 
 
 def columns_of(path: Path) -> dict[str, Any]:
