@@ -187,7 +187,7 @@ def test_a_function_of_python_is_there_exactly_while_it_is_registered() -> None:
 
 def test_an_entry_point_that_fails_is_one_warning(tmp_path: Path) -> None:
     path = str(registering(tmp_path / "site", "broken", "cosim.verbs", "broken = no_such_package:THING"))
-    done = command("--version", folder=tmp_path, PYTHONPATH=path)
+    done = command("--help", folder=tmp_path, PYTHONPATH=path)
     assert done.returncode == 0
     assert done.stderr.count("broken") >= 1
     assert len(done.stderr.strip().splitlines()) == 1
