@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from cosim.base.errors import CosimError, InputError, Interrupted, SweepStopped
+from cosim.base.errors import CosimError, InputError, Interrupted, Signalled, SweepStopped, Terminated
 from cosim.base.version import __version__
 from cosim.live import messages
 from cosim.report.template import DESK, render
@@ -51,12 +51,12 @@ class LivePage(ServedPage):
         if error is None:
             self.update(phase="finished")
             return
-        is_stop = isinstance(error, (Interrupted, SweepStopped, KeyboardInterrupt))
+        is_stop = isinstance(error, (Interrupted, Signalled, SweepStopped, KeyboardInterrupt, Terminated))
         left = getattr(error, "left", None)
         if left is not None:
             self.report = left / "report.html"
         message = str(error) if isinstance(error, CosimError) else type(error).__name__
-        if isinstance(error, Interrupted):
+        if isinstance(error, (Interrupted, Signalled)):
             message = messages.STOPPED(time=error.time)
         self.update(phase="stopped" if is_stop else "failed", message=message)
 
