@@ -137,6 +137,15 @@ def test_steps_at_their_minimum_with_too_large_an_error_are_told(tmp_path: Path)
     assert "0.01 s: first at t = 1" in warning
 
 
+def test_steps_that_are_judged_when_they_are_over_are_told_without_blaming_the_minimum(tmp_path: Path) -> None:
+    truck(tmp_path)
+    coupled_fmu(tmp_path / "wheel.fmu", WHEEL, saves=False)
+    _, manifest = ran(tmp_path, "step: {max: 20 ms, min: 0.1 ms, tolerance: 1e-4}\n", seconds=1.5)
+    (warning,) = [w for w in manifest["warnings"] if "above the tolerance" in w]
+    assert "estimator: residual does not repeat steps" in warning
+    assert warning.endswith("Give a max below 0.02 s or a larger tolerance")
+
+
 def test_no_step_is_shorter_than_the_minimum(tmp_path: Path) -> None:
     """Where min divides no interval between rows, too."""
     _, manifest = ran(truck(tmp_path), "step: {max: 20 ms, min: 11 ms, tolerance: 1e-6}\n", seconds=1.5)

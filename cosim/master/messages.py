@@ -42,6 +42,11 @@ TOLERANCE_NOT_MET = Template(
     "the error of {count} steps is above the tolerance {tolerance:g} although min allows no shorter ones, {step:g} s: "
     "first at t = {time:.6g} s, {error:.2g} of {signal}. Give a shorter min or a larger tolerance",
 )
+TOLERANCE_EXCEEDED = Template(
+    "W-MAS-065",
+    "the error of {count} steps turned out above the tolerance {tolerance:g}; estimator: {estimator} does not repeat "
+    "steps: first at t = {time:.6g} s, {error:.2g} of {signal}. Give a max below {step:g} s or a larger tolerance",
+)
 NOTHING_JUDGED = Template(
     "W-MAS-012",
     "no input is extrapolated, so that estimator: residual judges nothing and steps grow to {step:g} s whatever their "

@@ -78,7 +78,10 @@ class StepCount:
         """Return the warning about steps above the tolerance."""
         t, error, name = self.first
         fields = {"signal": name, "time": t, "error": error * control.tolerance, "count": self.failed}
-        return messages.TOLERANCE_NOT_MET(step=control.shortest, tolerance=control.tolerance, **fields)
+        if control.estimator == "halving":
+            return messages.TOLERANCE_NOT_MET(step=control.shortest, tolerance=control.tolerance, **fields)
+        limits = {"step": control.longest, "tolerance": control.tolerance}
+        return messages.TOLERANCE_EXCEEDED(estimator=control.estimator, **limits, **fields)
 
     def record(self, control: Control, p: int) -> dict[str, Any]:
         """Return the entry of the manifest."""
