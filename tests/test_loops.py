@@ -129,6 +129,11 @@ def test_undeclared_inputs_are_assumed_indirect_unless_loops_are_to_be_solved(tm
     assert manifest["loops"][0]["signals"] == ["b.u0", "a.u0"]
 
 
+def test_a_loop_that_no_fmu_declares_is_named_when_its_values_grow_without_end(tmp_path: Path) -> None:
+    with pytest.raises(SimulationError, match=r"an algebraic loop that exchanging values does not settle; loops: {}"):
+        linear(tmp_path, 5.0, declares=False)
+
+
 def test_a_coarse_dependency_without_effect_costs_one_iteration_at_most(tmp_path: Path) -> None:
     for name in "ab":
         coupled_fmu(tmp_path / f"{name}.fmu", LINEAR)

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from cosim.base.errors import SimulationError
+from cosim.base.messages import code_of
 from cosim.blocks.component import Component
+from cosim.blocks.messages import VALUE_NOT_FINITE
 from cosim.isolation.rows import CALLS, GET, OTHER, PUT
 from cosim.master import messages
 from cosim.master.copying import Copies, copy_values
@@ -59,7 +61,12 @@ class Initialization:
         earlier = math.inf
         for sweep in range(1, LAST_SWEEP + 1):
             before, row = self._values(), list(self.row)
-            self._sweep()
+            try:
+                self._sweep()
+            except SimulationError as error:
+                if sweep <= EXACT_SWEEPS or code_of(error) != VALUE_NOT_FINITE.code:
+                    raise
+                break  # The values of a loop grew from exchange to exchange.
             if self._values() == before or (sweep > EXACT_SWEEPS and is_settled(row, self.row)):
                 return
             if sweep % MOST_SWEEPS == 0:
