@@ -35,6 +35,7 @@ from tests.native import NEEDS_COMPILER
 from tests.walker import walker_fmu, walker_scenario
 
 pytest.importorskip("zmq")
+pytest.importorskip("cryptography")
 ROOT = Path(__file__).resolve().parents[1]
 
 

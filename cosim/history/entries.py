@@ -229,7 +229,7 @@ def _by_mark(place: Path, label: str, there: Mapping[str, float], marks: _Marks)
 
 
 def _by_rows(place: Path, label: str) -> tuple[_Recorded, Content] | None:
-    """Return rows whose record was deleted, or that another tool wrote."""
+    """Return results with rows and no record: the record was deleted, or another tool wrote the rows."""
     from cosim.storage.results import rows_in  # with numpy, which a list seldom needs
 
     rows = rows_in(place)

@@ -30,7 +30,7 @@ class DifferingInput:
 
 
 def input_tree(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the parts of a record of a command that have its inputs: its scenario, its files and its settings."""
+    """Return the parts of a command's record that hold inputs: scenario, files and settings."""
     scenario = record.get("scenario")
     return {**(scenario if isinstance(scenario, dict) else {}), **{key: record[key] for key in OWN if key in record}}
 

@@ -67,7 +67,7 @@ class Keeping:
     start: Continuation | None = None
 
     @property
-    def given(self) -> int:
+    def first_rows(self) -> int:
         """Return the number of rows that are there at the start."""
         return 0 if self.start is None else self.start.count
 

@@ -310,9 +310,9 @@ def simulate_apart(
         feed = _feed(observers, system, steps, h, channel)
         if observers and columns:
             feed.table = np.memmap(table, np.float64, "r", shape=(count, columns))
-        job = RowsJob(table, limits, exchange, bool(observers), kept.interval, kept.given, keeping is not None)
+        job = RowsJob(table, limits, exchange, bool(observers), kept.interval, kept.first_rows, keeping is not None)
         end = _end_of(worker, system, count - 1, h, job, watch)
-        done = max(counters.made[0], kept.given)  # A failure before the last given row loses none.
+        done = max(counters.made[0], kept.first_rows)  # A failure before the last given row loses none.
         state = read_state(table.with_name(STATE)) if kept.folder is None else None
         values = read_table(table, done, columns, mapped=recording is not None)
         beside, changes = read_exact(table.with_name(BESIDE), done), channel.noted()
@@ -387,7 +387,7 @@ def _allocate_kept(folder: Path, rows: int, width: int, kept: Keeping) -> int:
         DiskFull: No further row fits.
     """
     count, start = rows, kept.start
-    while count and count >= kept.given:
+    while count and count >= kept.first_rows:
         try:
             allocate(folder / f"{ROWS}.new", count * width)
             if start is None:
@@ -403,7 +403,7 @@ def _allocate_kept(folder: Path, rows: int, width: int, kept: Keeping) -> int:
         else:
             (folder / f"{ROWS}.new").replace(folder / ROWS)
             return count
-    raise _disk_full(0.0, kept.given, rows)
+    raise _disk_full(0.0, kept.first_rows, rows)
 
 
 def _write_start(folder: Path, start: Continuation, rows: str = ROWS) -> None:

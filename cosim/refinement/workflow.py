@@ -311,7 +311,7 @@ def _write_models(variants: Mapping[str, Variant], scratch: Path, folder: Path) 
 
 
 def _delivery_warnings(variants: Mapping[str, Variant]) -> Iterator[str]:
-    """Yield why there is no FMU, and the platforms that it lacks."""
+    """Yield the reason for a missing FMU, and the platforms that a delivered FMU lacks."""
     subjects = [variant.subject for variant in variants.values()]
     yield from dict.fromkeys(s.undelivered for s in subjects if s.undelivered)
     for names in dict.fromkeys(s.missing_platforms for s in subjects if s.missing_platforms):

@@ -290,7 +290,7 @@ class Recording(Part):
 
 
 def _check_record(record: Any) -> Any:
-    """Return what is recorded; raise ValueError, which names both forms, for another form."""
+    """Return the value of `record`; raise ValueError unless it is a list or a mapping."""
     if not isinstance(record, dict | Recording | list | tuple):
         raise ValueError(messages.FORMS_OF_RECORD())
     return record
