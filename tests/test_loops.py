@@ -10,9 +10,13 @@ import numpy as np
 import pytest
 
 from cosim.base.errors import InputError, SimulationError
+from cosim.base.messages import code_of
 from cosim.coupling.strong_components import order_with_loops, strong_components
 from cosim.master.root_finding import RootFinding
+from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.workflow import run
+from cosim.system.system import build_system
+from cosim.verbs.check_verb import check
 from tests.coupled import LINEAR, LOOP_A, LOOP_B, SQUARE, coupled_fmu
 
 TWO = "connections: [{from: a.y0, to: b.u0}, {from: b.y0, to: a.u0}]\n"
@@ -119,19 +123,103 @@ def test_a_loop_through_noise_and_units_counts_them(tmp_path: Path) -> None:
 # -- where loops are ------------------------------------------------------------------------------------
 
 
-def test_undeclared_inputs_are_assumed_indirect_unless_loops_are_to_be_solved(tmp_path: Path) -> None:
-    before, manifest = linear(tmp_path, 0.5, declares=False)
-    assert "loops" not in manifest
-    assert any("does not declare" in warning for warning in manifest["warnings"])
-    assert before["b.u0"][1] == before["a.y0"][0] != before["a.y0"][1] or before["a.y0"][0] == pytest.approx(2.0)
-    after, manifest = linear(tmp_path, 5.0, "loops: {}\n", declares=False)
+@pytest.mark.parametrize("more", ["", "loops: {}\n"])
+def test_a_loop_that_no_fmu_declares_is_measured_and_solved(tmp_path: Path, more: str) -> None:
+    after, manifest = linear(tmp_path, 5.0, more, declares=False)
     assert after["a.y0"] == pytest.approx(-0.25, rel=1e-8)
     assert manifest["loops"][0]["signals"] == ["b.u0", "a.u0"]
+    notes = [] if more else ["N-SIM-079"]
+    assert [*map(code_of, manifest["warnings"])] == notes
+    assert all("a.y0 follows a.u0, b.y0 follows b.u0" in note for note in manifest["warnings"])
+    if more:
+        return
+    components = manifest["scenario"]["components"]
+    assert [components[name]["feedthrough"] for name in "ab"] == [["u0"], ["u0"]]
+    repeated = run(tmp_path / "out" / "manifest.json", tmp_path / "again", report=False, in_process=True)
+    assert repeated.results.values.tobytes() == after.values.tobytes()
 
 
-def test_a_loop_that_no_fmu_declares_is_named_when_its_values_grow_without_end(tmp_path: Path) -> None:
-    with pytest.raises(SimulationError, match=r"an algebraic loop that exchanging values does not settle; loops: {}"):
-        linear(tmp_path, 5.0, declares=False)
+def moving(folder: Path, order: str = "ab", more: str = "", **starts: float) -> Any:
+    """Run y_a = 0.5·u + 1 and y_b = x, x' = u − x; FMUs that declare nothing, in this order of the file."""
+    for name in "ab":
+        coupled_fmu(folder / f"{name}.fmu", LINEAR, declares=False)
+    values = {"a": {"p0": 0.5, "p1": 1.0, **starts}, "b": {"p2": 1.0, "p3": 1.0}}
+    return ran(folder, {name: values[name] for name in order}, TWO, more)
+
+
+def test_undeclared_inputs_without_feedthrough_cost_neither_warning_nor_bytes(tmp_path: Path) -> None:
+    results, manifest = moving(tmp_path, "ba")
+    assert "loops" not in manifest
+    assert manifest["order"] == ["b", "a"]
+    assert manifest["warnings"] == []
+    assert manifest["scenario"]["components"]["b"]["feedthrough"] == []
+    ordered, _ = moving(tmp_path, "ba", "order: [b, a]\n")
+    assert results.values.tobytes() == ordered.values.tobytes()
+
+
+def test_a_component_with_measured_feedthrough_steps_behind_the_one_without(tmp_path: Path) -> None:
+    results, manifest = moving(tmp_path, "ab")
+    assert manifest["order"] == ["b", "a"]  # by the file it was a, one step late
+    assert manifest["warnings"] == []
+    assert results["a.y0"] == pytest.approx(0.5 * results["b.y0"] + 1.0)
+
+
+def test_feedthrough_stated_in_the_scenario_is_not_measured(tmp_path: Path) -> None:
+    for name in "ab":
+        coupled_fmu(tmp_path / f"{name}.fmu", LINEAR, declares=False)
+    file = tmp_path / "stated.yaml"
+    components = "components: {a: {fmu: a.fmu, feedthrough: [u0]}, b: {fmu: b.fmu, feedthrough: [%s]}}\n"
+    file.write_text(f"name: stated\nduration: 1\nstep: 0.1\n{components % ''}{TWO}")
+    system = build_system(ScenarioFile(file))
+    assert (system.names, system.suspected, system.loops, system.warnings) == (["b", "a"], (), (), ())
+    file.write_text(file.read_text().replace("feedthrough: []", "feedthrough: [u0]"))
+    assert [loop.members for loop in build_system(ScenarioFile(file)).loops] == [("a", "b")]
+    file.write_text(file.read_text().replace("b.fmu, feedthrough: [u0]", "b.fmu, feedthrough: [y0]"))
+    with pytest.raises(InputError, match=r'stated\.yaml:4:.*b has no input "y0"'):
+        build_system(ScenarioFile(file))
+
+
+def test_feedthrough_in_initialization_only_leaves_the_loop_open_with_the_measured_fact(tmp_path: Path) -> None:
+    for name in "ab":
+        coupled_fmu(tmp_path / f"{name}.fmu", LINEAR, declares=False)
+    _, manifest = ran(tmp_path, {"a": {"p0": 0.5, "p1": 1.0, "late": 1.0}, "b": {"p0": 1.0}}, TWO)
+    assert "loops" not in manifest
+    assert "in initialization a.y0 follows a.u0, later only" in manifest["warnings"][-1]
+    assert code_of(manifest["warnings"][-1]) == "W-SIM-081"
+
+
+def test_a_measured_loop_that_cannot_be_solved_is_left_open_with_a_warning(tmp_path: Path) -> None:
+    for name in "ab":
+        coupled_fmu(tmp_path / f"{name}.fmu", LINEAR, declares=False)
+    file = tmp_path / "own.yaml"
+    start = "start: {p0: 0.5, p1: 1}"
+    components = f"components: {{a: {{fmu: a.fmu, step: 0.2, {start}}}, b: {{fmu: a.fmu, {start}}}}}\n"
+    file.write_text(f"name: own\nduration: 1\nstep: 0.1\n{components}{TWO}")
+    manifest = run(file, tmp_path / "out", report=False).manifest
+    (warning,) = (w for w in manifest["warnings"] if code_of(w) == "W-SIM-080")
+    assert "solving it fails: a has a step of its own" in warning
+    assert "loops" not in manifest
+
+
+def test_check_names_a_measured_loop(tmp_path: Path) -> None:
+    linear(tmp_path, 5.0, declares=False)
+    (line,) = check(tmp_path / "loop.yaml")
+    assert code_of(line) == "N-SIM-079"
+    (line,) = check(tmp_path / "loop.yaml", load=False)
+    assert code_of(line) == "W-CPL-001"
+
+
+@pytest.mark.parametrize(("key", "named"), [("order: [a, b]", "order:"), ("algorithm: jacobi", "algorithm: jacobi")])
+def test_a_loop_that_is_left_open_is_named_when_its_values_grow_without_end(
+    tmp_path: Path, key: str, named: str
+) -> None:
+    words = f"an algebraic loop a → b → a that exchanging values does not settle; loops: {{}} without {named} solves it"
+    with pytest.raises(SimulationError, match=words):
+        linear(tmp_path, 5.0, f"{key}\n", declares=False)
+    coupled_fmu(tmp_path / "a.fmu", SQUARE)
+    starts = {"a": {"p0": 0.1}, "b": {"p0": 1.0, "p2": 1.0, "p3": 1.0}}  # drifts until y = y² + p0 + x has no solution
+    with pytest.raises(SimulationError, match=rf"no finite number.* algebraic loop a → b → a, which {named} leaves"):
+        ran(tmp_path, starts, TWO, f"{key}\n", steps=80)
 
 
 def test_a_coarse_dependency_without_effect_costs_one_iteration_at_most(tmp_path: Path) -> None:

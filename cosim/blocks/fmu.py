@@ -63,6 +63,7 @@ class FmuBlock:
         logging: Whether debug logging is on.
         solver: Solver for model exchange.
         solver_step: Longest step of this solver [s]; None for 1/50 of the run.
+        feedthrough: Inputs that outputs follow directly, where dependencies are not declared; None if not known.
         compiles: Whether sources may be compiled for a missing library; None for the current permission.
     """
 
@@ -82,10 +83,11 @@ class FmuBlock:
         logging: bool = False,
         solver: Solver | None = None,
         solver_step: float | None = None,
+        feedthrough: frozenset[str] | None = None,
         compiles: bool | None = None,
     ) -> None:
         self.name, self.path, self.description = name, path, description
-        self.start_values, self.connected = start, connected
+        self.start_values, self.connected, self.feedthrough = start, connected, feedthrough
         self.compiles = compiles = permission.get() if compiles is None else compiles
         make: Callable[..., FmuBlock] = partial(
             type(self),
@@ -95,6 +97,7 @@ class FmuBlock:
             logging=logging,
             solver=solver,
             solver_step=solver_step,
+            feedthrough=feedthrough,
             compiles=compiles,
         )
         self._recipe = make, (name, path, description, start, connected)
@@ -148,7 +151,14 @@ class FmuBlock:
         feeding, is_complete = self._feeding if outputs is None else self._feeding_of(outputs)
         if id(variable) in feeding:
             return True
-        return False if is_complete and self.description.fmiVersion != "1.0" else None
+        if is_complete and self.description.fmiVersion != "1.0":
+            return False
+        return True if self._is_followed(name) else None
+
+    def _is_followed(self, name: str) -> bool:
+        """Return whether an input, or an element of it, is stated or measured to have direct feedthrough."""
+        stems = name, name.rpartition("[")[0]
+        return any(n in stems or n.rpartition("[")[0] == name for n in self.feedthrough or ())
 
     @cached_property
     def _feeding(self) -> tuple[frozenset[int], bool]:

@@ -107,12 +107,13 @@ def _open_cycle(
     }
     if unneeded:
         return unneeded, ""
-    unknown = {component for component, name in inputs if components[component].depends_on(name) is None}
+    unknown = {component for component, name in inputs & direct if components[component].depends_on(name) is None}
     assumed = None if undeclared else next((component for component in components if component in unknown), None)
     if assumed is None:
         raise AlgebraicLoop(cycle)
-    note = messages.ASSUMED_WITHOUT_FEEDTHROUGH(component=assumed)
-    return {(component, name) for component, name in direct if component == assumed}, note
+    removed = {(c, name) for c, name in direct if c == assumed and components[c].depends_on(name) is None}
+    is_stated = getattr(components[assumed], "feedthrough", None) is not None
+    return removed, "" if is_stated else messages.ASSUMED_WITHOUT_FEEDTHROUGH(component=assumed)
 
 
 def _find_connected(edges: Sequence[Edge], component: str) -> set[str]:

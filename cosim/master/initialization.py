@@ -15,6 +15,7 @@ from cosim.isolation.rows import CALLS, GET, OTHER, PUT
 from cosim.master import messages
 from cosim.master.copying import Copies, copy_values
 from cosim.master.loops import LoopSolver
+from cosim.system.schedule import OpenLoop
 
 EXACT_SWEEPS = 10  # sweeps that must settle exactly; later sweeps settle within a tolerance
 MOST_SWEEPS = 1000  # sweeps after which unsettled values are an error, unless their changes shrink
@@ -33,6 +34,7 @@ class Initialization:
         start: Time [s].
         doing: Current call, for observers.
         solvers: Solvers of algebraic loops.
+        opened: Possible loops that are left open.
     """
 
     components: Sequence[Component]
@@ -43,6 +45,7 @@ class Initialization:
     start: float
     doing: MutableSequence[int]
     solvers: Sequence[LoopSolver] = ()
+    opened: Sequence[OpenLoop] = ()
 
     def run(self) -> None:
         """Exchange values until settled, then end initialization; raise SimulationError after a failure."""
@@ -55,14 +58,14 @@ class Initialization:
             self.doing[0] = CALLS * k + GET
             component.get()
         if self._values() != before:  # Some FMUs (20-sim) have valid outputs only after initialization.
-            self._sweep()
+            self.sweep()
 
     def _settle(self) -> None:
         earlier = math.inf
         for sweep in range(1, LAST_SWEEP + 1):
             before, row = self._values(), list(self.row)
             try:
-                self._sweep()
+                self.sweep()
             except SimulationError as error:
                 if sweep <= EXACT_SWEEPS or code_of(error) != VALUE_NOT_FINITE.code:
                     raise
@@ -74,9 +77,15 @@ class Initialization:
                 if not change < SHRINKING_RATIO * earlier:
                     break
                 earlier = change
-        raise SimulationError("initialization", self.start, messages.NOT_SETTLED(count=sweep))
+        raise SimulationError("initialization", self.start, messages.NOT_SETTLED(count=sweep, **self._open_loop()))
 
-    def _sweep(self) -> None:
+    def _open_loop(self) -> dict[str, str]:
+        """Return fields of a message: the first open loop, and the key that leaves it open."""
+        loop = next(iter(self.opened), None)
+        return {"loop": "", "cure": ""} if loop is None else {"loop": f" {loop.name}", "cure": f" without {loop.key}"}
+
+    def sweep(self) -> None:
+        """Exchange all values once."""
         solver_of = {member.component.name: solver for solver in self.solvers for member in solver.members}
         for k, component in enumerate(self.components):
             copy_values(self.row, self.pulls[component.name], 0)

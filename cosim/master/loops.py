@@ -134,7 +134,7 @@ class LoopSolver:
         self._into = {name: copying.of(transfers) for name, transfers in self._forward.items()}
         self._to_back = copying.of(self.back)
         self._one = {t.name: copying.of([t]) for t in loop.transfers}
-        self.members = _members(loop, system, row)
+        self.members = members_of(loop, system, row)
         scale = np.array([self._nominal(t.target) for t in self.back])
         self._roots = RootFinding(self.settings.tolerance, self.settings.iterations, scale)
         self._point, self._is_probed = 0, False
@@ -309,8 +309,7 @@ class LoopSolver:
 
     def _nominal(self, place: int) -> float:
         name, _, variable = self._columns[place].partition(".")
-        component = next(m.component for m in self.members if m.component.name == name)
-        return component.nominal(variable) if isinstance(component, FmuBlock) else 1.0
+        return nominal_of(next(m.component for m in self.members if m.component.name == name), variable)
 
     # -- outputs that follow inputs only after a step ------------------------------------------------
 
@@ -363,7 +362,12 @@ class LoopSolver:
         raise SimulationError(member.component.name, self.start, messages.NO_WAY_BACK(loop=self.name, **ends))
 
 
-def _members(loop: Loop, system: System, row: Any) -> list[Member]:
+def nominal_of(component: Any, variable: str) -> float:
+    """Return the nominal value of a component's variable."""
+    return component.nominal(variable) if isinstance(component, FmuBlock) else 1.0
+
+
+def members_of(loop: Loop, system: System, row: Any) -> list[Member]:
     """Return the components of a loop in their order."""
     owners = [column.partition(".")[0] for column in system.columns]
     members = []

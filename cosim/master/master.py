@@ -19,8 +19,10 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import SimulationError, Terminated, stop_error
+from cosim.base.messages import code_of
 from cosim.blocks.component import EarlyEnd
 from cosim.blocks.event_mode import EventFmu
+from cosim.blocks.messages import VALUE_NOT_FINITE
 from cosim.blocks.stepping import NEVER, NotCompiled
 from cosim.isolation.rows import CALLS, OTHER, Rows
 from cosim.master import messages
@@ -130,7 +132,7 @@ class Master:
         try:
             self._open()
             data = self.components, self.row, self.beside, self.pulls, self.held
-            Initialization(*data, self.system.start, self.doing, self.solvers).run()
+            Initialization(*data, self.system.start, self.doing, self.solvers, self.system.opened).run()
             for solver in self.solvers:
                 self.notes += solver.begin()
             if self.has_events:
@@ -149,7 +151,7 @@ class Master:
                 raise StoppedRun(end, self._rows_so_far()) from None  # before the first row
             self._record_last(end)
         except (SimulationError, KeyboardInterrupt, Terminated) as stop:
-            error = stop_error(stop, float(self.time[max(0, self.done - 1)]))
+            error = self._explain(stop_error(stop, float(self.time[max(0, self.done - 1)])))
             raise StoppedRun(error, self._rows_so_far()) from None
         finally:
             if self.rows.keeper is not None:
@@ -254,6 +256,14 @@ class Master:
         self.time[k] = end.reached
         self.table[k] = self.row[:]
         self.done = self.row_count[0] = k + 1
+
+    def _explain(self, error: SimulationError) -> SimulationError:
+        """Return an error; for a value without bounds, with the open loop of its component."""
+        loop = next((loop for loop in self.system.opened if error.component.partition(".")[0] in loop.members), None)
+        if loop is None or code_of(error) != VALUE_NOT_FINITE.code:
+            return error
+        message = messages.OPEN_LOOP.around(error.reason, loop=loop.name, key=loop.key)
+        return SimulationError(error.component, error.time, message)
 
     # -- parts --------------------------------------------------------------------------------
 

@@ -4,8 +4,13 @@ from cosim.base.messages import Template
 
 NOT_SETTLED = Template(
     "E-MAS-001",
-    "values still change after {count} exchanges: an algebraic loop that exchanging values does not settle; loops: "
-    "{{}} solves it under gauss-seidel, and an FMU without direct feedthrough in the loop breaks it",
+    "values still change after {count} exchanges: an algebraic loop{loop} that exchanging values does not settle; "
+    "loops: {{}}{cure} solves it, and an FMU without direct feedthrough in the loop breaks it",
+)
+OPEN_LOOP = Template(
+    "N-MAS-066",
+    "{error}. Its inputs may belong to the algebraic loop {loop}, which {key} leaves open, so that values grow from "
+    "step to step; loops: {{}} without this key solves it",
 )
 STATE_NOT_RESTORED = Template(
     "E-MAS-002",

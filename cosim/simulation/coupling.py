@@ -23,6 +23,7 @@ from cosim.scenario.controller_design import designed_apart
 from cosim.scenario.nearest_models import take_nearest
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation import messages
+from cosim.simulation.undeclared import with_feedthrough
 from cosim.storage.files import FilePath
 from cosim.storage.results import Results
 from cosim.system.system import build_system
@@ -116,7 +117,8 @@ def _results(
         take_nearest(original)
         take_nearest(file)
     try:
-        system = build_system(file, designed_apart(original, worker))
+        designed = designed_apart(original, worker)
+        system = with_feedthrough(file, designed, build_system(file, designed), worker)
     except InputError as error:
         if parts == 1:
             raise

@@ -81,6 +81,21 @@ REPLAY_ON_RESUME = Template(
 GETS_SLOWER = Template(
     "W-SIM-075", "{component} takes {factor:.2g} times longer for a step since t = {since:g} s than before"
 )
+LOOP_MEASURED = Template(
+    "N-SIM-079",
+    "{loop} is an algebraic loop that no FMU declares: measured before the run, {facts}. It is solved at each "
+    "communication point; order: [...] leaves it open, one step late",
+)
+LOOP_LEFT_OPEN = Template(
+    "W-SIM-080",
+    "{loop} is an algebraic loop that no FMU declares: measured before the run, {facts}. It is left open, so that some "
+    "inputs have the values of the step before, because solving it fails: {reason}. loops: {{...}} sets how",
+)
+FOLLOWS_AT_START = Template(
+    "W-SIM-081",
+    "{loop} may be an algebraic loop that no FMU declares: in initialization {facts}, later only with a step. "
+    "It is left open, so that some inputs may have the values of the step before; loops: {{}} solves it",
+)
 REPLAY_COST = Template(
     "N-SIM-072", "; {names}: inputs replayed from the start, which takes up to about {seconds:.2g} s (the run so far)"
 )

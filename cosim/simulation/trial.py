@@ -11,11 +11,12 @@ from typing import Any
 
 from cosim.base import errors
 from cosim.base.errors import Fault, FmuError, InputError, refuse
-from cosim.base.messages import with_prefix
+from cosim.base.messages import code_of, with_prefix
 from cosim.base.scratch import temporary_folder
 from cosim.blocks.compiling import LIMIT, permission
 from cosim.blocks.fmu import read_description
 from cosim.blocks.guard import validation
+from cosim.coupling.messages import ASSUMED_WITHOUT_FEEDTHROUGH
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.master.remote import simulate_apart
@@ -24,11 +25,13 @@ from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation import messages
 from cosim.simulation.manifest import check_pinned
 from cosim.simulation.packaged import lay_out
+from cosim.simulation.undeclared import UNDECLARED_CODES, with_feedthrough
 from cosim.storage.artefact import Checking
 from cosim.system.recording import recording_notes
 from cosim.system.system import System, build_system
 
 MAX_CALL_TIME = 60.0  # allowed time [s] of a call during the trial of an FMU
+OF_LOOPS = {ASSUMED_WITHOUT_FEEDTHROUGH.code, *UNDECLARED_CODES}  # warnings that a check shows
 STEP, STEPS = 0.01, 500  # step [s] without a default experiment, and steps in an experiment without step size
 
 
@@ -89,7 +92,9 @@ def check_scenario(path: Path, checking: Checking) -> list[str]:
         skipped.append(messages.DESIGN_NOT_CHECKED(reason=error))
     system = build_system(file, designed)
     if worker is not None:
+        system = with_feedthrough(file, designed, system, worker)
         refuse(_run_once(file, system, path, worker))
+    skipped += [warning for warning in system.warnings if code_of(warning) in OF_LOOPS]
     notes = recording_notes(file.scenario, system.columns, system.recording)
     return [*_as_warnings([*file.warnings, *skipped]), *(with_prefix("note: ", note) for note in notes)]
 

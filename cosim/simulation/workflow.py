@@ -41,6 +41,7 @@ from cosim.simulation.stopped_run import (
     unsaved_names,
     write_run,
 )
+from cosim.simulation.undeclared import with_feedthrough
 from cosim.storage import kinds
 from cosim.storage.files import (
     FilePath,
@@ -252,10 +253,11 @@ def _prepare_new(
         take_nearest(file)
     check_pinned(file)
     designed = designed_apart(file, worker)
-    system = replace(build_system(file, designed), real_time=real_time_of(file))
+    system = build_system(file, designed)
     if not is_package:
         check_run_folder(place, file.scenario.name, force=force, keep=keep)
     check_writable(place, (rows_file, MANIFEST, "report.html"), file.files)
+    system = replace(with_feedthrough(file, designed, system, worker), real_time=real_time_of(file))
     ssp = path if is_package else None
     return _Prepared(file, place, system, designed, rows_file, software, warnings, ssp, keep)
 

@@ -13,10 +13,13 @@ from cosim.base.errors import InputError, refuse
 from cosim.base.messages import with_prefix
 from cosim.base.version import __version__
 from cosim.blocks.fmu import FmuBlock
+from cosim.isolation.process import Worker
+from cosim.master.remote import MODULES
 from cosim.scenario.controller_design import designed_values
 from cosim.scenario.scenario import Scenario, resolve_defaults
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.manifest import resolve_scenario
+from cosim.simulation.undeclared import with_feedthrough
 from cosim.storage.artefact import Checking
 from cosim.storage.kinds import SWEEP, check_given
 from cosim.storage.yaml_file import YamlFile, short
@@ -78,11 +81,15 @@ class Sweep:
 
 def check_sweep(path: Path, checking: Checking) -> list[str]:
     """Return a sweep's warnings; InputError lists its faults."""
-    return [with_prefix("warning: ", text) for text in read_sweep(path).warnings]
+    return [with_prefix("warning: ", text) for text in read_sweep(path, loads=checking.worker is not None).warnings]
 
 
-def read_sweep(path: Path) -> Sweep:
-    """Read a sweep with its scenario; raise InputError with all faults."""
+def read_sweep(path: Path, *, loads: bool = False) -> Sweep:
+    """Read a sweep with its scenario; raise InputError with all faults.
+
+    Args:
+        loads: Whether FMUs may be loaded, to measure undeclared dependencies with the values of the scenario.
+    """
     check_given(path, SWEEP)
     yaml = YamlFile(path)
     file, faults = yaml.partly(SweepFile, "vary")
@@ -101,6 +108,10 @@ def read_sweep(path: Path) -> Sweep:
             is_placed = f.line and f.file != path
             faults.append(f if is_placed else yaml.fault(("set",), f.message, exit_code=f.exit_code))
         raise InputError(faults) from None
+    if loads and system.suspected:
+        with Worker(*MODULES) as worker:
+            system = with_feedthrough(scenario_file, designed, system, worker)
+        overrides += _measured(scenario_file.scenario)
     scenario, design = scenario_file.scenario, scenario_file.scenario.design
     reading = Factors(yaml, file, scenario_file, system, overrides)
     factors = [factor for name, varied in file.vary.items() if (factor := reading.factor(name, varied)) is not None]
@@ -116,6 +127,12 @@ def read_sweep(path: Path) -> Sweep:
     content = resolve_defaults(resolve_scenario(scenario_file, designed, system))
     warnings = (*scenario_file.warnings, *system.warnings, *reading.warnings)
     return Sweep(yaml, file, scenario, system, tuple(factors), columns, job, content, warnings)
+
+
+def _measured(scenario: Scenario) -> tuple[str, ...]:
+    """Return the measured inputs with direct feedthrough as overrides."""
+    inputs = {name: getattr(component, "feedthrough", None) for name, component in scenario.components.items()}
+    return tuple(f"components.{n}.feedthrough={json.dumps(each)}" for n, each in inputs.items() if each is not None)
 
 
 def _default_signals(scenario: Scenario, system: System) -> tuple[str, ...]:

@@ -98,7 +98,7 @@ def sweep(
         SweepStopped: The sweep was stopped from the keyboard; the same call resumes it.
         SweepFailed: No run was completed.
     """
-    study = read_sweep(Path(path))
+    study = read_sweep(Path(path), loads=True)
     folder = folder_named(study.name) if out is None else named_path(out)
     inputs = [study.yaml.path, study.job.scenario, *(fmu for fmu, _ in study.system.fmus.values())]
     check_overwritable(folder, "cosim sweep", force=force, keep=out is None)

@@ -12,6 +12,7 @@ from cosim.base.registry import BASE, is_model, model_entry
 from cosim.blocks.component import Component
 from cosim.blocks.description import read_description, state_names, ways
 from cosim.blocks.fixes import COUNT, Fixes, Sensor
+from cosim.blocks.fmi_types import element_names
 from cosim.blocks.fmu import FmuBlock, matches
 from cosim.blocks.remote_fmu import Distant, RemoteFmu, find_distant
 from cosim.blocks.sources import playback, reference
@@ -104,6 +105,7 @@ def _fmu(
         message = messages.INTERFACE_NOT_OFFERED(fmu=path.name, interfaces=" and ".join(ways(description)))
         diagnosis.note(("components", name, "interface"), message)
         return None
+    _check_feedthrough(name, component, description, diagnosis)
     scenario = file.scenario
     make = event_block(file, name, component, path, read, diagnosis)
     if make is None:
@@ -125,7 +127,20 @@ def _fmu(
         logging=component.logging,
         solver=component.solver,
         solver_step=component.solver_step,
+        feedthrough=None if component.feedthrough is None else frozenset(component.feedthrough),
     )
+
+
+def _check_feedthrough(name: str, component: FmuComponent, description: Any, diagnosis: Diagnosis) -> None:
+    """Note a fault for each name in `feedthrough` that is no input."""
+    inputs = [v for v in description.modelVariables if v.causality == "input"]
+    names = {*(v.name for v in inputs), *(element for v in inputs for element in element_names(v))}
+    for k, entry in enumerate(component.feedthrough or ()):
+        if entry not in names:
+            hint = did_you_mean(entry, [v.name for v in inputs])
+            diagnosis.note(
+                ("components", name, "feedthrough", k), messages.NO_INPUT(component=name, name=entry, hint=hint)
+            )
 
 
 def _variables_of(component: str, ends: Iterable[str]) -> set[str]:

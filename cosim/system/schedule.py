@@ -10,7 +10,7 @@ from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.faults import steps_in
 from cosim.coupling.algorithms import DEFAULT, WITHOUT_ORDER, Algorithm, algorithms
 from cosim.coupling.order import AlgebraicLoop, Plan
-from cosim.coupling.strong_components import Edge
+from cosim.coupling.strong_components import Edge, order_with_loops
 from cosim.scenario.diagnosis import Diagnosis
 from cosim.scenario.scenario import Connection, Scenario
 from cosim.storage.yaml_file import did_you_mean
@@ -37,17 +37,42 @@ class Loop:
     @property
     def name(self) -> str:
         """Return the components as a closed path."""
-        return " → ".join((*self.members, self.members[0]))
+        return closed_path(self.members)
+
+
+@dataclass(frozen=True)
+class OpenLoop:
+    """A loop of inputs that may have direct feedthrough, and the key of the scenario that leaves it open."""
+
+    members: tuple[str, ...]
+    key: str
+
+    @property
+    def name(self) -> str:
+        """Return the components as a closed path."""
+        return closed_path(self.members)
+
+
+def closed_path(members: Sequence[str]) -> str:
+    """Return components as a path that ends where it begins."""
+    return " → ".join((*members, members[0]))
 
 
 @dataclass(frozen=True)
 class Schedule:
-    """Stages in stepping order, transfers at the end of a step, connected clocks (output, input), algebraic loops."""
+    """Stages in stepping order, transfers at the end of a step, connected clocks (output, input), algebraic loops.
+
+    Attributes:
+        suspected: Possible loops through inputs without declared dependencies, which the order assumes not to exist.
+        opened: Possible loops that the order or the algorithm leaves open.
+    """
 
     stages: tuple[Stage, ...] = ()
     held: tuple[Transfer, ...] = ()
     clock_wires: tuple[tuple[str, str], ...] = ()
     loops: tuple[Loop, ...] = ()
+    suspected: tuple[Loop, ...] = ()
+    opened: tuple[OpenLoop, ...] = ()
 
 
 def schedule(
@@ -77,11 +102,41 @@ def schedule(
         diagnosis.note(("algorithm",), message)
         return Schedule()
     diagnosis.warnings += plan.notes
-    held, pulls, solved = _sorted_transfers(plan, edges, [ends for _, ends in wired])
-    loops = tuple(Loop(members, tuple(solved[k])) for k, members in enumerate(plan.loops))
+    ends = [ends for _, ends in wired]
+    held, pulls, solved = _sorted_transfers(plan, edges, ends)
+    loops = _loops(plan, solved)
     _check_loops(loops, components, every, diagnosis)
     stages = tuple(Stage(components[n], tuple(pulls[n]), every[n]) for n in plan.order)
-    return Schedule(stages, tuple(held), _clock_wires(transfers), loops)
+    suspected: tuple[Loop, ...] = ()
+    opened: tuple[OpenLoop, ...] = ()
+    if plan.notes and not undeclared:
+        suspected = _suspected(algorithm, components, edges, ends)
+    elif user_order is not None:
+        opened = _opened(components, edges, "order:")
+    elif not algorithm.solves_loops:
+        opened = _opened(components, edges, f"algorithm: {algorithm.name}")
+    return Schedule(stages, tuple(held), _clock_wires(transfers), loops, suspected, opened)
+
+
+def _loops(plan: Plan, solved: Sequence[Sequence[Transfer]]) -> tuple[Loop, ...]:
+    return tuple(Loop(members, tuple(solved[k])) for k, members in enumerate(plan.loops))
+
+
+def _suspected(
+    algorithm: Algorithm, components: Components, edges: Sequence[Edge], transfers: Sequence[Sequence[Transfer]]
+) -> tuple[Loop, ...]:
+    """Return the loops if all inputs without declared dependencies have direct feedthrough."""
+    try:
+        plan = algorithm.plan_with_loops(components, edges, None, undeclared=True)
+    except AlgebraicLoop:
+        return ()
+    return _loops(plan, _sorted_transfers(plan, edges, transfers)[2])
+
+
+def _opened(components: Components, edges: Sequence[Edge], key: str) -> tuple[OpenLoop, ...]:
+    """Return the loops through inputs that may have direct feedthrough."""
+    direct = [components[target].depends_on(name) is not False for _, target, name, _ in edges]
+    return tuple(OpenLoop(members, key) for members in order_with_loops(components, edges, direct)[1])
 
 
 def _clock_wires(transfers: Sequence[Sequence[Transfer]]) -> tuple[tuple[str, str], ...]:

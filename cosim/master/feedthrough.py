@@ -1,0 +1,172 @@
+"""Measurement of direct feedthrough where FMUs declare no dependencies, in instances of its own.
+
+An order of components may assume that an undeclared input has no direct feedthrough. Here the components are opened
+once before the run. Each such input is displaced, by small and large amounts about two points, in initialization and
+after it, and the outputs that follow are noted. The instances of the run itself are not touched.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from cosim.base.arrays import Array, far_beyond
+from cosim.base.errors import SimulationError
+from cosim.blocks.event_mode import EventFmu
+from cosim.isolation import worker as here
+from cosim.isolation.limits import Limits
+from cosim.isolation.process import Worker
+from cosim.isolation.rows import Rows
+from cosim.isolation.watch import Watch, fmi_calls
+from cosim.master.initialization import Initialization
+from cosim.master.loops import PROBES, Member, members_of, nominal_of
+from cosim.master.master import Master
+from cosim.master.own_process import in_own_processes
+from cosim.system.system import System
+
+SWEEPS = 3  # exchanges of values before the measurement
+LEAST = 1e-7  # change of an output that counts, relative to its value
+NOISE = 10.0  # the same relative to differences between equal calls
+IRREGULAR = 0.37  # displacement of the second point, in sizes of an input
+PATIENCE = Limits(step=20.0)
+
+Pair = tuple[str, str]  # output, input
+
+
+@dataclass(frozen=True)
+class Feedthrough:
+    """Measured feedthrough of inputs without declared dependencies.
+
+    Attributes:
+        pairs: Outputs that follow an input after initialization.
+        at_start: Outputs that follow an input in initialization only.
+        inputs: Inputs that were measured.
+    """
+
+    pairs: tuple[Pair, ...] = ()
+    at_start: tuple[Pair, ...] = ()
+    inputs: frozenset[str] = frozenset()
+
+
+def measure_feedthrough(system: System, h: float, worker: Worker | None, limits: Limits | None) -> Feedthrough:
+    """Return the feedthrough of inputs in the suspected loops of a system.
+
+    Args:
+        h: Step of the run [s].
+        worker: Process for the FMUs; None for this one.
+
+    Raises:
+        FmuError: An FMU does not load.
+        SimulationError: A component failed.
+    """
+    if worker is None:
+        return measure(system, h, None)
+    limits = limits or PATIENCE
+    calls = [fmi_calls(getattr(stage.component, "description", None)) for stage in system.stages]
+    measured: Feedthrough = worker.call(measure, system, h, limits, watch=Watch(system.names, calls, limits=limits))
+    return measured
+
+
+@far_beyond
+def measure(system: System, h: float, limits: Limits | None) -> Feedthrough:
+    """Return the feedthrough, measured in this process."""
+    if limits is not None:
+        system = in_own_processes(system, limits)
+    rows = Rows.in_memory(2, len(system.columns))
+    if limits is not None:
+        rows = replace(rows, doing=here.progress.doing)
+    return _Measurement(system, 1, h, None, rows).result()
+
+
+class _Measurement(Master):
+    """A master that ends after its initialization."""
+
+    def result(self) -> Feedthrough:
+        """Return the measured feedthrough."""
+        try:
+            self._open()
+            self._exchange()
+            members = [m for loop in self.system.suspected for m in members_of(loop, self.system, self.row)]
+            asked = [(m, places) for m in members if (places := self._undeclared(m))]
+            first = self._measure(asked)
+            for component in self.components:
+                self.announce(component)
+                component.start()
+            for component in self.components:
+                component.get()
+            later = self._measure(asked)
+        finally:
+            for component in self.components:
+                self.announce(component)
+                component.close()
+        inputs = first.inputs & later.inputs
+        at_start = tuple(pair for pair in first.pairs if pair not in later.pairs and pair[1] in inputs)
+        return Feedthrough(later.pairs, at_start, inputs)
+
+    def _exchange(self) -> None:
+        """Exchange values a few times, as long as they are finite."""
+        data = self.components, self.row, self.beside, self.pulls, self.held
+        exchange = Initialization(*data, self.system.start, self.doing)
+        for sweep in range(SWEEPS):
+            before = list(self.row)
+            try:
+                exchange.sweep()
+            except SimulationError:
+                if not sweep:
+                    raise
+                self.view[:] = memoryview(np.array(before))
+                return
+
+    def _undeclared(self, member: Member) -> list[int]:
+        """Return the places of a member's real inputs without declared dependencies."""
+        if isinstance(member.component, EventFmu):
+            return []
+        names, signals = self.system.columns, self.system.signals
+        undeclared = [k for k in member.inputs if member.component.depends_on(names[k].partition(".")[2]) is None]
+        return [k for k in undeclared if not signals[names[k]].is_whole]
+
+    def _measure(self, asked: Sequence[tuple[Member, list[int]]]) -> Feedthrough:
+        """Return the outputs that follow inputs now."""
+        names = self.system.columns
+        pairs: list[Pair] = []
+        measured: set[str] = set()
+        for member, places in asked:
+            before = list(self.row)
+            follows = np.zeros((len(member.outputs), len(places)), bool)
+            for share in (0.0, IRREGULAR):
+                for j, place in enumerate(places):
+                    self.row[place] = before[place] + share * (1.0 + 0.1 * j) * self._size(member, place)
+                with suppress(SimulationError):
+                    member.evaluate(self.doing)
+                    answers = self._follow(member, places)
+                    follows |= answers[0]
+                    measured |= {names[places[j]] for j in np.flatnonzero(answers[1])}
+            self.view[:] = memoryview(np.array(before))
+            with suppress(SimulationError):
+                member.evaluate(self.doing)
+            pairs += [(names[member.outputs[i]], names[places[j]]) for i, j in zip(*np.nonzero(follows), strict=True)]
+        return Feedthrough(tuple(pairs), (), frozenset(measured))
+
+    def _follow(self, member: Member, places: Sequence[int]) -> tuple[Any, Any]:
+        """Return which outputs (rows) follow which inputs (columns), and which inputs accept other values."""
+        base = member.values()
+        member.evaluate(self.doing)
+        noise = NOISE * np.abs(member.values() - base)
+        follows, accepts = np.zeros((len(member.outputs), len(places)), bool), np.zeros(len(places), bool)
+        for j, place in enumerate(places):
+            size = self._size(member, place)
+            for share in PROBES:
+                values: Array | None = member.try_at(self.doing, place, self.row[place] + share * size)
+                if values is not None:
+                    accepts[j] = True
+                    least = np.maximum(noise, LEAST * np.maximum(np.abs(base), np.abs(values)))
+                    follows[:, j] |= np.abs(values - base) > least
+        return follows, accepts
+
+    def _size(self, member: Member, place: int) -> float:
+        variable = self.system.columns[place].partition(".")[2]
+        return max(abs(self.row[place]), nominal_of(member.component, variable))
