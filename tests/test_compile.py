@@ -128,6 +128,11 @@ def test_python_compiles_too(tmp_path: Path, compiled: Callable[[], int]) -> Non
     )
     replayed = cosim.replay(tmp_path / "log.csv", fmu=fmu, compile=True)
     assert np.abs(replayed.residual.results.values).max() < 1e-4  # the solver's steps are others
+    kept = cosim.run(scenario, tmp_path / "kept", compile=True)
+    assert kept.manifest["compile"] is True
+    assert len(cosim.run(tmp_path / "kept", until=1.5).time) == 151  # goes on as it began
+    with pytest.raises(FmuError, match="--compile"):
+        cosim.run(tmp_path / "kept" / "manifest.json")  # a run of its own
     assert cosim.linearize(fmu, compile=True).linear[0].states == ("h", "v")
     assert compiled() == 1
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.isolation.component_times import ComponentTimes, Slower
+from cosim.isolation.component_times import RUN, ComponentTimes, Slower
 from cosim.isolation.rows import ADVANCE, CALLS, GET, NOTHING, OTHER, PUT
 from cosim.simulation.report.time_rows import time_sentence
 from cosim.simulation.workflow import run
@@ -108,6 +108,35 @@ def test_a_warning_comes_while_the_run_is_slow_and_only_once() -> None:
     assert warnings == []
 
 
+def busy(k: int, at: int = 500) -> list[tuple[int, float]]:
+    factor = 1.0 if k <= at else 8.0
+    return [(call(0, ADVANCE), 0.003 * factor), (call(1, ADVANCE), 0.001 * factor), (NOTHING, 0.0005 * factor)]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_machine_that_gets_busy_blames_no_component(seed: int) -> None:
+    warnings: list[Slower] = []
+    (slower,) = sampled(busy, seed, warnings.append).slower()
+    assert slower.component == RUN
+    assert slower.factor == pytest.approx(8.0, rel=0.15)
+    assert slower.since == pytest.approx(10.0, abs=0.4)
+    assert [warning.component for warning in warnings] == [RUN]
+    assert 5.0 <= warnings[0].factor <= 9.0
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_component_that_gets_slower_on_a_busier_machine_is_named_by_its_own_factor(seed: int) -> None:
+    def lengths(k: int) -> list[tuple[int, float]]:
+        own = 1.0 if k <= 500 else 10.0
+        return [(doing, length * (own if doing == call(0, ADVANCE) else 1.0) / 3.0) for doing, length in busy(k)]
+
+    warnings: list[Slower] = []
+    (slower,) = sampled(lengths, seed, warnings.append).slower()
+    assert slower.component == "wheel"
+    assert slower.factor == pytest.approx(10.0, rel=0.3)  # 80 times, of which 8 are the machine
+    assert {warning.component for warning in warnings} == {"wheel"}
+
+
 @pytest.mark.parametrize("length", [0.002, 0.02])
 def test_controlled_steps_are_compared_by_their_own_number(length: float) -> None:
     """More steps for a row are no slower component; longer ones are."""
@@ -147,12 +176,16 @@ def test_a_reading_counts_where_its_time_does() -> None:
 
 
 def test_the_sentence_names_the_slow_component() -> None:
-    components = {"wheel": {"share": 0.96}, "road": {"share": 0.04}}
+    components = {"wheel": {"share": 0.96, "step": 9.0, "set": 0.3, "get": 0.3, "other": 0.1}, "road": {"share": 0.04}}
     timings = {"readings": 2000, "components": components}
     slower = [{"component": "wheel", "factor": 14.1, "since": 19.0}]
-    words = "wheel takes 96% of the time, and 14 times longer for a step after 19 s."
+    share = "wheel takes 96% of the time, loading included (9.6 s in steps, 0.10 s in loading)"
+    words = f"{share}, and 14 times longer for a step after 19 s."
     assert time_sentence({**timings, "slower": slower}) == words
-    assert time_sentence({**timings, "slower": []}) == "wheel takes 96% of the time."
+    assert time_sentence({**timings, "slower": []}) == f"{share}."
+    whole = [{"component": "", "factor": 6.0, "since": 9.0}]
+    every = "every component takes 6.0 times longer for a step after 9 s."
+    assert time_sentence({**timings, "slower": whole}) == f"{share}; {every}"
     assert time_sentence({**timings, "readings": 20, "slower": slower}) == ""
 
 

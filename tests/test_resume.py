@@ -17,6 +17,7 @@ import cosim
 from cosim.base.arrays import Array
 from cosim.base.errors import CosimError, InputError, Interrupted, SimulationError
 from cosim.base.version import __version__
+from cosim.master import replay
 from cosim.master.observer import ObservedRun, Observer
 from cosim.simulation.workflow import run
 from cosim.storage.state_file import BadState, pack, unpack
@@ -102,6 +103,40 @@ def test_a_run_without_a_checkpoint_goes_on_by_a_replay_of_all(walk: Walk, tmp_p
     shutil.rmtree(again / "checkpoint")
     cosim.run(again, resume=True, report=False, in_process=True)
     assert (again / "results.csv").read_bytes() == (whole / "results.csv").read_bytes()
+
+
+def test_c_and_python_replay_the_same_and_find_other_outputs(
+    walk: Walk, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, whole, part = walk
+    replayed: list[list[str]] = []
+    monkeypatch.setattr(replay, "POINTS", 7)  # so that events and ends of blocks fall anywhere
+    make = replay.CompiledReplay.__init__
+
+    def note(self: Any, master: Any, slots: Any) -> None:
+        replayed.append([part.stage.component.name for part, _ in slots])
+        make(self, master, slots)
+
+    monkeypatch.setattr(replay.CompiledReplay, "__init__", note)
+    for name, in_c in (("c", True), ("python", False)):
+        again = shutil.copytree(part, tmp_path / name)
+        shutil.rmtree(again / "checkpoint")
+        if not in_c:
+            monkeypatch.setattr(replay.Replay, "_compiled", lambda self, last: ())
+        cosim.run(again, resume=True, report=False, in_process=True)
+        assert (again / "results.csv").read_bytes() == (whole / "results.csv").read_bytes()
+    assert len(replayed) == 1
+    assert replayed[0]
+    monkeypatch.undo()
+    lines = (part / "results.csv").read_text().splitlines()
+    column = lines[0].split(",").index(f"{replayed[0][0]}.y")
+    cells = lines[9].split(",")
+    cells[column] = repr(float(cells[column]) + 1e-9)
+    other = shutil.copytree(part, tmp_path / "other")
+    shutil.rmtree(other / "checkpoint")
+    (other / "results.csv").write_text("\n".join([*lines[:9], ",".join(cells), *lines[10:]]) + "\n")
+    with pytest.raises(SimulationError, match=rf"{replayed[0][0]} at t = .*differ from the recorded ones"):
+        cosim.run(other, resume=True, report=False)
 
 
 def test_a_finished_run_is_extended_with_and_without_its_last_state(walk: Walk, tmp_path: Path) -> None:

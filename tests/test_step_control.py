@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from typer.testing import CliRunner
 
 from cosim.base.errors import InputError, SimulationError
 from cosim.master.extrapolation import Polynomial
 from cosim.simulation.workflow import run
+from cosim.verbs.cli import app
 from tests.coupled import CHASSIS, LINEAR, TRUCK, WHEEL, coupled_fmu
 
 SECONDS, ROW = 5.0, 0.02
@@ -135,6 +137,14 @@ def test_steps_at_their_minimum_with_too_large_an_error_are_told(tmp_path: Path)
     assert manifest["steps"]["above_tolerance"] > 0
     (warning,) = [w for w in manifest["warnings"] if "above the tolerance" in w]
     assert "0.01 s: first at t = 1" in warning
+    (criterion,) = manifest["criteria"]
+    assert (criterion["kind"], criterion["max"], criterion["met"]) == ("step_error", 1e-6, False)
+    assert criterion["value"] == manifest["steps"]["missed"]["error"] > 1e-6
+    for options, code in (([], 5), (["--set", "step.min=0.001 ms"], 0)):
+        command = ["run", str(tmp_path / "truck.yaml"), "--set", "duration=1.1", "--out", str(tmp_path / "out")]
+        result = CliRunner().invoke(app, [*command, "--force", *options, "--set", "step.tolerance=1e-4"])
+        assert getattr(result.exception, "exit_code", result.exit_code) == code, result.output
+        assert (tmp_path / "out" / "report.html").is_file()
 
 
 def test_steps_that_are_judged_when_they_are_over_are_told_without_blaming_the_minimum(tmp_path: Path) -> None:
@@ -144,6 +154,8 @@ def test_steps_that_are_judged_when_they_are_over_are_told_without_blaming_the_m
     (warning,) = [w for w in manifest["warnings"] if "above the tolerance" in w]
     assert "estimator: residual does not repeat steps" in warning
     assert warning.endswith("Give a max below 0.02 s or a larger tolerance")
+    assert manifest["steps"]["missed"] is None
+    assert manifest["criteria"] == []
 
 
 def test_no_step_is_shorter_than_the_minimum(tmp_path: Path) -> None:

@@ -3,6 +3,9 @@
 At irregular times, some 200 a second, the caller reads which call is running and how many rows are complete, and counts
 the time since the last reading for that call. The steps themselves cost nothing more. A share p from n readings has a
 standard error of √(p·(1 − p)/n).
+
+On a machine that gets busy, every step takes longer. A component counts as slower only by the factor by which its time
+per step grows more than that of the rest of the run.
 """
 
 from __future__ import annotations
@@ -27,15 +30,20 @@ MIN_LOG_LIKELIHOOD_GAIN = 20.0  # of a change of its rate
 MIN_EXTRA = 0.5  # [s] that a change costs
 WARNING_FACTOR = 5.0  # of a warning during the run
 WINDOW, BEFORE = 2.0, 0.1  # [s] of a component for a warning: wall time of the window, and its own time before that
+DEVIATIONS = 2.0  # of the logarithm of the others' factor
+EVEN = 2.0  # factor between components, below which the whole run gets slower
+RUN = ""  # component of a `Slower` that means the whole run
 NAMES = {PUT: "set", ADVANCE: "step", GET: "get", OTHER: "other"}
 
 
 @dataclass(frozen=True)
 class Slower:
-    """A component whose steps take longer from a time on.
+    """A component, or the whole run, whose steps take longer from a time on.
 
     Attributes:
-        factor: Ratio of the times per step after and before.
+        component: Its name, `RUN` for the whole run.
+        factor: Ratio of the times per step after and before; of a component relative to the rest of the run, if that
+            gets slower too.
         since: Simulated time [s].
     """
 
@@ -70,9 +78,10 @@ class ComponentTimes:
         self._stepped = 0
         self._reached = 0  # rows
         self._last = self.clock()
-        self._marks = [(self._last, 0, np.zeros(len(self.components)))]  # wall time, steps, time of each component
+        self._marks = [(self._last, 0, np.zeros(len(self.components) + 1))]  # wall time, steps, time of each part
         self._rows_at = {0: 0}  # steps → rows of marks
-        self._warned = np.ones(len(self.components))  # factors of the last warnings
+        self._warned = np.ones(len(self.components) + 1)  # factors of the last warnings; the last one: of the run
+        self._rests = np.zeros(len(self._bins))  # `rest` by parts
 
     def pause(self) -> float:
         """Return the irregular time [s] to the next reading."""
@@ -95,6 +104,7 @@ class ComponentTimes:
             self.readings += 1
         elif made:  # Before the first row, the worker starts.
             self.rest += elapsed
+            self._rests[min(len(self._bins) - 1, self._bin(made))] += elapsed
             self.readings += 1
         if now - self._marks[-1][0] >= 0.5 * WINDOW:
             self._mark(now, made, steps or made)
@@ -112,16 +122,30 @@ class ComponentTimes:
         return {"components": components, "rest": round(self.rest, 4), "readings": self.readings, "slower": slower}
 
     def slower(self) -> list[Slower]:
-        """Return components that get slower, by extra time."""
+        """Return components that get slower than the rest, by extra time; otherwise the run, if it does."""
         reached = self._bin(self._reached)
+        steps = self._steps[:reached] if self._stepped else np.ones(reached)
+        parts = np.column_stack([self._bins[:reached, :, :OTHER].sum(axis=2), self._rests[:reached]])
         found = []
         for k, name in enumerate(self.components):
-            steps = self._steps[:reached] if self._stepped else np.ones(reached)
-            change = _change(self._bins[:reached, k, :OTHER].sum(axis=1), steps)
-            if change is not None:
-                part, factor, extra = change
-                found.append((extra, Slower(name, factor, self.at(-(-part * self.rows // len(self._bins))))))
+            if (change := _change(parts[:, k], steps)) is None:
+                continue
+            part, factor, extra = change
+            before, after = parts[:part].sum(axis=0), parts[part:].sum(axis=0)
+            own = _relative(before, after, steps[part:].sum() / max(1.0, steps[:part].sum()))[k]
+            extra *= (own - 1.0) / (factor - 1.0)
+            if own >= MIN_FACTOR and extra >= MIN_EXTRA:
+                found.append((extra, Slower(name, float(own), self._time_of(part))))
+        if not found and (change := _change(parts.sum(axis=1), steps)) is not None:
+            part, factor, extra = change
+            before, after = parts[:part].sum(axis=0), parts[part:].sum(axis=0)
+            if _is_even(before, after):
+                found.append((extra, Slower(RUN, factor, self._time_of(part))))
         return [slower for _, slower in sorted(found, key=lambda pair: -pair[0])]
+
+    def _time_of(self, part: int) -> float:
+        """Return the simulated time [s] at which a part begins."""
+        return self.at(-(-part * self.rows // len(self._bins)))
 
     def _bin(self, made: int) -> int:
         """Return the part that contains a row."""
@@ -129,21 +153,47 @@ class ComponentTimes:
 
     def _mark(self, now: float, made: int, steps: int) -> None:
         """Warn of components that have become much slower for a step."""
-        own = self._bins[:, :, :OTHER].sum(axis=(0, 2))
+        own = np.append(self._bins[:, :, :OTHER].sum(axis=(0, 2)), self.rest)
         self._marks.append((now, steps, own))
         self._rows_at[steps] = made
         begin = next((m for m in reversed(self._marks) if now - m[0] >= WINDOW), None)
         if begin is None or begin[1] < 2:
             return
-        before = begin[2] / begin[1]
-        after = (own - begin[2]) / max(1, steps - begin[1])
-        for k, name in enumerate(self.components):
-            if begin[2][k] < BEFORE:
-                continue
-            factor = after[k] / before[k]
-            if factor >= WARNING_FACTOR * self._warned[k]:
-                self._warned[k] = factor
-                self.warn(Slower(name, float(factor), self.at(self._rows_at[begin[1]])))
+        before, after = begin[2], own - begin[2]
+        longer = max(1, steps - begin[1]) / begin[1]
+        factors = _relative(before, after, longer)
+        is_run = before.sum() and not (self._warned[:-1] > 1.0).any() and _is_even(before, after)
+        factors[-1] = after.sum() / before.sum() / longer if is_run else 1.0
+        for k, name in enumerate((*self.components, RUN)):
+            is_known = k == len(self.components) or before[k] >= BEFORE
+            if is_known and factors[k] >= WARNING_FACTOR * self._warned[k]:
+                self._warned[k] = factors[k]
+                self.warn(Slower(name, float(factors[k]), self.at(self._rows_at[begin[1]])))
+
+
+def _relative(before: Array, after: Array, longer: float) -> Array:
+    """Return the factor of each part's time per step, divided by that of all others if these get slower.
+
+    The others get slower if the confidence interval of their factor is above 1.
+
+    Args:
+        before: Times [s] of the parts, `after` those of later steps.
+        longer: Ratio of the numbers of steps after and before.
+    """
+    own = np.maximum(after, 0.0) / np.maximum(before, PERIOD) / longer
+    others_before, others_after = before.sum() - before, after.sum() - after
+    n, m = np.maximum(others_before / PERIOD, 1.0), np.maximum(others_after / PERIOD, 1.0)
+    others = m / n / longer
+    is_slower = (others_before >= BEFORE) & (np.log(others) > DEVIATIONS * np.sqrt(1.0 / n + 1.0 / m))
+    result: Array = own / np.where(is_slower, others, 1.0)
+    return result
+
+
+def _is_even(before: Array, after: Array) -> bool:
+    """Return whether several parts took enough time to be compared, and all got slower alike."""
+    known = before >= BEFORE
+    factors = after[known] / before[known]
+    return int(known.sum()) > 1 and bool(factors.max() < EVEN * factors.min())
 
 
 def _change(seconds: Array, steps: Array) -> tuple[int, float, float] | None:

@@ -118,7 +118,7 @@ class _Measurement(Master):
             except SimulationError:
                 if not sweep:
                     raise
-                self.view[:] = memoryview(np.array(before))
+                self.row[:] = before
                 return
 
     def _undeclared(self, member: Member) -> list[int]:
@@ -145,7 +145,7 @@ class _Measurement(Master):
                     answers = self._follow(member, places)
                     follows |= answers[0]
                     measured |= {names[places[j]] for j in np.flatnonzero(answers[1])}
-            self.view[:] = memoryview(np.array(before))
+            self.row[:] = before
             with suppress(SimulationError):
                 member.evaluate(self.doing)
             pairs += [(names[member.outputs[i]], names[places[j]]) for i, j in zip(*np.nonzero(follows), strict=True)]

@@ -2,10 +2,13 @@
 
 At point k a component took the inputs of row k − 1, overwritten by the transfers right before its step, whose values
 are in row k. Every step is compared with the recorded outputs, so a component that is not deterministic is found.
+Components that C can step are replayed by its loop, as fast as in the run.
 """
 
 from __future__ import annotations
 
+import ctypes
+from array import array
 from collections.abc import Callable, Collection, MutableSequence, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -15,7 +18,9 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import SimulationError
 from cosim.blocks.component import EarlyEnd
-from cosim.isolation.rows import OTHER
+from cosim.blocks.fmu import FmuBlock
+from cosim.blocks.stepping import NEVER, Loop, NotCompiled, Slot, StopReason
+from cosim.isolation.rows import CALLS, OTHER
 from cosim.master import messages
 from cosim.master.copying import Copying, doubles
 from cosim.master.inbox import Inbox
@@ -23,6 +28,7 @@ from cosim.system.schedule import Stage
 from cosim.system.system import System
 
 Copy = Callable[[int], None]
+POINTS = 1000  # points that C replays before their outputs are compared
 
 
 class SteppedSystem(Protocol):
@@ -41,6 +47,7 @@ class SteppedSystem(Protocol):
     doing: MutableSequence[int]
     copying: Copying
     inbox: Inbox | None
+    in_c: bool
 
     @property
     def reruns(self) -> bool:
@@ -99,19 +106,42 @@ class Replay:
 
     def run(self, last: int) -> None:
         """Replay up to a point; raise SimulationError for other outputs."""
+        compiled = self._compiled(last) if self.master.in_c and last else ()
+        self._run_in_python(last, [part for part in self.parts if part not in compiled])
+
+    # -- internal -------------------------------------------------------------------------------
+
+    def _run_in_python(self, last: int, parts: Sequence[Replayed]) -> None:
+        """Replay components, and the remembering transfers, in Python."""
+        if not parts and not self.copies:
+            return
         master = self.master
         count, events = master.row_count, master.system.events
         for k in range(1, last + 1):
-            for part in self.parts:
+            for part in parts:
                 if k % part.stage.every == 0:
                     self._step(part, k)
             for copy in self.copies:
                 copy(k)
             for component in events.get(k, ()):
-                self._change(component, events[k][component])
+                self._change(component, events[k][component], parts)
             count[0] = k  # Limits count from here; the row itself is there.
 
-    # -- internal -------------------------------------------------------------------------------
+    def _compiled(self, last: int) -> Sequence[Replayed]:
+        """Replay the components that C can step; return them."""
+        slots = [(part, slot) for part in self.parts if isinstance(slot := self._slot(part), Slot)]
+        if slots:
+            try:
+                CompiledReplay(self.master, slots).run(last)
+            except NotCompiled:
+                return ()
+        return [part for part, _ in slots]
+
+    def _slot(self, part: Replayed) -> Any:
+        """Return the slot of a component for C, or None."""
+        component = part.stage.component
+        has_slot = isinstance(component, FmuBlock) and not (component.exact_inputs or component.exact_outputs)
+        return component.slot() if has_slot and hasattr(component, "slot") else None
 
     def _part(self, stage: Stage) -> Replayed:
         master, component = self.master, stage.component
@@ -144,16 +174,13 @@ class Replay:
         try:
             part.step(since, part.length or (begin + k * h) - since)
         except EarlyEnd as end:
-            raise self._difference(part, end.reached) from None
+            raise difference(part, end.reached) from None
         recorded = table[now + outputs.start : now + outputs.stop]
         if row[outputs].tobytes() != recorded.tobytes() and not is_same(row[outputs], recorded):
-            raise self._difference(part, begin + k * h)
+            raise difference(part, begin + k * h)
 
-    def _difference(self, part: Replayed, time: float) -> SimulationError:
-        return SimulationError(part.stage.component.name, time, messages.NOT_REPEATED())
-
-    def _change(self, name: str, values: Any) -> None:
-        for part in self.parts:
+    def _change(self, name: str, values: Any, parts: Sequence[Replayed]) -> None:
+        for part in parts:
             if part.stage.component.name == name:
                 part.stage.component.change(values)  # type: ignore[attr-defined]
 
@@ -174,3 +201,85 @@ class Replay:
                 value = link(k, value)
 
         return copy
+
+
+def difference(part: Replayed, time: float) -> SimulationError:
+    """Return the error of a component that gives other outputs than recorded."""
+    return SimulationError(part.stage.component.name, time, messages.NOT_REPEATED())
+
+
+class CompiledReplay:
+    """Replay of components by the stepping loop in C.
+
+    Before each component a slot writes its recorded inputs into the row. The outputs of many points are compared at
+    once.
+    """
+
+    def __init__(self, master: SteppedSystem, slots: Sequence[tuple[Replayed, Slot]]) -> None:
+        self.master, self.parts = master, [part for part, _ in slots]
+        self.width = len(master.view)
+        pairs: list[tuple[Slot, Sequence[Any]]] = []
+        for part, slot in slots:
+            slot.every, slot.doing = part.stage.every, CALLS * master.components.index(part.stage.component)
+            slot.length = part.length
+            inputs = Slot(0, every=slot.every, time=slot.time, scalars=part.inputs.stop - part.inputs.start)
+            inputs.row = ctypes.addressof(master.row) + 8 * part.inputs.start
+            pairs += [(inputs, ()), (slot, ())]
+        self.rows = np.zeros((POINTS, self.width))
+        cells: dict[str, Any] = {"counter": master.row_count, "doing": master.doing, "asked": array("q", [0])}
+        self.loop = Loop(pairs, (), master.row, self.rows, begin=master.system.start, h=master.h, **cells)
+        self._values: list[Array] = []
+
+    def run(self, last: int) -> None:
+        """Replay up to a point; raise SimulationError for other outputs."""
+        for first in range(1, last + 1, POINTS):
+            end = min(first + POINTS - 1, last)
+            self._prepare(first, end)
+            try:
+                self._until(end)
+            finally:
+                for part, slot in zip(self.parts, self.loop.slots[1::2], strict=True):
+                    part.stage.component.set_time(slot.time)  # type: ignore[attr-defined]
+            for part in self.parts:
+                self._compare(part, first, end)
+
+    # -- internal -------------------------------------------------------------------------------
+
+    def _prepare(self, first: int, end: int) -> None:
+        """Prepare the recorded inputs of points; rows of the loop begin at the first of them."""
+        table, self._values = self.master.table, []
+        for k, part in enumerate(self.parts):
+            values = table[first - 1 : end, part.inputs].copy()
+            for place in part.pulled[0]:
+                values[:, place - part.inputs.start] = table[first : end + 1, place]
+            self._values.append(values)
+            self.loop.prepare(2 * k, values, first)
+        self.loop.plan.table = self.rows.ctypes.data - 8 * self.width * first
+
+    def _until(self, end: int) -> None:
+        loop, events = self.loop, self.master.system.events
+        names = {part.stage.component.name for part in self.parts}
+        pauses = iter([*sorted(k for k in events if loop.plan.next <= k <= end and names & events[k].keys()), NEVER])
+        pause = next(pauses)
+        while (why := loop.run(end, pause)) != StopReason.FINISHED:
+            if why == StopReason.PAUSED:
+                for part in self.parts:
+                    if (component := part.stage.component).name in events[pause]:
+                        component.change(events[pause][component.name])  # type: ignore[attr-defined]
+                pause = next(pauses)
+            elif why != StopReason.LATER:
+                part = self.parts[loop.plan.place // 2]
+                try:
+                    part.stage.component.raise_error(why, loop.plan, loop.slots[loop.plan.place])  # type: ignore[attr-defined]
+                except EarlyEnd as stop:
+                    raise difference(part, stop.reached) from None
+
+    def _compare(self, part: Replayed, first: int, end: int) -> None:
+        """Raise SimulationError if outputs differ from those recorded."""
+        made, recorded = self.rows[: end + 1 - first, part.outputs], self.master.table[first : end + 1, part.outputs]
+        if made.tobytes() == recorded.tobytes():
+            return
+        same = (made == recorded) | (np.isnan(made) & np.isnan(recorded))
+        if not same.all():
+            k = first + int(np.argmin(same.all(axis=1)))
+            raise difference(part, self.master.system.start + k * self.master.h)

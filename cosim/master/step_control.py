@@ -54,31 +54,43 @@ class StepCount:
     Attributes:
         sizes: Lengths of accepted steps [s].
         made: Number of communication points, with those of rejected and comparing steps.
-        failed: Accepted steps with an error above the tolerance.
-        first: Time, error and signal of the first of them.
+        failed: Accepted steps with an error above the tolerance, `missed` those of them that could not be shorter.
+        first: Time, error and signal of the first failed step, `first_missed` of the first missed one.
         worst: Largest error of an accepted step.
+        worst_missed: Error and signal of the worst missed step.
     """
 
     sizes: list[float] = field(default_factory=list)
     rejected: int = 0
     made: int = 0
     failed: int = 0
+    missed: int = 0
     first: tuple[float, float, str] = (0.0, 0.0, "")
+    first_missed: tuple[float, float, str] = (0.0, 0.0, "")
     worst: float = 0.0
+    worst_missed: Judged = (0.0, "")
 
-    def accept(self, t: float, h: float, error: float, name: str) -> None:
-        """Count a step from t with its largest error."""
+    def accept(self, t: float, h: float, error: float, name: str, *, final: bool) -> None:
+        """Count a step from t with its largest error.
+
+        Args:
+            final: Whether no shorter step is allowed.
+        """
         self.sizes.append(h)
         self.worst = max(self.worst, error)
         if error > 1.0:
             self.first = self.first if self.failed else (t, error, name)
             self.failed += 1
+            if final:
+                self.first_missed = self.first_missed if self.missed else (t, error, name)
+                self.worst_missed = max(self.worst_missed, (error, name))
+                self.missed += 1
 
     def warning(self, control: Control) -> str:
         """Return the warning about steps above the tolerance."""
-        t, error, name = self.first
-        fields = {"signal": name, "time": t, "error": error * control.tolerance, "count": self.failed}
-        if control.estimator == "halving":
+        t, error, name = self.first_missed if self.missed else self.first
+        fields = {"signal": name, "time": t, "error": error * control.tolerance, "count": self.missed or self.failed}
+        if self.missed:
             return messages.TOLERANCE_NOT_MET(step=control.shortest, tolerance=control.tolerance, **fields)
         limits = {"step": control.longest, "tolerance": control.tolerance}
         return messages.TOLERANCE_EXCEEDED(estimator=control.estimator, **limits, **fields)
@@ -95,9 +107,15 @@ class StepCount:
             "rejected": self.rejected,
             "communication_points": self.made,
             "above_tolerance": self.failed,
+            "missed": self._missed(control),
             "largest_error": self.worst * control.tolerance,
             "sizes": shares,
         }
+
+    def _missed(self, control: Control) -> dict[str, Any] | None:
+        """Return number, largest error and signal of shortest steps above the tolerance, if any."""
+        error, name = self.worst_missed
+        return {"steps": self.missed, "error": error * control.tolerance, "signal": name} if self.missed else None
 
 
 class ControlledRun(Announcer, Protocol):
@@ -195,7 +213,7 @@ class ControlledSteps:
             error, name = make(k, t, until, final=is_shortest)
             if math.isnan(error):  # taken back
                 continue
-            self.count.accept(t, h, error, name)
+            self.count.accept(t, h, error, name, final=is_shortest)
             self._choose(h, error)
             t = until
 
@@ -218,7 +236,8 @@ class ControlledSteps:
         expected = self.past(reached)
         judged = self._bonds(expected) if self.control.estimator == "energy" else self._judge(self.sources, expected)
         self._count_exchange()
-        self.count.accept(t, reached - t, *judged)
+        is_shortest = reached - t <= self.control.shortest * (1.0 + ROUNDING)
+        self.count.accept(t, reached - t, *judged, final=is_shortest)
         self._choose(reached - t, judged[0])
 
     # -- step sizes -------------------------------------------------------------------------------

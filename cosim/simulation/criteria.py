@@ -19,6 +19,15 @@ def evaluate(scenario: Scenario, results: Results) -> list[dict[str, Any]]:
     return [_evaluate(kind, criterion, results) for kind, _, criterion in scenario.goals]
 
 
+def missed_tolerance(results: Results) -> list[dict[str, Any]]:
+    """Return the tolerance of controlled steps as a missed criterion, if shortest steps have a larger error."""
+    steps = results.details.get("steps", {})
+    if not (missed := steps.get("missed")):
+        return []
+    limits = {"value": missed["error"], "max": steps["tolerance"], "unit": ""}
+    return [{"kind": "step_error", "of": missed["signal"], **limits, "met": False}]
+
+
 def _evaluate(kind: str, criterion: Criterion, results: Results) -> dict[str, Any]:
     end = math.inf if criterion.until is None else criterion.until
     elapsed = results.time - results.time[0]

@@ -96,6 +96,11 @@ FOLLOWS_AT_START = Template(
     "{loop} may be an algebraic loop that no FMU declares: in initialization {facts}, later only with a step. "
     "It is left open, so that some inputs may have the values of the step before; loops: {{}} solves it",
 )
+RUN_GETS_SLOWER = Template(
+    "W-SIM-082",
+    "all components take about {factor:.2g} times longer for a step since t = {since:g} s than before: the machine is "
+    "busy with something else",
+)
 REPLAY_COST = Template(
-    "N-SIM-072", "; {names}: inputs replayed from the start, which takes up to about {seconds:.2g} s (the run so far)"
+    "N-SIM-072", "; {names}: inputs replayed from the start, which takes up to about {seconds:.2g} s"
 )

@@ -14,6 +14,8 @@ from typing import Any
 
 from cosim.base.drafts import is_full
 from cosim.base.errors import DiskFull, SimulationError, Terminated, stop_error
+from cosim.blocks.compiling import compiling, permission
+from cosim.isolation.component_times import RUN, Slower
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import allocate
 from cosim.master.checkpoint import Continuation, Keeping
@@ -27,7 +29,7 @@ from cosim.scenario.pinned import sha256
 from cosim.scenario.scenario import Scenario
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation import messages
-from cosim.simulation.criteria import evaluate
+from cosim.simulation.criteria import evaluate, missed_tolerance
 from cosim.simulation.manifest import add_changes, check_pinned, manifest, software_versions
 from cosim.simulation.packaged import is_ssp, lay_out
 from cosim.simulation.stopped_run import (
@@ -61,7 +63,9 @@ from cosim.system.real_time import real_time_of
 from cosim.system.recording import take_signals
 from cosim.system.system import System, build_system
 
+REPLAYED_STEP = 2e-5  # [s] of a step that Python replays, beside the step itself
 MANY_ROWS = 1_000_000  # rows of CSV, beyond which a note offers Parquet
+COMPILED = "compile"  # key of a manifest: sources of FMUs may be compiled when the run goes on
 SPARE = 8192  # room beyond the size of the manifest [bytes]
 
 
@@ -126,6 +130,8 @@ class _Prepared:
             if self.ssp is not None:
                 self.record["ssp"] = {"path": str(self.ssp.resolve()), "sha256": sha256(self.ssp)}
             self.record["warnings"] += self.warnings
+            if permission.get():
+                self.record[COMPILED] = True
         return copy.deepcopy(self.record)
 
     def keeping(self) -> Keeping:
@@ -196,7 +202,7 @@ def run(
             worker.start()  # The worker starts up while files are read.
         software = stack.enter_context(ThreadPoolExecutor(1)).submit(software_versions)  # parallel to the loading
         if goes_on:
-            prepared = _prepare_stopped(path, until, software, tell)
+            prepared = _prepare_stopped(path, until, software, tell, stack)
         else:
             options = force, nearest, rows_name("results", format_)
             prepared = _prepare_new(path, folder, overrides, options, software, worker)
@@ -263,13 +269,18 @@ def _prepare_new(
 
 
 def _prepare_stopped(
-    path: Path, until: float | None, software: Future[dict[str, Any]], tell: Callable[[str], None]
+    path: Path, until: float | None, software: Future[dict[str, Any]], tell: Callable[[str], None], stack: ExitStack
 ) -> _Prepared:
-    """Return a stopped run; tell how it goes on."""
+    """Return a stopped run; tell how it goes on.
+
+    Args:
+        stack: Keeps the permission to compile sources, if the run began with it.
+    """
     stopped = open_stopped(path)
     stopped.check_end(until)
     file = stopped.scenario(until)
     check_pinned(file)
+    stack.enter_context(compiling(permission.get() or stopped.record.get(COMPILED) is True))
     system = build_system(file)
     steps = {} if until is None else stopped.solver_steps(system)
     if steps:
@@ -297,7 +308,8 @@ def _how_it_goes_on(stopped: StoppedRun, system: System, start: Continuation | N
         return messages.BEGINS_AGAIN(time=scenario.start_time)
     time = scenario.start_time + (start.count - 1) * scenario.step
     names = replayed_names(system, stopped.checkpoint)
-    cost = messages.REPLAY_COST(names=", ".join(names), seconds=stopped.lasted) if names else ""
+    most = stopped.lasted + REPLAYED_STEP * len(names) * start.count
+    cost = messages.REPLAY_COST(names=", ".join(names), seconds=most) if names else ""
     return messages.GOES_ON(time=time, row=start.count, rows=scenario.steps + 1, replay=cost)
 
 
@@ -324,11 +336,18 @@ def _step(
         limits,
         observers=observers,
         keeping=keeping,
-        warn=lambda slower: tell(messages.GETS_SLOWER(**vars(slower))),
+        warn=lambda slower: tell(_slower(slower)),
         recording=system.recording,
     )
     worker.finish()
     return stepped
+
+
+def _slower(slower: Slower) -> str:
+    """Return the warning of slower steps."""
+    if slower.component == RUN:
+        return messages.RUN_GETS_SLOWER(factor=slower.factor, since=slower.since)
+    return messages.GETS_SLOWER(**vars(slower))
 
 
 def _simulated(prepared: _Prepared) -> float:
@@ -354,7 +373,7 @@ def _add_outcome(record: dict[str, Any], scenario: Scenario, stepped: SteppedRun
     """Add the outcome of the steps to the manifest."""
     record |= stepped.results.details
     if stepped.failure is None:
-        record["criteria"] = evaluate(scenario, stepped.results)
+        record["criteria"] = [*evaluate(scenario, stepped.results), *missed_tolerance(stepped.results)]
     else:
         record["status"] = f"failed: {stepped.failure}"
     record["warnings"] += [*stepped.results.notes, *stepped.log]

@@ -45,10 +45,14 @@ def time_sentence(timings: Mapping[str, Any]) -> str:
         return ""
     parts: dict[str, list[str]] = {}
     for name, entry in mapping(timings.get("components")).items():
-        parts[str(name)] = [f"{number(mapping(entry).get('share')):.0%} of the time"]
+        times = mapping(entry)
+        steps = sum(number(times.get(call)) for call in ("step", "set", "get"))
+        words = f"{plain(steps, 2)} s in steps, {plain(number(times.get('other')), 2)} s in loading"
+        parts[str(name)] = [f"{number(times.get('share')):.0%} of the time, loading included ({words})"]
         break
     for slower in mappings(timings.get("slower")):
         factor, since = number(slower.get("factor")), number(slower.get("since"))
         words = f"{plain(factor, 2)} times longer for a step after {since:g} s"
-        parts.setdefault(str(slower.get("component")), []).append(words)
+        name = str(slower.get("component")) or "every component"
+        parts.setdefault(name, []).append(words)
     return "; ".join(f"{name} takes {', and '.join(words)}" for name, words in parts.items()) + "." if parts else ""
