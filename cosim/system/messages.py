@@ -6,7 +6,7 @@ from cosim.base.messages import Template
 NO_FMU = Template("E-SYS-001", "no such FMU: {path}{cure}")
 INTERFACE_NOT_OFFERED = Template("E-SYS-002", "{fmu} offers {interfaces} only")
 NO_VARIABLE = Template("E-SYS-003", '{component} has no variable "{name}"{hint}')
-NO_INPUT = Template("E-SYS-098", '{component} has no input "{name}"{hint}; feedthrough: names inputs')
+NO_INPUT = Template("E-SYS-099", '{component} has no input "{name}"{hint}; feedthrough: names inputs')
 NOT_SETTABLE = Template("E-SYS-004", "{name} is {kind}; it takes no start value")
 VALUE_MISFIT = Template("E-SYS-005", "{name} is {value!r}; {reason}")
 COUNT_NAME_TAKEN = Template(
