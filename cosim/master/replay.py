@@ -270,7 +270,7 @@ class CompiledReplay:
             elif why != StopReason.LATER:
                 part = self.parts[loop.plan.place // 2]
                 try:
-                    part.stage.component.raise_error(why, loop.plan, loop.slots[loop.plan.place])  # type: ignore[attr-defined]
+                    part.stage.component.raise_error(why, loop.plan, loop.slots[loop.plan.place])
                 except EarlyEnd as stop:
                     raise difference(part, stop.reached) from None
 
