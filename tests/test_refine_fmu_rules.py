@@ -37,17 +37,18 @@ def hypothesis(estimates: Mapping[str, tuple[float, float]]) -> Hypothesis:
     return Hypothesis(tuple(Candidate(name, "sensor", (f,), ({},)) for name, f in free.items()), fit, 0.0)
 
 
-@pytest.mark.parametrize(("probed", "names"), [(True, ("late",)), (False, ("lag", "late"))])
-def test_a_part_of_an_fmus_claim_is_further_from_neutral_than_the_best_of_all_by_chance(
-    monkeypatch: pytest.MonkeyPatch, probed: bool, names: tuple[str, ...]
+@pytest.mark.parametrize(("is_flat", "names"), [(False, ("late",)), (True, ("lag", "late"))])
+def test_a_part_of_a_claim_is_further_from_neutral_than_the_best_of_all_by_chance(
+    monkeypatch: pytest.MonkeyPatch, is_flat: bool, names: tuple[str, ...]
 ) -> None:
     monkeypatch.setattr(judgement, "with_intervals", lambda search, h: h)
     alone = hypothesis({"late": (2.6, 0.1)})
-    search: Any = SimpleNamespace(subject=SimpleNamespace(probed=probed), tried={("late",): alone}, on_trial=50)
+    search: Any = SimpleNamespace(tried={("late",): alone}, on_trial=50)
     dropped: dict[str, str] = {}
-    best = judgement._with_certain_parts(search, hypothesis({"lag": (1.0, 0.3), "late": (2.4, 0.3)}), dropped)
+    both = hypothesis({"lag": (1.0, np.inf if is_flat else 0.3), "late": (2.4, 0.3)})
+    best = judgement._with_certain_parts(search, both, dropped)
     assert best.names == names
-    assert list(dropped) == (["lag"] if probed else [])
+    assert list(dropped) == ([] if is_flat else ["lag"])
 
 
 @pytest.mark.parametrize(("others", "is_worse"), [(0.9, False), (1.1, True)])

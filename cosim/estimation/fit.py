@@ -98,6 +98,11 @@ class Fit:
         shared = F[np.ix_(own, ~own)] @ inverse(F[np.ix_(~own, ~own)]) @ F[np.ix_(~own, own)]
         return np.asarray(F[np.ix_(own, own)] - shared)
 
+    def is_flat(self, name: str) -> bool:
+        """Return whether the likelihood does not depend on a free parameter near its estimate."""
+        k = [f.name for f in self.free].index(name)
+        return not self.information[k, k] > 0.0
+
     def sigma(self, name: str) -> float:
         """Return the standard deviation of an estimate.
 

@@ -427,7 +427,7 @@ def with_flat_directions(problem: Problem, f: Fit) -> Fit:
     Such an estimate has no information and would have an interval of width 0. Its interval reaches as far as the
     likelihood is within its 95 % region (Venzon and Moolgavkar 1988, Appl. Stat. 37:87), the other parameters fixed.
     """
-    flat = [k for k, x in enumerate(f.free) if f.information[k, k] == 0.0 and x.low < x.high]
+    flat = [k for k, x in enumerate(f.free) if f.is_flat(x.name) and x.low < x.high]
     if not flat or f.scattered is None:
         return f
     scattered = f.scattered.copy()

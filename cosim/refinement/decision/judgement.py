@@ -101,19 +101,17 @@ def _drop_unsupported(search: Search, best: Hypothesis) -> _Remainder:
 
 
 def _with_certain_parts(search: Search, best: Hypothesis, dropped: dict[str, str]) -> Hypothesis:
-    """Return a hypothesis with intervals; of an FMU, without parts that may have no effect.
+    """Return a hypothesis with intervals, without parts that may have no effect.
 
-    Of the many terms of a general catalogue one often corrects another one, at a value that differs between the logs.
-    A part is certain if it stands further from neutral than the best of all candidates does by chance.
+    One candidate of many often corrects another one, or something outside the catalogue, at a value that differs between
+    the logs. A part is certain if it stands further from neutral than the best of all candidates does by chance.
 
     Args:
         dropped: Name of a dropped part → reason, to add to.
     """
     best = with_intervals(search, best)
-    if not search.subject.probed:
-        return best
     least = deviations_by_chance(search.on_trial)
-    weak = [c for c in best.candidates if c.kind != "parameter" and not best.is_away(c, least)]
+    weak = [c for c in best.candidates if _may_be_chance(best, c, least)]
     if not weak:
         return best
     dropped[weak[0].name] = f"its value is less than {least:.1f} standard deviations from that without effect"
@@ -121,6 +119,17 @@ def _with_certain_parts(search: Search, best: Hypothesis, dropped: dict[str, str
     rest = search.tried.get(key_of(others)) or search.hypothesis(others, best.fit)
     search.tried[rest.names] = rest
     return _with_certain_parts(search, rest, dropped) if others else rest
+
+
+def _may_be_chance(h: Hypothesis, c: Candidate, least: float) -> bool:
+    """Return True if a part is less than `least` standard deviations from neutral.
+
+    Where the likelihood is flat at the estimate, as for a lag shorter than the time between rows, the interval holds
+    values that explain the logs alike; its width is no standard deviation and says nothing here.
+    """
+    distances = [f.name for f in c.free if f.neutral is not None]
+    is_judged = bool(distances) and c.kind != "parameter" and not any(map(h.fit.is_flat, distances))
+    return is_judged and not h.is_away(c, least)
 
 
 def _gain_together(search: Search, fuller: Hypothesis, rest: Hypothesis) -> bool:
