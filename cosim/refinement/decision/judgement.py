@@ -111,7 +111,7 @@ def _with_certain_parts(search: Search, best: Hypothesis, dropped: dict[str, str
     """
     best = with_intervals(search, best)
     least = deviations_by_chance(search.on_trial)
-    weak = [c for c in best.candidates if _may_be_chance(best, c, least)]
+    weak = [c for c in best.candidates if may_be_chance(best, c, least)]
     if not weak:
         return best
     dropped[weak[0].name] = f"its value is less than {least:.1f} standard deviations from that without effect"
@@ -121,7 +121,7 @@ def _with_certain_parts(search: Search, best: Hypothesis, dropped: dict[str, str
     return _with_certain_parts(search, rest, dropped) if others else rest
 
 
-def _may_be_chance(h: Hypothesis, c: Candidate, least: float) -> bool:
+def may_be_chance(h: Hypothesis, c: Candidate, least: float) -> bool:
     """Return True if a part is less than `least` standard deviations from neutral.
 
     Where the likelihood is flat at the estimate, as for a lag shorter than the time between rows, the interval holds

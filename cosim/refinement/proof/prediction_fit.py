@@ -2,8 +2,8 @@
 
 A filter corrects its state at every row, so that its fit weighs the prediction of the next row most. With incomplete
 equations, other parameters are best for predictions. The fit to predictions replaces the filter's if it predicts
-held-out logs clearly better. Intervals then include the values of both. A part on which both fits disagree is not
-claimed.
+held-out logs clearly better. Intervals then include the values of both. A part on which both fits disagree, or whose
+interval then shows no effect beyond chance, is not claimed.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem
 from cosim.logs.channel_noise import NORMAL_95
 from cosim.refinement.decision.claims import Claims, Doubt, fit_of_rest, is_moved, name_of
-from cosim.refinement.decision.evidence import Replays, fit_without, log_error, with_intervals
+from cosim.refinement.decision.evidence import Replays, deviations_by_chance, fit_without, log_error, with_intervals
+from cosim.refinement.decision.judgement import may_be_chance
 from cosim.refinement.decision.trust import CLEARLY
 from cosim.refinement.search.fits import Search
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis
@@ -32,7 +33,8 @@ def compare_with_predictions(search: Search, a: Attribution, claims: Claims) -> 
     """Return the claims with the parameters that predict best, without parts on which filter and predictions disagree.
 
     The intervals of a partial claim include both values in any case: with incomplete equations, the difference between
-    both fits is a measure of the bias. A claim that halves the held-out error keeps all its parts.
+    both fits is a measure of the bias. A claim that halves the held-out error keeps parts on which both fits disagree,
+    unless these intervals show no effect beyond chance.
     """
     problem, horizon, h = search.problem, search.subject.horizon, claims.claimed
     if h is None or h.is_of_sensors or not _has_predictions(search):
@@ -41,10 +43,13 @@ def compare_with_predictions(search: Search, a: Attribution, claims: Claims) -> 
     if not is_better and claims.grade == "claimed":
         return claims
     refit = _refit(problem, h.fit, horizon, range(len(problem.logs)))
-    moved = _moved_parts(claims, h.fit, refit) if is_better else set()
-    if not moved or a.halves_error or claims.name == "ambiguous":
-        return replace(claims, claimed=_with_both(h, refit, refit.values if is_better else h.fit.values))
-    return _without(search, a, claims, moved)
+    both = _with_both(h, refit, refit.values if is_better else h.fit.values)
+    if claims.name == "ambiguous":
+        return replace(claims, claimed=both)
+    moved = _moved_parts(claims, h.fit, refit) if is_better and not a.halves_error else set()
+    least = deviations_by_chance(search.on_trial)
+    small = {c.name for c in h.candidates if may_be_chance(both, c, least)} - moved
+    return _without(search, a, claims, moved, small) if moved | small else replace(claims, claimed=both)
 
 
 def _has_predictions(search: Search) -> bool:
@@ -58,13 +63,14 @@ def _moved_parts(claims: Claims, before: Fit, after: Fit) -> set[str]:
     return {c.name for c in claims.claimed_candidates if any(is_moved(f, before, after) for f in c.free)}
 
 
-def _without(search: Search, a: Attribution, claims: Claims, moved: set[str]) -> Claims:
-    """Return the claims without the parts on which both fits disagree."""
-    rest, names = fit_of_rest(a, moved), tuple(sorted(moved))
+def _without(search: Search, a: Attribution, claims: Claims, moved: set[str], small: set[str]) -> Claims:
+    """Return the claims without parts on which both fits disagree, and without those that may be chance."""
+    rest, names = fit_of_rest(a, moved | small), tuple(sorted(moved))
     if rest is None:
-        return claims.withdraw(Doubt("disagreeing", names=names))
-    name = name_of(rest.candidates, search.subject)
-    return replace(claims, name=name, claimed=with_intervals(search, rest), grade="part", disagreeing=names)
+        return claims.withdraw(Doubt("disagreeing", names=names or tuple(sorted(small))))
+    name, perhaps = name_of(rest.candidates, search.subject), (*claims.small, *sorted(small))
+    rest = with_intervals(search, rest)
+    return replace(claims, name=name, claimed=rest, grade="part", disagreeing=names, small=perhaps)
 
 
 def _predicts_better(search: Search, h: Hypothesis) -> bool:
