@@ -15,11 +15,12 @@ from cosim.base.linear_algebra import square_roots
 from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
 from cosim.logs.channel_noise import NORMAL_95
+from cosim.refinement.decision import judgement
 from cosim.refinement.decision.claims import Claims, Grade, MovedParameter, Rung, judge, name_of
 from cosim.refinement.decision.sentences import _moved_text, improvement_text, nearest_text, remainder_text
-from cosim.refinement.proof import prediction_fit
+from cosim.refinement.proof import agreement
+from cosim.refinement.proof.agreement import compare_with_predictions
 from cosim.refinement.proof.nearest import is_as_good, nearest
-from cosim.refinement.proof.prediction_fit import compare_with_predictions
 from cosim.refinement.proof.replay_check import check_claim
 from cosim.refinement.record import effects
 from cosim.refinement.search.fits import Search
@@ -123,10 +124,20 @@ def test_a_claim_that_halves_the_held_out_error_is_never_withdrawn() -> None:
 
 def test_the_error_ratio_is_the_mean_over_the_logs_and_each_log_has_to_improve() -> None:
     ratios = {(0.4, 0.6): True, (0.1, 1.1): False, (0.6, 0.6): False, (): False}
-    for logs, halves in ratios.items():
-        a = attribution(fitted(FRICTION), ratios=logs)
-        assert a.halves_error is halves
-        assert a.error_ratio == pytest.approx(math.prod(logs) ** (1 / len(logs)) if logs else 1.0)
+    assert {logs: attribution(fitted(FRICTION), ratios=logs).halves_error for logs in ratios} == ratios
+
+
+@pytest.mark.parametrize(
+    ("by_filter", "noise", "expected"),
+    [((0.4, 0.8), 1e3, (0.2, 0.4)), ((0.4, 0.5), 1e3, (0.4, 0.5)), ((0.4, 0.8), 0.0, (0.4, 0.8))],
+)
+def test_beside_an_unknown_input_fits_to_predictions_show_whether_the_error_is_halved(
+    monkeypatch: pytest.MonkeyPatch, by_filter: tuple[float, ...], noise: float, expected: tuple[float, ...]
+) -> None:
+    ratios = {False: by_filter, True: (0.2, 0.4)}
+    monkeypatch.setattr(judgement, "error_ratios", lambda *fits, to_predictions: ratios[to_predictions])
+    search = cast(Search, SimpleNamespace(subject=CRAFT, problem=SimpleNamespace(logs=[1, 2], table=False, own=())))
+    assert judgement._error_ratios(search, fitted(FRICTION), fitted(), (noise,)) == expected
 
 
 def test_of_two_models_within_one_standard_error_the_simpler_is_taken() -> None:
@@ -189,9 +200,9 @@ def test_a_part_on_which_filter_and_predictions_disagree_is_not_claimed(
     best = fitted(FRICTION, DRAG)
     values = {n: moved.get(n.partition(".")[0], 1.01 * v) for n, v in best.fit.values.items()}
     refit = replace(best.fit, values=values)
-    monkeypatch.setattr(prediction_fit, "_refit", lambda *arguments: refit)
-    monkeypatch.setattr(prediction_fit, "_predicts_better", lambda search, h: True)
-    monkeypatch.setattr(prediction_fit, "with_intervals", lambda search, h: h)
+    monkeypatch.setattr(agreement, "fit_to_predictions", lambda *arguments: refit)
+    monkeypatch.setattr(agreement, "_predicts_better", lambda search, h: True)
+    monkeypatch.setattr(agreement, "with_intervals", lambda search, h: h)
     a = attribution(best, ratios=ratios)
     problem = SimpleNamespace(logs=[1, 2], table=False, own=())
     search = cast(Search, SimpleNamespace(subject=CRAFT, problem=problem, on_trial=1))
@@ -209,8 +220,8 @@ def test_intervals_of_a_part_include_the_value_of_predictions(
 ) -> None:
     best = fitted(FRICTION)
     refit = replace(best.fit, values={n: v + 0.02 for n, v in best.fit.values.items()})
-    monkeypatch.setattr(prediction_fit, "_refit", lambda *arguments: refit)
-    monkeypatch.setattr(prediction_fit, "_predicts_better", lambda search, h: False)
+    monkeypatch.setattr(agreement, "fit_to_predictions", lambda *arguments: refit)
+    monkeypatch.setattr(agreement, "_predicts_better", lambda search, h: False)
     problem = SimpleNamespace(logs=[1, 2], table=False, own=())
     search = cast(Search, SimpleNamespace(subject=CRAFT, problem=problem, on_trial=1))
     after = compare_with_predictions(search, attribution(best), Claims("effect_found", best, grade=grade)).claimed

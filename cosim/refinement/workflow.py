@@ -38,10 +38,10 @@ from cosim.refinement.decision.evidence import (
 from cosim.refinement.decision.judgement import BETTER, decide
 from cosim.refinement.decision.sentences import floor_warning
 from cosim.refinement.decision.trust import attribute
+from cosim.refinement.proof.agreement import compare_with_predictions
 from cosim.refinement.proof.carried import carry_sealed_logs
 from cosim.refinement.proof.measure import FLOOR_SEED, Evidence, final_log_parameters, noise_floor, rmse
 from cosim.refinement.proof.nearest import ladder, nearest
-from cosim.refinement.proof.prediction_fit import compare_with_predictions
 from cosim.refinement.proof.prediction_search import search_nearest
 from cosim.refinement.proof.proof_replays import LogSets, Proof, warnings_of
 from cosim.refinement.proof.refined_models import Variant, refined_subject, variant_of, variants_of, with_log_noise

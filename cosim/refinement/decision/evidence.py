@@ -237,25 +237,6 @@ def log_error(problem: Problem, horizon: float, fits: Iterable[Fit], logs: Itera
     return float(np.mean(0.5 * np.log(sums[seen] / counts[seen]))) if seen.any() else math.inf
 
 
-def error_ratios(search: Search, better: Hypothesis, worse: Hypothesis) -> tuple[float, ...]:
-    """Return the ratio of open-loop errors of two hypotheses on each held-out log, in the mean over the outputs.
-
-    A single log is halved. A log on which both predictions are exact is omitted. If the worse hypothesis predicts a log
-    worse than the given model does, the given model takes its place.
-    """
-    problem, horizon = search.problem, search.subject.horizon
-    problem = problem if len(problem.logs) > 1 else halve_log(problem)
-
-    def log_ratio(log: int) -> float:
-        fits = [fit_without(search, problem, h, log) for h in (better, worse)]
-        fits.append(replace(fits[1], values={**fits[1].values, **problem.values}))
-        after, *before = (log_error(problem, horizon, [f], [log]) for f in fits)
-        return after - min(before)
-
-    logarithms = in_parallel(log_ratio, list(range(len(problem.logs))))
-    return tuple(math.exp(value) for value in logarithms if math.isfinite(value))
-
-
 def required_scatters(scatters: float, tried: int) -> float:
     """Return the gain per scatter that is required of the best of several candidates.
 

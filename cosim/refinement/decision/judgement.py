@@ -15,15 +15,15 @@ from cosim.logs.channel_noise import NORMAL_95
 from cosim.refinement.decision.evidence import (
     chance_limit,
     deviations_by_chance,
-    error_ratios,
     fit_given_model,
     held_out_gains,
     refutation,
     steadiness,
     with_intervals,
 )
+from cosim.refinement.decision.prediction_fit import error_ratios, has_predictions
 from cosim.refinement.search.fits import Search, SearchResult, key_of
-from cosim.refinement.search.hypotheses import Attribution, Hypothesis, Support
+from cosim.refinement.search.hypotheses import NOISE, Attribution, Hypothesis, Support, are_halved
 from cosim.subject.base_parameters import WIDTHS
 from cosim.subject.candidates import Candidate, Free
 from cosim.terms.alike import are_alike, contains
@@ -52,9 +52,17 @@ def decide(result: SearchResult) -> Attribution:
     reasons = {h.names: _reason(search, h, best, rivals, rest.dropped) for h in tried if h.names != best.names}
     total = _support(search, best, base) if best.candidates else Support(0.0, 0.0)
     unfitted, noise = fit_given_model(search.problem, base.fit), noise_gain(search.problem, best.fit)
-    ratios = error_ratios(search, best, base) if best.candidates else ()
+    ratios = _error_ratios(search, best, base, noise) if best.candidates else ()
     evidence = (total, rest.support, noise, reasons, result.hidden, result.effects, rest.fuller, ratios)
     return Attribution(base, unfitted, tried, best, rivals, *evidence)
+
+
+def _error_ratios(search: Search, best: Hypothesis, base: Hypothesis, noise: Sequence[float]) -> tuple[float, ...]:
+    """Return the ratios of errors on held-out logs; beside an unknown input, also of fits to predictions."""
+    ratios = error_ratios(search, best, base, to_predictions=False)
+    if are_halved(ratios) or max(noise, default=0.0) <= NOISE or not has_predictions(search):
+        return ratios
+    return error_ratios(search, best, base, to_predictions=True)
 
 
 @dataclass
@@ -103,8 +111,8 @@ def _drop_unsupported(search: Search, best: Hypothesis) -> _Remainder:
 def _with_certain_parts(search: Search, best: Hypothesis, dropped: dict[str, str]) -> Hypothesis:
     """Return a hypothesis with intervals, without parts that may have no effect.
 
-    One candidate of many often corrects another one, or something outside the catalogue, at a value that differs between
-    the logs. A part is certain if it stands further from neutral than the best of all candidates does by chance.
+    One candidate of many often corrects another one, or something outside the catalogue, at a value that differs
+    between the logs. A part is certain if it stands further from neutral than the best of all candidates by chance.
 
     Args:
         dropped: Name of a dropped part → reason, to add to.

@@ -23,8 +23,8 @@ from cosim.estimation.fit import DIFFERENCE, NOISE_DIFFERENCE, Fit
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem
 from cosim.refinement.decision.evidence import Replays, rows_of_replay
+from cosim.refinement.decision.prediction_fit import EVALUATIONS
 from cosim.refinement.proof.nearest import SIMPLER
-from cosim.refinement.proof.prediction_fit import EVALUATIONS
 from cosim.subject.candidates import Candidate
 
 OVERLAP = 2  # predictions that cover each row

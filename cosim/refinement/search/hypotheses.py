@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from cosim.estimation.fit import Fit
@@ -46,6 +46,13 @@ class Hypothesis:
         """Return True if a parameter is more than `times` standard deviations from neutral."""
         distances = {f.name: abs(self.fit.values[f.name] - f.neutral) for f in c.free if f.neutral is not None}
         return any(distance > times * self.fit.sigma(name) for name, distance in distances.items())
+
+
+def are_halved(ratios: Sequence[float]) -> bool:
+    """Return True if ratios of errors by log are at most a half in their geometric mean, and all below 1."""
+    if not ratios:
+        return False
+    return math.exp(sum(map(math.log, ratios)) / len(ratios)) <= MAX_HALVED_RATIO and max(ratios) < 1.0
 
 
 def best_hypothesis(hypotheses: Iterable[Hypothesis]) -> Hypothesis:
@@ -93,14 +100,9 @@ class Attribution:
     error_ratios: tuple[float, ...] = ()  # held-out open-loop error, best hypothesis over recalibrated model, by log
 
     @property
-    def error_ratio(self) -> float:
-        """Return the geometric mean ratio of held-out errors."""
-        return math.exp(sum(map(math.log, self.error_ratios)) / len(self.error_ratios)) if self.error_ratios else 1.0
-
-    @property
     def halves_error(self) -> bool:
         """Return True if the best hypothesis halves the held-out error and reduces it on every log."""
-        return self.error_ratio <= MAX_HALVED_RATIO and max(self.error_ratios) < 1.0
+        return are_halved(self.error_ratios)
 
     @property
     def has_unknown_input(self) -> tuple[bool, ...]:

@@ -1,4 +1,4 @@
-"""Fit of a claim's parameters to predictions over the model's own horizon.
+"""Agreement of a claim with a fit of its parameters to predictions over the model's own horizon.
 
 A filter corrects its state at every row, so that its fit weighs the prediction of the next row most. With incomplete
 equations, other parameters are best for predictions. The fit to predictions replaces the filter's if it predicts
@@ -8,25 +8,21 @@ interval then shows no effect beyond chance, is not claimed.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
-from cosim.base.arrays import Array
 from cosim.estimation.fit import Fit
 from cosim.estimation.parallel import in_parallel
-from cosim.estimation.problem import Problem
 from cosim.logs.channel_noise import NORMAL_95
 from cosim.refinement.decision.claims import Claims, Doubt, fit_of_rest, is_moved, name_of
-from cosim.refinement.decision.evidence import Replays, deviations_by_chance, fit_without, log_error, with_intervals
+from cosim.refinement.decision.evidence import deviations_by_chance, fit_without, log_error, with_intervals
 from cosim.refinement.decision.judgement import may_be_chance
+from cosim.refinement.decision.prediction_fit import fit_to_predictions, has_predictions
 from cosim.refinement.decision.trust import CLEARLY
 from cosim.refinement.search.fits import Search
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis
-
-EVALUATIONS = 8  # largest number of Jacobians of a fit
 
 
 def compare_with_predictions(search: Search, a: Attribution, claims: Claims) -> Claims:
@@ -37,12 +33,12 @@ def compare_with_predictions(search: Search, a: Attribution, claims: Claims) -> 
     unless these intervals show no effect beyond chance.
     """
     problem, horizon, h = search.problem, search.subject.horizon, claims.claimed
-    if h is None or h.is_of_sensors or not _has_predictions(search):
+    if h is None or h.is_of_sensors or not has_predictions(search):
         return claims
     is_better = _predicts_better(search, h)
     if not is_better and claims.grade == "claimed":
         return claims
-    refit = _refit(problem, h.fit, horizon, range(len(problem.logs)))
+    refit = fit_to_predictions(problem, h.fit, horizon, range(len(problem.logs)))
     both = _with_both(h, refit, refit.values if is_better else h.fit.values)
     if claims.name == "ambiguous":
         return replace(claims, claimed=both)
@@ -50,12 +46,6 @@ def compare_with_predictions(search: Search, a: Attribution, claims: Claims) -> 
     least = deviations_by_chance(search.on_trial)
     small = {c.name for c in h.candidates if may_be_chance(both, c, least)} - moved
     return _without(search, a, claims, moved, small) if moved | small else replace(claims, claimed=both)
-
-
-def _has_predictions(search: Search) -> bool:
-    """Return True for several logs with a horizon and one set of values, on which both fits can be compared."""
-    problem = search.problem
-    return len(problem.logs) > 1 and math.isfinite(search.subject.horizon) and not (problem.table or problem.own)
 
 
 def _moved_parts(claims: Claims, before: Fit, after: Fit) -> set[str]:
@@ -81,7 +71,7 @@ def _predicts_better(search: Search, h: Hypothesis) -> bool:
     def gain(log: int) -> float:
         """Return the decrease of the log error on a held-out log."""
         before = fit_without(search, problem, h, log)
-        after = _refit(problem, before, horizon, [k for k in logs if k != log])
+        after = fit_to_predictions(problem, before, horizon, [k for k in logs if k != log])
         return log_error(problem, horizon, [before], [log]) - log_error(problem, horizon, [after], [log])
 
     gains = in_parallel(gain, list(logs))
@@ -95,28 +85,3 @@ def _with_both(h: Hypothesis, refit: Fit, values: Mapping[str, float]) -> Hypoth
     wider = 1.0 + np.divide(moved / NORMAL_95, sigmas, out=np.zeros_like(sigmas), where=sigmas > 0.0)
     covariance = np.diag(sigmas**2) if h.fit.scattered is None else h.fit.scattered
     return replace(h, fit=replace(h.fit, values=values, scattered=covariance * np.outer(wider, wider)))
-
-
-def _refit(problem: Problem, f: Fit, horizon: float, logs: Sequence[int]) -> Fit:
-    """Return the fit with free parameters that minimise the squared errors of predictions, priors included."""
-    from scipy.optimize import least_squares
-
-    replays = [Replays(problem, horizon, f, k) for k in logs]
-    errors = np.concatenate([e.reshape(-1, e.shape[-1]) for e in (r.residuals(f.values) for r in replays)])
-    scale = np.sqrt(np.nansum(errors**2, axis=0) / np.maximum(1, np.isfinite(errors).sum(axis=0)))
-    scale = np.where(scale > 0.0, scale, 1.0) * math.sqrt(max(r.length for r in replays))
-    priors = [(k, *x.prior) for k, x in enumerate(f.free) if x.prior]
-
-    def residuals(theta: Array) -> Array:
-        values = {**f.values, **{x.name: float(v) for x, v in zip(f.free, theta, strict=True)}}
-        parts = [np.nan_to_num(r.residuals(values) / scale, nan=0.0, posinf=1e6, neginf=-1e6).ravel() for r in replays]
-        return np.concatenate([*parts, [(theta[k] - mean) / sigma for k, mean, sigma in priors]])
-
-    start = np.array([f.values[x.name] for x in f.free])
-    low, high = np.array([x.low for x in f.free]), np.array([x.high for x in f.free])
-    inside = np.clip(start, low + 1e-9 * (high - low), high - 1e-9 * (high - low))
-    inside = np.where(np.isfinite(inside), inside, start)
-    sizes = np.array([x.size for x in f.free])
-    done = least_squares(residuals, inside, bounds=(low, high), x_scale=sizes, diff_step=1e-4, max_nfev=EVALUATIONS)
-    values = {x.name: float(v) for x, v in zip(f.free, done.x, strict=True)}
-    return replace(f, values={**f.values, **values})
