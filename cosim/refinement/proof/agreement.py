@@ -2,8 +2,8 @@
 
 A filter corrects its state at every row, so that its fit weighs the prediction of the next row most. With incomplete
 equations, other parameters are best for predictions. The fit to predictions replaces the filter's if it predicts
-held-out logs clearly better. Intervals then include the values of both. A part on which both fits disagree, or whose
-interval then shows no effect beyond chance, is not claimed.
+held-out logs clearly better. Intervals then include the values of both. A part on which both fits disagree, or that one
+of them puts within chance of no effect, is not claimed.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def compare_with_predictions(search: Search, a: Attribution, claims: Claims) -> 
 
     The intervals of a partial claim include both values in any case: with incomplete equations, the difference between
     both fits is a measure of the bias. A claim that halves the held-out error keeps parts on which both fits disagree,
-    unless these intervals show no effect beyond chance.
+    unless the fit to predictions puts them within chance of no effect.
     """
     problem, horizon, h = search.problem, search.subject.horizon, claims.claimed
     if h is None or h.is_of_sensors or not has_predictions(search):
@@ -44,7 +44,8 @@ def compare_with_predictions(search: Search, a: Attribution, claims: Claims) -> 
         return replace(claims, claimed=both)
     moved = _moved_parts(claims, h.fit, refit) if is_better and not a.halves_error else set()
     least = deviations_by_chance(search.on_trial)
-    small = {c.name for c in h.candidates if may_be_chance(both, c, least)} - moved
+    predicted = replace(h, fit=replace(h.fit, values=refit.values))
+    small = {c.name for c in h.candidates if may_be_chance(predicted, c, least)} - moved
     return _without(search, a, claims, moved, small) if moved | small else replace(claims, claimed=both)
 
 
