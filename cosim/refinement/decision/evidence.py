@@ -196,7 +196,7 @@ def held_out_gains(search: Search, better: Hypothesis, worse: Hypothesis) -> tup
         return objectives[0] - objectives[1], errors
 
     gains, errors = zip(*in_parallel(compare, list(range(len(problem.logs)))), strict=True)
-    return sum(gains), sum_per_scatter(_error_decreases(errors))
+    return sum(gains), sum_per_scatter(error_decreases(errors))
 
 
 def _with_prior_of(others: Fit, f: Free, scatter: float) -> Free:
@@ -224,7 +224,7 @@ def open_loop_gain(problem: Problem, horizon: float, better: Fit, worse: Fit) ->
         fits = [fit(problem, f.free, f.values, f.noise, others, SCREEN_ITERATIONS) for f in (worse, better)]
         return [open_loop(problem, horizon, fit_for_held_out(problem, f, log), log) for f in fits]
 
-    return sum_per_scatter(_error_decreases(in_parallel(errors, logs)))
+    return sum_per_scatter(error_decreases(in_parallel(errors, logs)))
 
 
 def log_error(problem: Problem, horizon: float, fits: Iterable[Fit], logs: Iterable[int] | None = None) -> float:
@@ -276,7 +276,7 @@ def fit_without(search: Search, problem: Problem, h: Hypothesis, log: int) -> Fi
     return search.cross_fits[key]
 
 
-def _error_decreases(errors: Sequence[Sequence[Array]]) -> Array:
+def error_decreases(errors: Sequence[Sequence[Array]]) -> Array:
     """Return the scaled decrease of squared errors per replay.
 
     Args:

@@ -21,7 +21,7 @@ from cosim.refinement.decision.evidence import (
     steadiness,
     with_intervals,
 )
-from cosim.refinement.decision.prediction_fit import error_ratios, has_predictions
+from cosim.refinement.decision.prediction_fit import error_ratios, has_predictions, predicted_gain
 from cosim.refinement.search.fits import Search, SearchResult, key_of
 from cosim.refinement.search.hypotheses import NOISE, Attribution, Hypothesis, Support, are_halved
 from cosim.subject.base_parameters import WIDTHS
@@ -172,7 +172,10 @@ def _support(search: Search, better: Hypothesis, worse: Hypothesis) -> Support:
     steady = steadiness(search.problem, better.fit, worse.fit)
     if gain > PLAIN and steady > PLAINLY:
         return Support(gain, steady)
-    return Support(gain, steady, *held_out_gains(search, better, worse))
+    held_out, predicted = held_out_gains(search, better, worse)
+    if predicted < WORSE and has_predictions(search):  # A filter's fit of few logs may explain motion by noise.
+        predicted = predicted_gain(search, better, worse)
+    return Support(gain, steady, held_out, predicted)
 
 
 def _doubt(search: Search, h: Hypothesis, c: Candidate, s: Support) -> str:

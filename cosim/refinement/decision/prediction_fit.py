@@ -17,7 +17,14 @@ from cosim.estimation.fit import Fit
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.posing import halve_log
 from cosim.estimation.problem import Problem
-from cosim.refinement.decision.evidence import Replays, fit_without, log_error
+from cosim.refinement.decision.evidence import (
+    Replays,
+    error_decreases,
+    fit_without,
+    log_error,
+    open_loop,
+    sum_per_scatter,
+)
 from cosim.refinement.search.fits import Search
 from cosim.refinement.search.hypotheses import Hypothesis
 
@@ -28,6 +35,26 @@ def has_predictions(search: Search) -> bool:
     """Return True for several logs with a horizon and one set of values, so that predictions can be fitted."""
     problem = search.problem
     return len(problem.logs) > 1 and math.isfinite(search.subject.horizon) and not (problem.table or problem.own)
+
+
+def predicted_gain(search: Search, better: Hypothesis, worse: Hypothesis) -> float:
+    """Return the decrease of squared errors on held-out logs per scatter, by fits to predictions of the other logs."""
+    problem, horizon = search.problem, search.subject.horizon
+
+    def errors(log: int) -> list[Array]:
+        return [open_loop(problem, horizon, fit_to_others(search, h, log), log) for h in (worse, better)]
+
+    return sum_per_scatter(error_decreases(in_parallel(errors, list(range(len(problem.logs))))))
+
+
+def fit_to_others(search: Search, h: Hypothesis, log: int) -> Fit:
+    """Return the fit of a hypothesis to predictions of all logs except `log`, from the cache if possible."""
+    key = (h.names, log)
+    if key not in search.prediction_fits:
+        problem, others = search.problem, [k for k in range(len(search.problem.logs)) if k != log]
+        by_filter = fit_without(search, problem, h, log)
+        search.prediction_fits[key] = fit_to_predictions(problem, by_filter, search.subject.horizon, others)
+    return search.prediction_fits[key]
 
 
 def error_ratios(search: Search, better: Hypothesis, worse: Hypothesis, *, to_predictions: bool) -> tuple[float, ...]:
@@ -43,10 +70,11 @@ def error_ratios(search: Search, better: Hypothesis, worse: Hypothesis, *, to_pr
     problem = problem if len(problem.logs) > 1 else halve_log(problem)
 
     def log_ratio(log: int) -> float:
-        fits = [fit_without(search, problem, h, log) for h in (better, worse)]
+        both = better, worse
         if to_predictions:
-            others = [k for k in range(len(problem.logs)) if k != log]
-            fits = [fit_to_predictions(problem, f, horizon, others) for f in fits]
+            fits = [fit_to_others(search, h, log) for h in both]
+        else:
+            fits = [fit_without(search, problem, h, log) for h in both]
         fits.append(replace(fits[1], values={**fits[1].values, **problem.values}))
         after, *before = (log_error(problem, horizon, [f], [log]) for f in fits)
         return after - min(before)

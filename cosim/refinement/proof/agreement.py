@@ -19,7 +19,7 @@ from cosim.logs.channel_noise import NORMAL_95
 from cosim.refinement.decision.claims import Claims, Doubt, fit_of_rest, is_moved, name_of
 from cosim.refinement.decision.evidence import deviations_by_chance, fit_without, log_error, with_intervals
 from cosim.refinement.decision.judgement import may_be_chance
-from cosim.refinement.decision.prediction_fit import fit_to_predictions, has_predictions
+from cosim.refinement.decision.prediction_fit import fit_to_others, fit_to_predictions, has_predictions
 from cosim.refinement.decision.trust import CLEARLY
 from cosim.refinement.search.fits import Search
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis
@@ -71,8 +71,7 @@ def _predicts_better(search: Search, h: Hypothesis) -> bool:
 
     def gain(log: int) -> float:
         """Return the decrease of the log error on a held-out log."""
-        before = fit_without(search, problem, h, log)
-        after = fit_to_predictions(problem, before, horizon, [k for k in logs if k != log])
+        before, after = fit_without(search, problem, h, log), fit_to_others(search, h, log)
         return log_error(problem, horizon, [before], [log]) - log_error(problem, horizon, [after], [log])
 
     gains = in_parallel(gain, list(logs))

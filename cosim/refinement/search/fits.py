@@ -82,7 +82,7 @@ class Search:
         price: Score cost of each parameter of a candidate, ½·ln N.
         entry: Additional score cost of each candidate.
         tried: Names → hypothesis.
-        cross_fits: Names and held-out log → fit to the remaining logs.
+        cross_fits, prediction_fits: Names and held-out log → fit to the remaining logs, and to their predictions.
         bound: Objective of the recalibrated base model, an upper bound for every hypothesis.
     """
 
@@ -93,6 +93,7 @@ class Search:
         self.entry = ENTRY + float(np.log(self.on_trial))
         self.tried: dict[tuple[str, ...], Hypothesis] = {}
         self.cross_fits: dict[tuple[tuple[str, ...], int], Fit] = {}
+        self.prediction_fits: dict[tuple[tuple[str, ...], int], Fit] = {}
         self.bound = np.inf
 
     def hypothesis(
