@@ -35,7 +35,7 @@ COMPILERS = ("gcc", "cc", "clang", "c99", "tcc", "zig", "cl")
 BUILDERS = ("podman", "docker", "buildah")
 NOT_HERE = ("make ", *(f"{name} " for name in BUILDERS))  # run before, or where there is a builder
 BASH = shutil.which("bash") or "bash"
-TIME_LIMIT = 900  # of a command [s]
+TIME_LIMIT = 3600  # of a command [s]; a busy machine takes many times as long as an idle one
 
 
 def collect() -> None:

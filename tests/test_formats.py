@@ -29,6 +29,7 @@ from cosim.storage.table_columns import Column, Faults
 from cosim.verbs.cli import app
 from plant.hovercraft import INPUTS, OUTPUTS
 from tests.conftest import ROOT
+from tests.test_first_steps import told as asked
 
 pa = pytest.importorskip("pyarrow")
 pq = pytest.importorskip("pyarrow.parquet")
@@ -407,3 +408,7 @@ def test_a_run_in_another_format_is_read_again(tmp_path: Path, format_: str) -> 
     assert isinstance(read, Run)
     assert read.results.values.tobytes() == ran.results.values.tobytes()
     assert read.results.units == ran.results.units
+    (rows,) = (tmp_path / "out").glob("results.*")
+    alone = shutil.copy(rows, tmp_path / f"alone{rows.suffix}")  # a file without its manifest
+    assert cosim.read(alone).to_pandas().to_numpy().tobytes() == read.to_pandas().to_numpy().tobytes()
+    asked("check", alone)

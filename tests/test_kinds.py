@@ -154,7 +154,7 @@ def shelf(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name, text in texts.items():
         (folder / name).write_text(text)
     heads = {
-        "a.png": b"\x89PNG\r\n\x1a\n\0\0", "a.mat": b"MATLAB 5.0 MAT-file, Platform: posix\0\1IM", "core": b"\1\0\3,",
+        "a.png": b"\x89PNG\r\n\x1a\n\0\0", "a.mat": b"MATLAB 7.3 MAT-file, Platform: posix\0\1IM", "core": b"\1\0\3,",
         "sweep.parquet": b"PAR1\0PAR1", "a.so": b"\x7fELF\2\1\t", "a.pdf": b"%PDF-1.4\n\xff",
         "runs.sqlite": b"SQLite format 3\0",
     }  # fmt: skip

@@ -13,6 +13,8 @@ import cosim
 from cosim.base.errors import InputError
 from cosim.logs import log_check
 from cosim.storage.table import read_columns, read_header
+from cosim.verbs.check_verb import MOST_ALIKE
+from tests.test_first_steps import told as asked
 from tests.typed import typed_fmu
 
 ROWS = "".join(
@@ -61,6 +63,22 @@ def test_a_table_without_a_signal_or_a_name_is_a_fault(tmp_path: Path) -> None:
     (tmp_path / "b.csv").write_text("time,,x\n0,1,2\n1,1,3\n")
     with pytest.raises(InputError, match=r"b.csv:1:2: the column has no name"):
         cosim.check(tmp_path / "b.csv")
+
+
+def test_of_many_alike_warnings_a_few_are_printed_and_json_has_all(tmp_path: Path) -> None:
+    names = [f"x{k}" for k in range(60)]
+    rows = "".join(f"{t}" + ",1" * 60 + "\n" for t in range(50))
+    (tmp_path / "a.csv").write_text(",".join(["time", *names]) + "\n" + rows)
+    printed = asked("check", tmp_path / "a.csv")
+    assert printed.count("is constant at") == MOST_ALIKE
+    assert "… and 40 more like the last one" in printed
+    assert asked("check", tmp_path / "a.csv", "--json").count("is constant at") >= 60
+
+
+def test_the_wrong_first_column_is_named_with_the_option_that_cures_it(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("t s,x\n0,1\n1,2\n2,1\n")
+    assert "--column 't s=time'" in asked("check", tmp_path / "a.csv", code=2)
+    assert "'t s=time'" not in asked("check", tmp_path / "a.csv", "--column", "t s=time")
 
 
 def test_all_faults_of_a_log_are_told_at_once(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from cosim.storage.table_columns import split_heading
 from cosim.storage.table_source import Frame, Source, SourceColumn, as_text
 
 MAGIC = b"\x89HDF\r\n\x1a\n"
+MIN_COMPRESSED = 1000  # rows; the index of compressed parts is larger than a short dataset
 
 
 class Hdf5(Source):
@@ -69,7 +70,8 @@ class Hdf5(Source):
                 values: Any = column.values
                 if not isinstance(values, np.ndarray):
                     values = np.array([as_text(v) for v in values], dtype=h5py.string_dtype())
-                data = file.create_dataset(place, data=values, compression="gzip" if len(values) else None)
+                compression = "gzip" if len(values) >= MIN_COMPRESSED else None
+                data = file.create_dataset(place, data=values, compression=compression)
                 data.attrs.update({"name": column.name, "unit": column.unit, "column": number})
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import shlex
 from array import array
 from collections import Counter
 from collections.abc import Callable, Collection, Container
@@ -232,7 +233,8 @@ def _hint_of_first(name: str) -> str:
     try:
         float(name)
     except ValueError:
-        return did_you_mean(name, ["time"])
+        rename = f"; rename it, or say it by --column {shlex.quote(f'{name}=time')} where a command has that option"
+        return did_you_mean(name, ["time"]) or rename
     return "; the file has no header: write the names of the columns into the first line"
 
 

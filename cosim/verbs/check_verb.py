@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -23,7 +24,7 @@ from cosim.base.errors import (
     Terminated,
     refuse,
 )
-from cosim.base.messages import with_prefix
+from cosim.base.messages import code_of, with_prefix
 from cosim.base.program import STOPPED
 from cosim.base.registry import resolve
 from cosim.base.settings import Files, ModelName
@@ -34,6 +35,7 @@ from cosim.verbs.options import Compile, Json, Texts
 from cosim.verbs.terminal import say, say_json
 
 CHECKED_KINDS = "a scenario, study, sweep, protocol, model, log, SSP or FMU"
+MOST_ALIKE = 20  # lines of one code that are printed, for all files together
 
 
 def check(
@@ -123,6 +125,18 @@ def _check(path: Path, checking: Checking) -> list[str]:
     return notes
 
 
+def _shortened(lines: Sequence[str]) -> Iterator[str]:
+    """Yield lines, at most `MOST_ALIKE` of one code, then the number of the others."""
+    total, shown = Counter(map(code_of, lines)), Counter[str]()
+    for line in lines:
+        code = code_of(line)
+        shown[code] += 1
+        if not code or shown[code] <= MOST_ALIKE:
+            yield line
+        elif shown[code] == MOST_ALIKE + 1:
+            yield messages.ALIKE_FINDINGS(count=total[code] - MOST_ALIKE)
+
+
 def command(
     files: Annotated[
         list[Path],
@@ -160,7 +174,7 @@ def command(
         if not is_full(error):
             raise
         raise FmuError(messages.NO_SPACE_TO_LOAD()) from None
-    say(*lines)
+    say(*(lines if as_json else _shortened(lines)))
     say(f"no fault in {', '.join(map(str, files))}")
     if as_json:
         say_json({"files": [str(file) for file in files], "findings": lines, "faults": []})

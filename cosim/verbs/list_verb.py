@@ -14,7 +14,7 @@ from cosim.verbs.terminal import say, say_json, table
 if TYPE_CHECKING:
     from cosim.history.entries import Entry
 
-WIDEST = 60  # characters of the changes
+WIDEST = 60  # characters of an outcome, and of the changes
 
 
 def command(
@@ -38,7 +38,7 @@ def command(
     if not found:
         say(f"no results in {root}")
         return
-    rows = [(str(e.number), _when(e), e.verb, e.name, e.outcome, _cut(e.changed)) for e in found]
+    rows = [(str(e.number), _when(e), e.verb, e.name, _cut(e.outcome), _cut(e.changed)) for e in found]
     say("\n".join(table(("no.", "when", "command", "name", "outcome", "changed"), rows)))  # a write for all lines
 
 

@@ -13,6 +13,7 @@ WRONG_USAGE = Template("E-CLI-018", "{reason}")
 NO_ANSWER = Template("E-CLI-019", "the input ended at a prompt; run it on a terminal")
 
 # Single commands
+ALIKE_FINDINGS = Template("N-CLI-053", "… and {count} more like the last one; --json lists all of them")
 NATIVE_ONLY = Template("E-CLI-008", "is of native FMUs; add --native, or leave it out")
 COMPILE_WITHOUT_LOAD = Template(
     "E-CLI-009", "is to load FMUs, which --no-load (in Python load=False) forbids; leave one of them out"
