@@ -27,6 +27,7 @@ from fmus.recipes import plant_recipe
 from plant.effects import CATALOGUE
 from plant.hovercraft import Hovercraft
 from tests.test_first_steps import told
+from tests.warm import cosim
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text()
@@ -64,10 +65,7 @@ def test_the_commands_of_the_readme_run_in_order(project: Path) -> None:
     quick = [command for command in COMMANDS if not command.startswith("excite")]  # tests/test_excite.py has it
     assert quick
     for command in quick:
-        done = subprocess.run(
-            f"{sys.executable} -m cosim {command}", shell=True, cwd=project, capture_output=True, text=True,
-            env={**os.environ, "PYTHONPATH": str(ROOT)}, timeout=120,
-        )  # fmt: skip
+        done = cosim(*shlex.split(command), cwd=project)
         assert done.returncode == 0, (command, done.stderr)
         if command.startswith("run") and "--out again" in command:
             results = [project / folder / "results.csv" for folder in ("results/regulate", "again")]
@@ -76,9 +74,7 @@ def test_the_commands_of_the_readme_run_in_order(project: Path) -> None:
 
 def command(project: Path, line: str) -> subprocess.CompletedProcess[str]:
     """A command as a document shows it."""
-    arguments = [sys.executable, "-m", "cosim", *shlex.split(line, comments=True)[1:]]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    return subprocess.run(arguments, cwd=project, env=environment, capture_output=True, text=True, timeout=120)
+    return cosim(*shlex.split(line, comments=True)[1:], cwd=project)
 
 
 def refined_craft(folder: Path) -> None:

@@ -43,6 +43,8 @@ from tests.logs import write_log
 from tests.rail import MODEL, NOISE, SHEET, Rows, rail_log, rail_study, white
 from tests.studies import holds, named, proven
 
+pytestmark = pytest.mark.optimized
+
 OFF = {"mass": 2.16, "viscous": 3.0, "spring": 47.0}  # 8, −25 and −6 %
 TOLERANCE = "tolerance: {mass: 0.1, viscous: 0.3, spring: 0.1}\n"
 PUSH = '''

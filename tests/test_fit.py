@@ -25,7 +25,7 @@ from cosim.storage.kinds import kind_of
 from tests.fit_head_to_head import CASES, Bench, by_cosim, by_scipy
 from tests.logs import write_log
 from tests.slider import PARAMETERS, TRUTH, slide, slider_fmu, slider_log
-from tests.users import cosim as command
+from tests.warm import cosim as command
 
 QUICK: dict[str, Any] = {"in_process": True, "report": False}
 

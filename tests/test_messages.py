@@ -25,7 +25,7 @@ from cosim.base.messages import Message, Template, code_of
 from cosim.blocks.component import EarlyEnd
 from tests.conftest import ROOT
 from tests.messages import PACKAGES, bare, bare_calls, message_modules, page, templates
-from tests.users import cosim
+from tests.warm import cosim
 
 MADE = Template("E-TST-001", "is {value:.1f} s; the largest is {most:g} s")
 MESSAGE = MADE(value=2.25, most=1.0)

@@ -21,7 +21,7 @@ from cosim.sweeps.workflow import sweep as run_sweep
 from cosim.verbs.check_verb import check as check_files
 from tests.conftest import ROOT
 from tests.logs import write_log
-from tests.users import cosim
+from tests.warm import cosim
 
 EVIL = """import os
 from pathlib import Path

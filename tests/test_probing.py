@@ -23,7 +23,7 @@ from cosim.probing.prober import separate_pairs
 from cosim.residuals.drive import log_of_fmu
 from tests.blind.fmu_build import PLANTS, WAYS, build
 from tests.slider import slider_fmu, slider_log
-from tests.users import cosim
+from tests.warm import cosim
 
 pytestmark = pytest.mark.skipif(
     compiler() is None or platform.system() != "Linux", reason="needs a C compiler and Linux folders"

@@ -53,6 +53,8 @@ from tests.native import NEEDS_COMPILER
 from tests.studies import FEW, holds, named, proven, refined, replayed, study_of
 from tests.tank import tank_study
 
+pytestmark = pytest.mark.optimized
+
 
 @pytest.fixture(scope="module")
 def rubbing(tmp_path_factory: pytest.TempPathFactory) -> Refinement:

@@ -21,6 +21,8 @@ from plant.hovercraft import SENSOR_VARIANCE, Hovercraft
 from tests.logs import write_log
 from tests.studies import holds, named, proven, study_of
 
+pytestmark = pytest.mark.optimized
+
 MOTOR = '''
 from dataclasses import dataclass
 

@@ -31,7 +31,7 @@ from cosim.subject.model_subject import ModelSubject
 from tests.blind.fmu_build import build
 from tests.logs import write_log
 from tests.slider import slider_fmu, slider_log
-from tests.users import cosim as command
+from tests.warm import cosim as command
 
 STEP, NOISE = 0.02, {"current": 0.01, "angle": 0.002, "speed": 0.05}
 RESISTANCE, INDUCTANCE, CONSTANT, INERTIA, DAMPING = 1.2, 6e-3, 0.05, 2e-4, 1e-4

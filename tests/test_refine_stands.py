@@ -28,6 +28,8 @@ from tests.studies import holds, named, study_of
 from tests.studies import proven as flown
 from tests.table import TABLE, table_log
 
+pytestmark = pytest.mark.optimized
+
 
 def with_candidates(study: Path, candidates: str) -> Path:
     """The study, with these candidates only."""

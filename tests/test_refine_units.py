@@ -16,6 +16,8 @@ from cosim.refinement.workflow import refine
 from cosim.report.drawing import Charts
 from tests.logs import times, write_log
 
+pytestmark = pytest.mark.optimized
+
 MASS, DRAG, PULL = 2.0, 0.5, 0.06  # [kg], [N s/m], [N s²/m²]; the model does not know of the last
 NOISE = 1e-4  # [m] of the place
 MODEL = """

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -15,15 +12,9 @@ from cosim.base.errors import InputError
 from cosim.base.version import __version__
 from cosim.simulation.workflow import run
 from cosim.storage.table import read_columns
+from tests.warm import cosim
 
 ROOT = Path(__file__).parent.parent
-
-
-def cosim(*arguments: str | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
-    """The command as a user types it."""
-    command = [sys.executable, "-m", "cosim", *map(str, arguments)]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    return subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=120)
 
 
 def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(project: Path) -> None:
