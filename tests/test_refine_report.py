@@ -509,7 +509,7 @@ def test_a_claim_that_leaves_much_of_the_error_says_so_and_one_that_leaves_most_
     # but an effect has to do better than the base parameters do without it
     worse = held({"x": 1.9, "v": 1.9, "quiet": 1.5}, near, {"x": 1.8, "v": 1.7, "quiet": 1.5})
     assert worse.name == "unexplained"
-    assert words(worse, cart).endswith("nearer on no channel than those of the model recalibrated without it.")
+    assert words(worse, cart).endswith("nearer on no channel than those of the model without it.")
 
 
 def test_a_sentence_says_of_a_term_without_a_name_how_much_it_is(cart: Refinement) -> None:

@@ -108,8 +108,8 @@ def test_play_and_rate_limit_begin_at_the_first_input() -> None:
     (value,), _ = play.shape(SCALAR, 0.2, 0.1, (3.0,), memory)
     assert value == pytest.approx(2.5)
     (value,), memory = limit.shape(SCALAR, 0.0, 0.1, (2.0,), (0.0, 0.0))
-    (value,), _ = limit.shape(SCALAR, 0.1, 0.1, (5.0,), memory)
-    assert value == pytest.approx(2.2)  # two per second
+    (value,), memory = limit.shape(SCALAR, 0.1, 0.1, (5.0,), memory)
+    assert (value, memory[0]) == (pytest.approx(2.1), pytest.approx(2.2))  # mean and end at two per second
 
 
 def test_friction_that_is_larger_at_rest_falls_to_its_level() -> None:

@@ -103,14 +103,24 @@ class Fit:
         k = [f.name for f in self.free].index(name)
         return not self.information[k, k] > 0.0
 
-    def sigma(self, name: str) -> float:
+    def sigma(self, name: str, held: Sequence[str] = ()) -> float:
         """Return the standard deviation of an estimate.
 
         The larger of the values from information and from scatter counts.
+
+        Args:
+            held: Parameters that stay at their estimates.
         """
-        k = [f.name for f in self.free].index(name)
-        variance = inverse(self.information)[k, k]
-        return float(np.sqrt(max(0.0, variance, self.scattered[k, k] if self.scattered is not None else 0.0)))
+        names = [f.name for f in self.free]
+        k, fixed = names.index(name), [names.index(n) for n in held]
+        known = [inverse(self.information), *([] if self.scattered is None else [self.scattered])]
+        return float(np.sqrt(max(0.0, *(_variance(covariance, k, fixed) for covariance in known))))
+
+
+def _variance(covariance: Array, k: int, fixed: Sequence[int]) -> float:
+    """Return the variance of a normal variable, given some others."""
+    across = covariance[fixed, k]
+    return float(covariance[k, k] - across @ inverse(covariance[np.ix_(fixed, fixed)]) @ across)
 
 
 def initial_fit(problem: Problem) -> Fit:

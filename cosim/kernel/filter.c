@@ -4,7 +4,8 @@
  * others (lags driven by known commands) are known. Measurements are independent and taken one at a time:
  *   P = Phi P Phi' + Q dt,   Phi = (I + hA + (hA)^2/2 + (hA)^3/6)^substeps
  *   e = y - g(x),  s = C P C' + r,  K = P C'/s,  x += K e,  P -= K s K'
- * A reading that is older than its row by a part of it is held against g(x) less that part of what the last step changed it by.
+ * A reading that is older than its row by a part of it is held against g(x) at that time: on a cubic over the substep, by the
+ * model's rates at both ends, or straight over the step if the equations are stiff. So is what a sensor with a lag sees.
  */
 /* Rows of b are added up, so that a compiler can take several columns at once. */
 static void multiply(const double *a, const double *b, double *out)
@@ -82,6 +83,67 @@ static void transition_over(int substeps, double h, const double *A, double *Phi
     }
 }
 
+/* Outputs along a step, for readings of the past.
+ *   late     part of a row by which each reading is older than its row
+ *   begin    outputs at the start of the step; `at` and `rate`: at the start of a substep
+ *   read     outputs at the times of their readings
+ *   lagged   response of a sensor with a lag to what an output has changed by since the start of the step */
+typedef struct {
+    const double *late;
+    double begin[NY], at[NY], rate[NY], read[NY], lagged[NY];
+} Path;
+
+#if STIFF
+static void path_begin(Path *path, const double *y) { memcpy(path->begin, y, sizeof path->begin); }
+
+static void path_end(Path *path, const Lags *lags, const double *y)
+{
+    for (int j = 0; j < NY; j++) {
+        path->read[j] = y[j] - (path->late ? path->late[j] * (y[j] - path->begin[j]) : 0.0);
+        path->lagged[j] = lags->alpha[j] * (y[j] - path->begin[j]);
+    }
+}
+#else
+#define RATE_STEP 1e-3 /* of differences, as a share of a substep */
+
+/* Change of the outputs y over a substep at the model's present rates. */
+static void output_rates(double t, double h, const double *x, const double *u, const double *command, const double *p, const double *y, double *rate)
+{
+    double slope[NX + 1], moved[NX + 1];
+    deriv(t, x, u, p, slope);
+    for (int i = 0; i < NX; i++) moved[i] = x[i] + RATE_STEP * h * slope[i];
+    measure(t + RATE_STEP * h, moved, command, p, rate);
+    for (int j = 0; j < NY; j++) rate[j] = (rate[j] - y[j]) / RATE_STEP;
+}
+
+static void path_begin(Path *path, const double *y)
+{
+    memcpy(path->begin, y, sizeof path->begin);
+    memcpy(path->at, y, sizeof path->at);
+    memset(path->lagged, 0, sizeof path->lagged);
+}
+
+/* After substep s of n, with outputs y and rates at its end. */
+static void path_over(Path *path, const Lags *lags, const Log *log, int s, const double *y, const double *rate)
+{
+    const int n = log->substeps;
+    for (int j = 0; j < NY; j++) {
+        const double change = y[j] - path->at[j], early = path->rate[j] - change, ending = rate[j] - change;
+        const double at = path->late ? (1.0 - path->late[j]) * n - s : 1.0; /* of the reading, in substeps */
+        if (at >= 1.0) path->read[j] = y[j] + (at - 1.0) * rate[j];
+        else if (at >= 0.0) path->read[j] = path->at[j] + at * change + at * (1.0 - at) * (early * (1.0 - at) - ending * at);
+        if (lags->on[j]) {
+            double alpha, beta, phi, w[2];
+            lag_weights(log->lags[j] * n, &alpha, &beta, &phi);
+            bend_weights(log->lags[j] * n, w, w + 1);
+            path->lagged[j] = phi * path->lagged[j] + beta * (path->at[j] - path->begin[j]) + alpha * (y[j] - path->begin[j])
+                + w[0] * early - w[1] * ending;
+        }
+        path->at[j] = y[j];
+    }
+}
+#endif
+
 /* r, errors and variances: rows x NY, of each measurement, the last two before it is taken (NaN where missing); states: rows x NX,
  * filtered; covariances: rows x NS x NS, theirs. */
 int filter(const Log *log, const double *p, const double *x0, const double *P0, const double *q, const double *r,
@@ -89,10 +151,11 @@ int filter(const Log *log, const double *p, const double *x0, const double *P0, 
 {
     static const int S[NS + 1] = STOCHASTIC;
     double x[NX + 1], P[NS * NS + 1], A[NS * NS + 1], Phi[NS * NS + 1], M[NS * NS + 1], C[NY * NS + 1], y[NY];
-    double u[3 * NU], command[NU], memory[NM + 1] = {0.0}, moved[NS + 1], PC[NS + 1], before_step[NY];
+    double u[3 * NU], command[NU], memory[NM + 1] = {0.0}, moved[NS + 1], PC[NS + 1];
     double slopes[NY * NS + 1]; /* of the outputs, where C holds those of the readings */
-    const double *late = log->late;
     Lags lags = lags_of(log);
+    const int has_past = log->late || lags.any;
+    Path path = {0};
     const double h = log->step / log->substeps;
     const double delay = DELAY < 0 ? 0.0 : p[DELAY < 0 ? 0 : DELAY] / log->step;
     memcpy(x, x0, sizeof(double) * NX);
@@ -101,9 +164,11 @@ int filter(const Log *log, const double *p, const double *x0, const double *P0, 
         double t = log->start + k * log->step;
         if (k > 0) {
             double before = t - log->step;
-            if (late) {
+            if (has_past) {
                 row_command(log, k, command); /* what acted since: an output that takes a command did not jump */
-                measure(before, x, command, p, before_step);
+                measure(before, x, command, p, y);
+                path.late = log->late ? log->late + NY * k : NULL;
+                path_begin(&path, y);
             }
             for (int s = 0; s < log->substeps; s++) {
                 act(log, k, s, delay, memory, p, u);
@@ -118,13 +183,31 @@ int filter(const Log *log, const double *p, const double *x0, const double *P0, 
                     symmetric(P);
                     for (int i = 0; i < NS; i++) P[(NS + 1) * i] += q[i] * log->step;
                 }
+#if !STIFF
+                if (has_past) output_rates(before + s * h, h, x, u, command, p, path.at, path.rate);
+#endif
                 substep(before + s * h, h, x, u, p);
+#if !STIFF
+                if (has_past) {
+                    double rate[NY + 1];
+                    measure(before + (s + 1) * h, x, command, p, y);
+                    output_rates(before + (s + 1) * h, h, x, u + 2 * NU, command, p, y, rate);
+                    path_over(&path, &lags, log, s, y, rate);
+                }
+#endif
             }
         }
         row_command(log, k, command);
         measure(t, x, command, p, y);
-        if (late && k > 0)
-            for (int j = 0; j < NY; j++) y[j] -= late[NY * k + j] * (y[j] - before_step[j]);
+        if (has_past && k > 0) {
+#if STIFF
+            path_end(&path, &lags, y);
+#endif
+            for (int j = 0; j < NY; j++) {
+                if (lags.on[j]) lags.m[j] += path.lagged[j] - lags.alpha[j] * (y[j] - path.begin[j]);
+                if (log->late) y[j] = path.read[j];
+            }
+        }
         measure_jacobian(t, x, command, p, C);
         if (lags.any) {
             if (k <= log->settle) lags_begin(&lags, log, k == 0, y, C, P);

@@ -9,13 +9,15 @@
 #define ND (2 * NY)
 #define NZ (3 * NY)
 #define NK (NS - NZ)
-static __thread const double *run_outputs, *run_states, *run_memories, *run_slopes, *run_propagation;
+static __thread const double *run_outputs, *run_bends, *run_states, *run_memories, *run_slopes, *run_propagation;
 
-/* Called before each filter, with the free run at the same parameters: rows x NY, rows x NX, rows x NM, rows x NY x NK, and
- * Phi beside Psi, NY x 2 NY. */
-void use_run(const double *outputs, const double *states, const double *memories, const double *slopes, const double *propagation)
+/* Called before each filter, with the free run at the same parameters: rows x NY twice, rows x NX, rows x NM, rows x NY x NK, and
+ * Phi beside Psi, NY x 2 NY. A bend is the distance of an output, halfway over the step that ends in a row, from the straight line. */
+void use_run(const double *outputs, const double *bends, const double *states, const double *memories, const double *slopes,
+             const double *propagation)
 {
     run_outputs = outputs;
+    run_bends = bends;
     run_states = states;
     run_memories = memories;
     run_slopes = slopes;
@@ -68,29 +70,51 @@ static double lag_over_row(const Lags *lags, int j, double *m, double value)
     return reading;
 }
 
-/* The next reading, for one that is younger than its row: the run is known there. */
-static double following(const Lags *lags, const Log *log, int k, int j)
+/* Output of the run at a time before (age > 0) or after row k, on a parabola over the step. */
+static double run_at(const Log *log, int k, int j, double age)
 {
-    const double value = run_outputs[NY * (k + 1 < log->rows ? k + 1 : k) + j];
-    return lags->on[j] ? lags->m[j] + lags->alpha[j] * value : value;
+    const int row = age > 0.0 ? k : k + 1;
+    if (row < 1 || row >= log->rows || age == 0.0) return run_outputs[NY * k + j];
+    const double *y = run_outputs + NY * row + j, share = age > 0.0 ? 1.0 - age : -age;
+    return y[-NY] + share * (y[0] - y[-NY]) + 4.0 * share * (1.0 - share) * run_bends[NY * row + j];
+}
+
+/* Reading of a sensor with a lag at that time, on a straight line between its readings; m after row k. */
+static double lagged_at(const Lags *lags, const Log *log, int k, int j, double age, double now, double before, double bent)
+{
+    if (age >= 0.0) return now - age * (now - before);
+    const int next = NY * (k + 1 < log->rows ? k + 1 : k) + j;
+    return now - age * (lags->m[j] + bent * run_bends[next] + lags->alpha[j] * run_outputs[next] - now);
 }
 
 int filter(const Log *log, const double *p, const double *x0, const double *P0, const double *q, const double *r,
            double *errors, double *variances, double *states, double *memories, double *covariances)
 {
-    double z[NS + 1] = {0.0}, P[NS * NS + 1], before[NY], kept[NY][NK + 1];
+    double z[NS + 1] = {0.0}, P[NS * NS + 1], before[NY], kept[NY][NK + 1], bent[NY] = {0.0};
     const double fades = exp(-log->step / p[LASTING]);
     const int hidden = has_hidden(), first = hidden ? 0 : NW;
     memcpy(P, P0, sizeof(double) * NS * NS);
     Lags lags = lags_of(log);
+    for (int j = 0; j < NY; j++) {
+        double early, late;
+        if (!lags.on[j]) continue;
+        bend_weights(log->lags[j], &early, &late);
+        bent[j] = 4.0 * (early + late); /* a parabola is the sum of both bends */
+    }
     for (int k = 0; k < log->rows; k++) {
         double y[NY];
         for (int j = 0; j < NY; j++) {
-            y[j] = run_outputs[NY * k + j];
-            if (!isfinite(y[j])) return k;
-            if (!lags.on[j]) continue;
-            if (k == 0) lags.m[j] = (1.0 - lags.alpha[j]) * y[j];
-            y[j] = lag_over_row(&lags, j, lags.m + j, y[j]);
+            const double age = log->late ? log->late[NY * k + j] : 0.0, value = run_outputs[NY * k + j];
+            if (!isfinite(value)) return k;
+            if (!lags.on[j]) {
+                y[j] = run_at(log, k, j, age);
+                continue;
+            }
+            if (k == 0) lags.m[j] = (1.0 - lags.alpha[j]) * value;
+            lags.m[j] += bent[j] * run_bends[NY * k + j];
+            const double now = lag_over_row(&lags, j, lags.m + j, value);
+            y[j] = lagged_at(&lags, log, k, j, age, now, k > 0 ? before[j] : now, bent[j]);
+            before[j] = now;
         }
         if (k > 0 && k <= log->settle) memcpy(P, P0, sizeof(double) * NS * NS);
         if (k > 0) go_on(z, 0, 1, hidden, fades, log->step);
@@ -101,8 +125,7 @@ int filter(const Log *log, const double *p, const double *x0, const double *P0, 
             for (int j = NW; j < ND; j++) P[(NS + 1) * j] += q[j] * log->step;
         }
         for (int j = 0; j < NY; j++) {
-            const double measured = log->y[NY * k + j], age = log->late ? log->late[NY * k + j] : 0.0;
-            const double part = k == 0 && age > 0.0 ? 0.0 : age;
+            const double measured = log->y[NY * k + j];
             double slopes[NK + 1], PH[NS + 1];
             for (int i = 0; i < NK; i++) {
                 slopes[i] = run_slopes[NK * (NY * k + j) + i];
@@ -112,8 +135,7 @@ int filter(const Log *log, const double *p, const double *x0, const double *P0, 
             }
             errors[NY * k + j] = variances[NY * k + j] = NAN;
             if (isnan(measured)) continue;
-            const double late = part == 0.0 ? 0.0 : part * (part > 0.0 ? y[j] - before[j] : following(&lags, log, k, j) - y[j]);
-            double e = measured - (y[j] - late) - z[ND + j], s = r[NY * k + j];
+            double e = measured - y[j] - z[ND + j], s = r[NY * k + j];
             for (int l = first; l < NS; l++) {
                 PH[l] = P[NS * l + ND + j];
                 for (int i = 0; i < NK; i++) PH[l] += P[NS * l + NZ + i] * slopes[i];
@@ -129,7 +151,6 @@ int filter(const Log *log, const double *p, const double *x0, const double *P0, 
             for (int l = first; l < NS; l++)
                 for (int i = first; i <= l; i++) P[NS * i + l] = P[NS * l + i] -= PH[l] * PH[i] / s;
         }
-        memcpy(before, y, sizeof y);
         if (states) {
             memcpy(states + NX * k, run_states + NX * k, sizeof(double) * NX);
             for (int i = 0; i < NS; i++) states[NX * k + NB + i] = z[i] + (i < NZ ? 0.0 : x0[NB + i]);

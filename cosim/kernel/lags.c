@@ -1,6 +1,7 @@
-/* Sensors with a lag. The reading l of an output y follows T l' = y - l, with y straight from row to row:
+/* Sensors with a lag. The reading l of an output y follows T l' = y - l, for y straight from row to row:
  *   l = m + alpha y at a row;  m = phi l + beta y after it;  phi = exp(-h/T)
- * m stands beside the stochastic states, with a covariance M of its own and X between m and the states. */
+ * m stands beside the stochastic states, with a covariance M of its own and X between m and the states. What a bent way of y
+ * from row to row adds to l is added to m. */
 typedef struct {
     int any, on[NY];
     double alpha[NY], beta[NY], phi[NY], m[NY], X[NY][NS + 1], M[NY][NY], PC[NY], moved[NY];
@@ -11,6 +12,19 @@ static void lag_weights(double rows, double *alpha, double *beta, double *phi)
     *phi = exp(-1.0 / rows);
     *alpha = 1.0 - rows * (1.0 - *phi);
     *beta = rows * (1.0 - *phi) - *phi;
+}
+
+#define LONG 30.0 /* rows from which a lag weighs all parts of a row alike */
+
+/* Response of a lag at the end of a row to the bends s^2(1-s) and s(1-s)^2 of an output, s from 1 back to 0 along the row. */
+static void bend_weights(double rows, double *early, double *late)
+{
+    *early = *late = 1.0 / (12.0 * rows);
+    if (rows > LONG) return;
+    const double phi = exp(-1.0 / rows), first = rows * (1.0 - phi) - phi; /* moments of the weight exp(-s/rows)/rows */
+    const double second = 2.0 * rows * first - phi, third = 3.0 * rows * second - phi;
+    *early = second - third;
+    *late = first - 2.0 * second + third;
 }
 
 static Lags lags_of(const Log *log)

@@ -17,6 +17,7 @@ import numpy as np
 from cosim.base.arrays import Array, Rows
 from cosim.base.linear_algebra import least_squares
 from cosim.blocks.derivatives import DifferentiableFmu, reals
+from cosim.blocks.description import takes_any_step
 from cosim.blocks.fmu import FmuBlock
 from cosim.isolation.limits import Limits
 from cosim.kernel.c_filter import CompiledKernel
@@ -136,7 +137,8 @@ class LibraryKernel(CompiledKernel):
             self._use(p, data, x0)
             return super().run(data, p, x0, P0, q, r, states=states)
         run = self._free_run(data, p, x0)
-        arrays = [np.ascontiguousarray(a) for a in (run.outputs, run.states, run.memory, *self._responses(data, x0))]
+        own = run.outputs, self._bends(data, p, x0, run.outputs), run.states, run.memory
+        arrays = [np.ascontiguousarray(a) for a in (*own, *self._responses(data, x0))]
         self._library.use_run(*(a.ctypes.data_as(ctypes.c_void_p) for a in arrays))
         return super().run(data, p, x0, P0, q, r, states=states)
 
@@ -174,6 +176,23 @@ class LibraryKernel(CompiledKernel):
         run = self.simulate(data, p, x0, np.zeros(self.layout.memory))
         self._runs.append((key, run))
         return run
+
+    def _bends(self, data: Data, p: Array, x0: Array, outputs: Array) -> Array:
+        """Return the distance of the outputs, halfway to each row, from a line; 0 if no reading is of the past.
+
+        Without an even number of substeps, an FMU that does not take any step tells nothing.
+        """
+        bends, substeps = np.zeros_like(outputs), data.substeps
+        asked = data.lags is not None or bool(data.late is not None and np.any(data.late))
+        if not asked or (substeps % 2 and not takes_any_step(self._fmu.description)):
+            return bends
+        u = np.repeat(data.u, 2, axis=0)[:-1]
+        ramps = self._ramps(data) > 0
+        u[1::2, ramps] = 0.5 * (data.u[:-1, ramps] + data.u[1:, ramps])
+        half = replace(data, u=u, step=0.5 * data.step, substeps=max(1, substeps // 2), late=None, lags=None)
+        between = self._free_run(half, p, x0).outputs[1::2]
+        bends[1:] = between - 0.5 * (outputs[:-1] + outputs[1:])
+        return np.asarray(np.nan_to_num(bends, posinf=0.0, neginf=0.0))
 
     def _responses(self, data: Data, x0: Array) -> tuple[Array, Array]:
         """Return the slopes of the outputs by each start state (rows, outputs, start states), and the propagation.

@@ -91,11 +91,12 @@ class RateLimit(RememberingTerm):
     inverse_rate: float = scaled("s/u", neutral=0.0, typical=0.5, low=0.0, high=100.0, doc="inverse i of the rate")
 
     def advance(self, m: Namespace, h: Number, value: Number, memory: Values) -> tuple[Number, Values]:
-        """Return the input, moved by at most h/i."""
-        step = h / m.maximum(self.inverse_rate, 1e-6 / self.place.sizes["u"])
-        limited = memory[0] + m.clip(value - memory[0], -step, step)
-        after = m.where(self.inverse_rate > 0.0, limited, value)
-        return after, (after,)
+        """Return the mean over the substep, and the value at its end; exact for an input held over the substep."""
+        pace = m.maximum(self.inverse_rate, 1e-6 / self.place.sizes["u"])
+        moved = m.clip(value - memory[0], -h / pace, h / pace)
+        end = memory[0] + moved
+        mean = end - moved * m.sqrt(moved * moved) * pace / (2.0 * h)
+        return m.where(self.inverse_rate > 0.0, mean, value), (m.where(self.inverse_rate > 0.0, end, value),)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,15 +148,26 @@ class SecondOrderLag(RememberingTerm):
     damping: float = scaled("1", default=0.7, typical=0.3, low=0.05, high=3.0, doc="damping ratio ζ")
 
     def advance(self, m: Namespace, h: Number, value: Number, memory: Values) -> tuple[Number, Values]:
-        """Return the mean over the substep, and both values at its end, by the implicit midpoint rule."""
-        acts, r = self.time > SHORTEST * h, 0.5 * h / m.maximum(self.time, SHORTEST * h)
+        """Return the mean over the substep, and both values at its end; exact for an input held over the substep."""
+        acts, time = self.time > SHORTEST * h, m.maximum(self.time, SHORTEST * h)
         position, speed = memory[0] - value, memory[1] - memory[0]  # of the deviation, in units of the input
-        below = 1.0 + 2.0 * self.damping * r + r * r
-        middle = ((1.0 + 2.0 * self.damping * r) * position + r * speed) / below
-        rate = (speed - r * position) / below
-        end = value + 2.0 * middle - position
-        ahead = end + 2.0 * rate - speed
-        return m.where(acts, value + middle, value), (m.where(acts, end, value), m.where(acts, ahead, value))
+        swing, wave = _swung(m, h / time, self.damping)
+        at_end = position * swing + (self.damping * position + speed) * wave
+        speed_at_end = speed * swing - (self.damping * speed + position) * wave
+        mean = value + (speed - speed_at_end + 2.0 * self.damping * (position - at_end)) * time / h
+        end = value + at_end
+        return m.where(acts, mean, value), (m.where(acts, end, value), m.where(acts, end + speed_at_end, value))
+
+
+def _swung(m: Namespace, r: Number, damping: Number) -> tuple[Number, Number]:
+    """Return exp(−ζ·r)·cos(w·r) and exp(−ζ·r)·sin(w·r)/w for w² = 1 − ζ²; above a damping of 1, w is imaginary."""
+    least = 1e-6
+    square = 1.0 - damping * damping
+    w, v = m.sqrt(m.maximum(square, least)), m.sqrt(m.maximum(-square, least))
+    fades, slow, fast = m.exp(-damping * r), m.exp((v - damping) * r), m.exp(-(v + damping) * r)
+    swings = square > 0.0
+    swing = m.where(swings, fades * m.cos(w * r), 0.5 * (slow + fast))
+    return swing, m.where(swings, fades * m.sin(w * r) / w, 0.5 * (slow - fast) / v)
 
 
 def _lagged(m: Namespace, h: Number, value: Number, before: Number, time: Number) -> tuple[Number, Number]:

@@ -47,7 +47,7 @@ class Doubt:
 
     Attributes:
         kind: `missed`: the error of `channel` in replays with the claim is still `size` times the noise floor;
-            `no_nearer`: the recalibrated model is as good or better on every channel;
+            `no_nearer`: the model without it, recalibrated, is as good or better on every channel;
             `kept`: a share `size` of the excess error remains;
             `unsteady`: much error remains, and `names` do not clearly improve predictions of held-out logs;
             `disagreeing`: a fit to predictions gives other values of `names` and predicts held-out logs better.

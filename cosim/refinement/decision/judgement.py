@@ -23,7 +23,14 @@ from cosim.refinement.decision.evidence import (
 )
 from cosim.refinement.decision.prediction_fit import error_ratios, has_predictions, predicted_gain
 from cosim.refinement.search.fits import Search, SearchResult, key_of
-from cosim.refinement.search.hypotheses import NOISE, Attribution, Hypothesis, Support, are_halved
+from cosim.refinement.search.hypotheses import (
+    NOISE,
+    Attribution,
+    Hypothesis,
+    Support,
+    are_halved,
+    best_hypothesis,
+)
 from cosim.subject.base_parameters import WIDTHS
 from cosim.subject.candidates import Candidate, Free
 from cosim.terms.alike import are_alike, contains
@@ -33,6 +40,7 @@ REFUTED = 2.33  # standard deviations at which the logs refute a rival
 BY_CHANCE = 0.05  # probability below which the gain of a richer term that looks alike is no chance
 NEAR = 8.0  # score difference beyond which no hypothesis is a rival, whatever the scatter
 SIGNIFICANT = 3.0  # standard deviations from the neutral value
+MOST_OTHERS = 2  # hypotheses judged in place of one with refused parts
 LITTLE = "its gain may be chance"
 PLAIN, PLAINLY = 100.0, 4.0  # gain, and gain per scatter, from which a part needs no test on held-out logs
 NO_WORSE = 1.0  # NLL by which a final fit may exceed the objective of a hypothesis contained in it
@@ -43,10 +51,8 @@ TOLERANCES = (0.5, 2.0)  # factors on the tolerances that test whether a claim d
 def decide(result: SearchResult) -> Attribution:
     """Return the best supported hypothesis and its rivals."""
     search, base = result.search, result.search.tried[()]
-    rest = _drop_unsupported(search, result.best)
+    rest = _supported(search, result.best)
     best = rest.best
-    if best.candidates:
-        best = _with_certain_parts(search, best, rest.dropped)
     rivals = _rivals(search, best)
     tried = tuple(sorted(search.tried.values(), key=lambda h: h.score))
     reasons = {h.names: _reason(search, h, best, rivals, rest.dropped) for h in tried if h.names != best.names}
@@ -63,6 +69,36 @@ def _error_ratios(search: Search, best: Hypothesis, base: Hypothesis, noise: Seq
     if are_halved(ratios) or max(noise, default=0.0) <= NOISE or not has_predictions(search):
         return ratios
     return error_ratios(search, best, base, to_predictions=True)
+
+
+def _supported(search: Search, best: Hypothesis) -> _Remainder:
+    """Return the supported parts of the best hypothesis; of an FMU, or of another one that is then better.
+
+    A refused part says nothing against a simpler one in its place.
+    """
+    found, judged = _remainder(search, best), [best]
+    while search.subject.probed and found.dropped and len(judged) <= MOST_OTHERS:
+        others = [
+            h
+            for h in search.tried.values()
+            if h.ended
+            and h.score < found.best.score - RIVAL
+            and h not in judged
+            and found.dropped.keys().isdisjoint(h.names)
+        ]
+        if not others:
+            break
+        judged.append(best_hypothesis(others))
+        other = _remainder(search, judged[-1])
+        kept = other if other.best.score < found.best.score else found
+        found = replace(kept, dropped={**other.dropped, **found.dropped})
+    return found
+
+
+def _remainder(search: Search, best: Hypothesis) -> _Remainder:
+    """Return the supported parts of a hypothesis; of an FMU, those that are certain."""
+    rest = _drop_unsupported(search, best)
+    return replace(rest, best=_with_certain_parts(search, rest.best, rest.dropped)) if rest.best.candidates else rest
 
 
 @dataclass

@@ -187,7 +187,7 @@ def doubt_text(doubt: Doubt) -> str:
     if doubt.kind == "missed":
         return f"With it, replays still miss {doubt.channel} by {plain(doubt.size, 2)} times the noise floor."
     if doubt.kind == "no_nearer":
-        return "Replays with it are nearer on no channel than those of the model recalibrated without it."
+        return "Replays with it are nearer on no channel than those of the model without it."
     if doubt.kind == "kept":
         return f"With it, replays keep {plain(100 * doubt.size, 2)}\u00a0% of the excess error."
     if doubt.kind == "disagreeing":

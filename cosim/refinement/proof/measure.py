@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -38,6 +39,7 @@ from cosim.subject.start_state import start_state
 FLOOR_SEED = 20121
 
 DRAWS = 20
+PARTS = 8  # parts of a free run, each counted as one replay
 CALMER, UNLIKE = 1.2, 3.0  # ratio of floor to error, and its log per scatter, from which a floor is too high
 
 
@@ -186,6 +188,19 @@ def predicted_errors(variant: Variant, problem: Problem, logs: Sequence[Log]) ->
         _KernelReplays.of(variant, problem, log, k, problem.data(variant.values, k)) for k, log in enumerate(logs)
     )
     return _root_mean_squares(problem, [replay.errors() for replay in replays])
+
+
+def errors_by_replay(variant: Variant, problem: Problem, logs: Sequence[Log]) -> Array:
+    """Return the root mean square of each kernel replay, or of each part of a free run, shape (replays, outputs)."""
+    problem, found = _begun(variant, problem, logs), list[Array]()
+    for k, log in enumerate(logs):
+        replays = _KernelReplays.of(variant, problem, log, k, problem.data(variant.values, k))
+        errors, rows = replays.errors(), [row + 1 for row in replays.rows]
+        edges = [*rows, len(errors)] if len(rows) > 1 else np.linspace(0, len(errors), PARTS + 1).astype(int).tolist()
+        for part in (errors[slice(*ends)] for ends in pairwise(edges)):
+            counts = np.isfinite(part).sum(axis=0)
+            found.append(np.sqrt(np.nansum(part**2, axis=0) / np.where(counts, counts, np.nan)))
+    return np.array(found)
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from cosim.base.arrays import Array
 from cosim.estimation.fit import Fit
 from cosim.estimation.problem import Problem
 from cosim.refinement.decision.claims import Claims, Doubt, MovedParameter, Part, experiment_for, name_of
-from cosim.refinement.decision.evidence import open_loop, sum_per_scatter
+from cosim.refinement.decision.evidence import sum_per_scatter
 from cosim.refinement.decision.judgement import (
     BETTER,
     RIVAL,
@@ -22,8 +22,8 @@ from cosim.refinement.decision.judgement import (
     is_beyond_tolerance,
     is_outside_tolerance,
 )
-from cosim.refinement.proof.measure import FLOOR_SEED, noise_floor, predicted_errors
-from cosim.refinement.proof.refined_models import refined_subject, variants_of, with_log_noise
+from cosim.refinement.proof.measure import FLOOR_SEED, errors_by_replay, noise_floor, predicted_errors
+from cosim.refinement.proof.refined_models import Variant, refined_subject, variants_of, with_log_noise
 from cosim.refinement.search.fits import Search, SearchResult
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis, Support
 from cosim.refinement.study import Study
@@ -52,14 +52,22 @@ def check_with_replays(study: Study, a: Attribution, claims: Claims, result: Sea
         claims = _beyond_tolerance_checked(claims, a, study, result)
     if claims.claimed is None:
         return claims
+    variants = _variants(study, a, claims)
     error, floor = _replay_errors(study, a, claims, problem, result.sensors)
     if is_single and (doubt := _error_doubt(error, floor)):
         return claims.withdraw(doubt)
     nearer = not study.subject.probed or _is_clearly_worse(
-        problem, study.subject.horizon, claims.claimed.fit, a.base.fit
+        *(errors_by_replay(variants[name], problem, study.logs) for name in ("after", _compared_with(claims)))
     )
     claims = check_claim(
-        claims, error, floor, a.support, recalibrated=is_within, halves=a.halves_error, must_be_nearer=nearer
+        claims,
+        error,
+        floor,
+        a.support,
+        recalibrated=is_within,
+        halves=a.halves_error,
+        must_be_nearer=nearer,
+        sensors_too=study.subject.probed,
     )
     if claims.claimed is None or claims.claimed.is_of_sensors or claims.further:
         return claims
@@ -75,13 +83,22 @@ def _beyond_tolerance_checked(claims: Claims, a: Attribution, study: Study, resu
     return otherwise if otherwise.claimed is not None else replace(claims, further=others)
 
 
+def _variants(study: Study, a: Attribution, claims: Claims) -> dict[str, Variant]:
+    """Return the variants before, recalibrated and after."""
+    subject, settings = study.subject, study.settings
+    return variants_of(subject, settings, a, claims.claimed, refined_subject(subject, settings, claims.claimed))
+
+
+def _compared_with(claims: Claims) -> str:
+    """Return the variant to compare a claim with: of sensors the given model, whose equations they keep."""
+    return "before" if claims.claimed and claims.claimed.is_of_sensors else "recalibrated"
+
+
 def _replay_errors(
     study: Study, a: Attribution, claims: Claims, problem: Problem, sensors: Array | None
 ) -> tuple[ErrorOf, Channels]:
     """Return replay errors and their noise floor."""
-    subject, settings = study.subject, study.settings
-    refined = refined_subject(subject, settings, claims.claimed)
-    variants = variants_of(subject, settings, a, claims.claimed, refined)
+    variants = _variants(study, a, claims)
     error = {name: predicted_errors(variant, problem, study.logs) for name, variant in variants.items()}
     quiet = with_log_noise(variants["after"], a, claims.claimed, sensors)
     return error, noise_floor(quiet, problem, study.logs, np.random.default_rng(FLOOR_SEED)).level
@@ -99,6 +116,7 @@ def check_claim(
     recalibrated: bool = True,
     halves: bool = False,
     must_be_nearer: bool = True,
+    sensors_too: bool = False,
 ) -> Claims:
     """Return the claims, graded or withdrawn according to replays.
 
@@ -108,12 +126,19 @@ def check_claim(
         recalibrated: True if the recalibrated base model is within its tolerances and so an alternative.
         halves: True if the claim halves the error on held-out logs. It is then at least a part of the answer.
         must_be_nearer: True if effects must reduce the error of some channel.
+        sensors_too: True if sensor errors must do so too.
     """
     if claims.claimed is None:
         return claims
     is_of_sensors = claims.claimed.is_of_sensors
     effects = must_be_nearer and recalibrated and "effect" in {c.kind for c in claims.claimed.candidates}
-    doubt = _error_doubt(error, floor) if is_of_sensors else _plant_doubt(error, floor, effects=effects)
+    if is_of_sensors:
+        farther = (
+            sensors_too and must_be_nearer and floor and all(error["after"][n] >= error["before"][n] for n in floor)
+        )
+        doubt = Doubt("no_nearer") if farther else _error_doubt(error, floor)
+    else:
+        doubt = _plant_doubt(error, floor, effects=effects)
     if doubt and not halves:
         return claims.withdraw(doubt)
     if claims.name == "ambiguous" or claims.grade != "claimed":
@@ -127,19 +152,18 @@ def check_claim(
     return replace(claims, grade="part", part=Part(worst, share))
 
 
-def _is_clearly_worse(problem: Problem, horizon: float, claimed: Fit, base: Fit) -> bool:
+def _is_clearly_worse(after: Array, before: Array) -> bool:
     """Return True if replays with a claim are worse than without, beyond their scatter.
 
     Replays of small effects tell less than innovations, and a few windows dominate a mean square. So the logarithms of
     the errors of each replay are compared.
+
+    Args:
+        after, before: Errors, shape (replays, outputs).
     """
-    gains = []
-    for k in range(len(problem.logs)):
-        errors = [np.sqrt(np.nanmean(open_loop(problem, horizon, f, k) ** 2, axis=1)) for f in (base, claimed)]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            ratios = np.log(errors[0] / errors[1])
-        gains += [float(np.mean(row)) for row in ratios if np.isfinite(row).all()]
-    return sum_per_scatter(np.array(gains)) < -UNSURE
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratios = np.log(before / after)
+    return sum_per_scatter(ratios[np.isfinite(ratios).all(axis=1)].mean(axis=1)) < -UNSURE
 
 
 def _weak_parts(claimed: Hypothesis, support: Mapping[str, Support]) -> tuple[str, ...]:

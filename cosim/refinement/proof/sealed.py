@@ -8,11 +8,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from cosim.refinement.proof.measure import Evidence, rmse
+from cosim.refinement.proof.measure import PARTS, Evidence, rmse
 from cosim.residuals.windows import Replay
 
 CHANCE = 0.01  # probability of a false alarm for a rise on any channel
-PARTS = 8  # parts of a free run, each counted as one replay
 
 
 def find_rises(before: Evidence, after: Evidence) -> dict[str, tuple[float, float]]:

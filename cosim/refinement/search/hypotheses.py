@@ -43,9 +43,13 @@ class Hypothesis:
         return not (names <= others or names >= others)
 
     def is_away(self, c: Candidate, times: float) -> bool:
-        """Return True if a parameter is more than `times` standard deviations from neutral."""
+        """Return True if a parameter is more than `times` standard deviations from neutral.
+
+        The shape of a term, all its parameters without neutral value, is held: without effect it is undetermined.
+        """
+        shape = [f.name for f in c.free if f.neutral is None] if c.kind == "effect" else []
         distances = {f.name: abs(self.fit.values[f.name] - f.neutral) for f in c.free if f.neutral is not None}
-        return any(distance > times * self.fit.sigma(name) for name, distance in distances.items())
+        return any(distance > times * self.fit.sigma(name, shape) for name, distance in distances.items())
 
 
 def are_halved(ratios: Sequence[float]) -> bool:
