@@ -52,6 +52,43 @@ def test_a_part_of_a_claim_is_further_from_neutral_than_the_best_of_all_by_chanc
     assert list(dropped) == ([] if is_flat else ["lag"])
 
 
+def test_the_size_of_an_effect_is_certain_at_its_fitted_shape() -> None:
+    """Only the product of time and damping is certain of a short lag of second order."""
+    free = (
+        Free("lag.time", 0.0, 9.0, 0.1, neutral=0.0),
+        Free("lag.damping", 0.05, 3.0, 0.1),
+    )
+    along, across = np.array([1.0, 1.0]) / np.sqrt(2.0), np.array([1.0, -1.0]) / np.sqrt(2.0)
+    information = 1e4 * np.outer(along, along) + 1e-2 * np.outer(across, across)
+    noise: Any = None
+    fit = Fit({"lag.time": 0.6, "lag.damping": 0.6}, noise, free, (0.0,), 0.0, information, 1, True)
+    h = Hypothesis((Candidate("lag", "effect", free, ({},)),), fit, 0.0)
+    assert fit.sigma("lag.time") > 5.0
+    assert h.is_away(h.candidates[0], 3.7)
+    assert not h.is_away(h.candidates[0], 60.0)
+
+
+@pytest.mark.parametrize(("probed", "answer"), [(True, ("lag",)), (False, ())])
+def test_what_refuses_the_best_hypothesis_says_nothing_against_a_simpler_one(
+    monkeypatch: pytest.MonkeyPatch, probed: bool, answer: tuple[str, ...]
+) -> None:
+    rich, simple = (replace(hypothesis({name: (1.0, 0.1)}), ended=True) for name in ("second_order_lag", "lag"))
+    tried = {(): replace(rich, candidates=(), score=0.0)}
+    tried |= {("second_order_lag",): replace(rich, score=-310.0), ("lag",): replace(simple, score=-308.0)}
+    search: Any = SimpleNamespace(subject=SimpleNamespace(probed=probed), tried=tried)
+
+    def remainder(search: Any, h: Hypothesis) -> judgement._Remainder:
+        refused = h.names == ("second_order_lag",)
+        return judgement._Remainder(
+            tried[()] if refused else h, dropped={h.names[0]: "at its limit"} if refused else {}
+        )
+
+    monkeypatch.setattr(judgement, "_remainder", remainder)
+    found = judgement._supported(search, tried["second_order_lag",])
+    assert found.best.names == answer
+    assert list(found.dropped) == ["second_order_lag"]
+
+
 @pytest.mark.parametrize(("others", "is_worse"), [(0.9, False), (1.1, True)])
 def test_one_window_does_not_speak_against_a_small_effect(others: float, is_worse: bool) -> None:
     """The claim is worse in one window, where an unstable motion parts from the log, and better or worse elsewhere."""

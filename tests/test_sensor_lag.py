@@ -61,14 +61,14 @@ class TankWithGauge(Model):
         return Equations(derivative, lambda t, x, u: (x[1], self.rate_ * x[0]))
 
 
-def run(model, x0, *, covariance, p, y, u, **more):
+def run(model, x0, *, covariance, p, y, u, density=0.02, **more):
     tool = kernel(model, ["level", "outflow"])
     layout = tool.layout
     values = np.array([p[n] for n in layout.parameters])
     states = np.zeros(len(layout.states))
     states[: len(x0)] = x0
     q = np.zeros(len(layout.stochastic))
-    q[list(layout.noisy)] = 0.02
+    q[list(layout.noisy)] = density
     P0 = np.zeros((len(layout.stochastic),) * 2)
     for (a, b), value in covariance.items():
         P0[layout.uncertain.index(a), layout.uncertain.index(b)] = value
@@ -98,6 +98,28 @@ def test_the_filter_equals_one_with_the_lag_as_a_state(log):
     np.testing.assert_allclose(ours.variances[known], theirs.variances[known], rtol=2e-2)
     size = np.sqrt(theirs.variances)
     assert np.nanmax(np.abs(ours.errors - theirs.errors) / size) < 0.03
+
+
+def test_readings_of_the_past_see_an_output_bend_between_rows(log):
+    """The output follows steps of the inflow within a row; without noise, only the way of the output matters."""
+    u, nothing = log[0], np.zeros((ROWS, 2))
+    p = {"rate_": 20.0, "time_": 0.5 * STEP, "disturbance.time": 0.5, "slow_gauge.value": 0.0}
+    truth = kernel(TankWithGauge(), ["level", "outflow"])
+    values = np.array([p[n] for n in truth.layout.parameters])
+    start = np.array([u[0, 0] / 20.0, u[0, 0] / 20.0, *[0.0] * (len(truth.layout.states) - 2)])
+    twice = Data(0.5 * STEP, 0.0, np.repeat(u, 2, axis=0), np.repeat(nothing, 2, axis=0), 40)
+    course = truth.simulate(twice, values, start, np.zeros(0))
+    lagging, late = nothing.copy(), nothing.copy()
+    lagging[:, 0], lagging[:, 1] = course.outputs[::2, 0], course.outputs[::2, 1]
+    late[:, 0], late[:, 1] = np.append(start[0], course.states[1:-1:2, 0]), lagging[:, 1]
+    arguments = {"covariance": {}, "p": p, "u": u, "density": 0.0}
+    errors = [
+        run(Tank(), start[:1], **arguments, y=lagging, lags=np.array([0.5, 0.0])).errors,
+        run(Tank(), start[:1], **arguments, y=late, late=np.tile([0.5, 0.0], (ROWS, 1))).errors,
+    ]
+    bend = np.abs(late[1:, 0] - 0.5 * (course.states[:-2:2, 0] + course.states[2::2, 0])).max()
+    assert bend > 0.0015
+    assert np.abs(errors).max() < 0.01 * bend
 
 
 def test_a_lag_of_zero_changes_nothing_and_a_short_one_is_a_delay(log):

@@ -86,17 +86,20 @@ def test_a_first_order_lag_is_exact_for_held_inputs(step: float) -> None:
         assert mean == pytest.approx(exact, rel=1e-12)
 
 
-def test_a_lag_of_second_order_follows_the_step_response() -> None:
-    term, memory, step = bind(SecondOrderLag, INPUT)(time=0.2, damping=0.4), (0.0, 0.0, 0.0), 0.004
+@pytest.mark.parametrize("damping", [0.05, 0.4, 2.5])
+def test_a_lag_of_second_order_is_exact_for_steps_of_any_length(damping: float) -> None:
+    time, step, count = 0.2, 0.5, 20
+    term, memory = bind(SecondOrderLag, INPUT)(time=time, damping=damping), (0.0, 0.0, 0.0)
     (_,), memory = term.shape(SCALAR, 0.0, step, (0.0,), memory)
-    reached = []
-    for _ in range(500):
-        (_,), memory = term.shape(SCALAR, 0.0, step, (1.0,), memory)
-        reached.append(memory[0])
-    time = step * np.arange(1, 501)
-    _, exact, _ = lsim(([1.0], [0.04, 0.16, 1.0]), np.ones(501), np.concatenate([[0.0], time]))
-    assert np.abs(np.array(reached) - exact[1:]).max() < 1e-3
-    assert max(reached) > 1.2
+    ends, means = [], []
+    for _ in range(count):
+        (mean,), memory = term.shape(SCALAR, 0.0, step, (1.0,), memory)
+        means.append(mean)
+        ends.append(memory[0])
+    fine = np.linspace(0.0, count * step, 200 * count + 1)
+    _, exact, _ = lsim(([1.0], [time**2, 2.0 * damping * time, 1.0]), np.ones(fine.size), fine)
+    assert np.abs(ends - exact[200::200]).max() < 1e-9
+    assert np.abs(means - 0.5 * (exact[1:] + exact[:-1]).reshape(count, 200).mean(axis=1)).max() < 1e-4
 
 
 def test_play_and_rate_limit_begin_at_the_first_input() -> None:

@@ -260,7 +260,9 @@ class Attributor:
         search.bound = refit.fit.objective
         for _ in range(2):  # A new best hypothesis has its own rivals.
             rivals = [h for h in self._finalists(best) if h.names and not h.ended]
-            before, best = best, best_hypothesis((refit, best, *search.fit_alike(rivals, best)))
+            twins = [h for h in self._twins(best) if not h.ended and h not in rivals]
+            fitted = *search.fit_alike(rivals, best), *search.fit_alike(twins, best, NEAR)
+            before, best = best, best_hypothesis((refit, best, *fitted))
             if best is before:
                 break
         absent = [c.name for c in self.candidates if c.kind == "effect" and c.name not in best.names]
@@ -321,6 +323,19 @@ class Attributor:
         """Return the likely candidates and, for an FMU, those that look like a part."""
         probed = self.search.subject.probed
         return [c for c in others if c.name in likely or (probed and are_alike(part.name, c.name))]
+
+    def _twins(self, best: Hypothesis) -> list[Hypothesis]:
+        """Return hypotheses of an FMU with a term that looks alike in place of one part of the best.
+
+        Fits that only rank may end far above what such a hypothesis reaches with the noise of the best.
+        """
+
+        def is_twin(h: Hypothesis) -> bool:
+            own, others = set(best.names) - set(h.names), set(h.names) - set(best.names)
+            return len(own) == len(others) == 1 and are_alike(*own, *others)
+
+        twins = [h for h in self.search.tried.values() if self.search.subject.probed and is_twin(h)]
+        return sorted(twins, key=lambda h: h.score)[:FINALISTS]
 
     def _finalists(self, best: Hypothesis) -> list[Hypothesis]:
         """Return hypotheses close to the best that neither contain it nor are contained in it."""
