@@ -56,9 +56,10 @@ def check_with_replays(study: Study, a: Attribution, claims: Claims, result: Sea
     error, floor = _replay_errors(study, a, claims, problem, result.sensors)
     if is_single and (doubt := _error_doubt(error, floor)):
         return claims.withdraw(doubt)
-    nearer = not study.subject.probed or _is_clearly_worse(
-        *(errors_by_replay(variants[name], problem, study.logs) for name in ("after", _compared_with(claims)))
-    )
+    nearer = not study.subject.probed
+    if study.subject.probed and not claims.claimed.is_of_sensors:
+        after, without = (errors_by_replay(variants[name], problem, study.logs) for name in ("after", "recalibrated"))
+        nearer = _is_clearly_worse(after, without)
     claims = check_claim(
         claims,
         error,
@@ -87,11 +88,6 @@ def _variants(study: Study, a: Attribution, claims: Claims) -> dict[str, Variant
     """Return the variants before, recalibrated and after."""
     subject, settings = study.subject, study.settings
     return variants_of(subject, settings, a, claims.claimed, refined_subject(subject, settings, claims.claimed))
-
-
-def _compared_with(claims: Claims) -> str:
-    """Return the variant to compare a claim with: of sensors the given model, whose equations they keep."""
-    return "before" if claims.claimed and claims.claimed.is_of_sensors else "recalibrated"
 
 
 def _replay_errors(
@@ -126,17 +122,15 @@ def check_claim(
         recalibrated: True if the recalibrated base model is within its tolerances and so an alternative.
         halves: True if the claim halves the error on held-out logs. It is then at least a part of the answer.
         must_be_nearer: True if effects must reduce the error of some channel.
-        sensors_too: True if sensor errors must do so too.
+        sensors_too: True if sensor errors must do so too, compared with the given model, whose equations they keep.
     """
     if claims.claimed is None:
         return claims
     is_of_sensors = claims.claimed.is_of_sensors
     effects = must_be_nearer and recalibrated and "effect" in {c.kind for c in claims.claimed.candidates}
     if is_of_sensors:
-        farther = (
-            sensors_too and must_be_nearer and floor and all(error["after"][n] >= error["before"][n] for n in floor)
-        )
-        doubt = Doubt("no_nearer") if farther else _error_doubt(error, floor)
+        is_farther = sensors_too and bool(floor) and all(error["after"][n] >= error["before"][n] for n in floor)
+        doubt = Doubt("no_nearer") if is_farther else _error_doubt(error, floor)
     else:
         doubt = _plant_doubt(error, floor, effects=effects)
     if doubt and not halves:
