@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from benchmarks.view import write_layout
 from cosim.viewing.layouts import Layouts
 from cosim.viewing.pyramid import TIME, Recording
 from cosim.viewing.view_page import ViewPage
@@ -185,6 +186,34 @@ def test_zoom_cursor_files_and_layouts(browser: Browser, page_of_runs: ViewPage,
     assert "run 0 (r0) was removed" in page.locator("#message").inner_text()
     assert _names(page) == before
     page.close()
+    assert faults == []
+
+
+def test_many_curves_are_painted_as_pixels_with_every_peak_and_printed_as_lines(
+    browser: Browser, tmp_path: Path
+) -> None:
+    at, names = np.arange(ROWS) * 1e-3, [f"plant{k // 10}.x{k % 10}" for k in range(30)]
+    columns = {name: np.full(ROWS, float(k)) for k, name in enumerate(names)}
+    columns[names[0]][70_000] = 90.0
+    run = _run(tmp_path / "r0.csv", 0, Recording({TIME: at, **columns}, dict.fromkeys(names, "m"), ROWS))
+    write_layout(tmp_path / "view.json", "r0", 30)
+    faults: list[str] = []
+    with ViewPage("a run", [run], Layouts(tmp_path / "view.json")) as served:
+        page = opened(browser, served.server.url, faults, viewport={"width": 1300, "height": 900})
+        until(page, DRAWN)
+        inked = """() => {
+          const canvas = document.querySelector(".box canvas"), { width, height } = canvas,
+            { data } = canvas.getContext("2d").getImageData(0, 0, width, height);
+          const columns = [...Array(width).keys()];
+          return columns.filter((k) => data[4 * (Math.round(height / 2) * width + k) + 3]).map((k) => k / width);
+        }"""  # at half the height there is the peak alone
+        (*_, last) = found = page.evaluate(inked)
+        assert (found[0], last) == pytest.approx((0.7, 0.7), abs=0.01)
+        assert page.locator(".box path.line").first.get_attribute("d") == ""
+        page.emulate_media(media="print")
+        until(page, "document.querySelector('.box path.line').getAttribute('d') !== ''")
+        assert not page.locator(".box canvas").first.is_visible()
+        page.close()
     assert faults == []
 
 

@@ -121,9 +121,12 @@ class ViewPage(ServedPage):
     def _values(self, request: Request) -> Answer:
         """Return time and value of each curve at its last row up to a time; NaN before the first."""
         at = _number(request, "at")
+        places: dict[int, int] = {}
 
         def value(run: ViewedRun, name: str) -> list[Array]:
-            row = run.rows.locate(at, "right") - 1
+            if id(run) not in places:
+                places[id(run)] = run.rows.locate(at, "right") - 1
+            row = places[id(run)]
             return [run.rows.read(each, row, row + 1) if row >= 0 else np.array([np.nan]) for each in (TIME, name)]
 
         nothing = [np.full(2, np.nan)]

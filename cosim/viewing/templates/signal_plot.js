@@ -1,5 +1,5 @@
 // One plot: curves over time on one to four axes, or over another signal.
-/* global axis, all, make, put, readable, extremesPath, tickLabels, gridPaths, escapeText, tag, pen */
+/* global axis, all, make, put, readable, extremesPath, tickLabels, gridPaths, escapeText, tag, pen, paintCurves */
 /* exported SignalPlot, MOST_AXES */
 
 const WIDE = 4000,
@@ -13,9 +13,11 @@ class SignalPlot {
     Object.assign(this, { desk, kind, axes: [{ curves: [], range: null }], across: null, fresh: false });
     const cursor = make("span", { class: "cursor", "aria-hidden": "true" }, make("span", { class: "when" }));
     this.svg = make("svg", { viewBox: `0 0 ${WIDE} ${HIGH}`, preserveAspectRatio: "none", "aria-hidden": "true" });
+    this.canvas = make("canvas", { "aria-hidden": "true", hidden: "" }); // the lines, if there are many
     this.ring = make("span", { class: "spot", "aria-hidden": "true", hidden: "" });
     this.blank = make("span", { class: "blank" });
-    this.box = make("div", { class: "box", tabindex: 0, role: "application" }, this.svg, this.blank, cursor, this.ring);
+    const layers = [this.svg, this.canvas, this.blank, cursor, this.ring];
+    this.box = make("div", { class: "box", tabindex: 0, role: "application" }, ...layers);
     this.box.setAttribute("aria-roledescription", "chart");
     this.title = make("button", {
       type: "button",
@@ -225,8 +227,14 @@ class SignalPlot {
     return low > high ? [0, 1] : [low - margin, high + margin];
   }
 
+  // Sizes are read before anything is drawn: between two plots the browser would lay out the page for each of them.
+  measure() {
+    this.size = { width: this.box.clientWidth, height: this.box.clientHeight };
+  }
+
   scales() {
-    const x = axis(...this.ends(), this.box.clientWidth < 420 ? 4 : 8);
+    if (!this.size) this.measure();
+    const x = axis(...this.ends(), this.size.width < 420 ? 4 : 8);
     const ys = this.axes.map((each) => {
       const range = this.range(each);
       return range ? axis(...range, 5) : { low: 0, high: 1, ticks: [], factor: "" };
@@ -249,10 +257,22 @@ class SignalPlot {
     const u = (t) => Math.round((WIDE * (t - x.low)) / (x.high - x.low));
     const { pin } = this.desk;
     this.marks.pin.setAttribute("d", pin === null || this.kind === "xy" ? "" : `M${u(pin)} 0v${HIGH}`);
+    const isDense = this.kind === "time" && this.desk.isDense,
+      painted = [],
+      pens = new Map();
     let place = 0;
     this.axes.forEach((each, k) => {
-      for (const curve of each.curves) this.lines[place++].setAttribute("d", this.path(curve, u, ys[k], HIGH));
+      for (const curve of each.curves) {
+        const line = this.lines[place++],
+          style = this.style(curve);
+        line.setAttribute("d", isDense ? "" : this.path(curve, u, ys[k], HIGH));
+        if (!isDense || !curve.data || curve.hidden) continue;
+        if (!pens.has(style)) pens.set(style, pen(line));
+        painted.push({ data: curve.data, y: ys[k], pen: pens.get(style) });
+      }
     });
+    this.canvas.hidden = !isDense;
+    if (isDense) paintCurves(this.canvas, this.size, painted, x);
     this.read();
   }
 

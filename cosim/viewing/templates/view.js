@@ -4,7 +4,9 @@
   "use strict";
   const MOST_DROPPED = 24, // signals of a group that are added at once
     QUICK = 40000, // points that are drawn at once and again when the answer comes
+    DENSE = 24, // curves; more are painted as pixels, of half as many columns
     LEAST = 1e-9; // of the whole time: the shortest view
+  const paper = matchMedia("print");
   const READY = ["a - b", "a + b", "a * b", "a / b", "der(a)", "integral(a)", "lowpass(a, 1)", "abs(a)", "hypot(a, b)"];
   const about = await (await fetch("about")).json();
   const runs = about.runs.map((run) => {
@@ -84,6 +86,11 @@
       schedule();
     },
 
+    get isDense() {
+      const times = desk.plots.filter(({ kind }) => kind === "time");
+      return !paper.matches && times.flatMap((plot) => plot.curves).length > DENSE;
+    },
+
     // -- view and cursor ----------------------------------------------------------------------------
     look(from, to) {
       const least = LEAST * (whole.to - whole.from),
@@ -157,8 +164,12 @@
       waiting = false;
       const shown = desk.plots.filter((plot) => seen.get(plot.figure)),
         points = shown.flatMap((plot) => plot.curves).reduce((sum, { data }) => sum + (data?.t.length ?? 0), 0);
-      for (const plot of shown) if (points < QUICK || !busy) plot.draw(); // what is here, until more is
+      if (points < QUICK || desk.isDense || !busy) draw(shown); // what is here, until more is
     });
+  }
+  function draw(plots) {
+    for (const plot of plots) plot.measure();
+    for (const plot of plots) plot.draw();
   }
   async function fetchPoints() {
     if (busy) {
@@ -177,7 +188,8 @@
     try {
       const shown = (kind) =>
         plots.filter((p) => p.kind === kind).flatMap((plot) => plot.curves.map((c) => ({ plot, c })));
-      const width = Math.max(200, Math.round(plots[0].box.clientWidth || 800)),
+      const columns = (plots[0].box.clientWidth || 800) / (desk.isDense ? 2 : 1),
+        width = Math.max(200, Math.round(columns)),
         range = { ...desk.view };
       await fill(
         "points",
@@ -200,7 +212,7 @@
     } finally {
       busy = false;
     }
-    for (const plot of plots) plot.draw();
+    draw(plots);
     if (again || desk.plots.some((plot) => seen.get(plot.figure) && !plot.fresh && plot.curves.length)) fetchPoints();
     else if (desk.plots.every((plot) => seen.has(plot.figure))) document.documentElement.dataset.view = "drawn";
   }
@@ -225,6 +237,11 @@
       }
     }
   }
+  // Colours change, and paper takes lines in place of pixels.
+  for (const media of [paper, matchMedia("(prefers-color-scheme: dark)")])
+    media.addEventListener("change", () => {
+      draw(desk.plots.filter((plot) => seen.get(plot.figure)));
+    });
   let reading = false;
   async function fetchValues() {
     if (reading || desk.cursor === null) return;
@@ -645,6 +662,6 @@
     for (const plot of desk.plots) plot.fresh = false;
     schedule();
   }).observe(one("#charts"));
-  addEventListener("beforeprint", () => desk.plots.forEach((plot) => plot.draw()));
+  addEventListener("beforeprint", () => draw(desk.plots));
   document.documentElement.dataset.ready = "view";
 })();
