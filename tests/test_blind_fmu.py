@@ -43,7 +43,7 @@ def simulated(path: Path, plant: str, way: str, count: int = 50, **more: Any) ->
     return np.column_stack([result[n] for n in declared.output_names])
 
 
-@pytest.mark.parametrize("version", [2, 3])
+@pytest.mark.parametrize("version", [2, pytest.param(3, marks=pytest.mark.thorough)])
 @pytest.mark.parametrize("plant", PLANTS)
 def test_both_ways_of_both_versions_agree_in_fmpy(tmp_path: Path, plant: str, version: int) -> None:
     path = build(tmp_path / "plant.fmu", plant, version, ways=WAYS)
@@ -115,6 +115,7 @@ def test_short_steps_are_whole_own_steps(tmp_path: Path, fault: str) -> None:
     assert angle(fault, 0.01) > 4.0 * angle("", 0.01)
 
 
+@pytest.mark.thorough
 def test_instances_leak(tmp_path: Path) -> None:
     code = (
         "import sys; from pathlib import Path; from tests.test_blind_fmu import resident; "

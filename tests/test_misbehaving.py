@@ -587,7 +587,7 @@ def stopped_again(*words: object, number: str = "SIGINT", first: int = 0) -> tup
 
 
 @pytest.mark.skipif(not LINUX, reason="signals and processes as Linux has them")
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.thorough)])
 @pytest.mark.parametrize("report", ["--report", pytest.param("--no-report", marks=pytest.mark.thorough)])
 def test_rows_of_a_run_outlast_being_stopped_again_and_again(
     tmp_path: Path, number: signal.Signals, report: str

@@ -100,6 +100,17 @@ def parameters() -> list[tuple[str, str]]:
     return [(f, name) for f in cosim.__all__ for name in inspect.signature(getattr(cosim, f)).parameters]
 
 
+def values_of(function: str, name: str) -> dict[str, Any]:
+    """Return all odd values for the first function with such an argument; every fourth for the others, in turn."""
+
+    def kind(function: str) -> str:
+        return str(inspect.signature(getattr(cosim, function)).parameters[name].annotation)
+
+    alike = [f for f, other in parameters() if other == name and kind(f) == kind(function)]
+    turn = alike.index(function)
+    return dict([*ODD.items()][(turn - 1) % 4 :: 4]) if turn else ODD
+
+
 @pytest.mark.parametrize(("function", "name"), parameters())
 def test_an_odd_value_of_an_argument_is_taken_or_refused_in_words(
     function: str, name: str, material: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -107,7 +118,7 @@ def test_an_odd_value_of_an_argument_is_taken_or_refused_in_words(
     monkeypatch.chdir(tmp_path)
     call: Callable[..., Any] = getattr(cosim, function)
     wrong = []
-    for label, value in ODD.items():
+    for label, value in values_of(function, name).items():
         if (name, label) in {("out", "root"), ("folder", "root"), ("progress", "type")}:  # an error of its own
             continue
         try:

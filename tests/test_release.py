@@ -74,6 +74,7 @@ def test_the_commands_of_the_page_and_of_the_container_run_without_network_and_c
     assert trial.main(["container", "workflow"]) == 0
 
 
+@pytest.mark.thorough
 def test_the_commands_of_the_example_for_ci_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each command of the workflow, without its installation, in a repository as its first lines describe one."""
     (tmp_path / "bin").mkdir()

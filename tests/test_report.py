@@ -601,7 +601,7 @@ def test_figures_are_png_files_with_safe_names(tmp_path: Path) -> None:
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in paths)
 
 
-@pytest.mark.parametrize("variable", ["XDG_CONFIG_HOME", "XDG_CACHE_HOME"])
+@pytest.mark.parametrize("variable", ["XDG_CONFIG_HOME", pytest.param("XDG_CACHE_HOME", marks=pytest.mark.thorough)])
 def test_without_a_place_for_its_lists_matplotlib_says_nothing_and_leaves_nothing(
     variable: str, tmp_path: Path
 ) -> None:

@@ -72,6 +72,7 @@ def error(results: Any, every: int = 1) -> float:
 # -- controlled steps ---------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_halving_needs_less_than_a_fifth_of_the_points_of_equal_steps_at_equal_error(tmp_path: Path) -> None:
     results, manifest = ran(truck(tmp_path), HALVING)
     steps = manifest["steps"]

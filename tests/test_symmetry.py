@@ -13,7 +13,7 @@ from cosim.model import Stepper
 from plant.hovercraft import DUTY_NOMINAL, Hovercraft
 from tests.independent import COLUMNS, Array, flown
 
-property_settings = settings(deadline=None, derandomize=True, max_examples=30)
+property_settings = settings(deadline=None, derandomize=True, max_examples=12)
 
 piece = st.tuples(st.floats(6.0, 6.8), st.floats(6.0, 6.8), st.floats(-0.5, 0.5), st.floats(-0.5, 0.5))
 histories = st.lists(piece, min_size=4, max_size=4).map(lambda pieces: np.repeat(np.array(pieces), 8, axis=0))
