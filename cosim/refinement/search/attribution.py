@@ -260,9 +260,7 @@ class Attributor:
         search.bound = refit.fit.objective
         for _ in range(2):  # A new best hypothesis has its own rivals.
             rivals = [h for h in self._finalists(best) if h.names and not h.ended]
-            twins = [h for h in self._twins(best) if not h.ended and h not in rivals]
-            fitted = *search.fit_alike(rivals, best), *search.fit_alike(twins, best, NEAR)
-            before, best = best, best_hypothesis((refit, best, *fitted))
+            before, best = best, best_hypothesis((refit, best, *search.fit_alike(rivals, best)))
             if best is before:
                 break
         absent = [c.name for c in self.candidates if c.kind == "effect" and c.name not in best.names]
@@ -305,6 +303,7 @@ class Attributor:
         """Yield promising replacements of each candidate.
 
         Each score test starts from a fit without the candidate, because a test with it misjudges simpler replacements.
+        A term that looks alike leaves all other values as they are, so that its fit starts from those of the best.
         """
         search = self.search
         others = [c for c in self.candidates if c.name not in best.names and c.kind != "parameter"]
@@ -316,26 +315,17 @@ class Attributor:
             promises = Choice(test, terms, (), search.problem.values).extensions(())
             likely = [name for name in promises if promises[name].within][:REPLACING]
             for c in self._substitutes(part, others, likely):
+                others_at = {} if self._is_twin(part, c) else without.fit.values
                 promised = promises.get(c.name)
-                yield (*rest, c), {**without.fit.values, **promised.values} if promised else None
+                yield (*rest, c), {**others_at, **promised.values} if promised else None
 
     def _substitutes(self, part: Candidate, others: Sequence[Candidate], likely: Sequence[str]) -> list[Candidate]:
         """Return the likely candidates and, for an FMU, those that look like a part."""
-        probed = self.search.subject.probed
-        return [c for c in others if c.name in likely or (probed and are_alike(part.name, c.name))]
+        return [c for c in others if c.name in likely or self._is_twin(part, c)]
 
-    def _twins(self, best: Hypothesis) -> list[Hypothesis]:
-        """Return hypotheses of an FMU with a term that looks alike in place of one part of the best.
-
-        Fits that only rank may end far above what such a hypothesis reaches with the noise of the best.
-        """
-
-        def is_twin(h: Hypothesis) -> bool:
-            own, others = set(best.names) - set(h.names), set(h.names) - set(best.names)
-            return len(own) == len(others) == 1 and are_alike(*own, *others)
-
-        twins = [h for h in self.search.tried.values() if self.search.subject.probed and is_twin(h)]
-        return sorted(twins, key=lambda h: h.score)[:FINALISTS]
+    def _is_twin(self, part: Candidate, other: Candidate) -> bool:
+        """Return True if two terms of an FMU look alike."""
+        return self.search.subject.probed and are_alike(part.name, other.name)
 
     def _finalists(self, best: Hypothesis) -> list[Hypothesis]:
         """Return hypotheses close to the best that neither contain it nor are contained in it."""

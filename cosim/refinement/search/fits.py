@@ -177,16 +177,11 @@ class Search:
 
         return self._fit_each("fitting the best further", refit, hypotheses)
 
-    def fit_alike(self, hypotheses: Sequence[Hypothesis], like: Hypothesis, margin: float = np.inf) -> list[Hypothesis]:
-        """Refit hypotheses from the noise of the hypothesis `like`.
-
-        Args:
-            margin: A fit ends early if it cannot reach a score so close to that of `like`.
-        """
+    def fit_alike(self, hypotheses: Sequence[Hypothesis], like: Hypothesis) -> list[Hypothesis]:
+        """Refit hypotheses from the noise of the hypothesis `like`."""
 
         def refit(h: Hypothesis) -> Hypothesis:
-            goal = like.score + margin - self.cost(h.candidates)
-            return self.hypothesis(h.candidates, replace(h.fit, noise=like.fit.noise), goal=goal, loosen=False)
+            return self.hypothesis(h.candidates, replace(h.fit, noise=like.fit.noise), loosen=False)
 
         return self._fit_each("fitting what comes near the best", refit, hypotheses)
 
