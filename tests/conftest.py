@@ -39,11 +39,11 @@ def pytest_collection_finish() -> None:
 
 # the files that take longest, first: begun last, one of them would be waited for alone
 LONGEST = (
-    "test_refine", "test_docs", "test_findings", "test_refine_stands", "test_refine_conditions", "test_extensions",
-    "test_shared_machine", "test_blind_field", "test_install", "test_closed_loop", "test_sensors", "test_per_log",
-    "test_consistency", "test_misbehaving", "test_blind_truth", "test_kernel", "test_excite", "test_replay",
-    "test_apart", "test_drive", "test_held_out", "test_controllers", "test_report", "test_refine_units",
-    "test_between_rows", "test_probing",
+    "test_refine", "test_refine_fmu", "test_verbs", "test_misbehaving", "test_live_browser", "test_resume",
+    "test_fit", "test_view_browser", "test_identify", "test_extensions", "test_blind_fmu", "test_kernel",
+    "test_effects", "test_sweep", "test_refine_report", "test_run", "test_replay", "test_python_arguments",
+    "test_controllers", "test_report", "test_wrapping", "test_step_control", "test_wrapped_calls", "test_live_values",
+    "test_report_charts", "test_subject", "test_shared_machine", "test_release", "test_static", "test_recording",
 )  # fmt: skip
 
 
