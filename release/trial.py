@@ -44,7 +44,9 @@ def collect() -> None:
     done, wanted = WHEELS / "complete", (ROOT / "pyproject.toml").read_text(encoding="utf-8")
     if done.is_file() and done.read_text(encoding="utf-8") == wanted:
         return
-    ours = [f"{path.name.split('-')[0]} @ {path.as_uri()}" for path in sorted(DIST.glob("*.whl"))]
+    extras = {"fmu_cosim": "[refine]"}
+    names = ((path.name.split("-")[0], path) for path in sorted(DIST.glob("*.whl")))
+    ours = [f"{name}{extras.get(name, '')} @ {path.as_uri()}" for name, path in names]
     listed = subprocess.run(
         [program("uv"), "pip", "compile", "--quiet", "--only-binary", ":all:", "-"],
         input="\n".join((*ours, *TOOLS)), capture_output=True, text=True, check=True,
@@ -189,7 +191,7 @@ def try_refine(folder: Path) -> None:
     """Run the tutorial of a log, which fits and refines, without a compiler."""
     place = Place(folder)
     shutil.copytree(ROOT / "examples/tanks", place.folder / "examples/tanks", ignore=shutil.ignore_patterns("*.csv"))
-    place.run(f"python -m pip install {DIST}/fmu_cosim-*.whl")
+    place.run(f'python -m pip install "$(ls {DIST}/fmu_cosim-*.whl)[refine]"')  # a compiler that pip installs
     for name in ("tank", "level_control"):
         place.run(f"pythonfmu build -f examples/tanks/{name}.py --dest build")
     for line in typed(ROOT / "docs" / "my_log.md"):
