@@ -52,10 +52,9 @@ def with_feedthrough(file: ScenarioFile, designed: Designed, system: System, wor
     plain = _with_warnings(plain, _of_loops(messages.FOLLOWS_AT_START, system.suspected, measured.at_start))
     followed = {n: sorted({i.partition(".")[2] for _, i in measured.pairs if _owner(i) == n}) for n in members}
     declared = {name: followed[name] for name in members if inputs[name] and (name in known or followed[name])}
-    if not measured.pairs:
-        file.scenario = _with_declared(scenario, declared)
-        return plain
     file.scenario = _with_declared(scenario, declared)
+    if not measured.pairs:
+        return plain
     planned_loops: Sequence[Loop] = ()
     try:
         planned = build_system(file, designed)
