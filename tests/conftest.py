@@ -26,6 +26,7 @@ except ImportError:  # on Windows each worker builds its own
     fcntl = None  # type: ignore[assignment]
 
 ROOT = Path(__file__).resolve().parent.parent
+SHIPPED = c_compiler.OPTIONS
 # every command and worker would compile anew all that it imports
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 collect_seldom()  # as commands do
@@ -87,22 +88,26 @@ def _forker() -> Iterator[Any]:
 
 @pytest.fixture(autouse=True)
 def _warm_workers(request: pytest.FixtureRequest, _forker: Any) -> Iterator[None]:
-    """Fork the workers of this process (`tests/warm.py`), except for tests marked `fresh`."""
-    fresh = process._spawn
-    if _forker is not None and request.node.get_closest_marker("fresh") is None:
+    """Fork the workers of this process (`tests/warm.py`), except for tests marked `fresh`.
+
+    Fresh ones compile as shipped; so must the test, which may compile for them.
+    """
+    fresh, options = process._spawn, c_compiler.OPTIONS
+    if request.node.get_closest_marker("fresh") is not None:
+        c_compiler.OPTIONS = SHIPPED
+    elif _forker is not None:
         process._spawn = _forker.spawn
     yield
-    process._spawn = fresh
+    process._spawn, c_compiler.OPTIONS = fresh, options
 
 
 @pytest.fixture(autouse=True, scope="module")
 def _quick_compiler(request: pytest.FixtureRequest) -> Iterator[None]:
     """Compile at -O1: the same bits in less than half the time, except for modules marked `optimized`."""
-    shipped = c_compiler.OPTIONS
     if request.node.get_closest_marker("optimized") is None:
-        c_compiler.OPTIONS = tuple(option.replace("-O3", "-O1") for option in shipped)
+        c_compiler.OPTIONS = tuple(option.replace("-O3", "-O1") for option in SHIPPED)
     yield
-    c_compiler.OPTIONS = shipped
+    c_compiler.OPTIONS = SHIPPED
 
 
 def _built_once(factory: pytest.TempPathFactory, name: str, fill: Callable[[Path], object]) -> Path:

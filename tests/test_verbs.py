@@ -55,7 +55,7 @@ CASES = {  # verb → its words, and a file that it writes
     "identify": ("craft.yaml", "results/a-craft/identify.json"),
 }
 WRITES_OVER = {"excite", "identify", "linearize"}  # in Python: docs/python.md
-NEEDS = {"sweep": ("pyarrow", "SALib"), "serve": ("zmq",)}
+NEEDS = {"sweep": ("pyarrow", "SALib"), "serve": ("zmq", "cryptography")}
 
 
 @pytest.fixture(scope="module")

@@ -108,9 +108,10 @@ class FmuModel(Model):
         inputs = self.library_inputs(m, state, command)
         places = {k for k, depends in enumerate(of_states[row]) if depends}
         acting = [sympy.sympify(u) for u, depends in zip(inputs, of_inputs[row], strict=True) if depends]
-        through = set().union(*(u.free_symbols for u in acting)) if acting else set()
-        places |= {k for k, x in enumerate(state[: len(self.base_states)]) if x in through}
-        commands = [u for u in command if u in through]
+        # by name: sympy may return an expression that it made earlier, of other objects for the same symbols
+        through = {str(symbol) for u in acting for symbol in u.free_symbols}
+        places |= {k for k, x in enumerate(state[: len(self.base_states)]) if str(x) in through}
+        commands = [u for u in command if str(u) in through]
         return [*(state[k] for k in sorted(places)), *commands]
 
 
