@@ -288,7 +288,8 @@ def test_a_run_that_is_stopped_leaves_its_rows_and_no_process(
     assert rows_in(tmp_path / "out") >= 3
     assert children
     assert not any(map(runs, children))
-    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["manifest.json", "results.csv"]
+    left = {p.name for p in (tmp_path / "out").iterdir()}
+    assert left - {"checkpoint"} == {"manifest.json", "results.csv"}  # from a run that can go on
 
 
 @pytest.mark.skipif(not LINUX, reason="signals and processes as Linux has them")

@@ -138,15 +138,20 @@ def test_pulses_of_inputs_tell_the_same_without_start_values(study: Study, probl
     assert pulsed == pytest.approx(known, rel=0.01, abs=1e-3 * np.abs(known).max())
 
 
-def test_a_late_reading_lies_between_two_rows_of_the_run(problem: Problem) -> None:
-    late, rows = 2.634, np.arange(ROWS)
-    own = problem.own_run(0).outputs
-    y = own.copy()
-    y[:, 0] = np.interp(rows - late, rows, own[:, 0])
+def test_a_reading_late_by_half_a_row_is_that_of_a_run_with_half_the_step(problem: Problem) -> None:
+    values = {**problem.values, "latency_at_motor_phi.value": 2.5 * STEP}
+    data, p = problem.data(problem.values, 0), problem.numbers(problem.of_log(problem.values, 0))
+    u, substeps = np.repeat(data.u, 2, axis=0)[:-1], max(1, data.substeps // 2)
+    half = replace(data, u=u, step=0.5 * STEP, substeps=substeps, late=None, lags=None)
+    run = problem.kernel.simulate(half, p, problem.x0[0], np.zeros(problem.layout.memory)).outputs
+    own = run[:, 0]
+    bends = np.abs(own[1::2] - 0.5 * (own[:-2:2] + own[2::2]))
+    assert bends.max() > 1e-6 * np.ptp(own)
+    y = run[::2].copy()
+    y[:3, 0], y[3:, 0] = own[0], own[1::2][:-2]
     posed = replace(problem, logs=[replace(problem.logs[0], y=y)])
-    values = {**problem.values, "latency_at_motor_phi.value": late * STEP}
     errors, _ = posed.innovations(values, problem.at(problem.noise.smallest), 0)
-    assert np.nanmax(np.abs(errors[10:-5, 0])) < 1e-9 * np.ptp(y[:, 0])
+    assert np.nanmax(np.abs(errors[10:-5, 0])) < 1e-9 * np.ptp(own)
 
 
 def test_slopes_that_serve_two_steps_lead_to_the_same_values(
