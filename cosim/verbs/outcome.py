@@ -35,7 +35,8 @@ def say_outcome(
         timings = outcome.manifest["timings"]
         speed = f"simulated in {timings['simulate']:.2f} s ({timings['real_time_factor']:.3g} × real time)"
         say_more(f"order: {', '.join(outcome.manifest['order'])}; loaded in {timings['load']:.2f} s, {speed}")
-        say_more(time_sentence(timings))
+        if times := time_sentence(timings):
+            say_more(times)
         say(f"results: {outcome.file}")
         if report:
             say(f"report:  {page}")
