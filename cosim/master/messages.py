@@ -5,7 +5,7 @@ from cosim.base.messages import Template
 NOT_SETTLED = Template(
     "E-MAS-001",
     "values still change after {count} exchanges: an algebraic loop{loop} that exchanging values does not settle; "
-    "loops: {{}}{cure} solves it, and an FMU without direct feedthrough in the loop breaks it",
+    "loops: {{}}{cure} solves it if it has a solution, and an FMU without direct feedthrough in the loop breaks it",
 )
 OPEN_LOOP = Template(
     "N-MAS-066",
