@@ -32,7 +32,7 @@ SWEEPS = 3  # exchanges of values before the measurement
 LEAST = 1e-7  # change of an output that counts, relative to its value
 NOISE = 10.0  # the same relative to differences between equal calls
 IRREGULAR = 0.37  # displacement of the second point, in sizes of an input
-PATIENCE = Limits(step=20.0)
+PATIENCE = Limits(step=20.0)  # of the measurement, for a scenario without `limits`
 
 Pair = tuple[str, str]  # output, input
 
@@ -152,7 +152,7 @@ class _Measurement(Master):
         return Feedthrough(tuple(pairs), (), frozenset(measured))
 
     def _follow(self, member: Member, places: Sequence[int]) -> tuple[Any, Any]:
-        """Return which outputs (rows) follow which inputs (columns), and which inputs accept other values."""
+        """Return two arrays of flags: output (row) follows input (column); input accepts another value."""
         base = member.values()
         member.evaluate(self.doing)
         noise = NOISE * np.abs(member.values() - base)

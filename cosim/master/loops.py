@@ -314,7 +314,7 @@ class LoopSolver:
     # -- outputs that follow inputs only after a step ------------------------------------------------
 
     def _probe_start(self) -> None:
-        """Note which outputs follow which inputs in initialization."""
+        """Set `reacts` of each member: an output that changes with an input in initialization."""
         self._is_probed = True
         before = list(self.row)
         for member in self.members:

@@ -128,7 +128,7 @@ class Replay:
             count[0] = k  # Limits count from here; the row itself is there.
 
     def _compiled(self, last: int) -> Sequence[Replayed]:
-        """Replay the components that C can step; return them."""
+        """Replay in C the components that C can step, and return these components."""
         slots = [(part, slot) for part in self.parts if isinstance(slot := self._slot(part), Slot)]
         if slots:
             try:

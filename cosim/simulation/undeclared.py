@@ -119,6 +119,6 @@ def _of_loops(template: Template, loops: Sequence[Loop], pairs: Sequence[Pair], 
 
 
 def _facts(pairs: Sequence[Pair]) -> str:
-    """Return which outputs follow which inputs."""
+    """Return pairs in words, such as `b.y follows b.u`, at most six of them."""
     more = f" and {len(pairs) - NAMED} more" if len(pairs) > NAMED else ""
     return ", ".join(f"{output} follows {entry}" for output, entry in pairs[:NAMED]) + more

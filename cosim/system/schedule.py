@@ -54,7 +54,7 @@ class OpenLoop:
 
 
 def closed_path(members: Sequence[str]) -> str:
-    """Return components as a path that ends where it begins."""
+    """Return a loop of components a and b as `a → b → a`."""
     return " → ".join((*members, members[0]))
 
 

@@ -64,7 +64,7 @@ def decide(result: SearchResult) -> Attribution:
 
 
 def _error_ratios(search: Search, best: Hypothesis, base: Hypothesis, noise: Sequence[float]) -> tuple[float, ...]:
-    """Return the ratios of errors on held-out logs; beside an unknown input, also of fits to predictions."""
+    """Return the ratios of errors on held-out logs, by the filter's fits or, beside unknown inputs, to predictions."""
     ratios = error_ratios(search, best, base, to_predictions=False)
     if are_halved(ratios) or max(noise, default=0.0) <= NOISE or not has_predictions(search):
         return ratios
