@@ -136,7 +136,7 @@ def _flatten(value: Any, place: str = "") -> dict[str, Any]:
 
 
 def _add_leaves(value: Any, place: str, leaves: dict[str, Any]) -> None:
-    """Add each scalar within nested mappings and lists under its path."""
+    """Add each scalar and each list of scalars in a nested value under its path."""
     if isinstance(value, dict):
         start = f"{place}." if place else ""
         for key, each in value.items():
