@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+import re
 import subprocess
 import tempfile
 import zipfile
@@ -32,6 +33,18 @@ def library(law: int) -> Path:
     options = ["-O1", "-w", "-shared", "-fPIC", f"-DLAW={law}"]
     subprocess.run([*command, *options, "-o", str(made), str(source), "-lm"], check=True)
     return made
+
+
+def without_dependencies(path: Path) -> Path:
+    """Remove the declared dependencies of an FMU."""
+    with zipfile.ZipFile(path) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    text = members["modelDescription.xml"].decode()
+    members["modelDescription.xml"] = re.sub(r' dependencies="[^"]*"', "", text).encode()
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, content in members.items():
+            archive.writestr(name, content)
+    return path
 
 
 def coupled_fmu(

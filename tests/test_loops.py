@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
 from typing import Any
@@ -14,10 +15,14 @@ from cosim.base.messages import code_of
 from cosim.coupling.strong_components import order_with_loops, strong_components
 from cosim.master.root_finding import RootFinding
 from cosim.scenario.scenario_file import ScenarioFile
+from cosim.simulation import undeclared
 from cosim.simulation.workflow import run
 from cosim.system.system import build_system
 from cosim.verbs.check_verb import check
-from tests.coupled import LINEAR, LOOP_A, LOOP_B, SQUARE, coupled_fmu
+from tests.coupled import LINEAR, LOOP_A, LOOP_B, SQUARE, coupled_fmu, without_dependencies
+from tests.deeds import deeds_scenario
+from tests.instants import instants_fmu
+from tests.typed import typed_fmu
 
 TWO = "connections: [{from: a.y0, to: b.u0}, {from: b.y0, to: a.u0}]\n"
 LOOP_808 = "connections: [{from: a.y0, to: b.u0}, {from: a.y1, to: b.u1}, {from: b.y0, to: a.u0}]\n"
@@ -128,15 +133,15 @@ def test_a_loop_that_no_fmu_declares_is_measured_and_solved(tmp_path: Path, more
     after, manifest = linear(tmp_path, 5.0, more, declares=False)
     assert after["a.y0"] == pytest.approx(-0.25, rel=1e-8)
     assert manifest["loops"][0]["signals"] == ["b.u0", "a.u0"]
-    notes = [] if more else ["N-SIM-079"]
-    assert [*map(code_of, manifest["warnings"])] == notes
-    assert all("a.y0 follows a.u0, b.y0 follows b.u0" in note for note in manifest["warnings"])
+    assert [*map(code_of, manifest["warnings"])] == ([] if more else ["N-SYS-102"])
+    assert all("outputs follow b.u0 and a.u0 at once" in note for note in manifest["warnings"])
     if more:
         return
     components = manifest["scenario"]["components"]
     assert [components[name]["feedthrough"] for name in "ab"] == [["u0"], ["u0"]]
     repeated = run(tmp_path / "out" / "manifest.json", tmp_path / "again", report=False, in_process=True)
     assert repeated.results.values.tobytes() == after.values.tobytes()
+    assert repeated.manifest["warnings"] == manifest["warnings"]
 
 
 def moving(folder: Path, order: str = "ab", more: str = "", **starts: float) -> Any:
@@ -171,7 +176,7 @@ def test_feedthrough_stated_in_the_scenario_is_not_measured(tmp_path: Path) -> N
     components = "components: {a: {fmu: a.fmu, feedthrough: [u0]}, b: {fmu: b.fmu, feedthrough: [%s]}}\n"
     file.write_text(f"name: stated\nduration: 1\nstep: 0.1\n{components % ''}{TWO}")
     system = build_system(ScenarioFile(file))
-    assert (system.names, system.suspected, system.loops, system.warnings) == (["b", "a"], (), (), ())
+    assert (system.names, system.assumed, system.loops, system.warnings) == (["b", "a"], False, (), ())
     file.write_text(file.read_text().replace("feedthrough: []", "feedthrough: [u0]"))
     assert [loop.members for loop in build_system(ScenarioFile(file)).loops] == [("a", "b")]
     file.write_text(file.read_text().replace("b.fmu, feedthrough: [u0]", "b.fmu, feedthrough: [y0]"))
@@ -201,24 +206,101 @@ def test_a_measured_loop_that_cannot_be_solved_is_left_open_with_a_warning(tmp_p
     assert "loops" not in manifest
 
 
+def test_an_undeclared_loop_without_solution_is_named_with_the_measured_facts_and_the_residual(tmp_path: Path) -> None:
+    coupled_fmu(tmp_path / "a.fmu", SQUARE, declares=False)
+    coupled_fmu(tmp_path / "b.fmu", LINEAR, declares=False)
+    with pytest.raises(SimulationError) as failure:
+        ran(tmp_path, {"a": {"p0": 1.0}, "b": {"p0": 1.0}}, TWO)
+    assert failure.value.exit_code == 4
+    facts = "a → b → a is an algebraic loop that no FMU declares: measured before the run, a.y0 follows a.u0"
+    cure = "If it has a solution, start values near it help"
+    for part in ("it still changes after", facts, "t = 0 s: a → b → a does not converge", "loop returns +0.75", cure):
+        assert part in str(failure.value)
+
+
+@pytest.mark.parametrize("kind", ["i", "b", "e"])
+def test_a_loop_of_whole_numbers_is_measured_and_the_stated_cure_works(tmp_path: Path, kind: str) -> None:
+    fmu = without_dependencies(typed_fmu(tmp_path))
+    wires = f"connections: [{{from: a.{kind}_out, to: b.{kind}_in}}, {{from: b.{kind}_out, to: a.{kind}_in}}]\n"
+    file = tmp_path / "whole.yaml"
+    components = f"components: {{a: {{fmu: {fmu.name}}}, b: {{fmu: {fmu.name}}}}}\n"
+    file.write_text(f"name: whole\nduration: 1\nstep: 0.1\n{components}{wires}")
+    warnings = run(file, tmp_path / "out", report=False, in_process=True).manifest["warnings"]
+    assert code_of(warnings[-1]) == "W-SIM-080"
+    assert f"a.{kind}_out follows a.{kind}_in, b.{kind}_out follows b.{kind}_in" in warnings[-1]
+    assert "State the order of the components" in warnings[-1]
+    ordered = run(file, tmp_path / "ordered", ["order=[a, b]"], report=False, in_process=True).manifest["warnings"]
+    assert ordered == warnings[:-1]
+
+
+def test_text_in_a_possible_loop_is_not_measured_and_the_stated_cure_works(tmp_path: Path) -> None:
+    fmu = without_dependencies(typed_fmu(tmp_path))
+    file = tmp_path / "text.yaml"
+    components = f"components: {{a: {{fmu: {fmu.name}}}, b: {{fmu: {fmu.name}}}}}\n"
+    wires = "connections: [{from: a.s_out, to: b.s_in}, {from: b.s_out, to: a.s_in}]\n"
+    file.write_text(f"name: text\nduration: 1\nstep: 0.1\n{components}{wires}")
+    warnings = run(file, tmp_path / "out", report=False, in_process=True).manifest["warnings"]
+    assert code_of(warnings[-1]) == "W-SIM-083"
+    stated = ["components.a.feedthrough=[]"]
+    assert run(file, tmp_path / "a", stated, report=False, in_process=True).manifest["warnings"] == warnings[:-1]
+
+
+def test_fmus_in_event_mode_are_measured(tmp_path: Path) -> None:
+    without_dependencies(instants_fmu(tmp_path / "a.fmu"))
+    component = "{fmu: a.fmu, event_mode: true, start: {u: 1}}"
+    head = f"name: events\nduration: 1\nstep: 0.1\ncomponents: {{a: {component}, b: {component}}}\n"
+    for output, entry in (("x", "u"), ("echo", "kick")):  # a state; an output whose value settles at each instant
+        wires = f"connections: [{{from: a.{output}, to: b.{entry}}}, {{from: b.{output}, to: a.{entry}}}]\n"
+        (tmp_path / "events.yaml").write_text(head + wires)
+        outcome = run(tmp_path / "events.yaml", tmp_path / "out", report=False, in_process=True)
+        assert not [w for w in outcome.manifest["warnings"] if "loop" in w]
+        assert ("feedthrough" in outcome.manifest["scenario"]["components"]["a"]) == (entry == "u")
+
+
+def test_a_hang_in_the_measurement_is_limited_told_and_no_end_of_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(undeclared, "SILENT", 0.0)
+    file = deeds_scenario(tmp_path, "GetReal", "sleep", 20, limits="{total: 0.5 s}")
+    for name in ("good.fmu", "bad.fmu"):
+        without_dependencies(tmp_path / name)
+    told: list[str] = []
+    manifest = run(file, tmp_path / "out", report=False, tell=told.append).manifest
+    assert [*map(code_of, told)] == ["N-SIM-084"]
+    (warning,) = (w for w in manifest["warnings"] if code_of(w) == "W-SIM-083")
+    assert "longer than 0.5 s in all, at last in bad" in warning
+
+
+def test_a_longer_run_has_the_notes_of_the_first_one(tmp_path: Path) -> None:
+    linear(tmp_path, 5.0, declares=False)
+    first = json.loads((tmp_path / "out" / "manifest.json").read_text())["warnings"]
+    longer = run(tmp_path / "out", until=1.0, report=False, in_process=True).manifest["warnings"]
+    assert ([*map(code_of, longer)], longer) == (["N-SYS-102"], first)
+
+
 def test_check_names_a_measured_loop(tmp_path: Path) -> None:
     linear(tmp_path, 5.0, declares=False)
     (line,) = check(tmp_path / "loop.yaml")
-    assert code_of(line) == "N-SIM-079"
+    assert code_of(line) == "N-SYS-102"
+    assert ".yaml: note: a → b → a" in line
     (line,) = check(tmp_path / "loop.yaml", load=False)
     assert code_of(line) == "W-CPL-001"
 
 
-@pytest.mark.parametrize(("key", "named"), [("order: [a, b]", "order:"), ("algorithm: jacobi", "algorithm: jacobi")])
+@pytest.mark.parametrize(("key", "named"), [("order: [a, b]", "order"), ("algorithm: jacobi", "algorithm: jacobi")])
 def test_a_loop_that_is_left_open_is_named_when_its_values_grow_without_end(
     tmp_path: Path, key: str, named: str
 ) -> None:
-    words = f"an algebraic loop a → b → a that exchanging values does not settle; loops: {{}} without {named} solves it"
+    words = (
+        f"not settle.* a → b → a may be an algebraic loop, which {named} leaves.*; loops: {{}} without {named} solves"
+    )
     with pytest.raises(SimulationError, match=words):
         linear(tmp_path, 5.0, f"{key}\n", declares=False)
     coupled_fmu(tmp_path / "a.fmu", SQUARE)
     starts = {"a": {"p0": 0.1}, "b": {"p0": 1.0, "p2": 1.0, "p3": 1.0}}  # drifts until y = y² + p0 + x has no solution
-    with pytest.raises(SimulationError, match=rf"no finite number.* algebraic loop a → b → a, which {named} leaves"):
+    with pytest.raises(
+        SimulationError, match=rf"no finite number.* a → b → a may be an algebraic loop, which {named} "
+    ):
         ran(tmp_path, starts, TWO, f"{key}\n", steps=80)
 
 

@@ -72,6 +72,11 @@ def code_of(text: object) -> str:
     return getattr(text, "code", "")
 
 
+def with_severity(text: str) -> str:
+    """Return a warning or a note with its severity in front, by its code; without code it is a warning."""
+    return with_prefix("note: " if code_of(text).startswith("N-") else "warning: ", text)
+
+
 def join(separator: str, texts: Iterable[str]) -> Message:
     """Return texts as one message, with code and fields of the first."""
     every = [*texts]

@@ -197,6 +197,11 @@ class EventFmu(FmuBlock):
         calls, about = self.event_calls, self.description.coSimulation
         calls.in_small_steps = calls.gives_updates and about.canReturnEarlyAfterIntermediateUpdate
 
+    def settles(self, name: str) -> bool:
+        """Return whether values of an input are exchanged until they settle, at each instant."""
+        variable = self._variables.get(name) or self._variables[name.rpartition("[")[0]]
+        return not self.steps or self._is_jumping(variable)
+
     # -- initialization ----------------------------------------------------------------------------
 
     def bind(self, row: Row, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:
@@ -262,6 +267,10 @@ class EventFmu(FmuBlock):
             if begins or self._given.get(id(exchange)) != content:
                 self._given[id(exchange)] = content
                 values.put_in(exchange)
+
+    def try_inputs(self) -> None:
+        """Set changed inputs, as far as the mode allows."""
+        self.put()
 
     def get(self) -> None:
         """Read outputs, as far as the mode allows."""

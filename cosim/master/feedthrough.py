@@ -2,7 +2,8 @@
 
 An order of components may assume that an undeclared input has no direct feedthrough. Here the components are opened
 once before the run. Each such input is displaced, by small and large amounts about two points, in initialization and
-after it, and the outputs that follow are noted. The instances of the run itself are not touched.
+after it, and the outputs that follow are noted: integers by one, Booleans to their other value, enumerations to other
+items. FMUs in event mode stay in the event mode after initialization. The instances of the run itself are not touched.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ SWEEPS = 3  # exchanges of values before the measurement
 LEAST = 1e-7  # change of an output that counts, relative to its value
 NOISE = 10.0  # the same relative to differences between equal calls
 IRREGULAR = 0.37  # displacement of the second point, in sizes of an input
-PATIENCE = Limits(step=20.0)  # of the measurement, for a scenario without `limits`
+MOST_ITEMS = 4  # tried items of an enumeration
 
 Pair = tuple[str, str]  # output, input
 
@@ -45,19 +46,40 @@ class Feedthrough:
         pairs: Outputs that follow an input after initialization.
         at_start: Outputs that follow an input in initialization only.
         inputs: Inputs that were measured.
+        failure: Why nothing could be measured.
     """
 
     pairs: tuple[Pair, ...] = ()
     at_start: tuple[Pair, ...] = ()
     inputs: frozenset[str] = frozenset()
+    failure: str = ""
 
 
-def measure_feedthrough(system: System, h: float, worker: Worker | None, limits: Limits | None) -> Feedthrough:
-    """Return the feedthrough of inputs in the suspected loops of a system.
+def undeclared_inputs(system: System) -> dict[str, frozenset[str]]:
+    """Return component → inputs within open loops that have no declared dependencies.
+
+    Inputs of FMUs in event mode whose values settle at each instant need none.
+    """
+    undeclared = {}
+    transfers = [transfer.name.partition(".") for loop in system.opened for transfer in loop.transfers]
+    for component in (stage.component for stage in system.stages):
+        inputs = [name for owner, _, name in transfers if owner == component.name]
+        if isinstance(component, EventFmu):
+            inputs = [name for name in inputs if not component.settles(name)]
+        if names := frozenset(f"{component.name}.{n}" for n in inputs if component.depends_on(n) is None):
+            undeclared[component.name] = names
+    return undeclared
+
+
+def measure_feedthrough(
+    system: System, h: float, worker: Worker | None, limits: Limits, spent: list[float]
+) -> Feedthrough:
+    """Return the feedthrough of undeclared inputs in the open loops of a system.
 
     Args:
         h: Step of the run [s].
-        worker: Process for the FMUs; None for this one.
+        worker: Process for the FMUs; None for this one, without limits.
+        spent: Time [s] without loading, increased by the measurement.
 
     Raises:
         FmuError: An FMU does not load.
@@ -65,9 +87,9 @@ def measure_feedthrough(system: System, h: float, worker: Worker | None, limits:
     """
     if worker is None:
         return measure(system, h, None)
-    limits = limits or PATIENCE
     calls = [fmi_calls(getattr(stage.component, "description", None)) for stage in system.stages]
-    measured: Feedthrough = worker.call(measure, system, h, limits, watch=Watch(system.names, calls, limits=limits))
+    watch = Watch(system.names, calls, limits=limits, spent=spent)
+    measured: Feedthrough = worker.call(measure, system, h, limits, watch=watch)
     return measured
 
 
@@ -90,8 +112,10 @@ class _Measurement(Master):
         try:
             self._open()
             self._exchange()
-            members = [m for loop in self.system.suspected for m in members_of(loop, self.system, self.row)]
-            asked = [(m, places) for m in members if (places := self._undeclared(m))]
+            members = [m for loop in self.system.opened for m in members_of(loop, self.system, self.row)]
+            undeclared = frozenset[str]().union(*undeclared_inputs(self.system).values())
+            places = [[k for k in m.inputs if self.system.columns[k] in undeclared] for m in members]
+            asked = [(member, each) for member, each in zip(members, places, strict=True) if each]
             first = self._measure(asked)
             for component in self.components:
                 self.announce(component)
@@ -109,8 +133,8 @@ class _Measurement(Master):
 
     def _exchange(self) -> None:
         """Exchange values a few times, as long as they are finite."""
-        data = self.components, self.row, self.beside, self.pulls, self.held
-        exchange = Initialization(*data, self.system.start, self.doing)
+        data = self.system, self.components, self.row, self.beside, self.pulls, self.held
+        exchange = Initialization(*data, self.doing)
         for sweep in range(SWEEPS):
             before = list(self.row)
             try:
@@ -120,14 +144,6 @@ class _Measurement(Master):
                     raise
                 self.row[:] = before
                 return
-
-    def _undeclared(self, member: Member) -> list[int]:
-        """Return the places of a member's real inputs without declared dependencies."""
-        if isinstance(member.component, EventFmu):
-            return []
-        names, signals = self.system.columns, self.system.signals
-        undeclared = [k for k in member.inputs if member.component.depends_on(names[k].partition(".")[2]) is None]
-        return [k for k in undeclared if not signals[names[k]].is_whole]
 
     def _measure(self, asked: Sequence[tuple[Member, list[int]]]) -> Feedthrough:
         """Return the outputs that follow inputs now."""
@@ -139,7 +155,8 @@ class _Measurement(Master):
             follows = np.zeros((len(member.outputs), len(places)), bool)
             for share in (0.0, IRREGULAR):
                 for j, place in enumerate(places):
-                    self.row[place] = before[place] + share * (1.0 + 0.1 * j) * self._size(member, place)
+                    if not self.system.signals[names[place]].is_whole:
+                        self.row[place] = before[place] + share * (1.0 + 0.1 * j) * self._size(member, place)
                 with suppress(SimulationError):
                     member.evaluate(self.doing)
                     answers = self._follow(member, places)
@@ -158,14 +175,24 @@ class _Measurement(Master):
         noise = NOISE * np.abs(member.values() - base)
         follows, accepts = np.zeros((len(member.outputs), len(places)), bool), np.zeros(len(places), bool)
         for j, place in enumerate(places):
-            size = self._size(member, place)
-            for share in PROBES:
-                values: Array | None = member.try_at(self.doing, place, self.row[place] + share * size)
+            for value in self._displaced(member, place):
+                values: Array | None = member.try_at(self.doing, place, value)
                 if values is not None:
                     accepts[j] = True
                     least = np.maximum(noise, LEAST * np.maximum(np.abs(base), np.abs(values)))
                     follows[:, j] |= np.abs(values - base) > least
         return follows, accepts
+
+    def _displaced(self, member: Member, place: int) -> list[float]:
+        """Return other values of an input."""
+        value, signal = self.row[place], self.system.signals[self.system.columns[place]]
+        if signal.kind == "Boolean":
+            return [1.0 - value]
+        if signal.items:
+            return [float(item) for item in signal.items.values() if item != value][:MOST_ITEMS]
+        if signal.is_whole:
+            return [value + 1.0, value - 1.0]
+        return [value + share * self._size(member, place) for share in PROBES]
 
     def _size(self, member: Member, place: int) -> float:
         variable = self.system.columns[place].partition(".")[2]

@@ -15,7 +15,7 @@ from cosim.isolation.rows import CALLS, GET, OTHER, PUT
 from cosim.master import messages
 from cosim.master.copying import Copies, copy_values
 from cosim.master.loops import LoopSolver
-from cosim.system.schedule import OpenLoop
+from cosim.system.system import System
 
 EXACT_SWEEPS = 10  # sweeps that must settle exactly; later sweeps settle within a tolerance
 MOST_SWEEPS = 1000  # sweeps after which unsettled values are an error, unless their changes shrink
@@ -31,21 +31,18 @@ class Initialization:
     Attributes:
         pulls: Component → copies before its call.
         held: Copies after all calls.
-        start: Time [s].
         doing: Current call, for observers.
         solvers: Solvers of algebraic loops.
-        opened: Possible loops that are left open.
     """
 
+    system: System
     components: Sequence[Component]
     row: Any
     beside: Sequence[Any]
     pulls: Mapping[str, Copies]
     held: Copies
-    start: float
     doing: MutableSequence[int]
     solvers: Sequence[LoopSolver] = ()
-    opened: Sequence[OpenLoop] = ()
 
     def run(self) -> None:
         """Exchange values until settled, then end initialization; raise SimulationError after a failure."""
@@ -77,12 +74,9 @@ class Initialization:
                 if not change < SHRINKING_RATIO * earlier:
                     break
                 earlier = change
-        raise SimulationError("initialization", self.start, messages.NOT_SETTLED(count=sweep, **self._open_loop()))
-
-    def _open_loop(self) -> dict[str, str]:
-        """Return fields of a message: the first open loop, and the key that leaves it open."""
-        loop = next(iter(self.opened), None)
-        return {"loop": "", "cure": ""} if loop is None else {"loop": f" {loop.name}", "cure": f" without {loop.key}"}
+        changed = (name for name, a, b in zip(self.system.columns, self.row, row, strict=True) if a != b)
+        name = next(changed, "initialization")
+        raise SimulationError(name, self.system.start, messages.NOT_SETTLED(count=sweep))
 
     def sweep(self) -> None:
         """Exchange all values once."""

@@ -374,8 +374,8 @@ def members_of(loop: Loop, system: System, row: Any) -> list[Member]:
     for k, stage in enumerate(system.stages):
         name = stage.component.name
         if name in loop.members:
-            inputs = sorted({t.target for t in loop.transfers if owners[t.target] == name})
-            outputs = sorted({t.source for t in loop.transfers if owners[t.source] == name})
+            inputs = sorted({t.target for t in loop.transfers if not t.beside[1] and owners[t.target] == name})
+            outputs = sorted({t.source for t in loop.transfers if not t.beside[0] and owners[t.source] == name})
             members.append(Member(stage.component, k, inputs, outputs, row))
     return members
 

@@ -131,8 +131,8 @@ class Master:
         """Run from beginning to end."""
         try:
             self._open()
-            data = self.components, self.row, self.beside, self.pulls, self.held
-            Initialization(*data, self.system.start, self.doing, self.solvers, self.system.opened).run()
+            data = self.system, self.components, self.row, self.beside, self.pulls, self.held
+            Initialization(*data, self.doing, self.solvers).run()
             for solver in self.solvers:
                 self.notes += solver.begin()
             if self.has_events:
@@ -258,11 +258,11 @@ class Master:
         self.done = self.row_count[0] = k + 1
 
     def _explain(self, error: SimulationError) -> SimulationError:
-        """Return an error; for a value without bounds, with the open loop of its component."""
+        """Return an error; of values that do not settle or grow without end, with the open loop of their component."""
         loop = next((loop for loop in self.system.opened if error.component.partition(".")[0] in loop.members), None)
-        if loop is None or code_of(error) != VALUE_NOT_FINITE.code:
+        if loop is None or code_of(error) not in (VALUE_NOT_FINITE.code, messages.NOT_SETTLED.code):
             return error
-        message = messages.OPEN_LOOP.around(error.reason, loop=loop.name, key=loop.key)
+        message = messages.OPEN_LOOP.around(error.reason, left_open=loop.left_open)
         return SimulationError(error.component, error.time, message)
 
     # -- parts --------------------------------------------------------------------------------

@@ -4,13 +4,12 @@ from cosim.base.messages import Template
 
 NOT_SETTLED = Template(
     "E-MAS-001",
-    "values still change after {count} exchanges: an algebraic loop{loop} that exchanging values does not settle; "
-    "loops: {{}}{cure} solves it if it has a solution, and an FMU without direct feedthrough in the loop breaks it",
+    "it still changes after {count} exchanges of initialization: an algebraic loop that exchanging values does not "
+    "settle; an FMU without direct feedthrough in the loop breaks it",
 )
 OPEN_LOOP = Template(
     "N-MAS-066",
-    "{error}. Its inputs may belong to the algebraic loop {loop}, which {key} leaves open, so that values grow from "
-    "step to step; loops: {{}} without this key solves it",
+    "{error}. {left_open}",
 )
 STATE_NOT_RESTORED = Template(
     "E-MAS-002",

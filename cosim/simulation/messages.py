@@ -81,21 +81,29 @@ REPLAY_ON_RESUME = Template(
 GETS_SLOWER = Template(
     "W-SIM-075", "{component} takes {factor:.2g} times longer for a step since t = {since:g} s than before"
 )
-LOOP_MEASURED = Template(
-    "N-SIM-079",
-    "{loop} is an algebraic loop that no FMU declares: measured before the run, {facts}. It is solved at each "
-    "communication point; order: [...] leaves it open, one step late",
-)
 LOOP_LEFT_OPEN = Template(
     "W-SIM-080",
     "{loop} is an algebraic loop that no FMU declares: measured before the run, {facts}. It is left open, so that some "
-    "inputs have the values of the step before, because solving it fails: {reason}. loops: {{...}} sets how",
+    "inputs have the values of the step before, because solving it fails: {reason}",
 )
 FOLLOWS_AT_START = Template(
     "W-SIM-081",
     "{loop} may be an algebraic loop that no FMU declares: in initialization {facts}, later only with a step. "
-    "It is left open, so that some inputs may have the values of the step before; loops: {{}} solves it",
+    "It is left open, so that some inputs may have the values of the step before; loops: {{}} solves it by repeated "
+    "steps, order: [...] states that it is open",
 )
+NOT_MEASURED = Template(
+    "W-SIM-083",
+    "{loop} may be an algebraic loop: whether outputs follow {inputs} at once is not declared, nor measured{reason}; "
+    "cosim assumes that none does; feedthrough: [...] of the component names the inputs that an output follows, [] for "
+    "none; order: [...] states the order instead",
+)
+MEASURING = Template(
+    "N-SIM-084",
+    "measuring which outputs of {components} follow their inputs at once, which these FMUs do not declare: at most "
+    "{limit:g} s",
+)
+MEASURED_TOO_LONG = Template("N-SIM-085", "it takes longer than {limit:g} s in all, at last in {component}")
 RUN_GETS_SLOWER = Template(
     "W-SIM-082",
     "all components take about {factor:.2g} times longer for a step since t = {since:g} s than before: the machine is "

@@ -17,6 +17,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import zip_longest
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -25,6 +26,7 @@ import numpy as np
 
 from cosim.base.drafts import remove_drafts
 from cosim.base.errors import InputError
+from cosim.base.messages import Message, code_of
 from cosim.base.scratch import lock_file
 from cosim.base.version import __version__
 from cosim.blocks.component import Signal
@@ -48,7 +50,7 @@ FOLDER, RUN, MANIFEST = "checkpoint", "run.json", "manifest.json"
 PATIENCE, PAUSE = 15.0, 0.05  # time [s] for the worker of a killed command to end, and between two looks
 ALL = "all-"  # prefix of the files of rows after the end of a run of which a part is recorded
 ROUNDING = 1e-9  # relative tolerance of times on the grid of communication points
-EXTRA = "files"  # key of run.json beside those of a manifest: name of the rows file, warnings of an SSP
+EXTRA = "files"  # key of run.json beside those of a manifest: name of the rows file, warnings of an SSP, codes of all
 
 
 @dataclass(frozen=True)
@@ -77,9 +79,9 @@ class StoppedRun:
             warnings: Warnings of the system; None for those of the record.
         """
         record = copy.deepcopy(self.record)
-        record.pop(EXTRA, None)
-        if warnings is not None:
-            record["warnings"] = [*warnings, *self.warnings]
+        codes = record.pop(EXTRA, {}).get("codes", ())
+        pairs = zip_longest(record["warnings"], codes, fillvalue="")
+        record["warnings"] = [Message(*pair) for pair in pairs] if warnings is None else [*warnings, *self.warnings]
         return record | {"status": "ok", "loop": "", "timings": {}, "criteria": []}
 
     @property
@@ -302,7 +304,8 @@ def write_run(folder: Path, record: Mapping[str, Any], rows_file: str, warnings:
     """
     kept = folder / FOLDER
     kept.mkdir(exist_ok=True)
-    write_json(kept / RUN, {**record, EXTRA: {"rows": rows_file, "warnings": list(warnings)}})
+    codes = [code_of(warning) for warning in record["warnings"]]
+    write_json(kept / RUN, {**record, EXTRA: {"rows": rows_file, "warnings": list(warnings), "codes": codes}})
     sync(kept / RUN)
     sync(kept)
     return kept

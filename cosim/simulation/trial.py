@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import json
 import tempfile
-from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from cosim.base import errors
 from cosim.base.errors import Fault, FmuError, InputError, refuse
-from cosim.base.messages import code_of, with_prefix
+from cosim.base.messages import code_of, with_severity
 from cosim.base.scratch import temporary_folder
 from cosim.blocks.compiling import LIMIT, permission
 from cosim.blocks.fmu import read_description
@@ -25,13 +24,23 @@ from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation import messages
 from cosim.simulation.manifest import check_pinned
 from cosim.simulation.packaged import lay_out
-from cosim.simulation.undeclared import UNDECLARED_CODES, with_feedthrough
+from cosim.simulation.undeclared import with_feedthrough
 from cosim.storage.artefact import Checking
+from cosim.system.messages import LOOP_BY_FEEDTHROUGH
 from cosim.system.recording import recording_notes
 from cosim.system.system import System, build_system
 
+OF_LOOPS = {  # warnings of a system that a check shows
+    template.code
+    for template in (
+        ASSUMED_WITHOUT_FEEDTHROUGH,
+        LOOP_BY_FEEDTHROUGH,
+        messages.LOOP_LEFT_OPEN,
+        messages.FOLLOWS_AT_START,
+        messages.NOT_MEASURED,
+    )
+}
 MAX_CALL_TIME = 60.0  # allowed time [s] of a call during the trial of an FMU
-OF_LOOPS = {ASSUMED_WITHOUT_FEEDTHROUGH.code, *UNDECLARED_CODES}  # warnings that a check shows
 STEP, STEPS = 0.01, 500  # step [s] without a default experiment, and steps in an experiment without step size
 
 
@@ -94,9 +103,9 @@ def check_scenario(path: Path, checking: Checking) -> list[str]:
     if worker is not None:
         system = with_feedthrough(file, designed, system, worker)
         refuse(_run_once(file, system, path, worker))
-    skipped += [warning for warning in system.warnings if code_of(warning) in OF_LOOPS]
+    of_loops = [warning for warning in system.warnings if code_of(warning) in OF_LOOPS]
     notes = recording_notes(file.scenario, system.columns, system.recording)
-    return [*_as_warnings([*file.warnings, *skipped]), *(with_prefix("note: ", note) for note in notes)]
+    return [*map(with_severity, (*file.warnings, *skipped, *of_loops, *notes))]
 
 
 def check_ssp(path: Path, checking: Checking) -> list[str]:
@@ -112,11 +121,7 @@ def check_ssp(path: Path, checking: Checking) -> list[str]:
         file, warnings = lay_out(path, folder)
         if worker is not None and (faults := _run_once(file, build_system(file), path, worker)):
             refuse(replace(f, message=f.message.replace(f"{file.path.parent}/", "")) for f in faults)
-        return _as_warnings(warnings)
-
-
-def _as_warnings(texts: Iterable[str]) -> list[str]:
-    return [with_prefix("warning: ", text) for text in texts]
+        return [*map(with_severity, warnings)]
 
 
 def _run_once(file: ScenarioFile, system: System, path: Path, worker: Worker) -> list[Fault]:

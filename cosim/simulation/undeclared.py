@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from threading import Timer
 from typing import Any
 
-from cosim.base.errors import CosimError, InputError, Interrupted, Signalled
-from cosim.base.messages import Template
+from cosim.base.errors import CosimError, InputError, Interrupted, Signalled, TimedOut
+from cosim.base.messages import code_of
+from cosim.base.text import join_names
 from cosim.coupling.messages import ASSUMED_WITHOUT_FEEDTHROUGH
+from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
-from cosim.master.feedthrough import Pair, measure_feedthrough
+from cosim.master.feedthrough import Feedthrough, Pair, measure_feedthrough, undeclared_inputs
 from cosim.master.remote import simulate_apart, simulate_here
 from cosim.scenario.scenario import Scenario
 from cosim.scenario.scenario_file import ScenarioFile
@@ -22,100 +26,141 @@ from cosim.system.schedule import Loop
 from cosim.system.system import System, build_system
 
 NAMED = 6  # signals of a message
-UNDECLARED_CODES = frozenset(
-    template.code for template in (messages.LOOP_MEASURED, messages.LOOP_LEFT_OPEN, messages.FOLLOWS_AT_START)
-)
+LONGEST = 20.0  # [s] of measurement and first step together, without loading; less with a shorter `limits: total`
+LEAST = 0.1  # [s] that is left for the first step
+SILENT = 2.0  # [s] before a note tells of the measurement
 
 
-def with_feedthrough(file: ScenarioFile, designed: Designed, system: System, worker: Worker | None) -> System:
+def with_feedthrough(
+    file: ScenarioFile,
+    designed: Designed,
+    system: System,
+    worker: Worker | None,
+    tell: Callable[[str], None] = lambda text: None,
+) -> System:
     """Return the system, planned by measured feedthrough where its order had to assume that there is none.
 
-    The scenario of the file gets the measured inputs as `feedthrough`. A loop is solved if its first step succeeds.
+    The scenario of the file gets the measured inputs as `feedthrough`. A loop is solved if its first step succeeds;
+    otherwise it is left open, with a warning of the measured facts.
 
     Args:
         worker: Process for the FMUs; None for this one.
+        tell: Function that shows a note if it takes long.
     """
+    undeclared = undeclared_inputs(system) if system.assumed else {}
+    if not undeclared:
+        return _with_notes(system, [])
+    limits, spent = _limits(file.scenario), [0.0]
+    with _told_if_long(tell, messages.MEASURING(components=join_names([*undeclared]), limit=limits.total)):
+        try:
+            measured = measure_feedthrough(system, file.scenario.step, worker, limits, spent)
+        except (Interrupted, Signalled):
+            raise
+        except CosimError as error:
+            reason = str(error)
+            if isinstance(error, TimedOut) and spent[0] > (limits.total or LONGEST):
+                reason = messages.MEASURED_TOO_LONG(limit=limits.total, component=error.component)
+            measured = Feedthrough(failure=f": {reason}")
+        declared = _declared(measured, undeclared)
+        planned, failure = _planned(file, designed, system, worker, declared, spent) if declared else (system, "")
+    unknown = {i for inputs in undeclared.values() for i in inputs} - measured.inputs
+    held = {transfer.name for transfer in planned.held}
+    loops = (replace(loop, left_open=_note(loop, measured, unknown & held, failure, held)) for loop in system.opened)
+    return _with_notes(planned, [loop for loop in loops if loop.left_open])
+
+
+def _limits(scenario: Scenario, spent: float = 0.0) -> Limits:
+    """Return the limits of a measurement, of which some time [s] is spent."""
+    limits = scenario.limits or Limits()
+    return limits.model_copy(update={"total": max(min(limits.total or LONGEST, LONGEST) - spent, LEAST)})
+
+
+@contextmanager
+def _told_if_long(tell: Callable[[str], None], text: str) -> Iterator[None]:
+    """Show a note if the context lasts."""
+    timer = Timer(SILENT, tell, (text,))
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+
+
+def _declared(measured: Feedthrough, undeclared: Mapping[str, frozenset[str]]) -> dict[str, list[str]]:
+    """Return component → inputs with feedthrough, of components whose inputs are all known or some of them followed."""
+    followed = {name: sorted({i for _, i in measured.pairs if i in inputs}) for name, inputs in undeclared.items()}
+    known = measured.inputs - {entry for _, entry in measured.at_start}
+    return {
+        n: [i.partition(".")[2] for i in followed[n]] for n, each in undeclared.items() if followed[n] or each <= known
+    }
+
+
+def _planned(
+    file: ScenarioFile,
+    designed: Designed,
+    system: System,
+    worker: Worker | None,
+    declared: Mapping[str, Sequence[str]],
+    spent: list[float],
+) -> tuple[System, str]:
+    """Return the system with declared inputs, or the old one and why its new loops cannot be solved."""
     scenario = file.scenario
-    if not system.suspected:
-        return system
-    try:
-        measured = measure_feedthrough(system, scenario.step, worker, scenario.limits)
-    except (Interrupted, Signalled):
-        raise
-    except CosimError:  # The run names the failure, if it meets it too.
-        return system
-    members = [name for loop in system.suspected for name in loop.members]
-    inputs = {name: _undeclared(system, name) for name in members}
-    known = [name for name in members if inputs[name] <= measured.inputs]
-    known = [name for name in known if not any(_owner(pair[1]) == name for pair in measured.at_start)]
-    plain = _without_assumption(system, known)
-    plain = _with_warnings(plain, _of_loops(messages.FOLLOWS_AT_START, system.suspected, measured.at_start))
-    followed = {n: sorted({i.partition(".")[2] for _, i in measured.pairs if _owner(i) == n}) for n in members}
-    declared = {name: followed[name] for name in members if inputs[name] and (name in known or followed[name])}
-    file.scenario = _with_declared(scenario, declared)
-    if not measured.pairs:
-        return plain
-    planned_loops: Sequence[Loop] = ()
-    try:
-        planned = build_system(file, designed)
-        planned_loops = planned.loops
-        failure = _first_step(file.scenario, planned, worker) if planned.loops else None
-    except InputError as error:
-        failure = error.faults[0].message
-    if failure is None:
-        planned = _with_warnings(_without_assumption(planned, known), plain.warnings[len(system.warnings) :])
-        return _with_warnings(planned, _of_loops(messages.LOOP_MEASURED, planned.loops, measured.pairs))
-    file.scenario = scenario
-    return _with_warnings(
-        plain, _of_loops(messages.LOOP_LEFT_OPEN, planned_loops or system.suspected, measured.pairs, reason=failure)
-    )
-
-
-def _first_step(scenario: Scenario, system: System, worker: Worker | None) -> str | None:
-    """Return why the first step of a system with loops fails, None if it succeeds."""
-    if worker is None:
-        failure = simulate_here(system, 1, scenario.step).failure
-    else:
-        place = Path(tempfile.gettempdir())
-        failure = simulate_apart(worker, system, 1, scenario.step, place, scenario.limits).failure
-    if isinstance(failure, (Interrupted, Signalled)):
-        raise failure
-    return None if failure is None else str(failure)
-
-
-def _undeclared(system: System, name: str) -> set[str]:
-    """Return the inputs of a component in suspected loops that have no declared dependencies."""
-    component = next(stage.component for stage in system.stages if stage.component.name == name)
-    inputs = {t.name for loop in system.suspected for t in loop.transfers if _owner(t.name) == name}
-    return {i for i in inputs if component.depends_on(i.partition(".")[2]) is None}
-
-
-def _owner(signal: str) -> str:
-    return signal.partition(".")[0]
-
-
-def _with_declared(scenario: Scenario, declared: Mapping[str, Sequence[str]]) -> Scenario:
-    """Return a scenario with the measured inputs of its components."""
     components: dict[str, Any] = dict(scenario.components)
     for name, inputs in declared.items():
         components[name] = components[name].model_copy(update={"feedthrough": list(inputs)})
-    return scenario.model_copy(update={"components": components})
+    file.scenario = scenario.model_copy(update={"components": components})
+    try:
+        planned = build_system(file, designed)
+        failure = _first_step(scenario, planned, worker, spent[0]) if planned.loops != system.loops else ""
+    except InputError as error:
+        failure = error.faults[0].message
+    if not failure:
+        return planned, ""
+    file.scenario = scenario
+    return system, failure
 
 
-def _without_assumption(system: System, names: Sequence[str]) -> System:
-    """Return a system without the warning that components were assumed to have no direct feedthrough."""
-    known = {ASSUMED_WITHOUT_FEEDTHROUGH(component=name) for name in names}
-    return replace(system, suspected=(), warnings=tuple(w for w in system.warnings if w not in known))
+def _first_step(scenario: Scenario, system: System, worker: Worker | None, spent: float) -> str:
+    """Return why the first step of a system fails, "" if it succeeds."""
+    if worker is None:
+        failure = simulate_here(system, 1, scenario.step).failure
+    else:
+        place, limits = Path(tempfile.gettempdir()), _limits(scenario, spent)
+        failure = simulate_apart(worker, system, 1, scenario.step, place, limits).failure
+    if isinstance(failure, (Interrupted, Signalled)):
+        raise failure
+    return "" if failure is None else str(failure)
 
 
-def _with_warnings(system: System, warnings: Sequence[str]) -> System:
-    return replace(system, warnings=(*system.warnings, *warnings))
+def _note(loop: Loop, measured: Feedthrough, unknown: Collection[str], failure: str, held: Collection[str]) -> str:
+    """Return the warning of a loop that is left open, "" if it is none.
+
+    Args:
+        unknown: Inputs with the value of the step before that were not measured.
+        failure: Why the measured loops cannot be solved.
+        held: Inputs with the value of the step before.
+    """
+
+    def is_part(name: str) -> bool:
+        return name.partition(".")[0] in loop.members
+
+    if failure and (pairs := [pair for pair in measured.pairs if is_part(pair[1])]):
+        return messages.LOOP_LEFT_OPEN(loop=loop.name, facts=_facts(pairs), reason=failure)
+    if pairs := [pair for pair in measured.at_start if is_part(pair[1]) and pair[1] in held]:
+        return messages.FOLLOWS_AT_START(loop=loop.name, facts=_facts(pairs))
+    if names := sorted(filter(is_part, unknown)):
+        return messages.NOT_MEASURED(loop=loop.name, inputs=join_names(names), reason=measured.failure)
+    return ""
 
 
-def _of_loops(template: Template, loops: Sequence[Loop], pairs: Sequence[Pair], **fields: str) -> list[str]:
-    """Return a message for each loop with its outputs that follow inputs."""
-    own = {loop.name: [pair for pair in pairs if _owner(pair[1]) in loop.members] for loop in loops}
-    return [template(loop=name, facts=_facts(some), **fields) for name, some in own.items() if some]
+def _with_notes(system: System, opened: Sequence[Loop]) -> System:
+    """Return a system with the loops that are left open, and their warnings in place of those of an assumption."""
+    names = [loop.name for loop in opened]
+    others = [loop for loop in system.opened if loop.name not in names]
+    warnings = [warning for warning in system.warnings if code_of(warning) != ASSUMED_WITHOUT_FEEDTHROUGH.code]
+    notes = [loop.left_open for loop in opened]
+    return replace(system, opened=(*opened, *others), assumed=False, warnings=(*warnings, *notes))
 
 
 def _facts(pairs: Sequence[Pair]) -> str:

@@ -202,10 +202,10 @@ def run(
             worker.start()  # The worker starts up while files are read.
         software = stack.enter_context(ThreadPoolExecutor(1)).submit(software_versions)  # parallel to the loading
         if goes_on:
-            prepared = _prepare_stopped(path, until, software, tell, stack)
+            prepared = _prepare_stopped(path, until, software, worker, tell, stack)
         else:
             options = force, nearest, rows_name("results", format_)
-            prepared = _prepare_new(path, folder, overrides, options, software, worker)
+            prepared = _prepare_new(path, folder, overrides, options, software, worker, tell=tell)
             _tell_size(prepared, tell)
         if inputs:
             functions = InputFunctions(inputs)
@@ -245,6 +245,8 @@ def _prepare_new(
     options: tuple[bool, bool, str],
     software: Future[dict[str, Any]],
     worker: Worker | None,
+    *,
+    tell: Callable[[str], None],
 ) -> _Prepared:
     """Return a new run.
 
@@ -263,13 +265,18 @@ def _prepare_new(
     if not is_package:
         check_run_folder(place, file.scenario.name, force=force, keep=keep)
     check_writable(place, (rows_file, MANIFEST, "report.html"), file.files)
-    system = replace(with_feedthrough(file, designed, system, worker), real_time=real_time_of(file))
+    system = replace(with_feedthrough(file, designed, system, worker, tell), real_time=real_time_of(file))
     ssp = path if is_package else None
     return _Prepared(file, place, system, designed, rows_file, software, warnings, ssp, keep)
 
 
 def _prepare_stopped(
-    path: Path, until: float | None, software: Future[dict[str, Any]], tell: Callable[[str], None], stack: ExitStack
+    path: Path,
+    until: float | None,
+    software: Future[dict[str, Any]],
+    worker: Worker | None,
+    tell: Callable[[str], None],
+    stack: ExitStack,
 ) -> _Prepared:
     """Return a stopped run; tell how it goes on.
 
@@ -286,6 +293,7 @@ def _prepare_stopped(
     if steps:
         file = stopped.scenario(until, steps)
         system = build_system(file)
+    system = with_feedthrough(file, {}, system, worker, tell)
     start = stopped.start(system, file.scenario)
     check_writable(stopped.folder, (stopped.rows_file, MANIFEST, "report.html"), file.files)
     if changes := stopped.changes:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import InputError, refuse
-from cosim.base.messages import with_prefix
+from cosim.base.messages import with_severity
 from cosim.base.version import __version__
 from cosim.blocks.fmu import FmuBlock
 from cosim.isolation.process import Worker
@@ -81,7 +81,7 @@ class Sweep:
 
 def check_sweep(path: Path, checking: Checking) -> list[str]:
     """Return a sweep's warnings; InputError lists its faults."""
-    return [with_prefix("warning: ", text) for text in read_sweep(path, loads=checking.worker is not None).warnings]
+    return [*map(with_severity, read_sweep(path, loads=checking.worker is not None).warnings)]
 
 
 def read_sweep(path: Path, *, loads: bool = False) -> Sweep:
@@ -108,7 +108,7 @@ def read_sweep(path: Path, *, loads: bool = False) -> Sweep:
             is_placed = f.line and f.file != path
             faults.append(f if is_placed else yaml.fault(("set",), f.message, exit_code=f.exit_code))
         raise InputError(faults) from None
-    if loads and system.suspected:
+    if loads and system.assumed:
         with Worker(*MODULES) as worker:
             system = with_feedthrough(scenario_file, designed, system, worker)
         overrides += _measured(scenario_file.scenario)

@@ -106,6 +106,17 @@ LOOP_OF_NO_REALS = Template(
     "{signal} is part of an algebraic loop and {type}; only real signals are solved. State the order of the components "
     "(order: [...]), so that it has the value of the last step",
 )
+LEFT_OPEN = Template(
+    "W-SYS-100",
+    "{loop} may be an algebraic loop, which {by} leaves open, so that some inputs have the values of the step before; "
+    "{cure}",
+)
+LOOPS_SOLVES = Template("N-SYS-101", "loops: {{}} without {key} solves it, if it has a solution")
+LOOP_BY_FEEDTHROUGH = Template(
+    "N-SYS-102",
+    "{loop} is an algebraic loop that no FMU declares: outputs follow {inputs} at once, as measured before the run or "
+    "stated by feedthrough: [...]. It is solved at each communication point; order: [...] leaves it open",
+)
 PLAN_INCOMPLETE = Template("E-SYS-023", "{algorithm} steps {order}; it must step each component once")
 STEP_NOT_A_MULTIPLE = Template(
     "E-SYS-024", "step is {step:g} s, that of the scenario {base:g} s; use a whole multiple, {cure:g} s for one"

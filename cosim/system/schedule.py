@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
+from cosim.base.messages import Message, code_of, join
+from cosim.base.text import join_names
 from cosim.blocks.component import Component, Signal
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.faults import steps_in
 from cosim.coupling.algorithms import DEFAULT, WITHOUT_ORDER, Algorithm, algorithms
+from cosim.coupling.messages import ASSUMED_WITHOUT_FEEDTHROUGH
 from cosim.coupling.order import AlgebraicLoop, Plan
-from cosim.coupling.strong_components import Edge, order_with_loops
-from cosim.scenario.diagnosis import Diagnosis
+from cosim.coupling.strong_components import Edge
+from cosim.scenario.diagnosis import Diagnosis, Place
 from cosim.scenario.scenario import Connection, Scenario
 from cosim.storage.yaml_file import did_you_mean
 from cosim.system import messages
@@ -29,33 +32,20 @@ class Stage:
 
 @dataclass(frozen=True)
 class Loop:
-    """An algebraic loop: components, consecutive in stepping order, and the transfers between them that are solved."""
+    """An algebraic loop: components, consecutive in stepping order, and the transfers between them.
+
+    Attributes:
+        left_open: Why it is not solved, and what to do; "" for a solved loop.
+    """
 
     members: tuple[str, ...]
     transfers: tuple[Transfer, ...]
+    left_open: str = ""
 
     @property
     def name(self) -> str:
-        """Return the components as a closed path."""
-        return closed_path(self.members)
-
-
-@dataclass(frozen=True)
-class OpenLoop:
-    """A loop of inputs that may have direct feedthrough, and the key of the scenario that leaves it open."""
-
-    members: tuple[str, ...]
-    key: str
-
-    @property
-    def name(self) -> str:
-        """Return the components as a closed path."""
-        return closed_path(self.members)
-
-
-def closed_path(members: Sequence[str]) -> str:
-    """Return a loop of components a and b as `a → b → a`."""
-    return " → ".join((*members, members[0]))
+        """Return the components as a closed path, `a → b → a`."""
+        return " → ".join((*self.members, self.members[0]))
 
 
 @dataclass(frozen=True)
@@ -63,16 +53,16 @@ class Schedule:
     """Stages in stepping order, transfers at the end of a step, connected clocks (output, input), algebraic loops.
 
     Attributes:
-        suspected: Possible loops through inputs without declared dependencies, which the order assumes not to exist.
-        opened: Possible loops that the order or the algorithm leaves open.
+        opened: Possible loops that are left open: by the order, by the algorithm, or by an assumption.
+        assumed: Whether the order assumes that inputs without declared dependencies have no direct feedthrough.
     """
 
     stages: tuple[Stage, ...] = ()
     held: tuple[Transfer, ...] = ()
     clock_wires: tuple[tuple[str, str], ...] = ()
     loops: tuple[Loop, ...] = ()
-    suspected: tuple[Loop, ...] = ()
-    opened: tuple[OpenLoop, ...] = ()
+    opened: tuple[Loop, ...] = ()
+    assumed: bool = False
 
 
 def schedule(
@@ -105,38 +95,47 @@ def schedule(
     ends = [ends for _, ends in wired]
     held, pulls, solved = _sorted_transfers(plan, edges, ends)
     loops = _loops(plan, solved)
-    _check_loops(loops, components, every, diagnosis)
+    for place, fault in (each for loop in loops for each in _loop_faults(loop, components, every)):
+        diagnosis.note(place, fault)
     stages = tuple(Stage(components[n], tuple(pulls[n]), every[n]) for n in plan.order)
-    suspected: tuple[Loop, ...] = ()
-    opened: tuple[OpenLoop, ...] = ()
-    if plan.notes and not undeclared:
-        suspected = _suspected(algorithm, components, edges, ends)
-    elif user_order is not None:
-        opened = _opened(components, edges, "order:")
-    elif not algorithm.solves_loops:
-        opened = _opened(components, edges, f"algorithm: {algorithm.name}")
-    return Schedule(stages, tuple(held), _clock_wires(transfers), loops, suspected, opened)
+    assumptions = [note for note in plan.notes if code_of(note) == ASSUMED_WITHOUT_FEEDTHROUGH.code]
+    by = (
+        "order"
+        if user_order is not None
+        else "feedthrough"
+        if algorithm.solves_loops
+        else f"algorithm: {algorithm.name}"
+    )
+    opened: list[Loop] = []
+    for possible in () if undeclared else _possible_loops(components, edges, ends):
+        fault = next((fault for _, fault in _loop_faults(possible, components, every)), None)
+        cure = join("; ", assumptions) or fault or messages.LOOPS_SOLVES(key=by)
+        if possible.members not in plan.loops:
+            opened.append(replace(possible, left_open=messages.LEFT_OPEN(loop=possible.name, by=by, cure=cure)))
+    if scenario.loops is None:
+        diagnosis.warnings += _loop_notes(loops, components)
+    return Schedule(stages, tuple(held), _clock_wires(transfers), loops, tuple(opened), bool(assumptions))
 
 
 def _loops(plan: Plan, solved: Sequence[Sequence[Transfer]]) -> tuple[Loop, ...]:
     return tuple(Loop(members, tuple(solved[k])) for k, members in enumerate(plan.loops))
 
 
-def _suspected(
-    algorithm: Algorithm, components: Components, edges: Sequence[Edge], transfers: Sequence[Sequence[Transfer]]
+def _possible_loops(
+    components: Components, edges: Sequence[Edge], transfers: Sequence[Sequence[Transfer]]
 ) -> tuple[Loop, ...]:
     """Return the loops if all inputs without declared dependencies have direct feedthrough."""
-    try:
-        plan = algorithm.plan_with_loops(components, edges, None, undeclared=True)
-    except AlgebraicLoop:
-        return ()
+    plan = DEFAULT.plan_with_loops(components, edges, None, undeclared=True)
     return _loops(plan, _sorted_transfers(plan, edges, transfers)[2])
 
 
-def _opened(components: Components, edges: Sequence[Edge], key: str) -> tuple[OpenLoop, ...]:
-    """Return the loops through inputs that may have direct feedthrough."""
-    direct = [components[target].depends_on(name) is not False for _, target, name, _ in edges]
-    return tuple(OpenLoop(members, key) for members in order_with_loops(components, edges, direct)[1])
+def _loop_notes(loops: Sequence[Loop], components: Components) -> list[str]:
+    """Return a note for each loop that is solved because of stated or measured feedthrough."""
+    stated = {f"{n}.{i}" for n, c in components.items() for i in getattr(c, "feedthrough", None) or ()}
+    inputs = {
+        loop.name: [t.name for t in loop.transfers if stated & {t.name, t.name.rpartition("[")[0]}] for loop in loops
+    }
+    return [messages.LOOP_BY_FEEDTHROUGH(loop=n, inputs=join_names(names)) for n, names in inputs.items() if names]
 
 
 def _clock_wires(transfers: Sequence[Sequence[Transfer]]) -> tuple[tuple[str, str], ...]:
@@ -177,23 +176,22 @@ def _keys_agree(
     return False
 
 
-def _check_loops(loops: Sequence[Loop], components: Components, every: Mapping[str, int], diagnosis: Diagnosis) -> None:
-    """Note faults of loops that cannot be solved."""
+def _loop_faults(loop: Loop, components: Components, every: Mapping[str, int]) -> Iterator[tuple[Place, Message]]:
+    """Yield faults of a loop that cannot be solved, with their places."""
     has_events = any(isinstance(component, EventFmu) for component in components.values())
-    for loop in loops:
-        for name in loop.members:
-            component = components[name]
-            if isinstance(component, EventFmu):
-                diagnosis.note(("components", name), messages.EVENT_MODE_IN_LOOP(component=name, loop=loop.name))
-            elif has_events and getattr(component, "changes_by_events", False):
-                diagnosis.note(("components", name), messages.EXCHANGE_IN_LOOP(component=name, loop=loop.name))
-            if every[name] > 1:
-                diagnosis.note(("components", name, "step"), messages.OWN_STEP_IN_LOOP(component=name, loop=loop.name))
-        for transfer in loop.transfers:
-            signal = _target_of(transfer, components)
-            if any(transfer.beside) or (signal is not None and signal.is_whole):
-                kind = signal.kind if signal is not None else ""
-                diagnosis.note(("connections",), messages.LOOP_OF_NO_REALS(signal=transfer.name, type=kind))
+    for name in loop.members:
+        component = components[name]
+        if isinstance(component, EventFmu):
+            yield ("components", name), messages.EVENT_MODE_IN_LOOP(component=name, loop=loop.name)
+        elif has_events and getattr(component, "changes_by_events", False):
+            yield ("components", name), messages.EXCHANGE_IN_LOOP(component=name, loop=loop.name)
+        if every[name] > 1:
+            yield ("components", name, "step"), messages.OWN_STEP_IN_LOOP(component=name, loop=loop.name)
+    for transfer in loop.transfers:
+        signal = _target_of(transfer, components)
+        if any(transfer.beside) or (signal is not None and signal.is_whole):
+            kind = signal.kind if signal is not None else ""
+            yield ("connections",), messages.LOOP_OF_NO_REALS(signal=transfer.name, type=kind)
 
 
 def _target_of(transfer: Transfer, components: Components) -> Signal | None:

@@ -26,7 +26,7 @@ from cosim.system.events import Events, Targets, changes_of
 from cosim.system.feasible import check_feasible
 from cosim.system.real_time import RealTime, check_live
 from cosim.system.recording import RecordedPart, recorded_part
-from cosim.system.schedule import Loop, OpenLoop, Schedule, Stage, schedule
+from cosim.system.schedule import Loop, Schedule, Stage, schedule
 from cosim.system.wiring import Transfer, connect, connection_warnings, lay_out
 
 
@@ -49,7 +49,7 @@ class System:
         real_time: What ties its steps to the clock, set by runs that it is to tie.
         distant: SHA-256 of each FMU on another machine.
         recording: Recorded part of the rows, None for all of them.
-        suspected: As in `Schedule`; `opened` too.
+        opened: As in `Schedule`; `assumed` too.
     """
 
     stages: tuple[Stage, ...]
@@ -73,8 +73,8 @@ class System:
     real_time: RealTime | None = None
     distant: Mapping[str, str] = field(default_factory=dict)
     recording: RecordedPart | None = None
-    suspected: tuple[Loop, ...] = ()
-    opened: tuple[OpenLoop, ...] = ()
+    opened: tuple[Loop, ...] = ()
+    assumed: bool = False
 
     @property
     def names(self) -> list[str]:
@@ -140,8 +140,8 @@ def build_system(file: ScenarioFile, start_values: Designed | None = None) -> Sy
         courses=courses_of(scenario, components),
         distant={name: c.distant.sha256 for name, c in blocks.items() if isinstance(c, RemoteFmu)},
         recording=recording,
-        suspected=plan.suspected,
         opened=plan.opened,
+        assumed=plan.assumed,
     )
 
 

@@ -17,7 +17,7 @@ from typing import Any
 import typer
 
 from cosim.base.errors import CosimError, InputError, SimulationError
-from cosim.base.messages import code_of
+from cosim.base.messages import code_of, with_severity
 from cosim.verbs import messages
 from cosim.verbs.streams import echo
 
@@ -136,9 +136,9 @@ def say_note(*texts: str) -> None:
 def warn(*texts: str) -> None:
     """Print warnings and notes on stderr; a text is a note according to its code, and -q omits notes."""
     for text in texts:
-        line, is_note = _record_message(text), code_of(text).startswith("N-")
-        if not (is_note and MANNER.quiet):
-            echo(f"{'note' if is_note else 'warning'}: {line}", err=True)
+        _record_message(text)
+        if not (MANNER.quiet and code_of(text).startswith("N-")):
+            echo(_with_code(with_severity(text), code_of(text)), err=True)
 
 
 def say_finding(line: str) -> None:
