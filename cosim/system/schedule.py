@@ -99,26 +99,33 @@ def schedule(
         diagnosis.note(place, fault)
     stages = tuple(Stage(components[n], tuple(pulls[n]), every[n]) for n in plan.order)
     assumptions = [note for note in plan.notes if code_of(note) == ASSUMED_WITHOUT_FEEDTHROUGH.code]
-    by = (
-        "order"
-        if user_order is not None
-        else "feedthrough"
-        if algorithm.solves_loops
-        else f"algorithm: {algorithm.name}"
-    )
-    opened: list[Loop] = []
-    for possible in () if undeclared else _possible_loops(components, edges, ends):
-        fault = next((fault for _, fault in _loop_faults(possible, components, every)), None)
-        cure = join("; ", assumptions) or fault or messages.LOOPS_SOLVES(key=by)
-        if possible.members not in plan.loops:
-            opened.append(replace(possible, left_open=messages.LEFT_OPEN(loop=possible.name, by=by, cure=cure)))
+    opened: tuple[Loop, ...] = ()
+    if not undeclared:
+        key = "feedthrough" if algorithm.solves_loops else f"algorithm: {algorithm.name}"
+        possible = _possible_loops(components, edges, ends)
+        others = [loop for loop in possible if loop.members not in plan.loops]
+        reasons = [next((fault for _, fault in _loop_faults(loop, components, every)), None) for loop in others]
+        opened = _left_open(others, "order" if user_order is not None else key, assumptions, reasons)
     if scenario.loops is None:
         diagnosis.warnings += _loop_notes(loops, components)
-    return Schedule(stages, tuple(held), _clock_wires(transfers), loops, tuple(opened), bool(assumptions))
+    return Schedule(stages, tuple(held), _clock_wires(transfers), loops, opened, bool(assumptions))
 
 
 def _loops(plan: Plan, solved: Sequence[Sequence[Transfer]]) -> tuple[Loop, ...]:
     return tuple(Loop(members, tuple(solved[k])) for k, members in enumerate(plan.loops))
+
+
+def _left_open(
+    loops: Sequence[Loop], key: str, assumptions: Sequence[str], faults: Sequence[Message | None]
+) -> tuple[Loop, ...]:
+    """Return loops with the key that leaves them open and the cure.
+
+    Args:
+        faults: Why each of them cannot be solved.
+    """
+    cures = (join("; ", assumptions) or fault or messages.LOOPS_SOLVES(key=key) for fault in faults)
+    pairs = zip(loops, cures, strict=True)
+    return tuple(replace(p, left_open=messages.LEFT_OPEN(loop=p.name, by=key, cure=cure)) for p, cure in pairs)
 
 
 def _possible_loops(
