@@ -374,8 +374,9 @@ def test_points_values_planes_and_tables_come_from_the_server(page: tuple[ViewPa
     assert [(run["name"], run["set"], run["rows"]) for run in about["runs"]] == [("r0", 0, 3), ("r1", 0, 3)]
     assert about["sets"] == [[["x", "y"], ["m", ""]]]
     span = {"from": 0.0, "to": 1.0}
-    points = np.frombuffer(ask("points", {**span, "width": 100, "curves": [[0, "x"], [1, "y"]]}))
-    np.testing.assert_array_equal(points, [3, 1, 0, 1, 1, 0, 1, 2, 3, 1, 0, 1, 1, 1, np.nan, 3])
+    points = np.frombuffer(ask("points", {**span, "width": 100, "curves": [[0, "x"], [1, "y"], [0, "y"]]}))
+    first, other, again = [3, 1, 1, 0, 1, 1, 0, 1, 2], [3, 1, 1, 0, 1, 1, 1, np.nan, 3], [3, 1, 0, 1, np.nan, 3]
+    np.testing.assert_array_equal(points, [*first, *other, *again])
     plane = np.frombuffer(ask("plane", {**span, "width": 100, "across": [[0, "x"]], "curves": [[0, "y"]]}))
     np.testing.assert_array_equal(plane, [3, 1, 0, 1, 1, 0, 1, 2, 1, np.nan, 3])
     values = np.frombuffer(ask("values", {"at": 1.0, "curves": [[0, "x"], [1, "x"]]}))

@@ -38,7 +38,7 @@ def page(outcome: Outcome, record: Record) -> str:
             "name": f"Fit of {outcome.fmu.name}",
             "headline": headline,
             "details": details,
-            "tone": TONES.get(record.verdict, "plain"),
+            "tone": _verdict(outcome, record)[1],
             "badges": _badges(outcome, record),
             "warnings": [*record.warnings, *record.notes],
             "plots": [] if part is None else _plots(part, charts),
@@ -62,10 +62,16 @@ def page(outcome: Outcome, record: Record) -> str:
     )
 
 
+def _verdict(outcome: Outcome, record: Record) -> tuple[str, str]:
+    """Return the verdict as a short text, and its tone; an improvement by an unsettled estimate is no success yet."""
+    if record.verdict == "improved" and not outcome.estimate.settled:
+        return "improved, not settled", "warn"
+    return record.verdict, TONES.get(record.verdict, "plain")
+
+
 def _badges(outcome: Outcome, record: Record) -> list[Badge]:
-    tone = {"improved": "good", "worse": "bad"}.get(record.verdict, "plain")
     badges = [
-        Badge(record.verdict, tone),
+        Badge(*_verdict(outcome, record)),
         Badge(counted(len(record.logs), "log")),
         Badge(counted(len(record.sealed), "sealed log")),
         Badge(counted(record.simulations, "simulation")),

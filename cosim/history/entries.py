@@ -5,16 +5,18 @@ from __future__ import annotations
 import fnmatch
 import os
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from cosim.base.errors import InputError
 from cosim.base.suggestions import did_you_mean
+from cosim.base.version import __version__
 from cosim.history import messages
 from cosim.history.inputs import changes_between, input_text, input_tree, short_input
 from cosim.storage.artefact import Artefact, artefacts
-from cosim.storage.folders import EARLIER, RESULTS, content_of
+from cosim.storage.folders import EARLIER, RESULTS, SCHEMA_VERSION, content_of, version_of
 
 OUTCOMES = ("verdict", "status", "sentence")  # keys of a record whose text is an outcome
 UNFINISHED, DAMAGED, ROWS_ONLY = "unfinished", "damaged record", "rows without a record"
@@ -32,6 +34,8 @@ class Entry:
         time: Time of writing [s] since 1970.
         outcome: Outcome of criteria, verdict or status, `unfinished`, `damaged record`, `rows without a record`, or "".
         changes: Input → value, where it differs from the run before of the same name; None for a removed input.
+        record: File by which the results are known, whose time is `time`.
+        version: Version of cosim that wrote the record, or its schema, if it is another one; otherwise "".
     """
 
     number: int
@@ -41,6 +45,15 @@ class Entry:
     time: float
     outcome: str
     changes: Mapping[str, Any]
+    record: Path
+    version: str = ""
+
+    def check_current(self) -> None:
+        """Raise InputError if the results were removed or replaced since they were listed."""
+        with suppress(OSError):
+            if self.record.stat().st_mtime == self.time:
+                return
+        raise InputError.at(self.folder, messages.REPLACED(number=self.number))
 
     @property
     def is_newest(self) -> bool:
@@ -91,7 +104,7 @@ def entries(results: Path | None = None) -> list[Entry]:
             before = inputs or before
     every.sort(key=lambda each: (each[0].time, each[0].name))
     return [
-        Entry(number, r.name, r.folder, r.verb, r.time, r.outcome, changes)
+        Entry(number, r.name, r.folder, r.verb, r.time, r.outcome, changes, r.record, r.version)
         for number, (r, changes) in enumerate(every, 1)
     ]
 
@@ -174,6 +187,8 @@ class _Recorded(NamedTuple):
     verb: str
     time: float
     outcome: str
+    record: Path
+    version: str = ""
 
 
 def _marks() -> _Marks:
@@ -219,13 +234,25 @@ def _by_mark(place: Path, label: str, there: Mapping[str, float], marks: _Marks)
     for mark, artefact in marks.finished.items():
         if mark in there:
             content = content_of(place / mark) if mark.endswith(".json") else {"status": ""}
-            outcome = _outcome(content) if content else DAMAGED
-            return _Recorded(label, place, artefact.verb.removeprefix("cosim "), there[mark], outcome), content
+            if not content and not (place / mark).is_file():
+                return None  # removed meanwhile
+            outcome, verb = _outcome(content) if content else DAMAGED, artefact.verb.removeprefix("cosim ")
+            about = there[mark], outcome, place / mark, _other_version(content)
+            return _Recorded(label, place, verb, *about), content
     for mark, artefact in marks.unfinished.items():
         if (time := there.get(mark.partition("/")[0])) is not None and (place / mark).is_file():
             content = content_of(place / mark) if mark.endswith(".json") else {}
-            return _Recorded(label, place, artefact.verb.removeprefix("cosim "), time, UNFINISHED), content
+            verb, record = artefact.verb.removeprefix("cosim "), place / mark.partition("/")[0]
+            return _Recorded(label, place, verb, time, UNFINISHED, record, _other_version(content)), content
     return None
+
+
+def _other_version(content: Content) -> str:
+    """Return the version of cosim that wrote a record, and its schema, if they are not those known here."""
+    schema, by = content.get("schema_version", SCHEMA_VERSION), version_of(content)
+    if schema != SCHEMA_VERSION:
+        return f"{by or '?'} (schema {schema})"
+    return by if by != __version__ else ""
 
 
 def _by_rows(place: Path, label: str) -> tuple[_Recorded, Content] | None:
@@ -233,7 +260,9 @@ def _by_rows(place: Path, label: str) -> tuple[_Recorded, Content] | None:
     from cosim.storage.results import rows_in  # with numpy, which a list seldom needs
 
     rows = rows_in(place)
-    return None if rows is None else (_Recorded(label, place, "", rows.stat().st_mtime, ROWS_ONLY), {})
+    with suppress(OSError):  # removed meanwhile
+        return None if rows is None else (_Recorded(label, place, "", rows.stat().st_mtime, ROWS_ONLY, rows), {})
+    return None
 
 
 def _outcome_of_sweep(content: Mapping[str, Any], runs: int) -> str:

@@ -14,6 +14,8 @@ NO_REPORT = Template("E-HIS-005", "has no report.html; {cure}")
 NOT_CONFIRMED = Template("E-HIS-006", "nothing is removed without an answer; add --yes")
 REMOVED_BEFORE = Template("W-HIS-007", "{folder} is gone already")
 NOT_REMOVED = Template("W-HIS-008", "{folder} cannot be removed: {reason}")
+REPLACED = Template("E-HIS-012", "run {number} was removed or replaced after it was listed; repeat the command")
+NO_PAGE_OF_DAMAGED = Template("E-HIS-013", "has no report.html, and its record is damaged: run the command again")
 NO_PATH_OR_NAME = Template(
     "E-HIS-009",
     "no such folder or file; give the folder of a run, a table of its rows, or a number or name in `cosim list`{hint}",

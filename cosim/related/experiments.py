@@ -5,13 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from cosim.authoring.draft import write_single
 from cosim.authoring.parts import parts_of
 from cosim.base.errors import CosimError, Fault, FmuError, InputError
+from cosim.base.messages import Message
 from cosim.base.text import amount, counted
+from cosim.blocks.clocks import read_clocks
+from cosim.blocks.summary import experiment_of
 from cosim.comparison.differences import Compared, compare_runs, describe_largest
 from cosim.fmi.related_files import FOLDER, Experiment, member_of
 from cosim.related import messages
@@ -26,6 +30,7 @@ LIMITS = {"limits.step": 60.0, "limits.total": 600.0}  # [s] of an experiment, w
 TOLERANCE = 0.01  # share of a signal's range; FMI-LS-REF defines none
 VALIDATION = "experiment/validation"  # role of measured results, which no FMU reproduces within TOLERANCE
 NOT_MET = 5  # exit code
+MOST_INNER_STEPS = 1e10  # of 60 ns each they would take all of LIMITS
 
 
 @dataclass(frozen=True)
@@ -66,7 +71,7 @@ def run_experiment(carried: Carried, out: Path) -> tuple[list[str], list[Fault]]
         results = _simulate(carried, out)
         references = carried.path(carried.experiment.references)
         if references is None:
-            return [messages.NOTHING_EXPECTED(experiment=carried.title)], []
+            return [*results.warnings, messages.NOTHING_EXPECTED(experiment=carried.title)], []
         expected = read_ran(references)
         rows, missing = in_form_of(results.results, expected.results)
         notes, faults = _judge(carried, compare_runs(replace(expected, results=rows), results, TOLERANCE))
@@ -74,7 +79,7 @@ def run_experiment(carried: Carried, out: Path) -> tuple[list[str], list[Fault]]
             names = ", ".join(missing[:MAX_LISTED]) + (", …" if len(missing) > MAX_LISTED else "")
             left_out = messages.NOT_IN_FMU(experiment=carried.title, count=counted(len(missing), "signal"), names=names)
             notes = [left_out.after("warning: "), *notes]
-        return notes, faults
+        return [*results.warnings, *notes], faults
     except CosimError as error:
         message = messages.FAILED.around(_within(carried, str(error)), experiment=carried.title)
         code = FmuError.exit_code if isinstance(error, InputError) else error.exit_code  # its files are part of the FMU
@@ -87,16 +92,45 @@ def _simulate(carried: Carried, out: Path) -> RecordedRun:
     parameters, stimuli = carried.path(asked.parameters), carried.path(asked.stimuli)
     package = Package(carried.fmu, carried.folder, carried.folder, packed=True)
     start = {} if parameters is None else read_parameter_file(package, str(parameters.relative_to(carried.folder)))
-    path, _ = write_single(out, carried.fmu, start, stimuli, stop=asked.stop, step=asked.step)
     (part,) = parts_of([carried.fmu])
+    ticks, driven = ({}, False) if stimuli is None else _ticks_in(stimuli, carried.fmu, part.description)
+    path, _ = write_single(out, carried.fmu, start, stimuli if driven else None, stop=asked.stop, step=asked.step)
     settings = LIMITS | {"start_time": asked.start, f"components.{part.name}.tolerance": asked.tolerance}
-    changes = [f"{key}={value!r}" for key, value in settings.items() if value is not None]
+    if notes := _too_fine(part.description, asked):
+        settings[f"components.{part.name}.interface"] = "model-exchange"
+    settings |= {f"components.{part.name}.clocks.{name}": {"at": times} for name, times in ticks.items()}
+    changes = [f"{key}={value}" for key, value in settings.items() if value is not None]
     results = run(path, out, changes, report=False).results
     prefix = f"{part.name}."
     columns = tuple(name.removeprefix(prefix) for name in results.columns)
     exact = {name.removeprefix(prefix): values for name, values in results.exact.items()}
     units = {name.removeprefix(prefix): unit for name, unit in results.units.items()}
-    return RecordedRun(carried.fmu, "the FMU", replace(results, columns=columns, exact=exact, units=units))
+    rows = replace(results, columns=columns, exact=exact, units=units)
+    return RecordedRun(carried.fmu, "the FMU", rows, warnings=notes)
+
+
+def _ticks_in(stimuli: Path, fmu: Path, description: Any) -> tuple[dict[str, list[float]], bool]:
+    """Return the times at which stimuli tick each triggered input clock, and whether they drive other inputs.
+
+    A clock ticks at each row in which its column is not 0.
+    """
+    clocks = read_clocks(fmu, description).values()
+    names = {clock.name for clock in clocks if clock.causality == "input" and not clock.is_time_based}
+    if not names:
+        return {}, True
+    rows = read_ran(stimuli).results
+    driven = any(name not in names for name in (*rows.columns, *rows.exact))
+    return {name: rows.time[rows[name] > 0.0].tolist() for name in rows.columns if name in names}, driven
+
+
+def _too_fine(description: Any, asked: Experiment) -> tuple[Message, ...]:
+    """Return a note if co-simulation would take too many internal steps, and the FMU offers model exchange."""
+    step = getattr(description.coSimulation, "fixedInternalStepSize", None)
+    declared = experiment_of(description)
+    begin, end = (asked.start or declared.get("start", 0.0)), (asked.stop or declared.get("stop", 0.0))
+    if not step or description.modelExchange is None or (end - begin) / float(step) < MOST_INNER_STEPS:
+        return ()
+    return (messages.BY_MODEL_EXCHANGE(experiment=asked.name, count=(end - begin) / float(step), step=float(step)),)
 
 
 def _judge(carried: Carried, compared: Compared) -> tuple[list[str], list[Fault]]:

@@ -58,6 +58,8 @@ def _read(path: Path, folder: Path) -> tuple[list[Carried], list[str]]:
             notes.append(messages.OUTSIDE(**about).after("warning: "))
         elif not (folder / member).is_file():
             notes.append(messages.FILE_MISSING(**about).after("warning: "))
+            if file.role == "result" and file.type == CSV:  # The experiment itself can be run.
+                carried.append(with_default(path, folder, ""))
         elif file.role == "result" and file.type == CSV:
             carried.append(with_default(path, folder, file.source))
         elif file.role.startswith("experiment") and file.type == EXPERIMENTS:

@@ -20,7 +20,8 @@ from cosim.scenario.pinned import with_files_beside
 from cosim.scenario.scenario import Recording, Scenario, StepControl
 from cosim.scenario.signal_units import convert_quantities
 from cosim.storage.artefact import kind_by_keys
-from cosim.storage.folders import later_version
+from cosim.storage import messages as storage_messages
+from cosim.storage.folders import SCHEMA_VERSION, other_version
 from cosim.storage.kinds import MANIFEST, SCENARIO, check_form, refuse_other
 from cosim.storage.yaml_file import Origin, YamlFile, did_you_mean, location_in, short
 from cosim.storage.yaml_nodes import Document, Location, NotYaml
@@ -53,9 +54,10 @@ class ScenarioFile:
         self.path = path
         check_form(path, SCENARIO, MANIFEST)
         self.yaml = YamlFile(path, origin)
-        refuse_other(path, kind_by_keys(self.yaml.root), SCENARIO, MANIFEST)
+        kind = kind_by_keys(self.yaml.root)
+        refuse_other(path, kind, SCENARIO, MANIFEST)
         self.manifest: Mapping[str, Any] | None = None
-        if isinstance(self.yaml.root.get("scenario"), dict) and "schema_version" in self.yaml.root:
+        if isinstance(self.yaml.root.get("scenario"), dict) and kind == MANIFEST:
             self.manifest = self.yaml.root
             self.yaml.enter("scenario")
         data = copy.deepcopy(self.yaml.root)
@@ -64,7 +66,9 @@ class ScenarioFile:
             self.yaml.overrides[_override(path, data, override, subject)] = subject
         self.faults: list[Fault] = []
         self.warnings: list[str] = []  # about valid parts of the scenario
-        self.warnings += later_version(path, self.manifest or {})
+        if self.manifest is not None and "schema_version" not in self.manifest:
+            self.warnings.append(storage_messages.NO_VERSION(file=path, known=SCHEMA_VERSION))
+        self.warnings += other_version(path, self.manifest or {})
         convert_quantities(data, self.resolve, lambda at, message: self.faults.append(self.fault(at, message)))
         rest = Salvage(data)
         self.scenario = self._validate(rest)

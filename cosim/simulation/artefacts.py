@@ -18,7 +18,7 @@ ARTEFACTS = (
     Artefact(
         MANIFEST,
         "`cosim run {file}` repeats its run",
-        keys=(frozenset({"scenario", "schema_version"}),),
+        keys=(frozenset({"scenario", "schema_version"}), frozenset({"scenario"})),
         verb="cosim run",
         marks=("manifest.json",),
         unfinished=("checkpoint/run.json",),

@@ -12,7 +12,8 @@ from cosim.simulation import messages
 from cosim.storage.artefact import folder_kind
 from cosim.storage.folders import manifest_in, replay_record, warnings_on
 from cosim.storage.kinds import LOG, check_given, refuse_folder
-from cosim.storage.results import Results, read_results, rows_in
+from cosim.storage import messages as storage_messages
+from cosim.storage.results import Results, cut_rows, read_results, rows_in
 from cosim.storage.table_source import suffixes
 
 WANTED = "the folder of a run or a table of its rows"
@@ -36,12 +37,20 @@ class RecordedRun:
 
 
 def read_ran(path: Path) -> RecordedRun:
-    """Return results of a path; raise InputError if none."""
+    """Return results of a path; raise InputError if none, also if they are removed meanwhile."""
+    try:
+        return _read(path)
+    except FileNotFoundError:
+        raise InputError.at(path, storage_messages.GONE()) from None
+
+
+def _read(path: Path) -> RecordedRun:
     if not path.exists():
         raise InputError.at(path, messages.NO_RESULTS(kind=WANTED))
     if not path.is_dir():
         check_given(path, LOG)
-        return RecordedRun(path, path.stem, read_results(path))
+        results = read_results(path)
+        return RecordedRun(path, path.stem, results, warnings=cut_rows(path, results.time.size, {}))
     rows = rows_in(path)
     if rows is None:
         kind = folder_kind(path)
@@ -53,4 +62,5 @@ def read_ran(path: Path) -> RecordedRun:
     units = manifest.get("units") or replay_record(path).get("units")
     text = manifest.get("beside")
     results = read_results(rows, units if isinstance(units, dict) else {}, text if isinstance(text, list) else ())
-    return RecordedRun(path, path.resolve().name, results, manifest, warnings_on(path))
+    warnings = (*warnings_on(path), *cut_rows(rows, results.time.size, manifest))
+    return RecordedRun(path, path.resolve().name, results, manifest, warnings)

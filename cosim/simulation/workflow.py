@@ -446,6 +446,7 @@ class _Files:
             self.stepped.results.write(self.rows)
             remove_rows(self.rows.parent, self.rows.stem, besides=self.rows.name)  # They belong to another run.
             self.written.append(self.rows.name)
+            self.record["rows"] = len(self.stepped.results.time)
             write_json(self.rows.with_name(MANIFEST), self.record)
             self.written.append(MANIFEST)
             is_part = self.prepared.system.recording is not None
@@ -478,7 +479,7 @@ class _Files:
             return DiskFull("the run", at, messages.DISK_FULL(**fields))
 
         missing = ", there is no report" if count == rows else ""
-        self.record["status"] = f"failed: {full(missing)}"
+        self.record |= {"status": f"failed: {full(missing)}", "rows": count}
         try:
             write_json(manifest, self.record)
         except OSError:

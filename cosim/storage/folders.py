@@ -15,6 +15,7 @@ from typing import Any
 from cosim.base.drafts import draft_of, remove_drafts
 from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.scratch import is_own
+from cosim.base.version import __version__
 from cosim.storage import messages
 from cosim.storage.artefact import artefacts
 from cosim.storage.files import delay_stops, write_text
@@ -67,21 +68,27 @@ def manifest_in(folder: Path) -> dict[str, Any]:
 
 
 def warnings_on(folder: Path) -> tuple[str, ...]:
-    """Return a warning if the manifest in a folder is damaged, or of a later version."""
-    file = folder / "manifest.json"
-    if not file.is_file():
+    """Return warnings and notes if the record in a folder is damaged, or of another version."""
+    file = next((path for name in ("manifest.json", REPLAY) if (path := folder / name).is_file()), None)
+    if file is None:
         return ()
-    manifest = content_of(file)
-    return later_version(file, manifest) if manifest else (messages.DAMAGED_MANIFEST(file=file),)
+    record = content_of(file)
+    return other_version(file, record) if record else (messages.DAMAGED_MANIFEST(file=file),)
 
 
-def later_version(file: Path, record: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return a warning if a later version of cosim wrote a record in another form."""
-    version = record.get("schema_version", SCHEMA_VERSION)
-    if version == SCHEMA_VERSION:
-        return ()
-    by = record.get("cosim_version", "another version")
-    return (messages.LATER_RECORD(file=file, found=version, by=by, known=SCHEMA_VERSION),)
+def other_version(file: Path, record: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return a warning if a record has another form, or a note if another version of cosim wrote it."""
+    schema, by = record.get("schema_version", SCHEMA_VERSION), version_of(record)
+    if schema != SCHEMA_VERSION:
+        by = by or "of an unknown version"
+        return (messages.LATER_RECORD(file=file, found=schema, by=by, known=SCHEMA_VERSION),)
+    return (messages.OTHER_VERSION(file=file, found=by, own=__version__),) if by not in {"", __version__} else ()
+
+
+def version_of(record: Mapping[str, Any]) -> str:
+    """Return the version of cosim that wrote a record; "" if the record does not name it."""
+    version = record.get("cosim_version", record.get("version"))
+    return version if isinstance(version, str) else ""
 
 
 def content_of(path: Path) -> dict[str, Any]:

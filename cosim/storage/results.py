@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import errno
 import io
+import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -199,6 +200,19 @@ def _time_of(frame: Frame, faults: Faults) -> Array:
         message = messages.UNSORTED_TIME(time=time[row], earlier=time[row - 1])
         faults.note_cell(lines[row], 1, "times that go back", message)
     return time
+
+
+def cut_rows(path: Path, rows: int, record: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return warnings if a file has other rows than its record says, or ends within a line."""
+    announced, found = record.get("rows"), list[str]()
+    if isinstance(announced, int) and announced != rows:
+        found.append(messages.OTHER_ROWS(file=path, rows=rows, announced=announced))
+    if path.suffix == ".csv":
+        with path.open("rb") as stream:
+            stream.seek(-1, os.SEEK_END)
+            if stream.read(1) not in b"\r\n":
+                found.append(messages.CUT_LINE(file=path))
+    return tuple(found)
 
 
 def rows_name(stem: str, format_: str) -> str:

@@ -122,11 +122,18 @@ def _with_rows(group: Sequence[Selected]) -> list[Selected]:
 
 def _named_source(selected: Selected) -> RunSource:
     from cosim.comparison.several import RunSource
+
+    return RunSource(selected.short, selected.path, partial(_read, selected), selected.by_pattern, selected.longer)
+
+
+def _read(selected: Selected) -> RecordedRun:
+    """Return the rows of results that are still those that were listed."""
     from cosim.simulation.run_files import read_ran
 
-    return RunSource(
-        selected.short, selected.path, partial(read_ran, selected.path), selected.by_pattern, selected.longer
-    )
+    run = read_ran(selected.path)
+    if selected.entry is not None:
+        selected.entry.check_current()
+    return run
 
 
 def _result_source(side: Signals) -> RunSource:

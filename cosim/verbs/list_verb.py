@@ -38,8 +38,9 @@ def command(
     if not found:
         say(f"no results in {root}")
         return
-    rows = [(str(e.number), _when(e), e.verb, e.name, _cut(e.outcome), _cut(e.changed)) for e in found]
-    say("\n".join(table(("no.", "when", "command", "name", "outcome", "changed"), rows)))  # a write for all lines
+    rows = [(str(e.number), _when(e), e.verb, e.name, _cut(e.outcome), _cut(e.changed), e.version) for e in found]
+    heads = ("no.", "when", "command", "name", "outcome", "changed", "of cosim")
+    say("\n".join(table(heads, rows)))  # a write for all lines
 
 
 def _when(entry: Entry) -> str:
@@ -53,4 +54,5 @@ def _cut(text: str) -> str:
 def _as_json(entry: Entry) -> dict[str, Any]:
     when = datetime.fromtimestamp(entry.time).astimezone().isoformat(timespec="seconds")
     content = {"number": entry.number, "name": entry.name, "folder": str(entry.folder), "command": entry.verb}
-    return {**content, "time": when, "outcome": entry.outcome, "changes": dict(entry.changes)}
+    about = {"outcome": entry.outcome, "changes": dict(entry.changes), "other_version": entry.version or None}
+    return {**content, "time": when, **about}

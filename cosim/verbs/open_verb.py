@@ -10,7 +10,7 @@ import typer
 from cosim.base.errors import InputError
 from cosim.storage.folders import RESULTS
 from cosim.verbs.options import Json, ResultsFolder
-from cosim.verbs.terminal import say, say_json, show, some
+from cosim.verbs.terminal import say, say_json, show, some, warn
 
 PAGE = "report.html"
 MOST_NAMES = 5
@@ -31,20 +31,24 @@ def command(
     from cosim.history import messages
     from cosim.history.entries import find_entries
     from cosim.storage.artefact import folder_kind
+    from cosim.storage.folders import content_of, warnings_on
 
-    folder, verb = Path(run), ""
+    folder, verb, record = Path(run), "", Path(run) / "manifest.json"
     if run.isdecimal() or not folder.is_dir():
         found = find_entries([run], results or RESULTS)
         if len(found) > 1:
             names = some([f"{e.number} {e.name}" for e in found], MOST_NAMES)
             raise InputError.at(Path(run), messages.SEVERAL(count=len(found), names=names))
-        folder, verb = found[0].folder, found[0].verb
+        folder, verb, record = found[0].folder, found[0].verb, found[0].record
     page = folder / PAGE
     if not page.is_file():
         if folder_kind(folder) is None:
             raise InputError.at(folder, messages.NOT_RESULTS())
+        if record.suffix == ".json" and record.is_file() and not content_of(record):
+            raise InputError.at(folder, messages.NO_PAGE_OF_DAMAGED())
         cure = f"`cosim report {folder}` writes it" if verb in {"run", ""} else "run the command again with a report"
         raise InputError.at(folder, messages.NO_REPORT(cure=cure))
+    warn(*warnings_on(folder))
     say(f"report: {page}")
     if as_json:
         say_json({"report": str(page)})

@@ -87,7 +87,9 @@ class Picture:
         )
         if self.order is not None:
             low, high = low[self.order], high[self.order]
-        return np.fmin.reduceat(finite(low), self.starts), np.fmax.reduceat(finite(high), self.starts)
+        if self.parts[0][0] == 0 or self.parts[-1][0] == 0:  # rows; blocks have no infinite extremes
+            low, high = finite(low), finite(high)
+        return np.fmin.reduceat(low, self.starts), np.fmax.reduceat(high, self.starts)
 
 
 class Recording:

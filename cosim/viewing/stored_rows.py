@@ -107,7 +107,9 @@ class StoredRecording(Recording):
         """Return a column of a row group, read together with the other columns that are needed now."""
         if (found := CHUNKS.get((id(self), part, name, group))) is not None:
             return found
-        names = {name, *(n for n in self.needed if CHUNKS.get((id(self), part, n, group)) is None)} - {*self.added}
+        names = {name}
+        if name in self.needed:  # not time, of which a search reads other groups
+            names |= {n for n in self.needed if CHUNKS.get((id(self), part, n, group)) is None} - {*self.added}
         with self._lock:
             file = self._files.get(part)
             if file is None:

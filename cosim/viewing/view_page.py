@@ -88,19 +88,23 @@ class ViewPage(ServedPage):
         return json_answer({"runs": runs, "sets": sets, "layouts": self._layouts.read(), "notes": self._notes})
 
     def _points(self, request: Request) -> Answer:
-        """Return for each curve the number of points, whether these are rows, then time, least and largest values."""
+        """Return for each curve the number of points, whether these are rows, then time, least and largest values.
+
+        A third number says whether the time follows: curves of a run share that of the first one.
+        """
         begin, end, width = _number(request, "from"), _number(request, "to"), int(_number(request, "width"))
         if not begin < end or not 0 < width <= WIDEST:
             raise _refused("a range of times and a width")
         pictures: dict[int, Picture] = {}
 
         def points(run: ViewedRun, name: str) -> list[Array]:
-            if id(run) not in pictures:
+            if is_first := id(run) not in pictures:
                 pictures[id(run)] = run.rows.picture(begin, end, width)
             picture = pictures[id(run)]
             low, high = picture.points(name)
             is_row = picture.starts is None
-            return [np.array([low.size, float(is_row)]), picture.time, low, *([] if is_row else [high])]
+            head = np.array([low.size, float(is_row), float(is_first)])
+            return [head, *([picture.time] if is_first else []), low, *([] if is_row else [high])]
 
         return _binary([part for curve in self._curves(request) for part in _unless_lost(curve[0], points, *curve)])
 

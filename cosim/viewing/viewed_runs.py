@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import Fault, InputError, refuse
 from cosim.history.entries import Entry, entries
 from cosim.history.selection import Selected, select_groups
+from cosim.storage import messages as storage_messages
 from cosim.storage.folders import manifest_in, replay_record, warnings_on
 from cosim.storage.kinds import LOG, check_given, refuse_folder
-from cosim.storage.results import rows_in
+from cosim.storage.results import cut_rows, rows_in
 from cosim.viewing import messages
 from cosim.viewing.pyramid import Recording
 from cosim.viewing.stored_rows import notes_on, open_rows
@@ -31,12 +32,14 @@ class RunPlace:
         name: Name in layouts, the same for the next run of a name.
         label: Name on the page, different for each run.
         is_named: Whether the user named this one; a fault of it is then an error.
+        entry: Results in a folder of results; None for other paths.
     """
 
     name: str
     label: str
     file: Path
     is_named: bool = True
+    entry: Entry | None = None
 
 
 @dataclass
@@ -110,10 +113,15 @@ def open_runs(places: Iterable[RunPlace], bar: Bar) -> tuple[list[ViewedRun], li
             state = file_state(place.file)
             with bar(f"converting {place.label}") as progress:
                 rows = open_rows(place.file, _units(units), text if isinstance(text, list) else [], progress)
+            if place.entry is not None:
+                place.entry.check_current()
+            about = (*warnings_on(folder), *cut_rows(place.file, rows.rows, manifest), *notes_on(place.file))
             runs.append(ViewedRun(place, rows, state))
-            notes += warnings_on(folder)
-            notes += [note for note in notes_on(place.file) if note not in notes]
-        except InputError as error:
+            notes += [note for note in about if note not in notes]
+        except (InputError, FileNotFoundError) as caught:
+            error = caught
+            if isinstance(error, FileNotFoundError):
+                error = InputError.at(place.file, storage_messages.GONE())
             (named if place.is_named else faults).extend(error.faults)
             reason = str(error).partition("\n")[0]
             notes.append(messages.LEFT_OUT(run=place.label, reason=reason))
@@ -148,18 +156,17 @@ def _places_of(text: str, group: Sequence[Selected]) -> list[RunPlace]:
 
 def _of_entry(entry: Entry, *, is_named: bool) -> RunPlace | None:
     rows = rows_in(entry.folder)
-    return None if rows is None else RunPlace(entry.name, entry.label, rows, is_named)
+    return None if rows is None else RunPlace(entry.name, entry.label, rows, is_named, entry)
 
 
 def _differing(places: Sequence[RunPlace]) -> list[RunPlace]:
     """Return places whose names and labels differ from each other: equal ones get their path."""
     names, labels = [p.name for p in places], [p.label for p in places]
     return [
-        RunPlace(
-            p.name if names.count(p.name) == 1 else str(p.file.parent / p.name),
-            p.label if labels.count(p.label) == 1 else f"{p.label} ({p.file})",
-            p.file,
-            p.is_named,
+        replace(
+            p,
+            name=p.name if names.count(p.name) == 1 else str(p.file.parent / p.name),
+            label=p.label if labels.count(p.label) == 1 else f"{p.label} ({p.file})",
         )
         for p in places
     ]

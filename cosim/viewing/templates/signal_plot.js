@@ -257,7 +257,7 @@ class SignalPlot {
     const u = (t) => Math.round((WIDE * (t - x.low)) / (x.high - x.low));
     const { pin } = this.desk;
     this.marks.pin.setAttribute("d", pin === null || this.kind === "xy" ? "" : `M${u(pin)} 0v${HIGH}`);
-    const isDense = this.kind === "time" && this.desk.isDense,
+    const isPainted = this.kind === "time" && this.desk.isPainted,
       painted = [],
       pens = new Map();
     let place = 0;
@@ -265,14 +265,14 @@ class SignalPlot {
       for (const curve of each.curves) {
         const line = this.lines[place++],
           style = this.style(curve);
-        line.setAttribute("d", isDense ? "" : this.path(curve, u, ys[k], HIGH));
-        if (!isDense || !curve.data || curve.hidden) continue;
+        line.setAttribute("d", isPainted ? "" : this.path(curve, u, ys[k], HIGH));
+        if (!isPainted || !curve.data || curve.hidden) continue;
         if (!pens.has(style)) pens.set(style, pen(line));
         painted.push({ data: curve.data, y: ys[k], pen: pens.get(style) });
       }
     });
-    this.canvas.hidden = !isDense;
-    if (isDense) paintCurves(this.canvas, this.size, painted, x);
+    this.canvas.hidden = !isPainted;
+    if (isPainted) paintCurves(this.canvas, this.size, painted, x);
     this.read();
   }
 

@@ -3,7 +3,8 @@
 (async () => {
   "use strict";
   const MOST_DROPPED = 24, // signals of a group that are added at once
-    QUICK = 40000, // points that are drawn at once and again when the answer comes
+    LATE = 150, // [ms] until many points are drawn as they are here, if the answer has not come
+    QUICK = 2000, // points; more are painted as pixels, once, when the answer comes
     DENSE = 24, // curves; more are painted as pixels, of half as many columns
     LEAST = 1e-9; // of the whole time: the shortest view
   const paper = matchMedia("print");
@@ -86,9 +87,16 @@
       schedule();
     },
 
+    get curves() {
+      return desk.plots.filter(({ kind }) => kind === "time").flatMap((plot) => plot.curves);
+    },
     get isDense() {
-      const times = desk.plots.filter(({ kind }) => kind === "time");
-      return !paper.matches && times.flatMap((plot) => plot.curves).length > DENSE;
+      return !paper.matches && desk.curves.length > DENSE;
+    },
+    // A browser strokes paths of many points in tenths of a second.
+    get isPainted() {
+      const points = desk.curves.reduce((sum, { data }) => sum + (data?.t.length ?? 0), 0);
+      return desk.isDense || (!paper.matches && points > QUICK);
     },
 
     // -- view and cursor ----------------------------------------------------------------------------
@@ -145,6 +153,7 @@
 
   // -- points and values from the server -----------------------------------------------------------------
   let waiting = false,
+    late = 0,
     busy = false,
     again = false;
   const seen = new Map(); // figure → whether it is near the window; a new one is not here yet
@@ -162,9 +171,10 @@
     waiting = true;
     requestAnimationFrame(() => {
       waiting = false;
-      const shown = desk.plots.filter((plot) => seen.get(plot.figure)),
-        points = shown.flatMap((plot) => plot.curves).reduce((sum, { data }) => sum + (data?.t.length ?? 0), 0);
-      if (points < QUICK || desk.isDense || !busy) draw(shown); // what is here, until more is
+      const shown = desk.plots.filter((plot) => seen.get(plot.figure));
+      clearTimeout(late);
+      if (busy && desk.isPainted) late = setTimeout(draw, LATE, shown);
+      else draw(shown); // what is here, until more is
     });
   }
   function draw(plots) {
@@ -212,6 +222,7 @@
     } finally {
       busy = false;
     }
+    clearTimeout(late);
     draw(plots);
     if (again || desk.plots.some((plot) => seen.get(plot.figure) && !plot.fresh && plot.curves.length)) fetchPoints();
     else if (desk.plots.every((plot) => seen.has(plot.figure))) document.documentElement.dataset.view = "drawn";
@@ -221,12 +232,14 @@
     const answer = await request(path, { ...asked, curves: curves.map((c) => [c.run, c.name]) });
     const numbers = new Float64Array(await answer.arrayBuffer());
     let at = 0;
-    const part = (length) => numbers.subarray(at, (at += length));
+    const part = (length) => numbers.subarray(at, (at += length)),
+      times = new Map(); // of each run
     for (const curve of curves) {
       const [count, more] = part(2);
       curve.lost = count < 0;
       if (curve.lost) continue; // what is drawn of it stays
-      const t = part(count);
+      if (path === "plane" || part(1)[0]) times.set(curve.run, part(count));
+      const t = times.get(curve.run);
       if (path === "plane") {
         const x = part(count),
           y = part(count);

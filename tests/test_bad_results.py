@@ -1,0 +1,166 @@
+"""Results that are removed while they are read, cut, of another version of cosim, or without their version."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from cosim.base.errors import InputError
+from cosim.base.version import __version__
+from cosim.calibration import report
+from cosim.history import entries as listing
+from cosim.simulation import run_files
+from cosim.storage.kinds import MANIFEST, kind_of
+from cosim.storage.results import read_results
+from cosim.verbs.cli import app
+from cosim.viewing import viewed_runs
+from tests.test_first_steps import told
+
+ROWS = "time,a.x\n0.0,0.0\n0.5,0.25\n1.0,0.125\n"
+
+
+@pytest.fixture
+def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Results of three names, as current folder of results."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("one", "two", "three"):
+        _write(tmp_path / "results" / name)
+    return tmp_path / "results"
+
+
+def _write(folder: Path, **record: Any) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "results.csv").write_text(ROWS)
+    about = {"schema_version": 1, "cosim_version": __version__, "scenario": {"name": folder.name}, "rows": 3}
+    (folder / "manifest.json").write_text(json.dumps({**about, **record}))
+
+
+def _invoke(*words: str) -> Any:
+    return CliRunner().invoke(app, [*words])
+
+
+def _removing(read: Callable[..., Any], name: str) -> Callable[..., Any]:
+    """A function that reads, and before that loses the results of a name."""
+
+    def lose(path: Path, *more: Any) -> Any:
+        if path.parent.name == name:
+            shutil.rmtree(path.parent, ignore_errors=True)
+        return read(path, *more)
+
+    return lose
+
+
+def _replacing(read: Callable[..., Any], name: str) -> Callable[..., Any]:
+    """A function that reads, while another command writes the record of the results of a name anew."""
+
+    def replace(path: Path, *more: Any) -> Any:
+        found = read(path, *more)
+        if path.parent.name == name:
+            (path.parent / "manifest.json").unlink()
+            _write(path.parent, seed=2)
+        return found
+
+    return replace
+
+
+@pytest.mark.parametrize(
+    ("change", "words"), [(_removing, "was removed while it was read|no such file"), (_replacing, "removed or replaced")]
+)
+def test_results_that_go_while_they_are_read_are_an_error_if_named_and_left_out_of_a_pattern(
+    root: Path, monkeypatch: pytest.MonkeyPatch, change: Any, words: str
+) -> None:
+    for module, name, page in (
+        (run_files, "read_results", ("compare", "--no-report", "--force", "--out", "out")),
+        (viewed_runs, "open_rows", ("view", "--prepare")),
+    ):
+        monkeypatch.setattr(module, name, change(getattr(module, name), "two"))
+        _write(root / "two")
+        with pytest.raises(InputError, match=words):
+            raise _invoke(page[0], "one", "two", *page[1:]).exception
+        _write(root / "two")
+        done = _invoke(page[0], *(("o*", "t*") if page[0] == "compare" else ()), *page[1:])
+        assert done.exit_code == 0, done.exception
+        assert "two" in done.stderr
+
+
+def test_a_list_leaves_out_results_that_go_while_it_reads(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(listing, "content_of", _removing(listing.content_of, "two"))
+    assert [entry.name for entry in listing.entries()] == ["one", "three"]
+
+
+@pytest.mark.parametrize(
+    ("length", "says"),
+    [
+        (len(ROWS), []),
+        (len(ROWS) - 1, ["no line end"]),
+        (len(ROWS) - 3, ["no line end"]),
+        (ROWS.index("1.0"), ["has 2 of the 3 rows"]),
+        (ROWS.index("0.25") + 3, ["has 2 of the 3 rows", "no line end"]),
+    ],
+)
+def test_rows_that_were_cut_are_told(root: Path, length: int, says: list[str]) -> None:
+    (root / "two" / "results.csv").write_text(ROWS[:length])
+    for words in (("compare", "one", "two", "--no-report", "--force", "--out", "out"), ("view", "two", "--prepare")):
+        told_lines = [line for line in _invoke(*words).stderr.splitlines() if line.startswith("warning")]
+        assert len(told_lines) == len(says)
+        assert all(part in line for part, line in zip(says, told_lines, strict=True))
+
+
+def test_a_run_says_how_many_rows_it_wrote(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("s.yaml").write_text(
+        "name: s\nduration: 1\nstep: 0.1\ncomponents:\n  ref: {block: reference, signals: {x: {start: 1}}}\n"
+    )
+    told("run", "s.yaml", "--in-process", "--no-report")
+    file = Path("results/s/manifest.json")
+    record = json.loads(file.read_text())
+    assert record["rows"] == read_results(Path("results/s/results.csv")).time.size == 11
+    del record["schema_version"]
+    file.write_text(json.dumps(record))
+    assert kind_of(file) == MANIFEST
+    assert "is a manifest without schema_version" in told("check", file)
+    done = _invoke("run", str(file), "--in-process", "--no-report", "--out", "again")
+    assert (done.exit_code, "without schema_version" in done.stderr) == (0, True)
+
+
+def test_results_of_another_version_are_marked(root: Path) -> None:
+    assert "of cosim" not in _invoke("list").stdout
+    _write(root / "two", cosim_version="99.0")
+    _write(root / "three", cosim_version="99.1", schema_version=99)
+    listed = _invoke("list").stdout.splitlines()
+    assert listed[0].endswith("of cosim")
+    marks = {row["name"]: row["other_version"] for row in json.loads(_invoke("list", "--json").stdout)["results"]}
+    assert marks == {"one": None, "two": "99.0", "three": "99.1 (schema 99)"}
+    assert {line.split()[4] for line in listed[1:] if line.endswith(("99.0", "99.1 (schema 99)"))} == {"two", "three"}
+    said = _invoke("compare", "one", "two", "--no-report").stderr
+    assert f"note: results/two/manifest.json was written by cosim 99.0, and this is {__version__}" in said
+    (root / "three" / "report.html").write_text("<html>")
+    assert "has the schema version 99, written by cosim 99.1" in _invoke("open", "three", "--no-browser").stderr
+
+
+def test_the_cure_for_a_damaged_record_without_a_page_is_one_that_works(root: Path) -> None:
+    (root / "two" / "manifest.json").write_text('{"scenario": {')
+    for words in (("open", "two"), ("open", "results/two")):
+        assert "its record is damaged: run the command again" in str(_invoke(*words).exception)
+    assert "`cosim report results/one` writes it" in str(_invoke("open", "one").exception)
+
+
+@pytest.mark.parametrize(
+    ("verdict", "settled", "badge"),
+    [
+        ("improved", True, ("improved", "good")),
+        ("improved", False, ("improved, not settled", "warn")),
+        ("worse", False, ("worse", "bad")),
+    ],
+)
+def test_the_badge_of_a_fit_does_not_contradict_its_warnings(verdict: str, settled: bool, badge: Any) -> None:
+    outcome: Any = SimpleNamespace(estimate=SimpleNamespace(settled=settled))
+    record: Any = SimpleNamespace(verdict=verdict)
+    assert report._verdict(outcome, record) == badge
