@@ -71,7 +71,8 @@ def _replacing(read: Callable[..., Any], name: str) -> Callable[..., Any]:
 
 
 @pytest.mark.parametrize(
-    ("change", "words"), [(_removing, "was removed while it was read|no such file"), (_replacing, "removed or replaced")]
+    ("change", "words"),
+    [(_removing, "was removed while it was read|no such file"), (_replacing, "removed or replaced")],
 )
 def test_results_that_go_while_they_are_read_are_an_error_if_named_and_left_out_of_a_pattern(
     root: Path, monkeypatch: pytest.MonkeyPatch, change: Any, words: str

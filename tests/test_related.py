@@ -32,8 +32,10 @@ from cosim.fmi.related_files import (
     read_manifest,
 )
 from cosim.refinement.proof.carried import carry_sealed_logs
+from cosim.related import experiments
 from cosim.storage.archive import BadArchive
 from tests.decay import decay_fmu
+from tests.instants import CONSTANT, instants_fmu
 from tests.tank import MODEL
 
 FILES = (
@@ -133,7 +135,7 @@ def test_a_newer_version_and_files_that_are_not_there_are_warnings(fmu: Path, tm
     files = "".join(f'<Related source="{s}" role="result" type="text/csv"/>' for s in ("a.csv", "http://b/a.csv"))
     path = _with_manifest(fmu, tmp_path, f"<fmiReferences {head}>{files}</fmiReferences>")
     codes = [getattr(line, "code", "") for line in cosim.check(path, load=False)]
-    assert codes[-4:] == ["W-FMI-018", "W-FMI-019", "W-REL-001", "W-REL-002"]
+    assert codes[-5:] == ["W-FMI-018", "W-FMI-019", "W-REL-001", "W-REL-002", "N-REL-004"]
 
 
 def test_expected_results_are_compared_with_the_default_experiment(fmu: Path, tmp_path: Path) -> None:
@@ -176,6 +178,36 @@ def test_files_that_an_experiment_names_and_the_fmu_lacks_are_warnings(fmu: Path
         'a.exp names ../../../in.csv (stimuli of experiment "lost"), outside the FMU; it is not read',
         'a.exp names out.csv (references of experiment "lost"), which is not in the FMU',
     ]
+
+
+def test_stimuli_tick_triggered_clocks(tmp_path: Path) -> None:
+    fmu = instants_fmu(tmp_path / "scheduled.fmu", CONSTANT, scheduled=True)
+    run = Experiment("ticks", stop=1.0, step=0.1, stimuli="in.csv", references="out.csv")
+    times = [round(0.1 * k, 1) for k in range(11)]
+    stimuli = "".join(f"{t},{int(t in (0.2, 0.5))}\n" for t in times)
+    expected = "".join(f"{t},{k},{int(t >= 0.2) + int(t >= 0.5)}\n" for k, t in enumerate(times, 1))
+    members = {"in.csv": f"time,trigger\n{stimuli}".encode(), "out.csv": f"time,ticks,triggered\n{expected}".encode()}
+    add_related(fmu, [(RelatedFile("a.exp", "experiment", EXPERIMENTS), experiments_text("a", [run]))], members)
+    assert any('"ticks": 2 signals within' in line and "no difference" in line for line in cosim.check(fmu))
+
+
+def test_a_default_experiment_without_its_expected_results_is_run(fmu: Path, tmp_path: Path) -> None:
+    lost = f'<fmiReferences {HEAD}><Related source="a.csv" role="result" type="text/csv"/></fmiReferences>'
+    codes = [getattr(line, "code", "") for line in cosim.check(_with_manifest(fmu, tmp_path, lost))]
+    assert codes[-2:] == ["W-REL-001", "N-REL-008"]
+
+
+@pytest.mark.parametrize(("step", "exchange", "said"), [(1e-3, True, True), (1e-3, False, False), (1.0, True, False)])
+def test_co_simulation_of_too_many_internal_steps_gives_way_to_model_exchange(
+    step: float, exchange: bool, said: bool
+) -> None:
+    description = SimpleNamespace(
+        coSimulation=SimpleNamespace(fixedInternalStepSize=step),
+        modelExchange=SimpleNamespace() if exchange else None,
+        defaultExperiment=SimpleNamespace(startTime="1e-5", stopTime="1e8"),
+    )
+    notes = experiments._too_fine(description, experiments.with_default(Path("a.fmu"), Path(), ""))
+    assert [note.code for note in notes] == ["N-REL-011"] * said
 
 
 def test_other_types_are_listed(fmu: Path, tmp_path: Path) -> None:

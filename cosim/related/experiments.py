@@ -96,7 +96,7 @@ def _simulate(carried: Carried, out: Path) -> RecordedRun:
     ticks, driven = ({}, False) if stimuli is None else _ticks_in(stimuli, carried.fmu, part.description)
     path, _ = write_single(out, carried.fmu, start, stimuli if driven else None, stop=asked.stop, step=asked.step)
     settings = LIMITS | {"start_time": asked.start, f"components.{part.name}.tolerance": asked.tolerance}
-    if notes := _too_fine(part.description, asked):
+    if notes := _too_fine(part.description, carried):
         settings[f"components.{part.name}.interface"] = "model-exchange"
     settings |= {f"components.{part.name}.clocks.{name}": {"at": times} for name, times in ticks.items()}
     changes = [f"{key}={value}" for key, value in settings.items() if value is not None]
@@ -123,14 +123,14 @@ def _ticks_in(stimuli: Path, fmu: Path, description: Any) -> tuple[dict[str, lis
     return {name: rows.time[rows[name] > 0.0].tolist() for name in rows.columns if name in names}, driven
 
 
-def _too_fine(description: Any, asked: Experiment) -> tuple[Message, ...]:
+def _too_fine(description: Any, carried: Carried) -> tuple[Message, ...]:
     """Return a note if co-simulation would take too many internal steps, and the FMU offers model exchange."""
     step = getattr(description.coSimulation, "fixedInternalStepSize", None)
-    declared = experiment_of(description)
+    declared, asked = experiment_of(description), carried.experiment
     begin, end = (asked.start or declared.get("start", 0.0)), (asked.stop or declared.get("stop", 0.0))
     if not step or description.modelExchange is None or (end - begin) / float(step) < MOST_INNER_STEPS:
         return ()
-    return (messages.BY_MODEL_EXCHANGE(experiment=asked.name, count=(end - begin) / float(step), step=float(step)),)
+    return (messages.BY_MODEL_EXCHANGE(experiment=carried.title, count=(end - begin) / float(step), step=float(step)),)
 
 
 def _judge(carried: Carried, compared: Compared) -> tuple[list[str], list[Fault]]:

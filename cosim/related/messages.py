@@ -13,6 +13,6 @@ NOTHING_EXPECTED = Template("N-REL-008", "{experiment}: run to its end; no expec
 MEASURED = Template("N-REL-009", "{experiment}: root mean square of the error {errors}")
 BY_MODEL_EXCHANGE = Template(
     "N-REL-011",
-    '"{experiment}" is run by model exchange: in co-simulation the FMU would take {count:.0e} internal steps of {step:g} s',
+    "{experiment} is run by model exchange: co-simulation would take {count:.0e} internal steps of {step:g} s",
 )
 NOT_IN_FMU = Template("W-REL-010", "{experiment}: the FMU has no {names}; {count} of the expected results not compared")

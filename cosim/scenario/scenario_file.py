@@ -19,8 +19,8 @@ from cosim.scenario import messages
 from cosim.scenario.pinned import with_files_beside
 from cosim.scenario.scenario import Recording, Scenario, StepControl
 from cosim.scenario.signal_units import convert_quantities
-from cosim.storage.artefact import kind_by_keys
 from cosim.storage import messages as storage_messages
+from cosim.storage.artefact import kind_by_keys
 from cosim.storage.folders import SCHEMA_VERSION, other_version
 from cosim.storage.kinds import MANIFEST, SCENARIO, check_form, refuse_other
 from cosim.storage.yaml_file import Origin, YamlFile, did_you_mean, location_in, short

@@ -18,7 +18,7 @@ ARTEFACTS = (
     Artefact(
         MANIFEST,
         "`cosim run {file}` repeats its run",
-        keys=(frozenset({"scenario", "schema_version"}), frozenset({"scenario"})),
+        keys=tuple(frozenset({"scenario", key}) for key in ("schema_version", "cosim_version", "status")),
         verb="cosim run",
         marks=("manifest.json",),
         unfinished=("checkpoint/run.json",),

@@ -9,10 +9,10 @@ from typing import Any
 
 from cosim.base.errors import InputError
 from cosim.simulation import messages
+from cosim.storage import messages as storage_messages
 from cosim.storage.artefact import folder_kind
 from cosim.storage.folders import manifest_in, replay_record, warnings_on
 from cosim.storage.kinds import LOG, check_given, refuse_folder
-from cosim.storage import messages as storage_messages
 from cosim.storage.results import Results, cut_rows, read_results, rows_in
 from cosim.storage.table_source import suffixes
 

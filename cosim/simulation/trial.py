@@ -13,6 +13,7 @@ from cosim.base.errors import Fault, FmuError, InputError, refuse
 from cosim.base.messages import code_of, with_severity
 from cosim.base.scratch import temporary_folder
 from cosim.blocks.compiling import LIMIT, permission
+from cosim.blocks.description import takes_any_step
 from cosim.blocks.fmu import read_description
 from cosim.blocks.guard import validation
 from cosim.coupling.messages import ASSUMED_WITHOUT_FEEDTHROUGH
@@ -41,6 +42,7 @@ OF_LOOPS = {  # warnings of a system that a check shows
     )
 }
 MAX_CALL_TIME = 60.0  # allowed time [s] of a call during the trial of an FMU
+MOST_INNER_STEPS = 10_000  # of an FMU with a fixed internal step, so that the trial is short
 STEP, STEPS = 0.01, 500  # step [s] without a default experiment, and steps in an experiment without step size
 
 
@@ -80,7 +82,9 @@ def _experiment(description: Any) -> tuple[float, float]:
     start, stop, step = (
         float(getattr(experiment, name, None) or 0.0) for name in ("startTime", "stopTime", "stepSize")
     )
-    return start, step if step > 0.0 else (stop - start) / STEPS if stop > start else STEP
+    step = step if step > 0.0 else (stop - start) / STEPS if stop > start else STEP
+    inner = float(getattr(description.coSimulation, "fixedInternalStepSize", None) or 0.0)
+    return start, min(step, MOST_INNER_STEPS * inner) if inner and takes_any_step(description) else step
 
 
 def check_scenario(path: Path, checking: Checking) -> list[str]:
