@@ -95,7 +95,10 @@ def _simulate(carried: Carried, out: Path) -> RecordedRun:
     (part,) = parts_of([carried.fmu])
     ticks, driven = ({}, False) if stimuli is None else _ticks_in(stimuli, carried.fmu, part.description)
     path, _ = write_single(out, carried.fmu, start, stimuli if driven else None, stop=asked.stop, step=asked.step)
-    settings = LIMITS | {"start_time": asked.start, f"components.{part.name}.tolerance": asked.tolerance}
+    settings: dict[str, Any] = LIMITS | {
+        "start_time": asked.start,
+        f"components.{part.name}.tolerance": asked.tolerance,
+    }
     if notes := _too_fine(part.description, carried):
         settings[f"components.{part.name}.interface"] = "model-exchange"
     settings |= {f"components.{part.name}.clocks.{name}": {"at": times} for name, times in ticks.items()}
