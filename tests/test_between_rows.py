@@ -77,6 +77,7 @@ def test_the_way_that_the_rig_went_is_likelier_and_the_other_is_warned_of(tmp_pa
         assert gains[rig, rig] == pytest.approx(-gains[rig, other], rel=0.02)
 
 
+@pytest.mark.thorough
 def test_a_tank_that_is_filled_in_steps_holds_its_inputs(tmp_path: Path) -> None:
     found = between(tank_study(tmp_path))
     assert found.gain < -10.0

@@ -53,7 +53,9 @@ def test_both_ways_of_both_versions_agree_in_fmpy(tmp_path: Path, plant: str, ve
     assert np.max(np.abs(exchange - steps) / np.ptp(steps, axis=0)) < 1e-3
 
 
-@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize(
+    "fault", [pytest.param(fault, marks=pytest.mark.thorough) if k % 3 else fault for k, fault in enumerate(FAULTS)]
+)
 def test_each_fault_is_a_valid_fmu(tmp_path: Path, fault: str) -> None:
     for version in (2, 3):
         path = build(tmp_path / f"{version}.fmu", "drive", version, ways=WAYS, fault=fault)
@@ -147,7 +149,8 @@ def resident(path: Path) -> int:
     return size() - before
 
 
-@pytest.mark.parametrize("fault", ["crashes", pytest.param("hangs", marks=pytest.mark.thorough)])
+@pytest.mark.thorough
+@pytest.mark.parametrize("fault", ["crashes", "hangs"])
 def test_a_parameter_above_its_limit_ends_the_process(tmp_path: Path, fault: str) -> None:
     code = (
         "import sys; from pathlib import Path; from tests.test_blind_fmu import simulated; "

@@ -132,7 +132,18 @@ def without_effects() -> dict[str, Array]:
     return simulate(to_and_fro(120))
 
 
-@pytest.mark.parametrize(("effects", "tolerances"), CASES, ids=[str(named(e)) for e, _ in CASES])
+def once_quick() -> list[Any]:
+    """Return the cases: the first of each effect, and the others as thorough ones."""
+    seen: set[str] = set()
+    cases = []
+    for effects, tolerances in CASES:
+        marks = [pytest.mark.thorough] if seen >= effects.keys() else []
+        cases.append(pytest.param(effects, tolerances, id=str(named(effects)), marks=marks))
+        seen |= effects.keys()
+    return cases
+
+
+@pytest.mark.parametrize(("effects", "tolerances"), once_quick())
 def test_effect_agrees_with_the_independent_one(effects: Effects, tolerances: tuple[float, float]) -> None:
     commands = to_and_fro(120)
     exact = simulate(commands, effects)

@@ -161,6 +161,7 @@ def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(tmp_path: Pa
     assert first[0] != other[0]
 
 
+@pytest.mark.thorough
 def test_a_model_of_one_s_own_is_played_open_loop_within_its_limits(tmp_path: Path) -> None:
     model = f"{DRIVE}:Drive"
     found = excite(model, tmp_path, limits=["force=60", "position=150 mm"], duration=5.0, experiments=4)
@@ -279,6 +280,7 @@ def test_of_many_pairs_the_hardest_are_told_and_the_rest_counted(tmp_path: Path)
     assert (tmp_path / "excitation.yaml").read_text().count(" standard deviations (the manoeuvre:") == 20
 
 
+@pytest.mark.thorough
 def test_the_page_shows_input_separation_and_limits(tmp_path: Path) -> None:
     asked = ("base", tmp_path / "out", ["yaw_damping", "coriolis"])
     found = excite(*asked, limits=["x_world=500mm"], duration=5.0, experiments=2)

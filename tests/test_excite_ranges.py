@@ -129,6 +129,7 @@ def test_a_craft_is_not_told_a_duty_below_none(tmp_path: Path) -> None:
     assert np.abs(inputs["tilt_right"]).max() <= math.radians(5.0) + 1e-9
 
 
+@pytest.mark.thorough
 def test_without_a_word_of_it_commands_stay_where_the_logs_have_been(tmp_path: Path) -> None:
     study = tank_study(tmp_path)
     (tmp_path / "tank.py").write_text((tmp_path / "tank.py").read_text().replace("excursion = ", "spare = "))

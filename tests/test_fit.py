@@ -164,6 +164,7 @@ def test_a_parameter_that_ends_at_its_bound_is_named(bench: Path) -> None:
     assert any(w.startswith("damping ends at its bound 0.6") for w in fitted.record["warnings"])
 
 
+@pytest.mark.thorough
 def test_windows_replace_free_runs_that_drift(tmp_path: Path) -> None:
     rng, rows, h = np.random.default_rng(1), 401, 0.05
     force, pull = np.repeat(rng.uniform(-1.0, 1.0, 41), 10)[:rows], np.cumsum(0.02 * rng.standard_normal(rows))

@@ -87,6 +87,7 @@ def test_a_craft_that_remembers_is_explained_by_its_own_fmu_only(
     assert NOTHING not in verdict(base)
 
 
+@pytest.mark.thorough
 def test_restarted_from_its_own_outputs_an_fmu_of_ours_is_on_its_free_run(tmp_path: Path) -> None:
     """Nothing is lost between two windows: play, delay and tilt rate are put back bit for bit."""
     values = {name: value for effect in REMEMBER.values() for name, value in effect.items()}

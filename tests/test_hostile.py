@@ -227,7 +227,9 @@ ENORMOUS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("kind", ENORMOUS)
+@pytest.mark.parametrize(
+    "kind", [pytest.param(kind, marks=pytest.mark.thorough) if kind == "cells" else kind for kind in ENORMOUS]
+)
 def test_an_enormous_file_is_refused_with_a_reason(tmp_path: Path, kind: str) -> None:
     name, text, words = ENORMOUS[kind]
     (tmp_path / name).write_text(text)

@@ -131,6 +131,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
     return folder / "out", identify(path, folder / "out")
 
 
+@pytest.mark.thorough
 def test_the_bench_fmu_gives_its_own_numbers_back(found: tuple[Path, Any]) -> None:
     _, outcome = found
     wide = {k: e for k, e in outcome.estimates.items() if not abs(e.value - e.truth) <= 0.75 * (e.high - e.low)}
@@ -262,7 +263,7 @@ def changed(measured: Path, folder: Path, change: Any) -> Path:
     return written(folder, content)
 
 
-@pytest.mark.parametrize("cell", ["1e5", None, 5])
+@pytest.mark.parametrize("cell", [pytest.param("1e5", marks=pytest.mark.thorough), None, 5])
 def test_a_cell_that_is_no_cell_is_a_fault_beside_recordings_that_need_it(
     measured: Path, tmp_path: Path, cell: object
 ) -> None:

@@ -173,6 +173,7 @@ def test_what_swings_is_dead_or_saturated_is_not_at_rest(tmp_path: Path) -> None
     assert "ax is -0.1 or 0.1 in 6" in text
 
 
+@pytest.mark.thorough
 def test_a_distance_that_no_friction_gives_is_said(tmp_path: Path) -> None:
     for k in range(3):
         flown(tmp_path / f"{k}.csv", k, 0.25)

@@ -146,6 +146,7 @@ piece = st.tuples(st.floats(5.5, 7.5), st.floats(5.5, 7.5), st.floats(-0.8, 0.8)
 property_settings = settings(deadline=None, derandomize=True, max_examples=30)
 
 
+@pytest.mark.thorough
 @property_settings
 @given(st.lists(piece, min_size=3, max_size=3), st.floats(-1, 1))
 def test_one_step_is_as_good_as_its_halves(pieces: list[tuple[float, ...]], speed: float) -> None:

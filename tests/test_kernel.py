@@ -180,6 +180,7 @@ def test_a_covariance_stays_one_on_an_unstable_plant_with_fine_sensors() -> None
     np.testing.assert_allclose(run.covariances, run.covariances.transpose(0, 2, 1), rtol=1e-9)
 
 
+@pytest.mark.thorough
 def test_a_run_that_diverges_has_infinite_errors_from_there_on(craft: Generated, seen: Data) -> None:
     p = parameters(Hovercraft(), craft.layout, **{"unnamed.vx.vx³": 1e6})
     run = filtered(CompiledKernel(craft), seen, p)

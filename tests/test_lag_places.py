@@ -7,6 +7,7 @@ import math
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from cosim.estimation.posing import build_problem
 from cosim.refinement.decision.claims import experiment_for
@@ -21,6 +22,7 @@ ROWS, STEP, LAG, NOISE = 400, 2.0, 5.0, 0.02
 IN, OUT = "lag_at_heater", "lag_at_T_air"
 
 
+@pytest.mark.thorough
 def test_a_lag_of_the_input_and_one_of_the_sensor_are_rivals(tmp_path: Path) -> None:
     fmu = build(tmp_path / "box.fmu", "heated_box", ways=("model_exchange",))
     time, rng = STEP * np.arange(ROWS), np.random.default_rng(3)

@@ -374,6 +374,7 @@ def test_bode_plots_are_those_of_the_control_library(tank: Path) -> None:
 # FMUs and scenarios.
 
 
+@pytest.mark.thorough
 def test_an_fmu_s_own_slopes_and_differences_are_the_equations_exact_ones(native_plant: Path) -> None:
     at = ["phi_state=0.05", "vx_state=0.4", "tilt_right_state=0.15", "duty_right=6.5"]
     exact = linearize("base", at=["phi=0.05", "vx=0.4", "tilt_right=0.15", "duty_right=6.5"]).first

@@ -326,6 +326,7 @@ def test_a_search_reports_its_ranking(tmp_path: Path) -> None:
 # -- command ------------------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_the_example_runs_with_a_page_and_without_a_display_its_address_is_printed(tmp_path: Path) -> None:
     shutil.copytree(ROOT / "examples" / "live", tmp_path / "examples" / "live")
     cosim.build(tmp_path / "build" / "oven", f"{tmp_path / 'examples' / 'live' / 'oven.py'}:Oven")

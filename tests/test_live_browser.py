@@ -176,6 +176,7 @@ def test_the_page_is_accessible_and_fits_narrow_screens(browser: Browser, tmp_pa
     assert faults == []
 
 
+@pytest.mark.thorough
 def test_a_run_that_ends_shows_it_and_the_command_ends_with_its_page(browser: Browser, tmp_path: Path) -> None:
     faults: list[str] = []
     path = slow_scenario(tmp_path, duration=1.0)
@@ -192,7 +193,8 @@ def test_a_run_that_ends_shows_it_and_the_command_ends_with_its_page(browser: Br
     assert faults == []
 
 
-@pytest.mark.parametrize("scheme", ["light", pytest.param("dark", marks=pytest.mark.thorough)])
+@pytest.mark.thorough
+@pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_the_pages_of_sweep_and_refinement_show_what_there_is_and_are_accessible(browser: Browser, scheme: str) -> None:
     axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="no axe").Axe()
     faults: list[str] = []

@@ -279,6 +279,7 @@ def manoeuvre(extended: ExtendedFilter, *, wrong: float = 0.0) -> tuple[Any, Any
     return np.array(moment.state), extended.filter.x, sigma
 
 
+@pytest.mark.thorough
 def test_a_camera_in_world_axes_corrects_the_distance_along_a_path_that_turns() -> None:
     settings = ExtendedSettings(axes="world")
     extended = ExtendedFilter(Hovercraft(), settings, load_names(jacobians()), {})

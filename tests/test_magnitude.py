@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from cosim.estimation.posing import build_problem
 from cosim.refinement.decision.judgement import decide
@@ -20,6 +21,7 @@ ROWS, STEP, NOISE = 600, 0.02, 0.3
 ON_TRIAL = {"magnitude_at_speed", "scale_at_speed", "bias_at_speed", "gain_at_voltage", "bias_at_voltage"}
 
 
+@pytest.mark.thorough
 def test_the_magnitude_is_tried_from_the_given_parameters(tmp_path: Path) -> None:
     fmu = build(tmp_path / "motor.fmu", "dc_motor", ways=("model_exchange",))
     time, rng = STEP * np.arange(ROWS), np.random.default_rng(5)

@@ -482,6 +482,7 @@ def test_a_crash_at_half_the_step_is_told_and_takes_nothing_with_it(tmp_path: Pa
     )
 
 
+@pytest.mark.thorough
 def test_check_loads_an_fmu_and_steps_it_once_in_a_process_of_its_own(tmp_path: Path) -> None:
     assert check_files(deeds_fmu(tmp_path / "good.fmu")) == []
     bad = deeds_fmu(tmp_path / "bad.fmu", "DoStep", "segfault")
@@ -617,6 +618,7 @@ def test_all_rows_of_a_run_are_kept_that_is_stopped_after_its_last(tmp_path: Pat
     assert json.loads((tmp_path / "out" / "manifest.json").read_text())["status"] == "ok"
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(not LINUX, reason="signals and processes as Linux has them")
 def test_all_rows_of_a_replay_are_kept_that_is_stopped_after_its_last(tmp_path: Path) -> None:
     log, fmu = measured_log(tmp_path), deeds_fmu(tmp_path / "good.fmu")

@@ -127,6 +127,7 @@ def test_a_decay_ends_at_zero_natively_and_as_a_subnormal_number_in_python(nativ
     assert difference(exact, native) < TIGHT
 
 
+@pytest.mark.thorough
 def test_a_step_may_be_any_and_a_history_grows_with_need(native_plant: Path) -> None:
     values = {"actuator_delay.time": 0.5, "servo_backlash.width": 0.05}
     for step, count in ((0.0013, 1500), (0.1, 40)):

@@ -178,6 +178,7 @@ def test_without_an_effect_there_is_no_larger_model(tmp_path: Path) -> None:
     assert h is None or not h.names
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("claims", "is_far", "expected"),
     [

@@ -40,7 +40,7 @@ def _file(
     return path
 
 
-@pytest.fixture(scope="module", params=["C", "Python"])
+@pytest.fixture(scope="module", params=["C", pytest.param("Python", marks=pytest.mark.thorough)])
 def walk(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any, Any]:
     """A scenario that C or Python steps, with its run in all rows and in a part of them."""
     folder = tmp_path_factory.mktemp("walk")

@@ -91,6 +91,7 @@ def test_the_error_is_told_over_other_horizons_too(rubbing: Refinement) -> None:
         assert all(b > 2 * a for b, a in zip(before[1:], after[1:], strict=True))  # in 0.5 s it moves a noise of 1 mm
 
 
+@pytest.mark.thorough
 def test_a_model_that_ends_its_fmu_over_another_horizon_is_still_judged_over_its_own(
     rubbing: Refinement, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

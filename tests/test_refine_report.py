@@ -204,6 +204,7 @@ def test_the_page_is_whole_and_loads_nothing(cart: Refinement, tmp_path: Path) -
     assert all(f'id="{t}"' in text for t in targets)
 
 
+@pytest.mark.thorough
 def test_names_from_files_never_become_markup(cart: Refinement, tmp_path: Path) -> None:
     text = page(cart, tmp_path)
     assert "<b>&" not in text

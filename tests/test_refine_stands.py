@@ -108,6 +108,7 @@ def test_a_sensor_is_not_blamed_while_replays_stay_wrong() -> None:
     )
 
 
+@pytest.mark.thorough
 def test_an_effect_that_is_awake_is_given_the_substeps_it_needs(tmp_path: Path) -> None:
     title = '    title = "Rotary table"\n'
     (tmp_path / "table.py").write_text(TABLE.replace(title, f"{title}    substep = 0.0003125\n"), encoding="utf-8")

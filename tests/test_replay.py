@@ -187,6 +187,7 @@ def test_a_moving_craft_is_caught_where_it_is(flight: Flight, tmp_path: Path, pl
         assert start[f"{name}_start"] == pytest.approx(value, abs=1e-5)  # parabolas over 1 s, four passes
 
 
+@pytest.mark.thorough
 def test_the_start_is_as_good_as_the_noise_allows(plant_fmu: Path, tmp_path: Path) -> None:
     off = []
     for seed in range(6):
@@ -266,6 +267,7 @@ def test_a_free_run_is_held_against_the_noise_too(tmp_path: Path) -> None:
     assert "The fit of position is" in told
 
 
+@pytest.mark.thorough
 def test_a_model_that_stands_still_as_the_craft_does_misses_nothing(tmp_path: Path, plant_fmu: Path) -> None:
     still = measured(fly(times(12.0), share=0.0))
     comparison = write_replay(tmp_path, log_of(tmp_path / "a.csv", still), plant_fmu, report=False)

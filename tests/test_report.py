@@ -222,6 +222,7 @@ def test_nothing_serious_hinders_who_uses_keys_or_sees_little_in_the_page_of_a_r
     assert faults(tmp_path / "report.html", dark=True) == []
 
 
+@pytest.mark.thorough
 def test_half_an_hour_at_50_hz_is_whole_in_a_few_megabytes(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     results = craft_run(1800.0)

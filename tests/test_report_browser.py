@@ -170,6 +170,7 @@ def test_every_chart_is_saved_under_a_name_of_its_own_with_its_unit_where_titles
     assert {"tank_m.csv", "tank_m_s.csv", "tank_deg.csv"} <= set(names)
 
 
+@pytest.mark.thorough
 def test_what_a_chart_shows_is_saved_as_numbers_and_as_pictures(page: Page, report: tuple[Path, Results]) -> None:
     results = report[1]
     kept = {}

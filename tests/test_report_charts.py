@@ -232,6 +232,7 @@ def test_over_decades_the_frequency_that_is_read_is_a_row_of_the_response(plane:
     assert np.abs(np.log(shown[:, None] / OMEGA)).min(axis=1).max() < 1e-4
 
 
+@pytest.mark.thorough
 def test_of_points_in_a_plane_the_nearest_is_read_with_all_that_belongs_to_it(plane: Page) -> None:
     there, chart = box(plane, 1), plane.locator("[data-box]").nth(1)
     for number, pole in enumerate(POLES):

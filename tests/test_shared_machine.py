@@ -43,13 +43,8 @@ def said(done: subprocess.CompletedProcess[str]) -> list[str]:
 # -- temporary folders ----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "cosim-work-x",
-        *(pytest.param(name, marks=pytest.mark.thorough) for name in ("cosim-x", ".rows-x", "cosim-replay-rows-x")),
-    ],
-)
+@pytest.mark.thorough
+@pytest.mark.parametrize("name", ["cosim-work-x", "cosim-x", ".rows-x", "cosim-replay-rows-x"])
 def test_folders_of_another_user_stop_no_command(shared: Path, name: str) -> None:
     user = other_user(TMPDIR=str(shared))
     closed, open_ = shared / name, shared / f"{name}-open"

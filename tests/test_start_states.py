@@ -54,6 +54,7 @@ def problem(study: Study) -> Problem:
     return with_likely_starts(build_problem(study.subject, study.logs, noise=NOISE))
 
 
+@pytest.mark.thorough
 def test_every_state_that_shows_in_an_output_is_a_start_state(problem: Problem) -> None:
     names = [problem.layout.states[k] for k in problem.layout.start_places]
     assert names == ["start.motor_phi", "start.motor_w", "start.load_phi", "start.load_w"]

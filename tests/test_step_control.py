@@ -89,7 +89,11 @@ def test_halving_needs_less_than_a_fifth_of_the_points_of_equal_steps_at_equal_e
 
 
 @pytest.mark.parametrize(
-    ("estimator", "goal"), [("residual", 1e-3), ("energy, bonds: [{effort: wheel.y0, flow: chassis.y0}]", 4e-3)]
+    ("estimator", "goal"),
+    [
+        pytest.param("residual", 1e-3, marks=pytest.mark.thorough),
+        ("energy, bonds: [{effort: wheel.y0, flow: chassis.y0}]", 4e-3),
+    ],
 )
 def test_fmus_without_states_are_controlled_by_residuals_of_inputs_or_power(
     estimator: str, goal: float, tmp_path: Path

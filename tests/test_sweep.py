@@ -317,6 +317,7 @@ def test_the_runs_of_another_sweep_are_not_gone_on_with(tanks: Callable[..., Pat
     assert sweep(path, path.parent / "out", in_process=True, report=False, force=True).made == 6
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore")
 def test_a_dask_cluster_makes_the_same_table(tanks: Callable[..., Path]) -> None:
     distributed = pytest.importorskip("distributed")

@@ -90,6 +90,7 @@ def test_noise_on_the_states_moves_the_tilts_six_times_as_much_as_the_filter_doe
     assert filtered == pytest.approx(0.097, abs=0.005)
 
 
+@pytest.mark.thorough
 def test_the_command_prints_both_numbers_of_each_row_of_the_page() -> None:
     text = PAGE.read_text(encoding="utf-8")
     section = text.partition("## The scripts of the thesis")[2].partition("\n## ")[0]

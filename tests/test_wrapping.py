@@ -74,6 +74,7 @@ def test_dry_friction_at_a_port_is_that_of_the_equations(fmi: int, tmp_path: Pat
         assert off(truth, simulated(tmp_path / "w.fmu", way, force, drag)) < near
 
 
+@pytest.mark.thorough
 def test_forces_in_co_simulation_improve_with_shorter_substeps(tmp_path: Path) -> None:
     original, force = fmu_of("drive", 2, STEPS, tmp_path), push()
     truth = simulated(original, STEPS, force, {"coulomb_friction.level": 12.0})

@@ -22,15 +22,17 @@ from dataclasses import dataclass, field
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
+from pkgutil import walk_packages
 from typing import Any, NoReturn
 
+import cosim as cosim_package
 from cosim.fmi.native import compiler
 from cosim.isolation import process
 
 ROOT = Path(__file__).resolve().parent.parent
-MODULES = (
-    "cosim.master.remote", "cosim.residuals.remote_drive", "cosim.verbs.cli", "cosim.simulation.workflow", "fmpy.fmi2",
-    "fmpy.logging", "filterpy.kalman",
+FOREIGN = (
+    "email.message", "filterpy.kalman", "fmpy.fmi2", "fmpy.logging", "fmpy.validation", "jinja2", "lxml.etree",
+    "pydantic.type_adapter",
 )  # fmt: skip
 READ_AT_START = ("LD_", "PYTHON", "OMP_", "OPENBLAS_", "NUMBA_", "MALLOC_")  # variables that a fork comes too late for
 SPAWN = process._spawn  # what it does elsewhere
@@ -174,8 +176,9 @@ def _read_at_start(environment: Mapping[str, str]) -> dict[str, str]:
 
 def serve(asked: socket.socket) -> None:
     """Fork a worker for each message, and tell how each has ended, until the caller ends."""
-    for name in MODULES:
-        if find_spec(name.partition(".")[0]):
+    own = (module.name for module in walk_packages(cosim_package.__path__, "cosim."))
+    for name in (*FOREIGN, *own):
+        if find_spec(name.partition(".")[0]) and not name.endswith("__main__"):
             import_module(name)
     woken, wake = os.pipe()
     for number in (woken, wake):
