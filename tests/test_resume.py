@@ -243,6 +243,11 @@ def damaged_record(folder: Path) -> None:
     record.write_text(record.read_text()[:-100])
 
 
+def edited_record(folder: Path) -> None:
+    record = json.loads((folder / "checkpoint" / "run.json").read_text())
+    (folder / "checkpoint" / "run.json").write_text(json.dumps({**record, "files": []}))
+
+
 def removed_all(folder: Path) -> None:
     for path in [*folder.rglob("*.*"), folder / "checkpoint" / "state"]:
         path.unlink()
@@ -258,6 +263,7 @@ def removed_all(folder: Path) -> None:
         (changed_fmu, "E-SIM-001"),
         (removed_rows, "E-SIM-065"),
         (damaged_record, "E-SIM-064"),
+        (edited_record, "E-SIM-064"),
         (removed_all, "E-SIM-060"),
     ],
 )

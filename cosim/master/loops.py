@@ -36,6 +36,7 @@ PROBES = (1e-3, -1e-3, 0.5, -0.5)  # displacements that show whether an output d
 REACTION = 1e-9  # smallest relative change of an output that counts
 ROUNDING = 1e-6  # share of a step
 ROUNDED = 1e-13  # residual of rounding, relative to the magnitude
+PROPOSED = 1e-8  # tolerance that a message proposes for a smaller one
 RANGE = -3, 5  # exponents of 2 of other first points, where a component refuses the inputs
 MOST_DIFFERENCES = 50  # inputs of a loop without derivatives, beyond which Newton's method costs too much
 
@@ -217,8 +218,9 @@ class LoopSolver:
         fields |= {"residual": float(outcome.residual[worst]), "loop": self.name, "count": outcome.iterations}
         gave_up = outcome.iterations < self.settings.iterations  # because no step leads nearer
         fields |= {"more": "" if gave_up else messages.MORE_ITERATIONS(count=5 * self.settings.iterations)}
-        if abs(outcome.residual[worst]) <= ROUNDED * max(abs(outcome.z[worst]), self._roots.scale[worst]):
-            fields["more"] = messages.LARGER_TOLERANCE()
+        least = ROUNDED * max(abs(outcome.z[worst]), self._roots.scale[worst])
+        if abs(outcome.residual[worst]) <= least and self.settings.tolerance < PROPOSED:
+            fields["more"] = messages.LARGER_TOLERANCE(tolerance=PROPOSED)
         signals = ", ".join(t.name for t in self._transfers)
         message = messages.LOOP_NOT_SOLVED(signals=signals, tolerance=self.settings.tolerance, **fields)
         raise SimulationError("algebraic loop", t, message)

@@ -38,7 +38,7 @@ LOOP_NOT_SOLVED = Template(
     "it help{more}; order: [...] or algorithm: jacobi do not solve it",
 )
 LARGER_TOLERANCE = Template(
-    "N-MAS-064", ", or a larger tolerance: this residual is rounding (loops: {{tolerance: 1e-8}})"
+    "N-MAS-064", ", or a larger tolerance: this residual is rounding (loops: {{tolerance: {tolerance:g}}})"
 )
 MORE_ITERATIONS = Template("N-MAS-063", ", or more iterations (loops: {{iterations: {count}}})")
 TOLERANCE_NOT_MET = Template(

@@ -80,7 +80,7 @@ class StoppedRun:
         """
         record = copy.deepcopy(self.record)
         codes = record.pop(EXTRA, {}).get("codes", ())
-        pairs = zip_longest(record["warnings"], codes, fillvalue="")
+        pairs = zip_longest(record.get("warnings", ()), codes, fillvalue="")
         record["warnings"] = [Message(*pair) for pair in pairs] if warnings is None else [*warnings, *self.warnings]
         return record | {"status": "ok", "loop": "", "timings": {}, "criteria": []}
 
@@ -152,7 +152,7 @@ class StoppedRun:
 
     def check_end(self, until: float | None) -> None:
         """Raise InputError if the end is not later."""
-        if until is not None and until <= self.reached:
+        if until is not None and not self.reached < until < math.inf:
             raise InputError.at(self.folder, messages.END_NOT_LATER(time=self.reached, end=until))
 
     def start(self, system: System, scenario: Scenario) -> Continuation | None:
@@ -221,8 +221,10 @@ def _record_of(folder: Path) -> tuple[Path, dict[str, Any]]:
     record = {} if source is None else content_of(source)
     if source is None or (source.name == MANIFEST and "scenario" not in record):
         raise InputError.at(folder, messages.NOTHING_TO_RESUME())
-    if not isinstance(record.get("scenario"), dict):
-        raise InputError.at(source, messages.DAMAGED_CHECKPOINT(reason="it has no scenario"))
+    optional: dict[str, Any] = {"warnings": [], "timings": {}, EXTRA: {}}
+    wrong = [key for key, empty in optional.items() if not isinstance(record.get(key, empty), type(empty))]
+    if wrong or not isinstance(record.get("scenario"), dict):
+        raise InputError.at(source, messages.DAMAGED_CHECKPOINT(reason=f"it has no {[*wrong, 'scenario'][0]}"))
     if (version := record.get("cosim_version")) != __version__:
         raise InputError.at(source, messages.OTHER_VERSION(version=version, own=__version__))
     return source, record
@@ -242,8 +244,8 @@ def open_stopped(path: Path) -> StoppedRun:
     wait_for_worker(kept)
     remove_drafts(kept, (STATE, BESIDE, RUN))
     source, record = _record_of(folder)
-    timings = record.get("timings")
-    lasted = float(timings.get("simulate", 0.0)) if isinstance(timings, dict) else 0.0
+    simulated = record.get("timings", {}).get("simulate")
+    lasted = simulated if isinstance(simulated, float) else 0.0
     state = read_state(kept / STATE)
     if state is not None:
         checkpoint = _unpack(kept / STATE, state)

@@ -295,9 +295,9 @@ def _reason(error: Any) -> str:
         return str(context["error"])
     if kind.startswith("bool"):
         return "it is on or off"
-    if kind == "string_pattern_mismatch":  # one of two patterns in use
-        form = "component.variable, the component's name" if "\\." in str(context.get("pattern")) else "a name"
-        return f"it should be {form} of letters, digits and _ that begins with no digit"
+    if kind == "string_pattern_mismatch":
+        pattern = str(context.get("pattern"))
+        return f"it should be {next(form for part, form in _PATTERNS.items() if part in pattern)}"
     if kind in _WORDS:
         return _WORDS[kind]
     if kind in _LENGTHS and context.get("field_type") in {"List", "Tuple"}:
@@ -338,6 +338,12 @@ def _errors_of_branches(errors: Sequence[Any], data: Any) -> list[Any]:
     return selection
 
 
+_PATTERNS = {  # part of a pattern in use → form of its texts
+    ":[1-9]": "host:port, such as 192.168.0.7:5600",
+    "[^#+": "a topic without # and +",
+    "\\.": "component.variable, the component's name of letters, digits and _ that begins with no digit",
+    "": "a name of letters, digits and _ that begins with no digit",
+}
 _FORMS = {"dict_type", "model_type", "list_type", "tuple_type", "string_type", "float_type", "string_pattern_mismatch"}
 
 
