@@ -186,6 +186,18 @@ def test_a_server_that_is_not_there_and_a_port_in_use(there: Path, tmp_path: Pat
             FmuServer([there], port=port)
 
 
+def test_a_server_that_ends_before_it_answers_is_not_waited_for() -> None:
+    import zmq
+
+    with zmq.Context() as context, context.socket(zmq.ROUTER) as server:
+        port = server.bind_to_random_port("tcp://127.0.0.1")
+        with Control(f"127.0.0.1:{port}") as control:
+            server.close(0)
+            with pytest.raises(LinkError, match="the server has ended") as caught:
+                control.ask("open", 3600.0)
+    assert caught.value.code == "E-BLK-082"
+
+
 @pytest.mark.thorough
 def test_a_server_that_disappears_leaves_the_rows(there: Path, tmp_path: Path) -> None:
     with serving(there) as (at, process):

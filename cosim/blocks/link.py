@@ -31,8 +31,8 @@ ERROR = int(Operation.ERROR)
 LIVENESS = 1.0  # time [s] without answer after which the server is asked whether the session goes on
 
 
-def _connect(context: Any, at: str, keys: Keys | None) -> Any:
-    """Return a connected socket.
+def _connect(context: Any, at: str, keys: Keys | None) -> tuple[Any, Any]:
+    """Return a connected socket, and one that tells of its end.
 
     Raises:
         LinkError: No server answers, or the keys do not match.
@@ -42,6 +42,7 @@ def _connect(context: Any, at: str, keys: Keys | None) -> Any:
 
     socket = context.socket(zmq.DEALER)
     socket.linger, socket.maxmsgsize, socket.connect_timeout = 0, MOST_VALUES, int(1000 * CONNECTING)
+    socket.heartbeat_ivl, socket.heartbeat_timeout = int(1000 * LIVENESS), int(1000 * ANSWERING)
     if keys is not None:
         socket.curve_publickey, socket.curve_secretkey, socket.curve_serverkey = keys.public, keys.secret, keys.server
     watch = socket.get_monitor_socket()
@@ -51,19 +52,22 @@ def _connect(context: Any, at: str, keys: Keys | None) -> Any:
         while watch.poll(max(0, int(1000 * (end - time.monotonic())))):
             event = recv_monitor_message(watch)["event"]
             if event == zmq.EVENT_HANDSHAKE_SUCCEEDED:
-                return socket
+                return socket, watch
             connected = connected or event == zmq.EVENT_CONNECTED
             if event in (zmq.EVENT_CLOSED, zmq.EVENT_DISCONNECTED, *_failures(zmq)):
                 break
     except zmq.ZMQError as error:
         failure = messages.UNUSABLE_ADDRESS(at=at, reason=str(error))
-    finally:
-        socket.disable_monitor()
-        watch.close(0)
-    socket.close(0)
+    _close(socket, watch)
     if connected:
         raise LinkError(messages.HANDSHAKE_FAILED(at=at), exit_code=2)
     raise LinkError(failure)
+
+
+def _close(socket: Any, watch: Any) -> None:
+    socket.disable_monitor()
+    watch.close(0)
+    socket.close(0)
 
 
 def _failures(zmq: Any) -> tuple[int, ...]:
@@ -91,7 +95,7 @@ class Control:
         self.at, self.keys = at, client_keys(at)
         self.context = zeromq().Context()
         try:
-            self._socket = _connect(self.context, at, self.keys)
+            self._socket, self._watch = _connect(self.context, at, self.keys)
         except BaseException:
             self.context.term()
             raise
@@ -104,7 +108,7 @@ class Control:
 
     def close(self) -> None:
         """Close the connection."""
-        self._socket.close(0)
+        _close(self._socket, self._watch)
         self.context.term()
 
     def ask(self, do: str, wait: float = ANSWERING, **content: Any) -> dict[str, Any]:
@@ -114,8 +118,12 @@ class Control:
             LinkError: The server refuses, is silent, or has another version of the protocol.
         """
         self._socket.send(encode({"protocol": VERSION, "do": do, **content}))
-        if not self._socket.poll(int(1000 * wait)):
-            raise LinkError(messages.SERVER_SILENT(at=self.at, wait=wait))
+        end = time.monotonic() + wait
+        while not self._socket.poll(int(1000 * LIVENESS)):
+            if self._has_ended():
+                raise LinkError(messages.CONNECTION_LOST(at=self.at, reason="the server has ended"))
+            if time.monotonic() > end:
+                raise LinkError(messages.SERVER_SILENT(at=self.at, wait=wait))
         try:
             answer: dict[str, Any] = decode(self._socket.recv())
             version = answer["protocol"]
@@ -127,6 +135,16 @@ class Control:
             message = Message(f"{self.at}: {error['text']}", error["code"])
             raise LinkError(message, error.get("key", "at"), error.get("exit_code", 3))
         return answer
+
+
+    def _has_ended(self) -> bool:
+        """Return whether the connection ended since the last call."""
+        from zmq.utils.monitor import recv_monitor_message
+
+        events = set()
+        while self._watch.poll(0):
+            events.add(recv_monitor_message(self._watch)["event"])
+        return zeromq().EVENT_DISCONNECTED in events
 
 
 class Session:
@@ -192,6 +210,8 @@ class Session:
         try:
             return self._control.ask("status", session=self.number)
         except LinkError as error:
+            if error.message.code == messages.CONNECTION_LOST.code:
+                raise Crashed(self.name, self.time, error.message) from None
             raise self._lost(str(error)) from None
 
     def _lost(self, reason: str) -> Crashed:
