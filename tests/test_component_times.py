@@ -33,6 +33,7 @@ def sampled(
     warn: Callable[[Slower], None] = lambda s: None,
     *,
     controlled: bool = False,
+    given: int = 0,
 ) -> ComponentTimes:
     """Sample a run of which each row consists of calls with their lengths [s].
 
@@ -40,7 +41,7 @@ def sampled(
         controlled: Whether each call is one of several steps of a row.
     """
     clock, rng = Clock(), np.random.default_rng(seed)
-    times = ComponentTimes(["wheel", "road"], ROWS, lambda rows: 0.02 * max(0, rows - 1), warn, clock)
+    times = ComponentTimes(["wheel", "road"], ROWS, lambda rows: 0.02 * max(0, rows - 1), warn, clock, given)
     end = due = 0.0
     steps = 0
     for k in range(1, ROWS):
@@ -83,6 +84,18 @@ def test_a_component_that_gets_slower_is_named_with_factor_and_time(seed: int) -
     assert slower.component == "wheel"
     assert slower.factor == pytest.approx(14.0, rel=0.15)
     assert slower.since == pytest.approx(19.0, abs=0.4)
+
+
+@pytest.mark.parametrize("controlled", [False, True])
+def test_the_quick_repetition_of_given_rows_is_no_earlier_speed(controlled: bool) -> None:
+    told: list[Slower] = []
+
+    def resumed(k: int) -> list[tuple[int, float]]:
+        return [(call(0, ADVANCE), 0.0001 if k < 400 else 0.02), (call(1, ADVANCE), 0.001)]
+
+    times = sampled(resumed, warn=told.append, given=400, controlled=controlled)
+    assert (told, times.slower()) == ([], [])
+    assert times.record()["components"]["wheel"]["share"] == pytest.approx(20 / 21, abs=0.02)
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -136,7 +136,6 @@ class Control:
             raise LinkError(message, error.get("key", "at"), error.get("exit_code", 3))
         return answer
 
-
     def _has_ended(self) -> bool:
         """Return whether the connection ended since the last call."""
         from zmq.utils.monitor import recv_monitor_message

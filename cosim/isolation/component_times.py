@@ -61,6 +61,7 @@ class ComponentTimes:
         at: Function from rows to simulated time [s].
         warn: Function called when a component gets much slower.
         clock: Wall clock [s].
+        given: Rows of a stopped run, whose repetition is not counted.
     """
 
     components: Sequence[str]
@@ -68,6 +69,7 @@ class ComponentTimes:
     at: Callable[[int], float]
     warn: Callable[[Slower], None] = lambda slower: None
     clock: Callable[[], float] = time.monotonic
+    given: int = 0
     readings: int = 0  # whose time is counted
     rest: float = 0.0  # [s] between calls of components, as for a checkpoint
     _random: random.Random = field(default_factory=lambda: random.Random(0))
@@ -78,10 +80,16 @@ class ComponentTimes:
         self._stepped = 0
         self._reached = 0  # rows
         self._last = self.clock()
-        self._marks = [(self._last, 0, np.zeros(len(self.components) + 1))]  # wall time, steps, time of each part
-        self._rows_at = {0: 0}  # steps → rows of marks
+        self._begin(self._last, 0)
         self._warned = np.ones(len(self.components) + 1)  # factors of the last warnings; the last one: of the run
         self._rests = np.zeros(len(self._bins))  # `rest` by parts
+
+    def _begin(self, now: float, steps: int) -> None:
+        """Begin to count after steps."""
+        self._last, self._stepped = now, steps
+        first = steps or self.given
+        self._marks = [(now, first, np.zeros(len(self.components) + 1))]  # wall time, steps, time of each part
+        self._rows_at = {first: self.given}  # steps → rows of marks
 
     def pause(self) -> float:
         """Return the irregular time [s] to the next reading."""
@@ -94,6 +102,9 @@ class ComponentTimes:
             steps: Number of communication steps; 0 if they are the rows.
         """
         now = self.clock()
+        if made < self.given:
+            self._begin(now, steps)
+            return
         elapsed, self._last = now - self._last, now
         number, call = divmod(doing, CALLS)
         self._reached = max(self._reached, made)
@@ -123,9 +134,9 @@ class ComponentTimes:
 
     def slower(self) -> list[Slower]:
         """Return components that get slower than the rest, by extra time; otherwise the run, if it does."""
-        reached = self._bin(self._reached)
-        steps = self._steps[:reached] if self._stepped else np.ones(reached)
-        parts = np.column_stack([self._bins[:reached, :, :OTHER].sum(axis=2), self._rests[:reached]])
+        first, reached = self._bin(self.given), self._bin(self._reached)
+        steps = self._steps[first:reached] if self._stepped else np.ones(reached - first)
+        parts = np.column_stack([self._bins[first:reached, :, :OTHER].sum(axis=2), self._rests[first:reached]])
         found = []
         for k, name in enumerate(self.components):
             if (change := _change(parts[:, k], steps)) is None:
@@ -145,7 +156,7 @@ class ComponentTimes:
 
     def _time_of(self, part: int) -> float:
         """Return the simulated time [s] at which a part begins."""
-        return self.at(-(-part * self.rows // len(self._bins)))
+        return self.at(-(-(self._bin(self.given) + part) * self.rows // len(self._bins)))
 
     def _bin(self, made: int) -> int:
         """Return the part that contains a row."""
@@ -157,10 +168,10 @@ class ComponentTimes:
         self._marks.append((now, steps, own))
         self._rows_at[steps] = made
         begin = next((m for m in reversed(self._marks) if now - m[0] >= WINDOW), None)
-        if begin is None or begin[1] < 2:
+        if begin is None or begin[1] - self._marks[0][1] < 2:
             return
         before, after = begin[2], own - begin[2]
-        longer = max(1, steps - begin[1]) / begin[1]
+        longer = max(1, steps - begin[1]) / (begin[1] - self._marks[0][1])
         factors = _relative(before, after, longer)
         is_run = before.sum() and not (self._warned[:-1] > 1.0).any() and _is_even(before, after)
         factors[-1] = after.sum() / before.sum() / longer if is_run else 1.0

@@ -12,6 +12,7 @@ from functools import partial
 from typing import Any
 
 from cosim.base.errors import InputError
+from cosim.base.text import counted
 from cosim.master import messages
 from cosim.master.inbox import targets_of
 from cosim.partners.links import Broker, NoLink, UdpReceiver, UdpSender
@@ -174,7 +175,11 @@ class LiveValues:
                 first = each.outages[0]
                 notes.append(
                     messages.PARTNER_LOST(
-                        **fields, count=each.lost_count, at=first["from"], longest=each.longest, limit=self._plan.lost
+                        **fields,
+                        count=counted(each.lost_count, "time"),
+                        at=first["from"],
+                        longest=each.longest,
+                        limit=self._plan.lost,
                     )
                 )
             if each.refused:

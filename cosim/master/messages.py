@@ -102,7 +102,7 @@ PACE_NOT_KEPT = Template(
 )
 PARTNER_LOST = Template(
     "W-MAS-053",
-    "{input}: no message from {partner} for more than {limit:g} s, {count} times, first from t = {at:.6g} s on, at "
+    "{input}: no message from {partner} for more than {limit:g} s, {count}, first from t = {at:.6g} s on, at "
     "longest for {longest:.3g} s; its last value was held",
 )
 MESSAGE_REFUSED = Template(

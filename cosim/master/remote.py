@@ -293,7 +293,8 @@ def simulate_apart(
         worker.progress.stop[0] = feed.is_over
 
     names = system.names
-    times = ComponentTimes(names, steps + 1, partial(_last_time, system, h), warn) if warn is not None else None
+    given, last = (Keeping() if keeping is None else keeping).first_rows, partial(_last_time, system, h)
+    times = ComponentTimes(names, steps + 1, last, warn, given=given) if warn is not None else None
     grace = 0.0 if keeping is None else keeping.grace
     calls = [fmi_calls(getattr(stage.component, "description", None)) for stage in system.stages]
     at = partial(_time_of_call, system, steps, h)

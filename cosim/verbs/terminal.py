@@ -21,7 +21,7 @@ from cosim.base.messages import code_of, with_severity
 from cosim.verbs import messages
 from cosim.verbs.streams import echo
 
-LONG_RUN = 2000  # steps from which a progress bar is shown
+LONG_RUN, LONG_TIME = 2000, 2.0  # steps, or time [s], from which a progress bar is shown
 StageNumber = Callable[[str], tuple[int, int]]
 
 
@@ -187,11 +187,12 @@ def progress_bar(activity: str = "simulating") -> Iterator[Callable[[int, int], 
 
     columns = TextColumn(activity), BarColumn(), TextColumn("{task.percentage:>3.0f} %"), TimeRemainingColumn()
     bar = Progress(*columns, console=Console(stderr=True), transient=True)
-    task = None
+    task, first = None, math.inf
 
     def advance(done: int, total: int) -> None:
-        nonlocal task
-        if total < LONG_RUN:
+        nonlocal task, first
+        first = min(first, time.monotonic())
+        if total < LONG_RUN and time.monotonic() - first < LONG_TIME:
             return
         if task is None:
             bar.start()
