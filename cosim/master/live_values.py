@@ -172,16 +172,9 @@ class LiveValues:
         for each in self._inputs:
             fields = {"input": each.port.name, "partner": each.port.label}
             if each.lost_count:
-                first = each.outages[0]
-                notes.append(
-                    messages.PARTNER_LOST(
-                        **fields,
-                        count=counted(each.lost_count, "time"),
-                        at=first["from"],
-                        longest=each.longest,
-                        limit=self._plan.lost,
-                    )
-                )
+                first, count = each.outages[0]["from"], counted(each.lost_count, "time")
+                times = {"at": first, "longest": each.longest, "limit": self._plan.lost}
+                notes.append(messages.PARTNER_LOST(**fields, **times, count=count))
             if each.refused:
                 notes.append(messages.MESSAGE_REFUSED(**fields, count=each.refused, reason=each.reason))
         notes += [
