@@ -77,6 +77,22 @@ def messages_of(folder: Path, *arguments: Any, **more: Any) -> list[str]:
 # -- events ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize(
+    ("declared", "words"),
+    [
+        ('intervalDecimal="0"', "clock sample: its interval is 0 s"),
+        ('intervalDecimal="-1"', "its interval is -1 s; a periodic clock needs one above 0"),
+        ('intervalDecimal="abc"', 'intervalDecimal of the clock sample is "abc", which is no number'),
+        ('intervalCounter="1" resolution="0"', 'resolution of the clock sample is "0"'),
+    ],
+)
+def test_a_clock_without_a_period_is_a_fault_of_its_fmu(tmp_path: Path, declared: str, words: str) -> None:
+    instants_fmu(tmp_path / "bad.fmu", f'intervalVariability="constant" {declared}')
+    with pytest.raises(InputError, match=words) as failure:
+        build_system(scenario(tmp_path, {"a": {"fmu": "bad.fmu"}}))
+    assert failure.value.exit_code == 3
+
+
 def test_an_event_of_one_fmu_reaches_the_others_at_its_own_time(folder: Path) -> None:
     follower = {"fmu": "states.fmu", "event_mode": True, "start": {"level": 9.0}}
     results = simulated(folder, {"b": follower, "a": RISES}, ["a.events → b.kick"])

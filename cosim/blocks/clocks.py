@@ -5,15 +5,19 @@ from __future__ import annotations
 import math
 import zipfile
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 from xml.etree import ElementTree
 
+from cosim.base.errors import FmuError
+from cosim.blocks import messages
 from cosim.storage.archive import DESCRIPTION
 
 ClockKind = Literal["constant", "fixed", "tunable", "changing", "countdown", "triggered"]
 PERIODIC = ("constant", "fixed", "tunable")
+NUMBERS = {"intervalDecimal", "intervalCounter", "resolution", "shiftDecimal", "shiftCounter", "priority"}
 LOWEST = 2**31  # priority of a clock without one: after all others
 
 
@@ -66,6 +70,9 @@ def read_clocks(path: Path, description: Any) -> dict[str, Clock]:
     """Return the clocks of an FMU by name.
 
     FMPy reads neither intervals nor priorities.
+
+    Raises:
+        FmuError: An interval, a shift or a priority is no number, or a period is not above 0.
     """
     variables = {v.name: v for v in description.modelVariables if v.type == "Clock"}
     if not variables:
@@ -77,25 +84,36 @@ def read_clocks(path: Path, description: Any) -> dict[str, Clock]:
         name = node.get("name", "")
         if name in variables:
             attributes = {**types.get(node.get("declaredType"), {}), **node.attrib}
-            clocks[name] = _clock(variables[name], attributes)
+            numbers = {key: _number(path, name, key, attributes[key]) for key in NUMBERS & attributes.keys()}
+            clocks[name] = clock = _clock(variables[name], attributes.get("intervalVariability", "triggered"), numbers)
+            if clock.interval is not None and not clock.interval > 0.0:
+                reason = messages.BAD_INTERVAL(interval=clock.interval).after(f"clock {name}: ")
+                raise FmuError(messages.INVALID_FMU.around(reason, file=path))
     return clocks
 
 
-def _clock(variable: Any, attributes: Mapping[str, str]) -> Clock:
-    resolution = float(attributes.get("resolution") or 1)
-    kind = attributes.get("intervalVariability", "triggered")
-    interval = attributes.get("intervalDecimal")
-    if interval is None and "intervalCounter" in attributes:
-        interval = str(float(attributes["intervalCounter"]) / resolution)
-    shift = attributes.get("shiftDecimal") or float(attributes.get("shiftCounter") or 0) / resolution
+def _number(path: Path, clock: str, key: str, text: str) -> float:
+    """Return a number of the description."""
+    with suppress(ValueError):
+        if math.isfinite(number := float(text)) and (number > 0.0 or key != "resolution"):
+            return number
+    raise FmuError(messages.INVALID_NUMBER(file=path, place=f"{key} of the clock {clock}", value=text))
+
+
+def _clock(variable: Any, kind: str, numbers: Mapping[str, float]) -> Clock:
+    resolution = numbers.get("resolution", 1.0)
+    interval = numbers.get("intervalDecimal")
+    if interval is None and "intervalCounter" in numbers:
+        interval = numbers["intervalCounter"] / resolution
+    shift = numbers.get("shiftDecimal") or numbers.get("shiftCounter", 0.0) / resolution
     return Clock(
         variable.name,
         variable.valueReference,
         kind,  # type: ignore[arg-type]  # checked by FMPy against the schema
         variable.causality,
-        None if interval is None or kind not in PERIODIC else float(interval),
-        float(shift),
-        int(attributes.get("priority") or LOWEST),
+        interval if kind in PERIODIC else None,
+        shift,
+        int(numbers.get("priority", LOWEST)),
         frozenset(clock.name for clock in variable.clocks or ()),
     )
 
