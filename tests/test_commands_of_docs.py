@@ -3,16 +3,26 @@
 from __future__ import annotations
 
 import importlib.util
+import math
 import re
 import shlex
+import shutil
+import subprocess
+import sys
 import tomllib
 import webbrowser
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+import cosim
 from tests.conftest import ROOT
+from tests.decay import decay_fmu
+from tests.logs import write_log
+from tests.motor import motor_file, motor_log
+from tests.native import NEEDS_COMPILER
 from tests.test_first_steps import told
 from tests.test_help import COMMANDS
 
@@ -22,6 +32,10 @@ DOCUMENTS = {
     for path in (ROOT / "README.md", *ROOT.glob("docs/*.md"), *ROOT.glob("examples/**/README.md"))
 }
 
+EXECUTED = (
+    *("docs/fit.md", "docs/hosts.md", "docs/logs.md", "docs/native.md", "docs/probing.md", "docs/related.md"),
+    *("docs/ssp.md", "docs/sweep.md", "docs/times.md", "examples/clocks/README.md"),
+)
 # document → what runs its commands as they stand, or with shorter times
 RUN: Mapping[str, str] = {
     "README.md": "tests/test_docs.py",
@@ -33,28 +47,19 @@ RUN: Mapping[str, str] = {
     "docs/refined.md": "tests/test_docs.py",
     "docs/seed.md": "tests/test_seed.py",
     "examples/coupling/README.md": "tests/test_coupling_examples.py",
+    **dict.fromkeys(EXECUTED, "tests/test_commands_of_docs.py"),
 }
 YOURS = "the files are those of the reader"
 LONG = "a whole study takes minutes to hours"
 # document → reason why its commands are parsed only, and the tests that run the same verbs and options
 PARSED: Mapping[str, tuple[str, str]] = {
-    "docs/fit.md": (YOURS, "tests/test_fit.py"),
-    "docs/hosts.md": ("tests build these FMUs in folders of their own", "tests/test_native.py"),
     "docs/live.md": ("a page is open until its reader closes it", "tests/test_live_browser.py"),
-    "docs/logs.md": (YOURS, "tests/test_replay.py"),
-    "docs/native.md": ("libraries of other systems need a compiler that is not everywhere", "tests/test_native.py"),
-    "docs/probing.md": (YOURS, "tests/test_probing.py"),
     "docs/real_time.md": ("a run at the pace of the clock, with partners", "tests/test_live_values.py"),
     "docs/refine_fmu.md": (YOURS, "tests/test_refine_fmu.py"),
-    "docs/related.md": ("an FMU of another project", "tests/test_related.py"),
     "docs/remote.md": ("a server runs until it is ended", "tests/test_remote.py"),
     "docs/resume.md": ("a run that is stopped in its middle", "tests/test_resume.py"),
-    "docs/ssp.md": ("tests export shorter scenarios", "tests/test_ssp.py"),
-    "docs/sweep.md": ("hundreds of runs", "tests/test_sweep.py"),
-    "docs/times.md": ("tests run a shorter scenario", "tests/test_component_times.py"),
     "docs/verbs.md": ("the craft is linearized elsewhere, results are listed below", "tests/test_linearize.py"),
     "docs/view.md": ("a page is open until its reader closes it; the conversion is run below", "tests/test_view.py"),
-    "examples/clocks/README.md": ("needs a compiler", "tests/test_compile.py"),
     "examples/remote/README.md": ("a server beside a run", "tests/test_remote.py"),
     **{
         f"examples/{name}/README.md": (LONG, f"tests/{test}.py")
@@ -74,12 +79,17 @@ PARSED: Mapping[str, tuple[str, str]] = {
 }
 
 
-def shown(document: str) -> list[str]:
-    """The commands of a document, in code blocks for a shell or indented, without `cosim`."""
+def lines_of(document: str) -> list[str]:
+    """The lines in code blocks of a document for a shell, or indented."""
     text = DOCUMENTS[document].read_text(encoding="utf-8")
     blocks = [block for kind, block in re.findall(r"```(\w*)\n(.*?)```", text, re.DOTALL) if kind in {"sh", "text", ""}]
     lines = [line for block in blocks for line in block.splitlines()] + re.findall(r"^ {4}(\S.*)$", text, re.MULTILINE)
-    return [found[1] for line in lines if (found := LINE.fullmatch(line.strip()))]
+    return [line.strip() for line in lines]
+
+
+def shown(document: str) -> list[str]:
+    """The commands of a document, without `cosim`."""
+    return [found[1] for line in lines_of(document) if (found := LINE.fullmatch(line))]
 
 
 COMMANDS_OF = {document: lines for document in DOCUMENTS if (lines := shown(document))}
@@ -179,6 +189,127 @@ def test_each_document_with_commands_is_run_or_has_a_reason_why_not() -> None:
     assert {*COMMANDS_OF} == {*RUN, *PARSED}
     runners = [*RUN.values(), *(runner for _, runner in PARSED.values())]
     assert [name for name in runners if not (ROOT / name).is_file()] == []
+
+
+# -- commands that are run here, with shorter times or another folder ---------------------------------------
+
+
+def _of_the_craft(folder: Path) -> None:
+    """FMUs and scenarios are those of `project`; logs of two seconds, one with a column of another name."""
+    rows = (ROOT / "examples/hovercraft/v1.csv").read_text(encoding="utf-8").splitlines()[:101]
+    (folder / "LOG.csv").write_text("\n".join([rows[0].replace("psi,", "heading [rad],", 1), *rows[1:]]) + "\n")
+    shutil.copy(folder / "build" / "plant.fmu", folder / "other.fmu")
+    motor_file(folder).rename(folder / "model.py")
+    rows = motor_log(folder / "MOTOR.csv", 1, seconds=2.0).read_text().splitlines()
+    head = rows[0].replace("time", "stamp").replace("speed", "measured_speed")
+    (folder / "MOTOR.csv").write_text("\n".join([head, *rows[1:]]) + "\n")
+
+
+def _of_a_cart(folder: Path) -> None:
+    """A cart with mass and friction as an FMU, and logs of it."""
+    (folder / "cart.py").write_text(CART, encoding="utf-8")
+    cosim.build(folder, f"{folder / 'cart.py'}:Cart")
+    (folder / "plant.fmu").rename(folder / "motor.fmu")
+    time = np.arange(0.0, 4.0, 0.02)
+    for seed, name in enumerate("abc"):
+        rng = np.random.default_rng(seed)
+        force, speed = np.repeat(rng.uniform(-1.0, 1.0, 10), 20), np.zeros(200)
+        decay = math.exp(-0.5 / 0.8 * 0.02)
+        for k in range(199):
+            speed[k + 1] = decay * speed[k] + (1.0 - decay) * force[k] / 0.5
+        write_log(folder / f"{name}.csv", {"time": time, "force": force, "speed": speed + rng.normal(0, 1e-3, 200)})
+
+
+def _of_a_sweep(folder: Path) -> None:
+    """Four runs in place of 1024, of a second."""
+    shutil.copytree(ROOT / "examples" / "hovercraft", folder / "examples" / "hovercraft")
+    file = folder / "examples" / "hovercraft" / "sweep.yaml"
+    file.write_text(file.read_text(encoding="utf-8").replace("runs: 1024", "runs: 4"), encoding="utf-8")
+
+
+def _refined(folder: Path) -> None:
+    """What a refine leaves, for `build --model`."""
+    model = folder / "results" / "refine" / "model.yaml"
+    model.parent.mkdir(parents=True)
+    model.write_text("schema_version: 1\nmodel: hovercraft\nparameters: {yaw_damping.coefficient: 0.006}\n")
+
+
+def _clocks(folder: Path) -> None:
+    shutil.copytree(ROOT / "examples" / "clocks", folder / "examples" / "clocks")
+
+
+CART = '''"""A cart that a force moves against viscous friction."""
+
+from dataclasses import dataclass
+
+from cosim.model import Equations, Model, Namespace, Number, Quantity, Values, parameter
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cart(Model):
+    """Cart."""
+
+    title = "cart"
+    base_states = (Quantity("speed", "m/s", "speed"),)
+    inputs = (Quantity("force", "N", "force"),)
+    outputs = base_states
+    sensor_variance = {"speed": 1e-6}
+    forced = ("speed",)
+    calibrated = ("mass", "friction")
+
+    mass: float = parameter(1.0, unit="kg", bounds=(0.1, 5), doc="mass")
+    friction: float = parameter(0.4, unit="N.s/m", bounds=(0.01, 5), doc="viscous friction")
+
+    def equations(self, m: Namespace) -> Equations:
+        """m·dv/dt = F − f·v."""
+
+        def derivative(t: Number, state: Values, command: Values) -> Values:
+            return ((command[0] - self.friction * state[0]) / self.mass,)
+
+        def output(t: Number, state: Values, command: Values) -> Values:
+            return state
+
+        return Equations(derivative, output)
+'''
+SHORT = {
+    "run": ("--no-report", "--set", "duration=2", "--set", "criteria={}"),
+    "replay": ("--no-report",), "sweep": ("--no-report", "--workers", "1"), "fit": ("--no-report",),
+}  # fmt: skip
+LONGER = [pytest.mark.thorough]
+PREPARED = [
+    ("docs/logs.md", _of_the_craft, ()),
+    ("docs/related.md", lambda folder: decay_fmu(folder / "BouncingBall.fmu"), ()),
+    ("docs/times.md", lambda folder: None, ()),
+    ("examples/clocks/README.md", _clocks, [NEEDS_COMPILER]),
+    ("docs/ssp.md", lambda folder: None, [NEEDS_COMPILER]),
+    ("docs/fit.md", _of_a_cart, LONGER),
+    ("docs/probing.md", _of_a_cart, LONGER),
+    ("docs/sweep.md", _of_a_sweep, LONGER),
+    ("docs/native.md", _refined, [*LONGER, NEEDS_COMPILER]),
+    ("docs/hosts.md", _refined, [*LONGER, NEEDS_COMPILER]),
+]
+
+
+@pytest.mark.parametrize(
+    ("document", "prepare"),
+    [pytest.param(d, p, marks=marks, id=Path(d).parent.name + Path(d).stem) for d, p, marks in PREPARED],
+)
+def test_the_commands_of_a_document_run_in_order(
+    document: str, prepare: Callable[[Path], object], project: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(project)
+    prepare(project)
+    for line in lines_of(document):
+        if found := LINE.fullmatch(line):
+            verb, *arguments = shlex.split(found[1], comments=True)
+            told(verb, *arguments, *SHORT.get(verb, ()))
+        elif line.startswith("python examples/"):
+            command = [sys.executable, *shlex.split(line, comments=True)[1:]]
+            subprocess.run(command, check=True, capture_output=True, timeout=120)
+
+
+def test_each_document_that_is_run_here_is_prepared() -> None:
+    assert {*EXECUTED} == {document for document, _, _ in PREPARED}
 
 
 def test_the_commands_about_results_run_as_shown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

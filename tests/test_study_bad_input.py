@@ -112,7 +112,8 @@ def test_logs_that_hold_different_inputs_are_told_which_is_missing_where(tmp_pat
     strange = tanks["a.csv"].replace("inflow", "inflw", 1)
     study = "model: tank.py:Tank\nlogs: {estimation: [a.csv, c.csv], validation: [b.csv]}\n"
     assert told(tmp_path, tanks | {"b.csv": without, "c.csv": strange}, study) == [
-        'b.csv:1:1: input "inflow" is missing; a log holds every input of the model: inflow',
+        'b.csv:1:1: input "inflow" is missing; a log holds every input of the model: inflow; '
+        "for a column of another name say --column COLUMN=inflow, or `columns` in a study",
         'c.csv:1:2: "inflw" is no column of the model; did you mean "inflow", which is missing? '
         "A log holds every input of the model: inflow",
     ]

@@ -42,7 +42,7 @@ FILE_EXISTS = Template(
 )
 FILE_NOT_YAML = Template("E-AUT-017", "a scenario is YAML; name a .yaml or .yml file as --out")
 NO_FOLDER = Template("E-AUT-018", "no such folder; make it first")
-NO_PORTS = Template("E-AUT-019", "{fmus} cannot be connected: they have no {ports}")
+NO_PORTS = Template("E-AUT-019", "{fmus} cannot be connected: they have no {ports}; run each alone by `cosim simulate`")
 NO_FIT = Template(
     "E-AUT-020",
     "{fmus} cannot be connected: no output ({outputs}) fits an input of another ({inputs}) by type and unit",

@@ -18,7 +18,11 @@ SIMILAR_INPUT = Template(
     '"{column}" is no column of the model; did you mean "{name}", which is missing? '
     "A {kind} holds every input of the model: {inputs}",
 )
-MISSING_INPUT = Template("E-LOG-006", 'input "{name}" is missing; a {kind} holds every input of the model: {inputs}')
+MISSING_INPUT = Template(
+    "E-LOG-006",
+    'input "{name}" is missing; a {kind} holds every input of the model: {inputs}; for a column of another name say '
+    "--column COLUMN={name}, or `columns` in a study",
+)
 NO_OUTPUT = Template("E-LOG-007", "holds no output of the model{cure}; at least one of {outputs} is measured")
 TIME_NOT_FIRST = Template("E-LOG-008", '"{column}" is to be the time, which is the first column, "{first}"')
 UNKNOWN_VARIABLE = Template(

@@ -52,7 +52,7 @@ def command(
     parts += [f"{guesses} guessed (marked in the file)"] if guesses else []
     parts += [f"{counted(len(choices), 'input')} to choose for (in the file)"] if choices else []
     say(f"wrote {out}: {', '.join(parts)}")
-    if matches.connections:
+    if matches.connections or not matches.any_candidate:
         say(f"next: cosim run {shell_path(out)}")
     else:
         say(f"next: remove the # before the connections of {out} that you want, then cosim run {shell_path(out)}")
