@@ -58,7 +58,7 @@ class Initialization:
             self.sweep()
 
     def _settle(self) -> None:
-        earlier = math.inf
+        earlier, name = math.inf, ""
         for sweep in range(1, LAST_SWEEP + 1):
             before, row = self._values(), list(self.row)
             try:
@@ -66,6 +66,7 @@ class Initialization:
             except SimulationError as error:
                 if sweep <= EXACT_SWEEPS or code_of(error) != VALUE_NOT_FINITE.code:
                     raise
+                name = error.component
                 break  # The values of a loop grew from exchange to exchange.
             if self._values() == before or (sweep > EXACT_SWEEPS and is_settled(row, self.row)):
                 return
@@ -75,7 +76,7 @@ class Initialization:
                     break
                 earlier = change
         changed = (name for name, a, b in zip(self.system.columns, self.row, row, strict=True) if a != b)
-        name = next(changed, "initialization")
+        name = name or next(changed, "initialization")
         raise SimulationError(name, self.system.start, messages.NOT_SETTLED(count=sweep))
 
     def sweep(self) -> None:

@@ -89,9 +89,10 @@ LOOP_LEFT_OPEN = Template(
 FOLLOWS_AT_START = Template(
     "W-SIM-081",
     "{loop} may be an algebraic loop that no FMU declares: in initialization {facts}, later only with a step. "
-    "It is left open, so that some inputs may have the values of the step before; loops: {{}} solves it by repeated "
-    "steps, order: [...] states that it is open",
+    "It is left open, so that some inputs may have the values of the step before; {cure}",
 )
+REPEATED_STEPS = Template("N-SIM-086", "loops: {{}} solves it by repeated steps")
+STATED_ORDER = Template("N-SIM-087", "order: [...] states that it is open")
 NOT_MEASURED = Template(
     "W-SIM-083",
     "{loop} may be an algebraic loop: whether outputs follow {inputs} at once is not declared, nor measured{reason}; "

@@ -13,6 +13,8 @@ from typing import Any
 from cosim.base.errors import CosimError, InputError, Interrupted, Signalled, TimedOut
 from cosim.base.messages import code_of
 from cosim.base.text import join_names
+from cosim.blocks.event_mode import EventFmu
+from cosim.blocks.fmu import FmuBlock
 from cosim.coupling.messages import ASSUMED_WITHOUT_FEEDTHROUGH
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
@@ -65,7 +67,8 @@ def with_feedthrough(
         planned, failure = _planned(file, designed, system, worker, declared, spent) if declared else (system, "")
     unknown = {i for inputs in undeclared.values() for i in inputs} - measured.inputs
     held = {transfer.name for transfer in planned.held}
-    loops = (replace(loop, left_open=_note(loop, measured, unknown & held, failure, held)) for loop in system.opened)
+    facts = measured, unknown & held, failure, held
+    loops = (replace(loop, left_open=_note(system, loop, *facts)) for loop in system.opened)
     return _with_notes(planned, [loop for loop in loops if loop.left_open])
 
 
@@ -133,7 +136,14 @@ def _first_step(scenario: Scenario, system: System, worker: Worker | None, spent
     return "" if failure is None else str(failure)
 
 
-def _note(loop: Loop, measured: Feedthrough, unknown: Collection[str], failure: str, held: Collection[str]) -> str:
+def _note(
+    system: System,
+    loop: Loop,
+    measured: Feedthrough,
+    unknown: Collection[str],
+    failure: str,
+    held: Collection[str],
+) -> str:
     """Return the warning of a loop that is left open, "" if it is none.
 
     Args:
@@ -148,10 +158,20 @@ def _note(loop: Loop, measured: Feedthrough, unknown: Collection[str], failure: 
     if failure and (pairs := [pair for pair in measured.pairs if is_part(pair[1])]):
         return messages.LOOP_LEFT_OPEN(loop=loop.name, facts=_facts(pairs), reason=failure)
     if pairs := [pair for pair in measured.at_start if is_part(pair[1]) and pair[1] in held]:
-        return messages.FOLLOWS_AT_START(loop=loop.name, facts=_facts(pairs))
+        cure = messages.REPEATED_STEPS() if _has_repeatable_steps(system, loop) else messages.STATED_ORDER()
+        return messages.FOLLOWS_AT_START(loop=loop.name, facts=_facts(pairs), cure=cure)
     if names := sorted(filter(is_part, unknown)):
         return messages.NOT_MEASURED(loop=loop.name, inputs=join_names(names), reason=measured.failure)
     return ""
+
+
+def _has_repeatable_steps(system: System, loop: Loop) -> bool:
+    """Return whether a loop of real signals can be solved by steps that are taken back."""
+    members = [stage.component for stage in system.stages if stage.component.name in loop.members]
+    is_real = all(not any(t.beside) and not system.signals[t.name].is_whole for t in loop.transfers)
+    return is_real and all(
+        isinstance(m, FmuBlock) and not isinstance(m, EventFmu) and m.instance.rolls_back for m in members
+    )
 
 
 def _with_notes(system: System, opened: Sequence[Loop]) -> System:
