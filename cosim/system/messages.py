@@ -111,6 +111,11 @@ LEFT_OPEN = Template(
     "{loop} may be an algebraic loop, which {by} leaves open, so that some inputs have the values of the step before; "
     "{cure}",
 )
+NO_LOOP_AT_START = Template(
+    "N-SYS-103",
+    "{loop} is no algebraic loop at the start, as measured or stated by feedthrough: [...]; if outputs follow inputs "
+    "at once later, {cure}",
+)
 LOOPS_SOLVES = Template("N-SYS-101", "loops: {{}} without {key} solves it, if it has a solution")
 LOOP_BY_FEEDTHROUGH = Template(
     "N-SYS-102",

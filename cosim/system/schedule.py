@@ -20,6 +20,8 @@ from cosim.storage.yaml_file import did_you_mean
 from cosim.system import messages
 from cosim.system.wiring import Components, Transfer
 
+FEEDTHROUGH = "feedthrough"  # key of a component
+
 
 @dataclass(frozen=True)
 class Stage:
@@ -101,7 +103,7 @@ def schedule(
     assumptions = [note for note in plan.notes if code_of(note) == ASSUMED_WITHOUT_FEEDTHROUGH.code]
     opened: tuple[Loop, ...] = ()
     if not undeclared:
-        key = "feedthrough" if algorithm.solves_loops else f"algorithm: {algorithm.name}"
+        key = FEEDTHROUGH if algorithm.solves_loops else f"algorithm: {algorithm.name}"
         possible = _possible_loops(components, edges, ends)
         others = [loop for loop in possible if loop.members not in plan.loops]
         reasons = [next((fault for _, fault in _loop_faults(loop, components, every)), None) for loop in others]
@@ -124,8 +126,9 @@ def _left_open(
         faults: Why each of them cannot be solved.
     """
     cures = (join("; ", assumptions) or fault or messages.LOOPS_SOLVES(key=key) for fault in faults)
+    note = messages.NO_LOOP_AT_START if key == FEEDTHROUGH and not assumptions else messages.LEFT_OPEN
     pairs = zip(loops, cures, strict=True)
-    return tuple(replace(p, left_open=messages.LEFT_OPEN(loop=p.name, by=key, cure=cure)) for p, cure in pairs)
+    return tuple(replace(loop, left_open=note(loop=loop.name, by=key, cure=cure)) for loop, cure in pairs)
 
 
 def _possible_loops(
