@@ -232,6 +232,7 @@ def _refined(folder: Path) -> None:
     model = folder / "results" / "refine" / "model.yaml"
     model.parent.mkdir(parents=True)
     model.write_text("schema_version: 1\nmodel: hovercraft\nparameters: {yaw_damping.coefficient: 0.006}\n")
+    (model.parent / "refine.json").write_text('{"grade": "part"}')
 
 
 def _clocks(folder: Path) -> None:
