@@ -22,9 +22,11 @@ GIVEN = {
 }
 DELAY = {"incline": 7.0, "angle_delay.time": 0.1}
 EFFECTS = {**DELAY, "rolling_friction.level": 0.01, "level_offset.value": 0.005, "beam_curvature.coefficient": 0.1}
+HELD_OUT = {**DELAY, "viscous_friction.damping": 0.1, "beam_curvature.coefficient": 0.1}
 VARIANTS = (
     Variant("base", {"incline": 7.0}),
     Variant("with delay", DELAY),
+    Variant("terms chosen by parts left out", HELD_OUT),
     Variant("with four effects", EFFECTS),
 )
 
