@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -287,9 +287,3 @@ def _change(likelihood: Likelihood, point: Point, places: list[int], move: Array
             return math.inf
         squares += float(np.nansum(((table - base) / point.residuals.sigma) ** 2))
     return math.sqrt(squares)
-
-
-def held_unknowns(unknowns: Sequence[Unknown], combinations: Sequence[Combination]) -> list[Unknown]:
-    """Return the unknowns without the parameters that combinations hold."""
-    held = {c.held for c in combinations}
-    return [replace(u) for u in unknowns if u.log is not None or u.name not in held]
