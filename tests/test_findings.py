@@ -28,7 +28,8 @@ from cosim.model import Model
 from cosim.refinement.decision.evidence import held_out_gains, required_scatters, with_sandwich_covariance
 from cosim.refinement.decision.judgement import _is_rival, _with_tolerance, decide, is_at_limit, is_beyond_tolerance
 from cosim.refinement.decision.trust import attribute
-from cosim.refinement.proof.measure import first_rows
+from cosim.refinement.proof.measure import _starts, first_rows
+from cosim.refinement.proof.refined_models import Variant
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.search.attribution import Attributor
 from cosim.refinement.search.fits import Search
@@ -438,6 +439,21 @@ def test_a_log_is_cut_where_nothing_is_measured_and_no_replay_starts_there(tmp_p
     a = decided_of(study)
     assert a.best.names == ("coulomb",)
     assert near(a.best, "coulomb.level", 0.5)
+
+
+def test_a_short_replay_begins_where_the_log_is_though_the_fit_trusted_the_equations(
+    rail: Model, tmp_path: Path
+) -> None:
+    problem = posed(rail, tmp_path, 1, seconds=8.0, numbers=DRY)
+    problem = replace(problem, trusted=True)
+    log, apart = read_log(tmp_path / "1.csv", rail.inputs, rail.outputs), {}
+    for own in (math.inf, 0.5):
+        subject = ModelSubject.of(rail)
+        subject.horizon = own
+        variant = Variant(subject, dict(problem.values), problem.plain)
+        starts, _ = _starts(variant, problem, log, 0, 0.5)
+        apart[own] = max(abs(start.states["position"] - log.outputs["position"][k]) for k, start in starts.items())
+    assert apart[math.inf] < 0.5 * apart[0.5]  # at its own horizon a run begins where the model has arrived
 
 
 def blind(path: Path, begin: float, end: float) -> None:

@@ -13,7 +13,6 @@ from cosim.base.arrays import Array, Flags
 from cosim.base.linear_algebra import least_squares, orthonormal
 from cosim.base.text import join_names, plain
 from cosim.calibration.likelihood import Jacobian, Likelihood, Point
-from cosim.calibration.simulations import Unknown
 
 CHANGES = (0.01, 0.1)  # of a screened parameter, relative to its scale
 NO_EFFECT = 1e-9  # change of every output, relative to its spread, that is rounding

@@ -16,6 +16,7 @@ from cosim.base.text import join_names
 from cosim.base.version import __version__
 from cosim.estimation.expected import expected_value
 from cosim.estimation.fit import Fit
+from cosim.estimation.noise_model import Noise
 from cosim.estimation.per_log import own
 from cosim.estimation.problem import Problem
 from cosim.logs.channel_noise import NORMAL_95
@@ -305,6 +306,7 @@ class Measurements:
     Attributes:
         played: Replays of every variant on every set of logs.
         floors: Noise floor of the errors.
+        noise: Noise of the best hypothesis, with sensor noise free of model errors.
         way: FMUs used for the replays.
         ends: Final filtered values of parameters per log on sealed logs.
         seconds: Duration of the study.
@@ -312,6 +314,7 @@ class Measurements:
 
     played: Replayed
     floors: Floors
+    noise: Noise
     way: Replays = IN_PYTHON
     ends: Mapping[str, float] = field(default_factory=dict)
     seconds: float = 0.0
@@ -344,7 +347,7 @@ def record(
         candidates=ranking(a, claims),
         hidden=hidden_effects(a, claims),
         measured=list(problem.layout.outputs),
-        sensor_noise=dict(zip(problem.layout.outputs, np.exp(0.5 * a.best.fit.noise.sensors).tolist(), strict=True)),
+        sensor_noise=dict(zip(problem.layout.outputs, np.exp(0.5 * proof.noise.sensors).tolist(), strict=True)),
         inputs=Inputs(taken=dict(between.ways), gain_otherwise=between.gain),
         warnings=list(study.warnings),
         residual=Residual.model_validate(claims.residual),
@@ -479,7 +482,7 @@ def _score_text(h: Hypothesis, best: Hypothesis) -> str:
     than, behind = join_names(best.names) or "the base model", h.score - best.score
     if behind < 0.0:
         return f"gains {-behind:.1f} on {than}, but not with every part borne out"
-    return f"explains less than {than} by {behind:.1f}"
+    return f"its score is {behind:.1f} below that of {than}"
 
 
 if __name__ == "__main__":  # usage: python -m cosim.refinement.record > cosim/refinement/refine.schema.json

@@ -44,7 +44,7 @@ from cosim.refinement.proof.measure import FLOOR_SEED, Evidence, final_log_param
 from cosim.refinement.proof.nearest import ladder, nearest
 from cosim.refinement.proof.prediction_search import search_nearest
 from cosim.refinement.proof.proof_replays import LogSets, Proof, warnings_of
-from cosim.refinement.proof.refined_models import Variant, refined_subject, variant_of, variants_of, with_log_noise
+from cosim.refinement.proof.refined_models import Variant, log_noise, refined_subject, variant_of, variants_of
 from cosim.refinement.proof.replay_check import check_with_replays, moved_beyond_tolerance
 from cosim.refinement.proof.sealed import find_rises
 from cosim.refinement.proof.table_errors import add_dependence, errors_on_held_out_rows
@@ -125,7 +125,8 @@ def refine(
     claims = _judge(study, attribution, result, limited)
     claims = _add_nearest(study, claims, result, attribution, problem, limited)
     between = between_rows(result.search.problem, attribution.base)
-    warnings = [*noise_warnings(problem, attribution.best.fit.noise, subject), *between.warnings]
+    noise = log_noise(attribution.best.fit.noise, result.sensors)
+    warnings = [*noise_warnings(problem, noise, subject), *between.warnings]
     if subject.probed:
         warnings += cell_warnings(problem, subject)
     allowed = study.content.limits
@@ -136,10 +137,13 @@ def refine(
         progress("replaying through the FMUs", 0.0)
         sealed = study.unseal()  # after all decisions
         sets: LogSets = {"estimation": study.logs, "validation": sealed} if sealed else {"estimation": study.logs}
-        played, way = Proof(problem, sets, place).replay(variants)
+        searched = result.search.problem
+        proved = replace(problem, trusted=True, scatter=searched.scatter) if searched.trusted else problem
+        played, way = Proof(proved, sets, place).replay(variants)
         progress("measuring the noise floor", 0.0)
         best = variants["after"] if claims.claimed else variants.get("nearest", variants["after"])
-        quiet = with_log_noise(best, attribution, claims.nearest_hypothesis, result.sensors)
+        fitted = (claims.nearest_hypothesis or attribution.base).fit
+        quiet = replace(best, noise=log_noise(fitted.noise, result.sensors))
         rng = np.random.default_rng(FLOOR_SEED)  # fixed for reproducible results
         floors: Floors = {part: noise_floor(quiet, problem, logs, rng) for part, logs in sets.items()}
         remaining = _remaining(claims, played, subject)
@@ -149,7 +153,7 @@ def refine(
         warnings += [*failure_warnings(problem), *_delivery_warnings(variants)]
         warnings += [*warnings_of(way), *_floor_warnings(floors, played, subject)]
         study = replace(study, warnings=(*study.warnings, *warnings))
-        measured = Measurements(played, floors, way, ends, time.perf_counter() - start)
+        measured = Measurements(played, floors, noise, way, ends, time.perf_counter() - start)
         written = record(study, attribution, claims, problem, between, measured)
         content = written.model_dump(mode="json")
         write_json(scratch / ANSWER, content, allow_nan=False)
@@ -161,7 +165,7 @@ def refine(
             _publish(files, scratch / ANSWER, folder)
         release_stops()
     evidence = _at_horizon(played, subject.horizon)
-    outcome = Refinement(study, attribution, claims, content, folder, problem, variants, evidence)
+    outcome = Refinement(study, attribution, claims, content, folder, proved, variants, evidence)
     if report:
         from cosim.refinement.report.refine_page import write_refine_report
 

@@ -30,6 +30,7 @@ from cosim.logs.log import Log
 from cosim.model.namespaces import arrays
 from cosim.model.sensors import SensorError
 from cosim.refinement.proof.refined_models import Variant
+from cosim.refinement.search.missing import loosen_noise
 from cosim.residuals.drive import StoppedReplay
 from cosim.residuals.residual_statistics import FREE_RUN, pool_errors
 from cosim.residuals.windows import Replay, window_rows
@@ -101,10 +102,16 @@ def replay_logs(
 def _starts(
     variant: Variant, problem: Problem, log: Log, index: int, horizon: float
 ) -> tuple[dict[int, Start], dict[str, Array]]:
-    """Return row → start of replay, and parameters per log."""
+    """Return row → start of replay, and parameters per log.
+
+    A fit that trusts the equations has a filter that hardly follows the readings. Replays over another horizon than
+    that of the fit begin where a filter that does follow them has arrived.
+    """
     rows, layout = first_rows(log, horizon), problem.layout
-    data = problem.data(variant.values, index)
-    filtered = problem.filter_causally(data, variant.values, variant.noise, index, log.grid[rows].tolist())
+    data, noise = problem.data(variant.values, index), variant.noise
+    if problem.trusted and horizon != variant.subject.horizon:
+        noise = loosen_noise(problem, noise)
+    filtered = problem.filter_causally(data, variant.values, noise, index, log.grid[rows].tolist())
     starts = {}
     for k in rows:
         row = int(log.grid[k])

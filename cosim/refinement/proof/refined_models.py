@@ -60,14 +60,13 @@ def variants_of(
     return {"before": before, "recalibrated": variant_of(recalibrated, settings, base), "after": after}
 
 
-def with_log_noise(after: Variant, a: Attribution, claimed: Hypothesis | None, sensors: Array | None) -> Variant:
-    """Return a variant with noise estimated from the logs.
+def log_noise(fitted: Noise, sensors: Array | None) -> Noise:
+    """Return noise estimated from the logs.
 
     Args:
         sensors: ln of the sensor noise variances to use if the fitted variances include model errors.
     """
-    noise = (claimed or a.base).fit.noise
-    return replace(after, noise=noise if sensors is None else replace(noise, sensors=sensors))
+    return fitted if sensors is None else replace(fitted, sensors=sensors)
 
 
 def variant_of(subject: Subject, settings: Settings, f: Fit) -> Variant:

@@ -23,7 +23,7 @@ from cosim.refinement.decision.judgement import (
     is_outside_tolerance,
 )
 from cosim.refinement.proof.measure import FLOOR_SEED, errors_by_replay, noise_floor, predicted_errors
-from cosim.refinement.proof.refined_models import Variant, refined_subject, variants_of, with_log_noise
+from cosim.refinement.proof.refined_models import Variant, log_noise, refined_subject, variants_of
 from cosim.refinement.search.fits import Search, SearchResult
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis, Support
 from cosim.refinement.study import Study
@@ -96,7 +96,7 @@ def _replay_errors(
     """Return replay errors and their noise floor."""
     variants = _variants(study, a, claims)
     error = {name: predicted_errors(variant, problem, study.logs) for name, variant in variants.items()}
-    quiet = with_log_noise(variants["after"], a, claims.claimed, sensors)
+    quiet = replace(variants["after"], noise=log_noise((claims.claimed or a.base).fit.noise, sensors))
     return error, noise_floor(quiet, problem, study.logs, np.random.default_rng(FLOOR_SEED)).level
 
 

@@ -21,7 +21,7 @@ from cosim.report.panels import Band, Panel, Trace
 from cosim.report.svg import Plot, extent, make_axis
 from cosim.residuals.residual_statistics import rmse
 
-CURVES = 10  # at most, of a channel: measured, two models, two errors, edges of two bands
+CURVES = 13  # at most, of a channel: measured, two models, three errors, edges of three bands
 DOTS, FINE = 24, 80  # points with an error bar, and points of the claimed curve
 LEAST = 0.6  # [s] least duration of the rows of an error bar
 MEMORIES = 0.3  # [s] between independent rows of an error bar: twice the smoother's memory
@@ -30,6 +30,7 @@ CHANNELS = 8  # at most, drawn of a log
 TELLS = 1.1  # ratio of errors before and after; a larger one is worth a plot
 MAX_FAST_SHARE = 0.5  # share of a missing quantity row by row; below it, means are compared
 FAR = 1.5  # times the noise floor; a larger error is worth a plot
+FLAT = 5.0  # ratio of errors before and after from which the smaller one is drawn on a scale of its own too
 
 
 @dataclass(frozen=True)
@@ -88,10 +89,12 @@ def _pair(r: Refinement, drawing: Drawing, before: Evidence, after: Evidence, na
     whole = [Trace("measured", reading * factor, "estimate")]
     whole += [Trace(label, (reading - e) * factor, style, anew=True) for label, style, e in errors]
     residuals = [Trace(label, e * scale, style, anew=True) for label, style, e in errors]
-    panels = (Panel(name, unit or "1", whole), Panel(f"{name}: measured − model", fine or "1", residuals))
+    sizes = [rmse(e) for _, _, e in errors]
+    panels = [Panel(name, unit or "1", whole), Panel(f"{name}: measured − model", fine or "1", residuals)]
+    if sizes[0] > FLAT * sizes[-1]:
+        panels.append(Panel(f"{name}: measured − refined", fine or "1", residuals[-1:]))
     starts = log.time[np.array(sorted(old.starts), dtype=np.intp)]
     shaded = [replace(p, band=_windows(log.time, starts, old.horizon, p)) for p in panels]
-    sizes = [rmse(e) for _, _, e in errors]
     tells = sizes[0] > TELLS * sizes[-1] or sizes[-1] > TELLS * sizes[0] or sizes[-1] > FAR * floor > 0
     return Pairs(name, tuple(drawing.plots(shaded)), tells)
 

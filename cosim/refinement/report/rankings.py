@@ -138,6 +138,8 @@ def parameter_tables(r: Refinement) -> list[ParameterTable]:
     rest = [_parameter_row(r, f, hypothesis) for f in common if f.name not in own]
     title = "Added parameters" if r.verdict.name != "parameter_error" else "Wrong parameters"
     note = "Bar: 95 % interval; dashed line: neutral value or data sheet."
+    if len(r.study.logs) == 1 and not r.problem.table:
+        note += " The intervals are of one log: how much the values differ from log to log is not in them."
     tables = [ParameterTable(title, note, "Neutral", tuple(added))]
     if _is_base_unchanged(r, hypothesis):
         title, note = "fitted beside it", "The model keeps its values: the error is in a sensor, not in the plant."
@@ -195,11 +197,11 @@ def _digits(value: float, sigma: float) -> int:
 
 
 def noise_rows(r: Refinement) -> list[NoiseRow]:
-    """Return the process noise of each equation.
+    """Return the process noise of each equation; none if the fit trusted the equations.
 
     √q is the drift of a state in a second that its equation does not explain.
     """
-    noise, size = r.verdict.residual.get("process_noise", {}), r.problem.noise
+    noise, size = {} if r.problem.trusted else r.verdict.residual.get("process_noise", {}), r.problem.noise
     usual = math.log(2.0) + r.problem.plain.memory  # from ln of a power to ln of a density
     unit = {q.name: q.unit for q in r.study.subject.states}
     rows = []

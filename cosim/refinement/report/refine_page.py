@@ -256,12 +256,13 @@ def _error_lead(r: Refinement) -> str:
     if r.problem.table:
         how = "over the rows, each predicted through the FMU from its own inputs"
     else:
-        windowed, length = horizon(r) != "a whole run", horizon(r)
-        over = f"over replays of {length}" if windowed else f"over {length}"
-        each = "each started" if windowed else "started"
-        how = f"{over} through the FMU, {each} from the state that the model's own filter had estimated by then"
-        if windowed:
-            return f"Root mean square of measured − model {how}. The first {SKIPPED:g}\u00a0s of each log are left out."
+        if horizon(r) == "a whole run":
+            return (
+                "Root mean square of measured − model over a whole run through the FMU, from the first row to the last."
+            )
+        how = "through the FMU, each started from the state that the model's own filter had estimated by then"
+        left_out = f"The first {SKIPPED:g}\u00a0s of each log are left out."
+        return f"Root mean square of measured − model over replays of {horizon(r)} {how}. {left_out}"
     return f"Root mean square of measured − model {how}."
 
 
@@ -325,6 +326,10 @@ def _ranking_lead(r: Refinement) -> str:
         "model, minus ½ ln N for each added parameter (N readings) and, for each candidate of the set, 3 plus the "
         "logarithm of the number of candidates on trial."
     )
+    if (scatter := r.problem.scatter) > 1.0:
+        lead += (
+            f" These costs are multiplied by {plain(scatter, 3)}, since the errors of a free run are not independent."
+        )
     if r.verdict.claimed is not None and gain is not None:
         each = "each part of the table" if r.problem.table else "each log"
         lead += f" Predicted from the others, {each} gains: {plain(float(gain), 3)} in all (cross-validation)."
@@ -359,7 +364,11 @@ def _inputs(r: Refinement) -> list[Row]:
         return []
     gain = inputs["gain_otherwise"]
     raises = "raises" if gain is not None and gain > 0.0 else "lowers"
-    by = "" if gain is None else f"the opposite choice {raises} the log-likelihood of the logs by {plain(abs(gain))}"
+    by = (
+        ""
+        if gain is None
+        else f"the other way, held or interpolated, {raises} the log-likelihood by {plain(abs(gain))}"
+    )
     return [Row("Inputs between rows", ", ".join(f"{name} {way}" for name, way in inputs["taken"].items()), by)]
 
 
