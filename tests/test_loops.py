@@ -218,6 +218,14 @@ def test_an_undeclared_loop_without_solution_is_named_with_the_measured_facts_an
         assert part in str(failure.value)
 
 
+def test_growth_of_a_loop_that_is_stated_to_be_none_names_it(tmp_path: Path) -> None:
+    linear(tmp_path, 5.0, declares=False)
+    stated = ["components.a.feedthrough=[]", "components.b.feedthrough=[]"]
+    words = r"a → b → a is no algebraic loop at the start.*loops: \{\} without feedthrough solves it"
+    with pytest.raises(SimulationError, match=words):
+        run(tmp_path / "loop.yaml", tmp_path / "out", stated, report=False, in_process=True)
+
+
 @pytest.mark.parametrize("kind", ["i", "b", "e"])
 def test_a_loop_of_whole_numbers_is_measured_and_the_stated_cure_works(tmp_path: Path, kind: str) -> None:
     fmu = without_dependencies(typed_fmu(tmp_path))

@@ -13,10 +13,11 @@ from typing import Any
 from cosim.base.errors import CosimError, InputError, Interrupted, Signalled, TimedOut
 from cosim.base.messages import code_of
 from cosim.base.text import join_names
+from cosim.blocks.compiling import LIMIT, permission
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
 from cosim.coupling.messages import ASSUMED_WITHOUT_FEEDTHROUGH
-from cosim.isolation.limits import Limits
+from cosim.isolation.limits import LOADING, Limits
 from cosim.isolation.process import Worker
 from cosim.master.feedthrough import Feedthrough, Pair, measure_feedthrough, undeclared_inputs
 from cosim.master.remote import simulate_apart, simulate_here
@@ -75,7 +76,8 @@ def with_feedthrough(
 def _limits(scenario: Scenario, spent: float = 0.0) -> Limits:
     """Return the limits of a measurement, of which some time [s] is spent."""
     limits = scenario.limits or Limits()
-    return limits.model_copy(update={"total": max(min(limits.total or LONGEST, LONGEST) - spent, LEAST)})
+    load = limits.load or LOADING + (LIMIT if permission.get() else 0.0)
+    return limits.model_copy(update={"total": max(min(limits.total or LONGEST, LONGEST) - spent, LEAST), "load": load})
 
 
 @contextmanager
