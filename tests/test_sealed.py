@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from cosim.loading.file import load_model
-from cosim.logs.log import Log
+from cosim.logs.log import Log, read_log
 from cosim.model import Stepper
 from cosim.refinement.decision.sentences import rise_text
 from cosim.refinement.proof.measure import Evidence
-from cosim.refinement.proof.sealed import find_rises, is_significant_rise
+from cosim.refinement.proof.sealed import find_rises, is_significant_rise, repeated_motion
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.refine_page import write_refine_report
 from cosim.residuals.windows import Replay
@@ -110,3 +111,17 @@ def test_a_rise_that_no_reader_sees_is_not_told() -> None:
     said = rise_text({"x": (0.1, 0.2), "phi": (0.01, 0.02)}, {"x": "m", "phi": "rad"}, "nearest.yaml")
     text = "the error of x rises from 100 mm to 200 mm with nearest.yaml. So does the error of phi."
     assert said.replace("\u00a0", " ") == f"On the sealed logs {text}"
+
+
+def test_a_sealed_log_of_the_same_motion_is_named_and_one_of_another_is_not(tmp_path: Path) -> None:
+    (tmp_path / "motor.py").write_text(MOTOR)
+    model = load_model("motor.py:Motor", tmp_path).model
+    for name, seed in (("a", 0), ("other", 1)):
+        motor_log(tmp_path / f"{name}.csv", seed, 0.0)
+    first, other = (read_log(tmp_path / f"{name}.csv", model.inputs, model.outputs) for name in ("a", "other"))
+    spread = float(np.std(first.outputs["tacho"]))
+    for size, expected in ((0.003, ["again.csv repeats the motion of a.csv"]), (0.03, [])):
+        noise = size * spread * np.random.default_rng(3).standard_normal(first.rows)
+        again = replace(first, path=Path("again.csv"), outputs={"tacho": first.outputs["tacho"] + noise})
+        found = [str(message) for message in repeated_motion([again, other], [first])]
+        assert [text.partition(":")[0] for text in found] == expected

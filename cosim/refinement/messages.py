@@ -165,3 +165,8 @@ MISSING_PLATFORMS = Template(
 SSP_WITHOUT_FMU = Template(
     "E-REF-064", "delivery: ssp is for an FMU, and {model} is none; cosim export-ssp writes a scenario of it as an SSP"
 )
+REPEATED_MOTION = Template(
+    "W-REF-065",
+    "{sealed} repeats the motion of {log}: their outputs differ by {share} of their spread, so that it shows how the "
+    "refined model predicts this motion again, not how it predicts another one",
+)

@@ -46,7 +46,7 @@ from cosim.refinement.proof.prediction_search import search_nearest
 from cosim.refinement.proof.proof_replays import LogSets, Proof, warnings_of
 from cosim.refinement.proof.refined_models import Variant, log_noise, refined_subject, variant_of, variants_of
 from cosim.refinement.proof.replay_check import check_with_replays, moved_beyond_tolerance
-from cosim.refinement.proof.sealed import find_rises
+from cosim.refinement.proof.sealed import find_rises, repeated_motion
 from cosim.refinement.proof.table_errors import add_dependence, errors_on_held_out_rows
 from cosim.refinement.record import Floors, Measurements, Part, Replayed, keep_finite, record
 from cosim.refinement.refinement import Refinement
@@ -151,7 +151,7 @@ def refine(
         ends = final_log_parameters(variants["after"], problem, sealed)
         hold_stops()  # From here, a result exists that must not be lost.
         warnings += [*failure_warnings(problem), *_delivery_warnings(variants)]
-        warnings += [*warnings_of(way), *_floor_warnings(floors, played, subject)]
+        warnings += [*warnings_of(way), *_floor_warnings(floors, played, subject), *repeated_motion(sealed, study.logs)]
         study = replace(study, warnings=(*study.warnings, *warnings))
         measured = Measurements(played, floors, noise, way, ends, time.perf_counter() - start)
         written = record(study, attribution, claims, problem, between, measured)
