@@ -55,6 +55,7 @@ class ParameterRow:
     at_low: float
     wide: float
     at_value: float
+    meaning: str
 
 
 @dataclass(frozen=True)
@@ -179,7 +180,7 @@ def _parameter_row(r: Refinement, free: Free, hypothesis: Hypothesis) -> Paramet
     interval = f"{lowest} … {amount(high, unit, digits)}"
     bounds = f"{_number(free.low, unit, 3)} … {amount(free.high, unit, 3)}"
     places = at(start), at(low), round(at(high) - at(low), 2), at(value)
-    return ParameterRow(free.name, neutral, amount(value, unit, digits), interval, bounds, *places)
+    return ParameterRow(free.name, neutral, amount(value, unit, digits), interval, bounds, *places, declaration.doc)
 
 
 def _number(value: float, unit: str, digits: int) -> str:

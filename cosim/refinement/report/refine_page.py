@@ -104,9 +104,9 @@ def context(r: Refinement) -> Mapping[str, Any]:
 
 
 LADDER_NOTE = (
-    "Each log, or each part of a log, is predicted by a fit to the rest; the error (root mean square) is relative to "
-    "the model of the study. The standard error is that of the difference from the best. Within it, a model with fewer "
-    "candidates is as good."
+    "{part} is predicted by a fit to the rest; the error (root mean square) is relative to the model of the study. The "
+    "last column is the standard error of the difference from the best: within it, a model with fewer candidates is as "
+    "good."
 )
 _NO_TIME: Mapping[str, Any] = {"horizons": None, "terms": [], "runs": [], "lead": None, "whiteness": []}  # for tables
 
@@ -161,7 +161,7 @@ def _ranking(r: Refinement) -> Mapping[str, Any]:
         "pairs_open": r.verdict.claimed is not None and len(r.verdict.claimed.candidates) > 1,
         "ranking_lead": _ranking_lead(r),
         "ladder": ladder_rows(r),
-        "ladder_note": LADDER_NOTE,
+        "ladder_note": LADDER_NOTE.format(part="Each log" if len(r.study.logs) > 1 else "Each part of the log"),
     }
 
 
