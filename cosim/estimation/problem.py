@@ -137,12 +137,23 @@ class Problem:
     @cached_property
     def noise(self) -> NoiseRange:
         """Return the search range of process noise; it does not depend on fitted noise."""
-        matter = self.kernel, self.values, self.P0, self.r, *self.logs, *self.x0
+        matter = self._matter
         for known, noise in self.ranges:
             if len(known) == len(matter) and all(a is b for a, b in zip(known, matter, strict=True)):
                 return noise
         self.ranges.append((matter, self._range_of_noise()))
         return self.ranges[-1][1]
+
+    @property
+    def _matter(self) -> tuple[Any, ...]:
+        """Return what the range of process noise depends on."""
+        return self.kernel, self.values, self.P0, self.r, *self.logs, *self.x0
+
+    def with_shapes(self, values: Mapping[str, float]) -> Problem:
+        """Return the problem with other values of parameters that do nothing as long as their effects are dormant."""
+        other = replace(self, values={**self.values, **values})
+        other.ranges.append((other._matter, self.noise))
+        return other
 
     def _range_of_noise(self) -> NoiseRange:
         short = self._short()

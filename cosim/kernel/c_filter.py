@@ -99,7 +99,14 @@ def _source(generated: Generated) -> str:
         names = "library_calls.c", "stepped_library.c" if stepped else "library.c"
         before = [_text(FOLDER / name) for name in names]
     if stepped:
-        sizes["LASTING"] = f"({generated.layout.parameters.index(MEMORY)})"
+        layout = generated.layout
+        sizes["LASTING"] = f"({layout.parameters.index(MEMORY)})"
+        sizes["POSITIONS"] = f"({len(layout.positions)})"
+        places = {
+            "READ_PLACES": layout.positions,
+            "RUN_PLACES": [layout.states.index(layout.outputs[k]) for k in layout.positions],
+        }
+        sizes |= {name: f"{{{', '.join(map(str, numbers or (0,)))}}}" for name, numbers in places.items()}
     head = "".join(f"#define {name} {value}\n" for name, value in sizes.items())
     own = "lags.c", "free_run.c" if stepped else "filter.c"
     bodies = [_text(NATIVE / "step.c"), *(_text(FOLDER / name) for name in own)]

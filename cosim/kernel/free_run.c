@@ -9,13 +9,18 @@
 #define ND (2 * NY)
 #define NZ (3 * NY)
 #define NK (NS - NZ)
-static __thread const double *run_outputs, *run_bends, *run_states, *run_memories, *run_slopes, *run_propagation;
+static __thread double *run_outputs, *run_states, *run_memories;
+static __thread const double *run_bends, *run_slopes, *run_propagation;
+static __thread int run_follows;
 
 /* Called before each filter, with the free run at the same parameters: rows x NY twice, rows x NX, rows x NM, rows x NY x NK, and
- * Phi beside Psi, NY x 2 NY. A bend is the distance of an output, halfway over the step that ends in a row, from the straight line. */
-void use_run(const double *outputs, const double *bends, const double *states, const double *memories, const double *slopes,
-             const double *propagation)
+ * Phi beside Psi, NY x 2 NY. A bend is the distance of an output, halfway over the step that ends in a row, from the straight line.
+ * A run that follows is made again by the filter, row by row, with forces along positions where the filter sees the machine: unknown
+ * inputs move a free run away for good, and forces would act at wrong places. */
+void use_run(double *outputs, const double *bends, double *states, double *memories, const double *slopes,
+             const double *propagation, int follows)
 {
+    run_follows = follows;
     run_outputs = outputs;
     run_bends = bends;
     run_states = states;
@@ -87,12 +92,43 @@ static double lagged_at(const Lags *lags, const Log *log, int k, int j, double a
     return now - age * (lags->m[j] + bent * run_bends[next] + lags->alpha[j] * run_outputs[next] - now);
 }
 
+/* Continue the run to row k, with the library; z and slopes tell where the machine is at the row before. */
+static void follow(const Log *log, int k, const double *p, const double *z, double *x, double *memory)
+{
+    static const int read_places[] = READ_PLACES, run_places[] = RUN_PLACES;
+    const double h = log->step / log->substeps, delay = DELAY < 0 ? 0.0 : p[DELAY < 0 ? 0 : DELAY] / log->step;
+    double u[3 * NU + 1], command[NU + 1], t = log->start + k * log->step;
+    if (k == 0) {
+        row_command(log, k, command);
+        if (begin_library(t, x, command, p) > MOST_STATUS) x[0] = NAN;
+    } else {
+        for (int l = 0; l < POSITIONS; l++) {
+            const int j = read_places[l];
+            double by = z[ND + j];
+            for (int i = 0; i < NK; i++) by += run_slopes[NK * (NY * (k - 1) + j) + i] * z[NZ + i];
+            moved_by[run_places[l]] = by;
+        }
+        is_moved = 1;
+        for (int s = 0; s < log->substeps; s++) {
+            act(log, k, s, delay, memory, p, u);
+            substep(t - log->step + s * h, h, x, u, p);
+        }
+        is_moved = 0;
+    }
+    row_command(log, k, command);
+    measure(t, x, command, p, run_outputs + NY * k);
+    memcpy(run_states + NX * k, x, sizeof(double) * NX);
+    memcpy(run_memories + NM * k, memory, sizeof(double) * NM);
+}
+
 int filter(const Log *log, const double *p, const double *x0, const double *P0, const double *q, const double *r,
            double *errors, double *variances, double *states, double *memories, double *covariances)
 {
     double z[NS + 1] = {0.0}, P[NS * NS + 1], before[NY], kept[NY][NK + 1], bent[NY] = {0.0};
     const double fades = exp(-log->step / p[LASTING]);
     const int hidden = has_hidden(), first = hidden ? 0 : NW;
+    double x[NX + 1], memory[NM + 1] = {0.0};
+    memcpy(x, x0, sizeof(double) * NX);
     memcpy(P, P0, sizeof(double) * NS * NS);
     Lags lags = lags_of(log);
     for (int j = 0; j < NY; j++) {
@@ -103,6 +139,7 @@ int filter(const Log *log, const double *p, const double *x0, const double *P0, 
     }
     for (int k = 0; k < log->rows; k++) {
         double y[NY];
+        if (run_follows) follow(log, k, p, z, x, memory);
         for (int j = 0; j < NY; j++) {
             const double age = log->late ? log->late[NY * k + j] : 0.0, value = run_outputs[NY * k + j];
             if (!isfinite(value)) return k;

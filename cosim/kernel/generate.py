@@ -20,11 +20,13 @@ from cosim.kernel.kernel import CONSTANT, DEVIATION, DISTURBANCE, EARLIER, MEMOR
 from cosim.kernel.nameless import PREFIX, SLOTS, LocalShape, bases, local_shape, local_signals
 from cosim.model.model import STIFF, Model
 from cosim.model.namespaces import SymbolNamespace
+from cosim.model.quantities import parameters_of
 from cosim.model.symbolic.functions import Body
 from cosim.model.symbolic.languages import C
 from cosim.model.symbolic.tracing_guard import number_guard
 from cosim.storage.cache import fingerprint, load_or_make
 from cosim.terms.fmu_model import FmuModel
+from cosim.terms.language import Force
 
 
 @dataclass(frozen=True)
@@ -126,6 +128,7 @@ def generate_stepped(model: FmuModel, measured: Sequence[str]) -> Generated:
     values = [sympy.sympify(body.outputs[n]) for n in measured]
     texts = [body.function(C(), "measure", values), body.shaping_function(C(), "shape_all")]
     texts.append(body.function(C(), "library_inputs", _library_inputs(body)))
+    along, places = _forces_along_positions(model)
     prefixes = (EARLIER, DISTURBANCE, DEVIATION)
     states = (*names, *(prefix + n for prefix in prefixes for n in measured), *(START + n for n in model.starts))
     layout = Layout(
@@ -138,8 +141,29 @@ def generate_stepped(model: FmuModel, measured: Sequence[str]) -> Generated:
         memory=len(body.shaping.remembered),
         delay=body.delay,
         is_free_run=True,
+        along=along,
+        positions=tuple(measured.index(n) for n in places if n in measured),
     )
     return Generated(layout, "\n".join(texts), library=(0, len(model.inputs), len(names)), stepped=True)
+
+
+def _forces_along_positions(model: FmuModel) -> tuple[dict[str, float], list[str]]:
+    """Return parameter → neutral value of the forces that depend on a position, and the names of these positions."""
+    import sympy
+
+    m, at, speed = SymbolNamespace(), sympy.Symbol("position", real=True), sympy.Symbol("velocity", real=True)
+    sizes, places = dict[str, float](), dict[str, None]()
+    for kind in model.catalogue:
+        if not issubclass(kind, Force):
+            continue
+        declared = parameters_of(kind)
+        symbols = {p.name: sympy.Symbol(f"p:{p.name}", real=True) for p in declared}
+        with number_guard(smooth=True):
+            force = sympy.sympify(kind(**symbols).force(m, at, speed))
+        if at in force.free_symbols:
+            sizes |= {f"{kind.name}.{p.name}": p.neutral for p in declared if p.neutral is not None}
+            places[model.outputs[kind.place.position].name] = None
+    return sizes, [*places]
 
 
 def _library_inputs(body: Body) -> list[Any]:

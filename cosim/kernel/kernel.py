@@ -40,6 +40,8 @@ class Layout:
         carrying: Indices of stochastic states whose only random source is a constant state.
         rates: State → state equal to its derivative.
         is_free_run: True if unknown inputs drive deviations of the outputs of a free run.
+        along: Parameter → neutral value of each force of a free run that depends on a position.
+        positions: Indices of the measured outputs that are these positions.
     """
 
     parameters: tuple[str, ...]
@@ -54,6 +56,8 @@ class Layout:
     carrying: tuple[int, ...] = ()
     rates: Mapping[str, str] = field(default_factory=dict)
     is_free_run: bool = False
+    along: Mapping[str, float] = field(default_factory=dict)
+    positions: tuple[int, ...] = ()
 
     @property
     def uncertain(self) -> tuple[str, ...]:

@@ -128,6 +128,8 @@ class LibraryKernel(CompiledKernel):
         self._fmu = fmu
         self._places = {v: self.layout.parameters.index(n) for n, v in parameters.items()}
         self._own, self._stepped = threading.local(), generated.stepped
+        order = self.layout.parameters
+        self._along = {order.index(n): v for n, v in self.layout.along.items() if self.layout.positions}
         self._runs: deque[tuple[Any, Simulated]] = deque(maxlen=RUNS)
         self._slopes: deque[tuple[Any, tuple[Array, Array]]] = deque(maxlen=RUNS)
 
@@ -136,10 +138,13 @@ class LibraryKernel(CompiledKernel):
         if not self._stepped:
             self._use(p, data, x0)
             return super().run(data, p, x0, P0, q, r, states=states)
-        run = self._free_run(data, p, x0)
+        follows = any(p[k] != neutral for k, neutral in self._along.items())
+        run = self._nothing(len(data.u)) if follows and not _asks_past(data) else self._free_run(data, p, x0)
         own = run.outputs, self._bends(data, p, x0, run.outputs), run.states, run.memory
-        arrays = [np.ascontiguousarray(a) for a in (*own, *self._responses(data, x0))]
-        self._library.use_run(*(a.ctypes.data_as(ctypes.c_void_p) for a in arrays))
+        arrays = [np.array(a, np.float64, order="C") for a in (*own, *self._responses(data, x0))]
+        if follows:
+            self._use(p, data, x0)
+        self._library.use_run(*(a.ctypes.data_as(ctypes.c_void_p) for a in arrays), int(follows))
         return super().run(data, p, x0, P0, q, r, states=states)
 
     def run_all(self, inputs: Sequence[Inputs]) -> list[Filtered]:
@@ -177,14 +182,18 @@ class LibraryKernel(CompiledKernel):
         self._runs.append((key, run))
         return run
 
+    def _nothing(self, rows: int) -> Simulated:
+        """Return arrays for a run that the filter makes."""
+        counts = len(self.layout.outputs), len(self.layout.states), self.layout.memory
+        return Simulated(*(np.zeros((rows, count)) for count in counts))
+
     def _bends(self, data: Data, p: Array, x0: Array, outputs: Array) -> Array:
         """Return the distance of the outputs, halfway to each row, from a line; 0 if no reading is of the past.
 
         Without an even number of substeps, an FMU that does not take any step tells nothing.
         """
         bends, substeps = np.zeros_like(outputs), data.substeps
-        asked = data.lags is not None or bool(data.late is not None and np.any(data.late))
-        if not asked or (substeps % 2 and not takes_any_step(self._fmu.description)):
+        if not _asks_past(data) or (substeps % 2 and not takes_any_step(self._fmu.description)):
             return bends
         u = np.repeat(data.u, 2, axis=0)[:-1]
         ramps = self._ramps(data) > 0
@@ -241,6 +250,11 @@ class LibraryKernel(CompiledKernel):
         values |= {name: float(x0[first + k]) for k, (name, _) in enumerate(self._fmu.starts)}
         prepared = instance.prepare(values, data.start, data.start + len(data.u) * data.step)
         self._library.use_library(ctypes.byref(prepared))
+
+
+def _asks_past(data: Data) -> bool:
+    """Return True if a reading depends on outputs before its row."""
+    return data.lags is not None or bool(data.late is not None and np.any(data.late))
 
 
 def propagation(responses: Array) -> Array:

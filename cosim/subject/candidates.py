@@ -18,6 +18,8 @@ class Candidate:
     Attributes:
         gain: True for a factor on an input, possibly a single wrong number.
         complete: Values of the complete error, if a fit that begins without it stays away from them.
+        repeats: Parameter with a period, and the state along which it counts; () for none.
+        among: Number of shapes that were tried before a fit, each as good as a candidate of its own.
     """
 
     name: str
@@ -26,6 +28,8 @@ class Candidate:
     starts: tuple[Mapping[str, float], ...]
     gain: bool = False
     complete: Mapping[str, float] = field(default_factory=dict)
+    repeats: tuple[str, ...] = ()
+    among: int = 1
 
     @property
     def parameters(self) -> tuple[str, ...]:

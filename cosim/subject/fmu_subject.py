@@ -34,6 +34,7 @@ from cosim.residuals.remote_drive import MODULES, DriveApart
 from cosim.residuals.starts import StartParameter, start_parameters
 from cosim.residuals.windows import Replay
 from cosim.subject import messages
+from cosim.subject.candidates import Candidate
 from cosim.subject.effect_ssp import EffectSsp, NotInSsp
 from cosim.subject.interface import Predict, Replayer, Start, Workplace
 from cosim.subject.model_subject import FILES, ModelSubject
@@ -42,7 +43,7 @@ from cosim.subject.ssp_replayer import SspReplayer
 from cosim.subject.start_state import start_state
 from cosim.terms.alike import experiments_for
 from cosim.terms.fmu_model import FmuModel, fmu_model
-from cosim.terms.language import with_place
+from cosim.terms.language import Force, with_place
 from cosim.terms.term_printing import term_code
 from cosim.wrapping.wrap import CannotWrap, wrap
 
@@ -119,6 +120,13 @@ class FmuSubject(ModelSubject):
         if self.is_stepped:
             return frozenset(with_place(q.name) for q in self.structure.outputs)
         return frozenset(map(with_place, self.structure.shown.values()))
+
+    def candidates(self, varied: Sequence[str]) -> list[Candidate]:
+        """Return terms, sensor errors and parameters as candidates; a term that repeats tells its period."""
+        states, catalogue = self.model.base_states, self.model.catalogue
+        forces = [kind for kind in catalogue if issubclass(kind, Force) and kind.repeats]
+        periods = {kind.name: (f"{kind.name}.{kind.repeats}", states[kind.place.position].name) for kind in forces}
+        return [replace(c, repeats=periods.get(c.name, ())) for c in super().candidates(varied)]
 
     def kernel(self, measured: Sequence[str], *, unnamed: bool = False, constant: Sequence[str] = ()) -> Kernel:
         """Return the filter with the FMU's library.

@@ -268,10 +268,11 @@ class Cogging(Force):
     kind = "cogging"
     equation = "−a·sin(2π·q/P) − b·cos(2π·q/P)"
     starts = tuple({"sine": 0.05, "period": 1.0 / periods} for periods in (3.0, 6.0, 12.0))
+    repeats = "period"
 
     sine: float = scaled("u", neutral=0.0, typical=0.05, low=-2.0, high=2.0, doc="amplitude a of the sine")
     cosine: float = scaled("u", neutral=0.0, typical=0.05, low=-2.0, high=2.0, doc="amplitude b of the cosine")
-    period: float = scaled("d", default=0.25, typical=0.02, low=0.005, high=0.5, doc="period P")
+    period: float = scaled("d", default=0.25, typical=0.02, low=5e-4, high=0.5, doc="period P")
 
     def force(self, m: Namespace, position: Number, velocity: Number) -> Number:
         """Return −a·sin(2π·q/P) − b·cos(2π·q/P)."""

@@ -91,7 +91,13 @@ class RememberingTerm(InputTerm):
 
 @dataclass(frozen=True, kw_only=True)
 class Force(Term):
-    """A force at a pair of position and velocity; symbols of `scaled`: u (unit of the port), q and v."""
+    """A force at a pair of position and velocity; symbols of `scaled`: u (unit of the port), q and v.
+
+    Attributes:
+        repeats: Parameter with the period of a force that repeats along the position; "" for none.
+    """
+
+    repeats: ClassVar[str] = ""
 
     def force(self, m: Namespace, position: Number, velocity: Number) -> Number:
         """Return the force in the direction of the velocity."""

@@ -154,10 +154,10 @@ def _with_certain_parts(search: Search, best: Hypothesis, dropped: dict[str, str
         dropped: Name of a dropped part → reason, to add to.
     """
     best = with_intervals(search, best)
-    least = deviations_by_chance(search.on_trial)
-    weak = [c for c in best.candidates if may_be_chance(best, c, least)]
+    weak = [c for c in best.candidates if may_be_chance(best, c, search.on_trial)]
     if not weak:
         return best
+    least = deviations_by_chance(search.on_trial * weak[0].among)
     dropped[weak[0].name] = f"its value is less than {least:.1f} standard deviations from that without effect"
     others = tuple(c for c in best.candidates if c is not weak[0])
     rest = search.tried.get(key_of(others)) or search.hypothesis(others, best.fit)
@@ -165,15 +165,15 @@ def _with_certain_parts(search: Search, best: Hypothesis, dropped: dict[str, str
     return _with_certain_parts(search, rest, dropped) if others else rest
 
 
-def may_be_chance(h: Hypothesis, c: Candidate, least: float) -> bool:
-    """Return True if a part is less than `least` standard deviations from neutral.
+def may_be_chance(h: Hypothesis, c: Candidate, on_trial: int) -> bool:
+    """Return True if a part is no further from neutral than the best of all candidates and shapes on trial by chance.
 
     Where the likelihood is flat at the estimate, as for a lag shorter than the time between rows, the interval holds
     values that explain the logs alike; its width is no standard deviation and says nothing here.
     """
     distances = [f.name for f in c.free if f.neutral is not None]
     is_judged = bool(distances) and c.kind != "parameter" and not any(map(h.fit.is_flat, distances))
-    return is_judged and not h.is_away(c, least)
+    return is_judged and not h.is_away(c, deviations_by_chance(on_trial * c.among))
 
 
 def _gain_together(search: Search, fuller: Hypothesis, rest: Hypothesis) -> bool:
@@ -222,7 +222,7 @@ def _doubt(search: Search, h: Hypothesis, c: Candidate, s: Support) -> str:
         return f"{limits[0]} is at its limit"
     if c.kind == "parameter":  # Held-out logs say the same about the base model.
         return "" if is_outside_tolerance(search, h, c) else "is within its tolerance"
-    if s.steady < chance_limit(search.problem, h.fit, search.on_trial) and not s.held_out > search.cost([c]):
+    if s.steady < chance_limit(search.problem, h.fit, search.on_trial * c.among) and not s.held_out > search.cost([c]):
         return f"{LITTLE}: {s.gain:.1f}, {s.steady:.1f} times its scatter"
     if s.held_out <= 0.0 and not s.predicted > BETTER:
         return "gains nothing on logs left out"

@@ -17,7 +17,7 @@ from cosim.estimation.fit import Fit
 from cosim.estimation.parallel import in_parallel
 from cosim.logs.channel_noise import NORMAL_95
 from cosim.refinement.decision.claims import Claims, Doubt, fit_of_rest, is_moved, name_of
-from cosim.refinement.decision.evidence import deviations_by_chance, fit_without, log_error, with_intervals
+from cosim.refinement.decision.evidence import fit_without, log_error, with_intervals
 from cosim.refinement.decision.judgement import may_be_chance
 from cosim.refinement.decision.prediction_fit import fit_to_others, fit_to_predictions, has_predictions
 from cosim.refinement.decision.trust import CLEARLY
@@ -43,9 +43,8 @@ def compare_with_predictions(search: Search, a: Attribution, claims: Claims) -> 
     if claims.name == "ambiguous":
         return replace(claims, claimed=both)
     moved = _moved_parts(claims, h.fit, refit) if is_better and not a.halves_error else set()
-    least = deviations_by_chance(search.on_trial)
     predicted = replace(h, fit=replace(h.fit, values=refit.values))
-    small = {c.name for c in h.candidates if may_be_chance(predicted, c, least)} - moved
+    small = {c.name for c in h.candidates if may_be_chance(predicted, c, search.on_trial)} - moved
     return _without(search, a, claims, moved, small) if moved | small else replace(claims, claimed=both)
 
 

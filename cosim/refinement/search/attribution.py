@@ -22,8 +22,9 @@ from cosim.estimation.screen import Choice, ScoreTest, Terms
 from cosim.estimation.sensor_noise import erring_stamps
 from cosim.refinement.decision.evidence import scatter_ratio
 from cosim.refinement.decision.judgement import SIGNIFICANT, loss_without
-from cosim.refinement.search.fits import SCREEN_ITERATIONS, Progress, Search, SearchResult, Trial, key_of
+from cosim.refinement.search.fits import SCREEN_ITERATIONS, Parts, Progress, Search, SearchResult, Trial, key_of
 from cosim.refinement.search.hypotheses import Hypothesis, best_hypothesis
+from cosim.refinement.search.periods import with_likely_periods
 from cosim.subject.candidates import Candidate
 from cosim.subject.interface import Subject
 from cosim.terms.alike import are_alike
@@ -53,10 +54,11 @@ class Attributor:
         candidates: Sequence[Candidate],
         progress: Progress = lambda stage, share: None,
     ) -> None:
-        self.candidates, self.progress = candidates, progress
+        self.candidates, self.progress = [*candidates], progress
         self.fine = problem
         self.search = Search(subject, coarsen(problem), len(candidates), progress)
         self.identifiable: dict[str, float] = {}
+        self.periods: dict[str, float] = {}  # of candidates that repeat along a position
 
     def run(self) -> SearchResult:
         """Fit the base model and search; search again if nothing is found and the base model is then fitted far better.
@@ -181,6 +183,7 @@ class Attributor:
     def _proposals(self, best: Hypothesis) -> list[Trial]:
         """Return promising untried sets of candidates with start values."""
         test = ScoreTest(self.search.problem, best.fit, best.candidates)
+        self._choose_periods(test, best)
         self.progress("asking what every candidate promises", 0.0)
         terms: list[Terms] = in_parallel(test.terms, list(self.candidates))
         for t in terms:
@@ -193,6 +196,13 @@ class Attributor:
         known = {key_of(parts) for parts, _ in whole}
         likely = [trial for _, trial in ranking[:FITTED] if key_of(trial[0]) not in known]
         return [*likely, *(((*best.candidates, c), None) for c in switched.values()), *whole]
+
+    def _choose_periods(self, test: ScoreTest, best: Hypothesis) -> None:
+        """Let candidates that repeat along a position begin with the period that promises most."""
+        self.candidates, periods = with_likely_periods(test, self.candidates, best.names)
+        if periods:
+            self.periods |= periods
+            self.fine, self.search.problem = (p.with_shapes(periods) for p in (self.fine, self.search.problem))
 
     def _complete_errors(self) -> Iterator[Trial]:
         """Yield complete errors with the given parameters, as the base fit may have gone where they promise nothing.
@@ -289,15 +299,28 @@ class Attributor:
         if len(best.candidates) > MOST_REPLACED:
             return best
         sets = {key_of(trial[0]): trial for trial in self._replacements(best)}
+        stuck = [trial for trial in sets.values() if self._is_stuck(trial[0], best)]
         if any(c.kind == "parameter" for c in best.candidates):
             # A fit along a ridge shared with a base parameter is slow, so an interrupted fit continues.
             base = search.tried[()].score
             halfway = [search.tried[k] for k in sets if k in search.tried and not search.tried[k].ended]
             ended = search.fit_again([h for h in halfway if h.score - best.score < base - h.score])
         untried = [trial for k, trial in sets.items() if k not in search.tried]
-        fitted = search.fit_all(untried, best, "replacing each part", NEAR)
+        fitted = search.fit_all([*untried, *stuck], best, "replacing each part", NEAR, again=True)
         nearest = best_hypothesis((best, *ended, *fitted))
         return best if nearest is best else best_hypothesis((best, *search.fit_again([nearest])))
+
+    def _is_stuck(self, parts: Parts, best: Hypothesis) -> bool:
+        """Return True if a set that looks like the best hypothesis was fitted from elsewhere, and far worse.
+
+        Many optima of the unknown inputs are local. From the values of the best, it may come near.
+        """
+        tried = self.search.tried.get(key_of(parts))
+        if tried is None or tried.ended or tried.score - best.score < NEAR:
+            return False
+        new = [c for c in parts if c.name not in best.names]
+        old = [c for c in best.candidates if c.name not in tried.names]
+        return len(new) == len(old) == 1 and self._is_twin(old[0], new[0])
 
     def _replacements(self, best: Hypothesis) -> Iterator[Trial]:
         """Yield promising replacements of each candidate.
@@ -311,6 +334,9 @@ class Attributor:
             rest = tuple(c for c in best.candidates if c is not part)
             without = search.hypothesis(rest, best.fit, SCREEN_ITERATIONS, sensing=False)
             test = ScoreTest(search.problem, without.fit)
+            test.values |= {
+                name: value for name, value in self.periods.items() if name.partition(".")[0] not in best.names
+            }
             terms = [t for t in in_parallel(test.terms, others) if not t.switched]
             promises = Choice(test, terms, (), search.problem.values).extensions(())
             likely = [name for name in promises if promises[name].within][:REPLACING]

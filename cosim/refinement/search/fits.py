@@ -145,14 +145,21 @@ class Search:
         base = base_parameters(self.subject, self.problem.values, self.problem.settings.tolerance)
         return [b for b in base if b.name not in on_trial] + own
 
-    def fit_all(self, sets: Sequence[Trial], start: Hypothesis, stage: str, margin: float) -> list[Hypothesis]:
-        """Fit sets of candidates; a fit ends early if it cannot reach a score within `margin` of `start`."""
-        todo = [trial for trial in sets if key_of(trial[0]) not in self.tried]
+    def fit_all(
+        self, sets: Sequence[Trial], start: Hypothesis, stage: str, margin: float, *, again: bool = False
+    ) -> list[Hypothesis]:
+        """Fit sets of candidates; a fit ends early if it cannot reach a score within `margin` of `start`.
+
+        Args:
+            again: Also fit sets that were fitted before; the better fit counts.
+        """
+        todo = [trial for trial in sets if again or key_of(trial[0]) not in self.tried]
 
         def fit_trial(trial: Trial) -> Hypothesis:
             parts, promised = trial
             goal = start.score + margin - self.cost(parts)
-            return self.hypothesis(parts, start.fit, SCREEN_ITERATIONS, goal, promised=promised, sensing=False)
+            fitted = self.hypothesis(parts, start.fit, SCREEN_ITERATIONS, goal, promised=promised, sensing=False)
+            return min(fitted, self.tried.get(fitted.names, fitted), key=lambda h: h.score)
 
         return self._fit_each(stage, fit_trial, todo)
 
@@ -221,7 +228,8 @@ class Search:
 
     def cost(self, parts: Sequence[Candidate]) -> float:
         """Return the score cost of candidates."""
-        return self.problem.scatter * float(sum(self.entry + self.price * len(c.free) for c in parts))
+        each = (self.entry + float(np.log(c.among)) + self.price * len(c.free) for c in parts)
+        return self.problem.scatter * float(sum(each))
 
     def bound_within(self, parts: Parts) -> float:
         """Return the best objective of fitted subsets of candidates."""

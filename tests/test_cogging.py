@@ -1,0 +1,114 @@
+"""Forces that repeat along a position: where they act in free runs of a machine that was pushed, and their period."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cosim.estimation.posing import build_problem
+from cosim.refinement.search import attribution, periods
+from cosim.refinement.search.fits import Search
+from cosim.refinement.search.hypotheses import Hypothesis
+from cosim.refinement.study import read_study
+from tests.blind.fmu_build import build
+from tests.logs import write_log
+from tests.test_refine_fmu_rules import hypothesis
+
+STEP, ROWS, FINE = 0.01, 500, 20
+PERIOD, SIZE = 0.9, 0.01  # rad, N·m
+NOISE = {"current": 0.01, "angle": 0.02, "speed": 0.3}
+
+
+def pushed_motor(path: Path) -> Path:
+    """Write a log of the blind suite's motor with cogging; an unknown torque moves it by some periods."""
+    rng, h = np.random.default_rng(4), STEP / FINE
+    voltage = np.repeat(rng.uniform(-1.5, 1.5, ROWS // 50), 50)
+    push = np.where((np.arange(ROWS) > 150) & (np.arange(ROWS) < 190), 0.008, 0.0)
+
+    def rates(x: Any, u: float, torque: float) -> Any:
+        i, q, w = x
+        cogging = SIZE * math.sin(2.0 * math.pi * q / PERIOD)
+        return np.array([(u - 1.2 * i - 0.05 * w) / 6e-3, w, (0.05 * i - 1e-4 * w - cogging + torque) / 2e-4])
+
+    x, states = np.zeros(3), []
+    for u, torque in zip(voltage, push, strict=True):
+        states.append(x)
+        for _ in range(FINE):
+            half = x + 0.5 * h * rates(x, u, torque)
+            x = x + h * rates(half, u, torque)
+    readings = np.array(states) + rng.standard_normal((ROWS, 3)) * [*NOISE.values()]
+    columns = {"time": STEP * np.arange(ROWS), "voltage": voltage, "load_torque": np.zeros(ROWS)}
+    return write_log(path, columns | dict(zip(NOISE, readings.T, strict=True)))
+
+
+def test_a_force_along_a_position_acts_where_the_filter_sees_the_machine(tmp_path: Path) -> None:
+    fmu, log = build(tmp_path / "motor.fmu", "dc_motor", ways=("co_simulation",)), pushed_motor(tmp_path / "e1.csv")
+    path = tmp_path / "study.yaml"
+    path.write_text(json.dumps({"model": fmu.name, "logs": {"estimation": [log.name], "validation": []}}))
+    study = read_study(path)
+    problem = build_problem(study.subject, study.logs, noise=NOISE)
+    truth = {"cogging_at_speed.sine": SIZE, "cogging_at_speed.cosine": 0.0, "cogging_at_speed.period": PERIOD}
+    plain, right = (problem.score({**problem.values, **values}, problem.plain) for values in ({}, truth))
+    assert right.nll < plain.nll - 200.0
+    p, start = problem.numbers({**problem.values, **truth}), problem.x0[0]
+    run = problem.kernel.simulate(problem.logs[0], p, start, np.zeros(problem.layout.memory))
+    away = run.outputs[-1, 1] - problem.logs[0].y[-1, 1]
+    assert abs(away) > 0.5 * PERIOD  # a replay knows nothing of the push
+
+
+@pytest.mark.parametrize("cycles", [37.0, 311.0])
+def test_a_period_far_below_the_travel_is_a_line_of_the_innovations(cycles: float) -> None:
+    rng, travel = np.random.default_rng(2), 250.0
+    positions = [np.cumsum(rng.choice([-1.0, 1.0], 3000).cumsum() * 0.002) % travel for _ in range(2)]
+    positions[0][0], positions[1][0] = 0.0, travel
+    answers = [
+        np.column_stack([0.4 * np.sin(2.0 * math.pi * cycles * q / travel + 1.0), np.zeros(3000)])
+        + rng.standard_normal((3000, 2))
+        for q in positions
+    ]
+    lines = [*periods._lines(positions, answers, 1e-3 * travel, 0.5 * travel)]
+    assert len(lines) == periods.LINES
+    assert min(abs(travel / line - cycles) for line in lines) < 0.5
+
+
+def test_a_term_that_looks_alike_is_fitted_again_from_the_best_if_it_was_fitted_from_elsewhere(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    latency, lag, scale = (hypothesis({f"{kind}_at_y": (1.0, 0.1)}) for kind in ("latency", "lag", "scale"))
+    best = replace(latency, score=-2000.0, ended=True)
+
+    def stuck(other: Hypothesis, score: float, *, ended: bool = False) -> bool:
+        search = SimpleNamespace(
+            tried={other.names: replace(other, score=score, ended=ended)}, subject=SimpleNamespace(probed=True)
+        )
+        attributor: Any = SimpleNamespace(search=search)
+        attributor._is_twin = lambda one, two: attribution.Attributor._is_twin(attributor, one, two)
+        return attribution.Attributor._is_stuck(attributor, other.candidates, best)
+
+    assert stuck(lag, -1000.0)
+    assert not stuck(lag, -1999.0)  # near, and refitted anyway
+    assert not stuck(lag, -1000.0, ended=True)
+    assert not stuck(scale, -1000.0)  # does not look alike
+
+
+def test_the_better_of_two_fits_of_a_set_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    earlier = replace(hypothesis({"lag": (1.0, 0.1)}), score=-10.0)
+    search = Search.__new__(Search)
+    fitted: Mapping[str, float] = {"worse": -5.0, "better": -20.0}
+    for score in fitted.values():
+        search.tried = {earlier.names: earlier}
+        search.progress = lambda stage, share: None
+        monkeypatch.setattr(Search, "cost", lambda self, parts: 0.0)
+        monkeypatch.setattr(Search, "hypothesis", lambda self, *a, s=score, **k: replace(earlier, score=s))
+        trials = [(earlier.candidates, None)]
+        (kept,) = search.fit_all(trials, earlier, "again", 1.0, again=True)
+        assert kept.score == min(score, earlier.score)
+        assert search.fit_all(trials, earlier, "once", 1.0) == []
