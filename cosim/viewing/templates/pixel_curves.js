@@ -8,7 +8,7 @@ function paintCurves(canvas, size, curves, x) {
   const ratio = devicePixelRatio || 1,
     width = Math.max(1, Math.round(size.width * ratio)),
     height = Math.max(1, Math.round(size.height * ratio));
-  Object.assign(canvas, { width, height });
+  if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height }); // a new surface
   const context = canvas.getContext("2d"),
     picture = context.createImageData(width, height),
     extremes = { top: new Float32Array(width), bottom: new Float32Array(width) };
