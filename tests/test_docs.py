@@ -66,7 +66,7 @@ def test_the_commands_of_the_readme_run_in_order(project: Path) -> None:
     quick = [command for command in COMMANDS if not command.startswith("excite")]  # tests/test_excite.py has it
     assert quick
     for command in quick:
-        words = [sorted(project.glob(word)) if "*" in word else [word] for word in shlex.split(command)]
+        words = [sorted(project.glob(word)) or [word] if "*" in word else [word] for word in shlex.split(command)]
         done = cosim(*chain.from_iterable(words), cwd=project)
         assert done.returncode == 0, (command, done.stderr)
         if command.startswith("run") and "--out again" in command:
