@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 from cosim.base.errors import InputError
 from cosim.base.version import __version__
 from cosim.calibration import report
+from cosim.calibration.fit_study import _beside
 from cosim.history import entries as listing
 from cosim.simulation import run_files
 from cosim.storage.kinds import MANIFEST, kind_of
@@ -165,3 +166,12 @@ def test_the_badge_of_a_fit_does_not_contradict_its_warnings(verdict: str, settl
     outcome: Any = SimpleNamespace(estimate=SimpleNamespace(settled=settled))
     record: Any = SimpleNamespace(verdict=verdict)
     assert report._verdict(outcome, record) == badge
+
+
+def test_a_file_beside_a_study_has_a_short_path_unless_links_lead_elsewhere(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").touch()
+    (tmp_path / "out" / "deep").mkdir(parents=True)
+    assert _beside(tmp_path / "out" / "study.yaml", "../a.csv") == tmp_path / "a.csv"
+    (tmp_path / "link").symlink_to(tmp_path / "out" / "deep")
+    (tmp_path / "out" / "a.csv").touch()
+    assert _beside(tmp_path / "link" / "study.yaml", "../a.csv") == tmp_path / "link" / ".." / "a.csv"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -118,9 +119,9 @@ def read_fit_study(path: FilePath, *, vary: Sequence[str] = (), start: Sequence[
     if not content.model.lower().endswith(FMU_SUFFIX):
         refuse([yaml.fault(("model",), messages.NO_FMU_IN_STUDY(model=content.model))])
     return Request(
-        path.parent / content.model,
-        [path.parent / name for name in content.logs.estimation],
-        [path.parent / name for name in content.logs.validation],
+        _beside(path, content.model),
+        [_beside(path, name) for name in content.logs.estimation],
+        [_beside(path, name) for name in content.logs.validation],
         vary or _vary_texts(content.vary),
         [*(f"{n}={_text(v)}" for n, v in content.start.items()), *start],
         content.columns,
@@ -186,3 +187,10 @@ def check_missing(request: Request) -> list[Fault]:
         if not path.exists():
             faults.append(request.log_fault(index, messages.MISSING_FILE(file=path.name)))
     return faults
+
+
+def _beside(study: Path, name: str) -> Path:
+    """Return a file that a study names, without steps out of its folder and back: `a.csv`, not `x/../a.csv`."""
+    path = study.parent / name
+    plain = Path(os.path.normpath(path))
+    return plain if path.exists() and plain.exists() and plain.samefile(path) else path  # links may lead elsewhere

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shlex
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -344,6 +343,4 @@ def _values(outcome: Outcome) -> Iterator[tuple[str, float]]:
 def command(outcome: Outcome, values: Mapping[str, float]) -> str:
     """Return the command that simulates with the values."""
     sets = [word for n, v in values.items() for word in ("--set", f"{n}={v!r}")]
-    fmu = Path(os.path.normpath(outcome.fmu))  # results/x/../../a.fmu, beside a study
-    fmu = fmu if fmu.exists() and fmu.samefile(outcome.fmu) else outcome.fmu
-    return shlex.join(["cosim", "simulate", str(fmu), *sets, *(["--compile"] if permission.get() else [])])
+    return shlex.join(["cosim", "simulate", str(outcome.fmu), *sets, *(["--compile"] if permission.get() else [])])
