@@ -153,8 +153,10 @@ def _fault_of_python(words: list[str]) -> str:
     if not file.is_relative_to(ROOT) or "site-packages" in file.parts:
         return ""  # its options are another project's
     source = file.read_text(encoding="utf-8")
-    for module in re.findall(r"^from ((?:benchmarks|examples|tests)\.[\w.]+) import", source, re.MULTILINE):
-        source += (ROOT / module.replace(".", "/")).with_suffix(".py").read_text(encoding="utf-8")
+    for module in re.findall(r"^from ([\w.]+) import", source, re.MULTILINE):
+        name = f"{module.replace('.', '/')}.py"
+        for imported in (ROOT / name, ROOT / "examples" / name):
+            source += imported.read_text(encoding="utf-8") if imported.is_file() else ""
     return next((word for word in rest if word.startswith("--") and f'"{word}"' not in source), "")
 
 
