@@ -99,6 +99,23 @@ def test_a_term_that_looks_alike_is_fitted_again_from_the_best_if_it_was_fitted_
     assert not stuck(scale, -1000.0)  # does not look alike
 
 
+def test_what_was_the_best_is_fitted_again_from_what_replaces_it() -> None:
+    latency, lag = (replace(hypothesis({f"{kind}_at_y": (1.0, 0.1)}), score=0.0) for kind in ("latency", "lag"))
+    better, begun = replace(lag, score=-20.0), list[tuple[Any, Hypothesis]]()
+
+    def fit_all(trials: Any, start: Hypothesis, *_: Any, **__: Any) -> list[Hypothesis]:
+        begun.append(([parts for parts, _ in trials], start))
+        return [replace(lag, score=-15.0)]
+
+    subject = SimpleNamespace(probed=True)
+    search = SimpleNamespace(subject=subject, tried={}, fit_all=fit_all, fit_again=lambda hypotheses: [better])
+    attributor: Any = SimpleNamespace(
+        search=search, _replacements=lambda best: [(lag.candidates, None)], _is_stuck=lambda parts, best: False
+    )
+    assert attribution.Attributor._with_replacement(attributor, latency) is better
+    assert begun[1:] == [([latency.candidates], better)]
+
+
 def test_the_better_of_two_fits_of_a_set_counts(monkeypatch: pytest.MonkeyPatch) -> None:
     earlier = replace(hypothesis({"lag": (1.0, 0.1)}), score=-10.0)
     search = Search.__new__(Search)

@@ -308,7 +308,12 @@ class Attributor:
         untried = [trial for k, trial in sets.items() if k not in search.tried]
         fitted = search.fit_all([*untried, *stuck], best, "replacing each part", NEAR, again=True)
         nearest = best_hypothesis((best, *ended, *fitted))
-        return best if nearest is best else best_hypothesis((best, *search.fit_again([nearest])))
+        if nearest is best:
+            return best
+        better = best_hypothesis((best, *search.fit_again([nearest])))
+        if search.subject.probed and better is not best:  # its values may suit what was the best, too
+            search.fit_all([(best.candidates, None)], better, "replacing each part", NEAR, again=True)
+        return better
 
     def _is_stuck(self, parts: Parts, best: Hypothesis) -> bool:
         """Return True if a set that looks like the best hypothesis was fitted from elsewhere, and far worse.
