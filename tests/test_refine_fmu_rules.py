@@ -146,15 +146,23 @@ def test_rivals_that_look_alike_have_an_experiment() -> None:
     assert "a delay waits" in text
 
 
-@pytest.mark.parametrize(("count", "is_repeated"), [(2, True), (3, False)])
+@pytest.mark.parametrize(("count", "nats", "is_repeated"), [(2, 20.0, True), (3, 20.0, False), (2, -20.0, False)])
 def test_free_runs_name_two_terms_at_most_with_equations_trusted(
-    monkeypatch: pytest.MonkeyPatch, count: int, is_repeated: bool
+    monkeypatch: pytest.MonkeyPatch, count: int, nats: float, is_repeated: bool
 ) -> None:
-    """If free runs without unknown inputs are better, the search is repeated; many terms imitate what has no name."""
+    """If free runs without unknown inputs are better, and likelier, their search counts; many terms imitate others."""
     layout, noise = SimpleNamespace(is_free_run=True), SimpleNamespace(sensors=None)
-    free_search, trusted_search = (SimpleNamespace(problem=SimpleNamespace(layout=layout)) for _ in range(2))
+    free_search, trusted_search = (
+        SimpleNamespace(
+            problem=SimpleNamespace(layout=layout, limits=SimpleNamespace(free=range(noises)), scatter=scatter),
+            price=4.0,
+            cost=lambda parts, scatter=scatter: scatter * 10.0 * len(parts),
+        )
+        for noises, scatter in ((3, 1.0), (1, 2.0))
+    )
     none: Any = replace(hypothesis({}), fit=replace(hypothesis({}).fit, noise=noise))  # type: ignore[arg-type]
     many = hypothesis({f"drift_at_{k}": (1.0, 0.1) for k in range(count)})
+    many = replace(many, fit=replace(many.fit, nll_by_log=(8.0 - 10.0 * count - nats,)))
     results: Any = [
         SearchResult(search, best, (), ())  # type: ignore[arg-type]
         for search, best in ((free_search, none), (trusted_search, many))

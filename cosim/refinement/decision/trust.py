@@ -28,6 +28,21 @@ MOST_TERMS = 2  # candidates that free runs of an FMU may name; more imitate tog
 CLEARLY = 0.05  # improvement of the log error of open-loop predictions from which one way is better
 
 
+def _is_likelier(trusted: SearchResult, free: SearchResult) -> bool:
+    """Return True if the logs make exact equations likelier than unknown inputs, by half of BIC.
+
+    A fit without unknown inputs minimises the errors of free runs, so that it predicts its own logs better in any case,
+    and its candidates imitate a disturbance that unknown inputs explain.
+    """
+
+    def score(r: SearchResult) -> float:
+        search, h = r.search, r.best
+        noise = search.price * len(search.problem.limits.free)
+        return float(h.fit.nll + search.cost(h.candidates) / search.problem.scatter + noise)
+
+    return score(trusted) < score(free)
+
+
 def attribute(subject: Subject, problem: Problem, candidates: Sequence[Candidate], progress: Progress) -> SearchResult:
     """Return the best hypothesis, with or without unknown inputs.
 
@@ -51,6 +66,6 @@ def attribute(subject: Subject, problem: Problem, candidates: Sequence[Candidate
     other = Attributor(subject, trusted, candidates, progress).run()
     if error(other.search, other.best) > free - CLEARLY:
         return result
-    if problem.layout.is_free_run and len(other.best.candidates) > MOST_TERMS:
+    if problem.layout.is_free_run and not (len(other.best.candidates) <= MOST_TERMS and _is_likelier(other, result)):
         return result
     return replace(other, sensors=result.best.fit.noise.sensors)
