@@ -261,7 +261,7 @@ class Fits:
 
     def __call__(self, problem: Problem, *args: Any, **named: Any) -> estimation.Fit:
         """Return the fit for these arguments."""
-        stated = [getattr(problem, f.name) for f in fields(problem) if f.name != "kernel"]
+        stated = [getattr(problem, f.name) for f in fields(problem) if f.name not in ("kernel", "ranges")]
         library = problem.kernel._library._name  # type: ignore[attr-defined]  # named by its source
         plain = [_in(value, None) for value in args], {name: _in(value, None) for name, value in named.items()}
         key = hashlib.sha256(pickle.dumps((library, stated, plain))).digest()
