@@ -445,12 +445,12 @@ def test_a_short_replay_begins_where_the_log_is_though_the_fit_trusted_the_equat
     rail: Model, tmp_path: Path
 ) -> None:
     problem = posed(rail, tmp_path, 1, seconds=8.0, numbers=DRY)
-    problem = replace(problem, trusted=True)
+    trusted = replace(problem, trusted=True)
     log, apart = read_log(tmp_path / "1.csv", rail.inputs, rail.outputs), {}
     for own in (math.inf, 0.5):
         subject = ModelSubject.of(rail)
         subject.horizon = own
-        variant = Variant(subject, dict(problem.values), problem.plain)
+        variant = Variant(subject, dict(problem.values), trusted.plain, problem.plain)
         starts, _ = _starts(variant, problem, log, 0, 0.5)
         apart[own] = max(abs(start.states["position"] - log.outputs["position"][k]) for k, start in starts.items())
     assert apart[math.inf] < 0.5 * apart[0.5]  # at its own horizon a run begins where the model has arrived

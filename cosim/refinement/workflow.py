@@ -18,6 +18,7 @@ import numpy as np
 from cosim.base.errors import Fault, TimedOut, refuse
 from cosim.base.text import counted, join_names, plain
 from cosim.estimation.fit import Fit, initial_fit
+from cosim.estimation.noise_model import Noise
 from cosim.estimation.per_log import drop_own_parameters
 from cosim.estimation.posing import build_problem, coarsen, varied_inputs
 from cosim.estimation.predictability import predictable_horizon
@@ -125,25 +126,23 @@ def refine(
     claims = _judge(study, attribution, result, limited)
     claims = _add_nearest(study, claims, result, attribution, problem, limited)
     between = between_rows(result.search.problem, attribution.base)
-    noise = log_noise(attribution.best.fit.noise, result.sensors)
+    noise = log_noise(attribution.best.fit.noise, result.free_noise)
     warnings = [*noise_warnings(problem, noise, subject), *between.warnings]
     if subject.probed:
         warnings += cell_warnings(problem, subject)
     allowed = study.content.limits
     with scratch_folder(folder, ".refine-") as scratch, Workplace(scratch, allowed, in_process=in_process) as place:
         progress("building the refined FMU", 0.0)
-        variants = _variants(study, attribution, claims)
+        variants = _variants(study, attribution, claims, result.free_noise)
         files = _write_models(variants, scratch, folder)
         progress("replaying through the FMUs", 0.0)
         sealed = study.unseal()  # after all decisions
         sets: LogSets = {"estimation": study.logs, "validation": sealed} if sealed else {"estimation": study.logs}
-        searched = result.search.problem
-        proved = replace(problem, trusted=True, scatter=searched.scatter) if searched.trusted else problem
-        played, way = Proof(proved, sets, place).replay(variants)
+        played, way = Proof(problem, sets, place).replay(variants)
         progress("measuring the noise floor", 0.0)
         best = variants["after"] if claims.claimed else variants.get("nearest", variants["after"])
         fitted = (claims.nearest_hypothesis or attribution.base).fit
-        quiet = replace(best, noise=log_noise(fitted.noise, result.sensors))
+        quiet = replace(best, noise=log_noise(fitted.noise, result.free_noise))
         rng = np.random.default_rng(FLOOR_SEED)  # fixed for reproducible results
         floors: Floors = {part: noise_floor(quiet, problem, logs, rng) for part, logs in sets.items()}
         remaining = _remaining(claims, played, subject)
@@ -164,8 +163,9 @@ def refine(
                 keep_earlier(folder, "cosim refine")
             _publish(files, scratch / ANSWER, folder)
         release_stops()
-    evidence = _at_horizon(played, subject.horizon)
-    outcome = Refinement(study, attribution, claims, content, folder, proved, variants, evidence)
+    searched, evidence = result.search.problem, _at_horizon(played, subject.horizon)
+    problem = replace(problem, trusted=searched.trusted, scatter=searched.scatter)
+    outcome = Refinement(study, attribution, claims, content, folder, problem, variants, evidence)
     if report:
         from cosim.refinement.report.refine_page import write_refine_report
 
@@ -293,7 +293,7 @@ def _add_nearest(
     return replace(claims, restricted=study.content.candidates is not None, left_out=left_out)
 
 
-def _variants(study: Study, a: Attribution, claims: Claims) -> dict[str, Variant]:
+def _variants(study: Study, a: Attribution, claims: Claims, free_noise: Noise | None) -> dict[str, Variant]:
     """Return the variants to replay: before, recalibrated, after, and the nearest model if the claim is incomplete."""
     subject, settings, claimed, nearest_fit = study.subject, study.settings, claims.claimed, claims.nearest_hypothesis
     refined = refined_subject(subject, settings, claimed)
@@ -302,7 +302,8 @@ def _variants(study: Study, a: Attribution, claims: Claims) -> dict[str, Variant
         other = refined_subject(subject, settings, nearest_fit)
         of_other = variant_of(other, settings, nearest_fit.fit if nearest_fit else a.unfitted)
         variants["nearest"] = variants["after"] if nearest_fit is claimed else of_other
-    return variants
+    each = {id(v): replace(v, free_noise=free_noise) for v in variants.values()}  # one that stands twice stays one
+    return {name: each[id(variant)] for name, variant in variants.items()}
 
 
 def _write_models(variants: Mapping[str, Variant], scratch: Path, folder: Path) -> list[Path]:

@@ -68,4 +68,4 @@ def attribute(subject: Subject, problem: Problem, candidates: Sequence[Candidate
         return result
     if problem.layout.is_free_run and not (len(other.best.candidates) <= MOST_TERMS and _is_likelier(other, result)):
         return result
-    return replace(other, sensors=result.best.fit.noise.sensors)
+    return replace(other, free_noise=result.best.fit.noise)

@@ -30,7 +30,6 @@ from cosim.logs.log import Log
 from cosim.model.namespaces import arrays
 from cosim.model.sensors import SensorError
 from cosim.refinement.proof.refined_models import Variant
-from cosim.refinement.search.missing import loosen_noise
 from cosim.residuals.drive import StoppedReplay
 from cosim.residuals.residual_statistics import FREE_RUN, pool_errors
 from cosim.residuals.windows import Replay, window_rows
@@ -109,8 +108,8 @@ def _starts(
     """
     rows, layout = first_rows(log, horizon), problem.layout
     data, noise = problem.data(variant.values, index), variant.noise
-    if problem.trusted and horizon != variant.subject.horizon:
-        noise = loosen_noise(problem, noise)
+    if variant.free_noise is not None and horizon != variant.subject.horizon:
+        noise = variant.free_noise
     filtered = problem.filter_causally(data, variant.values, noise, index, log.grid[rows].tolist())
     starts = {}
     for k in rows:

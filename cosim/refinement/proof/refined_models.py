@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from cosim.base.arrays import Array
 from cosim.estimation.expected import group_values, means
 from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
@@ -20,11 +19,13 @@ class Variant:
 
     Attributes:
         values: All parameters of the kernel, including sensor errors and parameters per log.
+        free_noise: Noise with which a filter follows the readings, where that of the fit does not.
     """
 
     subject: Subject
     values: Mapping[str, float]
     noise: Noise
+    free_noise: Noise | None = None
 
 
 def refined_subject(subject: Subject, settings: Settings, claimed: Hypothesis | None) -> Subject:
@@ -60,13 +61,13 @@ def variants_of(
     return {"before": before, "recalibrated": variant_of(recalibrated, settings, base), "after": after}
 
 
-def log_noise(fitted: Noise, sensors: Array | None) -> Noise:
+def log_noise(fitted: Noise, free: Noise | None) -> Noise:
     """Return noise estimated from the logs.
 
     Args:
-        sensors: ln of the sensor noise variances to use if the fitted variances include model errors.
+        free: Noise of a fit with free unknown inputs, if the fitted sensor noise includes model errors.
     """
-    return fitted if sensors is None else replace(fitted, sensors=sensors)
+    return fitted if free is None else replace(fitted, sensors=free.sensors)
 
 
 def variant_of(subject: Subject, settings: Settings, f: Fit) -> Variant:

@@ -12,6 +12,7 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.estimation.fit import Fit
+from cosim.estimation.noise_model import Noise
 from cosim.estimation.problem import Problem
 from cosim.refinement.decision.claims import Claims, Doubt, MovedParameter, Part, experiment_for, name_of
 from cosim.refinement.decision.evidence import sum_per_scatter
@@ -43,7 +44,7 @@ def check_with_replays(study: Study, a: Attribution, claims: Claims, result: Sea
     """Return the claims, changed or withdrawn if replays of the logs contradict the verdict."""
     is_within, is_single = not beyond_tolerance(a.base.fit), False
     if claims.name == "no_effect":
-        error, floor = _replay_errors(study, a, claims, problem, result.sensors)
+        error, floor = _replay_errors(study, a, claims, problem, result.free_noise)
         if ratios := errors_per_floor(error["before"], floor):
             if not is_within or errors_per_floor(error["recalibrated"], floor):
                 claims = claim_single_number(claims, a, study.subject, result, ratios)
@@ -53,7 +54,7 @@ def check_with_replays(study: Study, a: Attribution, claims: Claims, result: Sea
     if claims.claimed is None:
         return claims
     variants = _variants(study, a, claims)
-    error, floor = _replay_errors(study, a, claims, problem, result.sensors)
+    error, floor = _replay_errors(study, a, claims, problem, result.free_noise)
     if is_single and (doubt := _error_doubt(error, floor)):
         return claims.withdraw(doubt)
     nearer = not study.subject.probed
@@ -91,12 +92,12 @@ def _variants(study: Study, a: Attribution, claims: Claims) -> dict[str, Variant
 
 
 def _replay_errors(
-    study: Study, a: Attribution, claims: Claims, problem: Problem, sensors: Array | None
+    study: Study, a: Attribution, claims: Claims, problem: Problem, free: Noise | None
 ) -> tuple[ErrorOf, Channels]:
     """Return replay errors and their noise floor."""
     variants = _variants(study, a, claims)
     error = {name: predicted_errors(variant, problem, study.logs) for name, variant in variants.items()}
-    quiet = replace(variants["after"], noise=log_noise((claims.claimed or a.base).fit.noise, sensors))
+    quiet = replace(variants["after"], noise=log_noise((claims.claimed or a.base).fit.noise, free))
     return error, noise_floor(quiet, problem, study.logs, np.random.default_rng(FLOOR_SEED)).level
 
 

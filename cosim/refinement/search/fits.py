@@ -14,7 +14,6 @@ from typing import TypeVar
 
 import numpy as np
 
-from cosim.base.arrays import Array
 from cosim.estimation.fit import FAIR, Fit, Patience, fit, initial_fit
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.parallel import in_parallel
@@ -59,15 +58,15 @@ class SearchResult:
 
     Attributes:
         candidates: All candidates on trial.
-        sensors: With trusted equations, ln of the sensor noise variances of the fit with free unknown inputs; the
-            trusted fit would count model errors as noise.
+        free_noise: With trusted equations, the noise of the fit with free unknown inputs. The trusted fit counts model
+            errors as sensor noise, and its filter hardly follows the readings.
     """
 
     search: Search
     best: Hypothesis
     hidden: tuple[str, ...]
     candidates: tuple[Candidate, ...]
-    sensors: Array | None = None
+    free_noise: Noise | None = None
 
     @property
     def effects(self) -> int:
