@@ -24,6 +24,7 @@ from typing import Any
 
 import numpy as np
 
+from cosim.base.arrays import Array
 from cosim.base.drafts import remove_drafts
 from cosim.base.errors import InputError
 from cosim.base.messages import Message, code_of
@@ -167,13 +168,13 @@ class StoppedRun:
         if (kept / ROWS).is_file():
             if not count:
                 raise InputError.at(kept, messages.STOPPED_BEFORE_ROWS())
-            start = Continuation(read_table(kept / ROWS, count, width), read_exact(kept / BESIDE, count), self.state)
+            start = Continuation(_kept_rows(kept / ROWS, count, width), read_exact(kept / BESIDE, count), self.state)
         elif system.recording is not None and not (count and (kept / f"{ALL}{ROWS}").is_file()):
             self._check_unfinished(scenario)
             return None
         elif system.recording is not None:
             rows, beside = (kept / f"{ALL}{name}" for name in (ROWS, BESIDE))
-            start = Continuation(read_table(rows, count, width), read_exact(beside, count), self.state)
+            start = Continuation(_kept_rows(rows, count, width), read_exact(beside, count), self.state)
         else:
             start = self._from_results(system, scenario, count)
         if checkpoint and RowsHash().of(start.values, start.exact, start.count) != checkpoint["rows"]:
@@ -345,3 +346,10 @@ def replayed_names(system: System, checkpoint: Mapping[str, Any]) -> Sequence[st
 def unsaved_names(system: System) -> Sequence[str]:
     """Return the components that cannot save their state."""
     return [s.component.name for s in system.stages if not getattr(s.component, "saves", False)]
+
+
+def _kept_rows(path: Path, rows: int, columns: int) -> Array:
+    """Return the first rows of a checkpoint; raise InputError if the file is shorter."""
+    if path.stat().st_size < 8 * rows * columns:
+        raise InputError.at(path, messages.ROWS_OF_ANOTHER_RUN())
+    return read_table(path, rows, columns)
