@@ -18,7 +18,6 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
-from importlib import import_module
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -215,8 +214,7 @@ def _children(pid: int) -> list[int]:
 
 def kill_runs(folder: Path, count: int, seed: int = SEED) -> tuple[Counter[str], list[str]]:
     """Kill runs so many times; return the counts and all faults."""
-    for name in (*warm.MODULES, "cosim.simulation.workflow"):  # The commands are forked from this process.
-        import_module(name)
+    warm.import_all()  # The commands are forked from this process.
     rng, counts, wrong = random.Random(seed), Counter[str](), list[str]()
     killed = [Killed(folder / name, python=name == "python") for name in ("c", "python")]
     left = count

@@ -174,12 +174,17 @@ def _read_at_start(environment: Mapping[str, str]) -> dict[str, str]:
 # -- the process that forks -------------------------------------------------------------------------
 
 
-def serve(asked: socket.socket) -> None:
-    """Fork a worker for each message, and tell how each has ended, until the caller ends."""
+def import_all() -> None:
+    """Import the framework and what it imports late, for processes that are forked from this one."""
     own = (module.name for module in walk_packages(cosim_package.__path__, "cosim."))
     for name in (*FOREIGN, *own):
         if find_spec(name.partition(".")[0]) and not name.endswith("__main__"):
             import_module(name)
+
+
+def serve(asked: socket.socket) -> None:
+    """Fork a worker for each message, and tell how each has ended, until the caller ends."""
+    import_all()
     woken, wake = os.pipe()
     for number in (woken, wake):
         os.set_blocking(number, False)
