@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 from typer.testing import CliRunner
 
 import cosim
@@ -26,6 +27,7 @@ from cosim.storage import csv_source
 from cosim.storage.results import Results, read_results
 from cosim.storage.table import read_columns, read_header, read_table
 from cosim.storage.table_columns import Column, Faults
+from cosim.storage.table_source import SourceColumn, source_of
 from cosim.verbs.cli import app
 from plant.hovercraft import INPUTS, OUTPUTS
 from tests.conftest import ROOT
@@ -412,3 +414,55 @@ def test_a_run_in_another_format_is_read_again(tmp_path: Path, format_: str) -> 
     alone = shutil.copy(rows, tmp_path / f"alone{rows.suffix}")  # a file without its manifest
     assert cosim.read(alone).to_pandas().to_numpy().tobytes() == read.to_pandas().to_numpy().tobytes()
     asked("check", alone)
+
+
+@pytest.mark.parametrize("suffix", ["csv", "mcap", "mat", "h5"])
+def test_a_signal_and_a_component_called_time_stand_beside_the_time(tmp_path: Path, suffix: str) -> None:
+    if suffix in {"mcap", "h5"}:
+        pytest.importorskip({"mcap": "mcap", "h5": "h5py"}[suffix])
+    path, time = tmp_path / f"a.{suffix}", np.array([0.0, 0.5, 1.0])
+    columns = [("time", "s", time), ("box.time", "", np.full(3, 7.0)), ("time.x", "m", np.array([1.0, 2.0, 3.0]))]
+    source_of(path).write(path, [SourceColumn(*column) for column in columns])
+    read = {column.name: column.values for column in source_of(path).frame(path, {"box.time", "time.x"}).columns}
+    assert {name: list(values) for name, values in read.items()} == {name: list(v) for name, _, v in columns}
+
+
+@pytest.mark.parametrize("suffix", ["mat", "h5"])
+def test_a_temperature_is_no_time_and_its_unit_and_large_numbers_are_kept(tmp_path: Path, suffix: str) -> None:
+    path, content = tmp_path / f"a.{suffix}", {"T": np.array([300.0, 301.0]), "t [ms]": np.array([0.0, 100.0])}
+    content["n"] = np.array([2**64 - 1, 1], dtype=np.uint64)
+    if suffix == "mat":
+        savemat(path, content)
+    else:
+        with pytest.importorskip("h5py").File(path, "w") as file:
+            for name, values in content.items():
+                file[name] = values
+    time, *others = source_of(path).frame(path).columns
+    assert (time.name, time.unit, list(time.values)) == ("time", "ms", [0.0, 100.0])
+    assert {c.name: list(c.values) for c in others} == {"T": [300.0, 301.0], "n": [2.0**64, 1.0]}
+
+
+@pytest.mark.parametrize(
+    ("messages", "found"),
+    [
+        ([(0, {"a": {"b": 1.0}, "c": [2.0, 3.0]})], {"x.a.b": [1.0], "x.c[0]": [2.0], "x.c[1]": [3.0]}),
+        ([(0, {"a": 1.0}), (0, {"a": 2.0})], "two messages of /x have the time 0.0 s"),
+        ([(0, [1.0])], "a message of /x is no object"),
+    ],
+)
+def test_messages_of_another_tool_lose_nothing(tmp_path: Path, messages: list[tuple[int, Any]], found: Any) -> None:
+    writer = pytest.importorskip("mcap.writer")
+    path = tmp_path / "a.mcap"
+    with path.open("wb") as stream:
+        file = writer.Writer(stream)
+        file.start()
+        schema = file.register_schema(name="x", encoding="jsonschema", data=b"{}")
+        channel = file.register_channel("/x", "json", schema)
+        for stamp, content in messages:
+            file.add_message(channel, stamp, json.dumps(content).encode(), stamp)
+        file.finish()
+    if isinstance(found, str):
+        with pytest.raises(InputError, match=found):
+            source_of(path).frame(path)
+    else:
+        assert {c.name: list(c.values) for c in source_of(path).frame(path).columns[1:]} == found

@@ -86,6 +86,10 @@ def test_what_is_written_is_read_again() -> None:
     assert manifest.files == FILES
     assert not manifest.warnings
     assert read_experiments("a.exp", experiments_text("all", RUNS)) == RUNS
+    for word in ("nan", "inf", "1 s"):
+        text = f'<Experiments><Experiment name="a" stopTime="{word}"/></Experiments>'
+        with pytest.raises(BadArchive, match="stopTime"):
+            read_experiments("a.exp", text.encode())
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ beta.1 a specification of its own); written are manifests of beta.1. Source: htt
 
 from __future__ import annotations
 
+import math
 import posixpath
 import re
 import zipfile
@@ -153,7 +154,9 @@ def read_experiments(name: str, text: bytes) -> list[Experiment]:
                 try:
                     settings[key] = float(word)
                 except ValueError:
-                    raise BadArchive(messages.NO_NUMBER(name=name, attribute=attribute, value=word)) from None
+                    settings[key] = math.nan
+                if not math.isfinite(settings[key]):
+                    raise BadArchive(messages.NO_NUMBER(name=name, attribute=attribute, value=word))
         for part in element:
             if part.tag not in {"Parameters", "Stimuli", "References"}:
                 raise BadArchive(messages.UNKNOWN_ELEMENT(name=name, tag=part.tag))

@@ -142,8 +142,8 @@ def listed_entries(texts: Sequence[str] | None, results: Path) -> list[Entry]:
 
 
 def match_entries(text: str, every: Sequence[Entry], root: Path = RESULTS) -> list[Entry]:
-    """Return the entries of a number, a name, a pattern or a folder within the folder of results."""
-    if text.isdecimal():
+    """Return the entries of a name, a number, a pattern or a folder within the folder of results."""
+    if text.isdecimal() and not any(e.name == text for e in every):
         return [*every[int(text) - 1 : int(text)]] if int(text) > 0 else []
     if "/" in text and (folder := Path(text)).is_dir():
         place = folder.resolve()

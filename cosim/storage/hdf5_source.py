@@ -13,7 +13,7 @@ from cosim.base.errors import Fault, InputError
 from cosim.base.extras import optional
 from cosim.storage import messages
 from cosim.storage.table_columns import split_heading
-from cosim.storage.table_source import Frame, Source, SourceColumn, as_text
+from cosim.storage.table_source import Frame, Source, SourceColumn, as_text, time_among, whole_numbers
 
 MAGIC = b"\x89HDF\r\n\x1a\n"
 MIN_COMPRESSED = 1000  # rows; the index of compressed parts is larger than a short dataset
@@ -48,9 +48,9 @@ class Hdf5(Source):
         except (OSError, RuntimeError, ValueError, KeyError) as error:
             reason = str(error).strip().partition("\n")[0][:200]
             raise InputError.at(path, messages.BAD_TABLE(format="HDF5", reason=reason)) from None
-        time = next((c for c in columns if c.name.lower() in {"time", "t"}), None)
-        if time is None:
+        if (found := time_among(c.name for c in columns)) is None:
             return Frame()
+        time = next(c for c in columns if c.name == found)
         rows = len(time.values)
         columns.sort(key=lambda c: order[c.name])
         others = [c for c in columns if c is not time and len(c.values) == rows]
@@ -66,7 +66,8 @@ class Hdf5(Source):
         with draft_of(path) as draft, h5py.File(draft, "w") as file:
             for number, column in enumerate(columns):
                 place = column.name if column.name == "time" else _place(column.name)
-                place = place if place not in file else f"signal {number}"
+                if place in file or place.startswith("time/"):  # beside the dataset of the time no group has its name
+                    place = f"signal {number}"
                 values: Any = column.values
                 if not isinstance(values, np.ndarray):
                     values = np.array([as_text(v) for v in values], dtype=h5py.string_dtype())
@@ -88,5 +89,5 @@ def _values(item: Any) -> Any:
     """Return the values of a dataset: numbers, or a list of texts."""
     if item.dtype.kind in "biuf":
         values = item[:]
-        return values.astype(np.int64) if item.dtype.kind in "biu" else values.astype(np.float64)
+        return whole_numbers(values) if item.dtype.kind in "biu" else values.astype(np.float64)
     return [str(v) for v in (item.asstr()[:] if item.dtype.kind in "OS" else item[:])]

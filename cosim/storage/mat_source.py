@@ -16,7 +16,7 @@ from cosim.base.drafts import draft_of
 from cosim.base.errors import InputError
 from cosim.storage import messages
 from cosim.storage.table_columns import split_heading
-from cosim.storage.table_source import HEAD, Frame, Source, SourceColumn, as_text
+from cosim.storage.table_source import HEAD, Frame, Source, SourceColumn, as_text, time_among, whole_numbers
 
 MAGIC = b"MATLAB 5.0 MAT-file"
 OF_OCTAVE = b"# Created by Octave", b"Octave-1-"
@@ -113,14 +113,16 @@ def _own_columns(content: Mapping[str, Any]) -> Iterator[SourceColumn]:
 def _variables(content: Mapping[str, Any], names: Container[str]) -> Iterator[SourceColumn]:
     """Yield the variables as long as `time`, which comes first."""
     vectors = {name: np.ravel(v) for name, v in content.items() if isinstance(v, np.ndarray) and max(v.shape) == v.size}
-    time = next((v for name, v in vectors.items() if split_heading(name)[0].lower() in {"time", "t"}), None)
-    if time is None:
+    headings = {split_heading(heading)[0]: heading for heading in vectors}
+    if (found := time_among(headings)) is None:
         return
-    yield SourceColumn("time", "s", time.astype(np.float64))
+    time = vectors[headings[found]]
+    yield SourceColumn("time", split_heading(headings[found])[1] or "s", time.astype(np.float64))
     for heading, values in vectors.items():
         if values is not time and values.size == time.size and values.dtype.kind in "biuf":
             name, unit = split_heading(heading, names)
-            yield SourceColumn(name, unit, values.astype(np.int64 if values.dtype.kind in "biu" else np.float64))
+            is_whole = values.dtype.kind in "biu"
+            yield SourceColumn(name, unit, whole_numbers(values) if is_whole else values.astype(np.float64))
 
 
 def _cells(texts: Sequence[str]) -> Any:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Collection, Container, Sequence
+from collections.abc import Collection, Container, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from cosim.storage.table_source import Frame, Source, SourceColumn, as_text
 MAGIC = b"\x89MCAP0\r\n"
 NANO = 1e9
 LARGEST_TIME = 2**63 / NANO  # [s]
+SIGNAL_TIME = "time (signal)"  # key of a variable that is called as the time of each message is
 
 
 class Mcap(Source):
@@ -45,13 +46,17 @@ class Mcap(Source):
                     if channel.message_encoding != "json":
                         continue
                     content = json.loads(message.data)
+                    if not isinstance(content, dict):
+                        raise ValueError(f"a message of {channel.topic} is no object")
                     t = float(content.pop("time", message.log_time / NANO))
                     if channel.id not in properties:
                         properties[channel.id] = _properties(schema)
                     topic = channel.topic.strip("/").replace("/", ".")
-                    for name, value in content.items():
-                        full = f"{topic}.{name}".removeprefix(".")
-                        signals.setdefault(full, {})[t] = value
+                    for name, value in _flat(content):
+                        full = f"{topic}.{'time' if name == SIGNAL_TIME else name}".removeprefix(".")
+                        if t in signals.setdefault(full, {}):
+                            raise ValueError(f"two messages of {channel.topic} have the time {t} s")
+                        signals[full][t] = value
                         units.setdefault(full, properties[channel.id].get(name, {}).get("unit", ""))
         except Exception as error:  # mcap reports damage by errors of its own and of struct
             raise InputError.at(path, messages.BAD_TABLE(format="MCAP", reason=str(error)[:200])) from None
@@ -83,7 +88,8 @@ class Mcap(Source):
             component, _, variable = column.name.partition(".")
             values = column.values
             cells = values.tolist() if isinstance(values, np.ndarray) else [_cell(v) for v in values]
-            topics.setdefault(component, []).append((variable or component, column.unit, cells))
+            key = SIGNAL_TIME if variable == "time" else variable or component
+            topics.setdefault(component, []).append((key, column.unit, cells))
         with draft_of(path) as draft, draft.open("wb") as stream:
             file = writer.Writer(stream)
             file.start(profile="", library="cosim")
@@ -110,6 +116,17 @@ def _properties(schema: Any) -> dict[str, Any]:
     content: dict[str, Any] = json.loads(schema.data) if schema is not None and schema.data else {}
     properties: dict[str, Any] = content.get("properties", {})
     return properties
+
+
+def _flat(content: dict[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield names and values of a message, `a.b` of an object in it and `a[0]` of a list."""
+    for name, value in content.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f"{before}{name}.")
+        elif isinstance(value, list):
+            yield from _flat({f"{name}[{k}]": item for k, item in enumerate(value)}, before)
+        else:
+            yield f"{before}{name}", value
 
 
 def _cell(value: Any) -> Any:

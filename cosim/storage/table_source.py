@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import functools
 from array import array
-from collections.abc import Collection, Container, Sequence
+from collections.abc import Collection, Container, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -165,6 +165,18 @@ def _note_values(column: Column, values: Array, lines: Sequence[int], faults: Fa
     if column.role:
         for row in np.flatnonzero(np.isnan(values)).tolist():
             note_missing(faults, lines[row], column)
+
+
+def time_among(names: Iterable[str]) -> str | None:
+    """Return the name of the time: `time` in any case, else `t`; `T` is rather a temperature."""
+    given = [*names]
+    return next((name for name in given if name.lower() == "time"), "t" if "t" in given else None)
+
+
+def whole_numbers(values: Array) -> Array:
+    """Return integers, or doubles if one is beyond 64 bits with a sign."""
+    is_beyond = values.dtype.kind == "u" and bool(np.any(values > np.iinfo(np.int64).max))
+    return values.astype(np.float64 if is_beyond else np.int64)
 
 
 def as_text(value: Any) -> str:
