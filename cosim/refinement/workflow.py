@@ -140,9 +140,7 @@ def refine(
         sets: LogSets = {"estimation": study.logs, "validation": sealed} if sealed else {"estimation": study.logs}
         played, way = Proof(problem, sets, place).replay(variants)
         progress("measuring the noise floor", 0.0)
-        best = variants["after"] if claims.claimed else variants.get("nearest", variants["after"])
-        fitted = (claims.nearest_hypothesis or attribution.base).fit
-        quiet = replace(best, noise=log_noise(fitted.noise, result.free_noise))
+        quiet = _with_log_noise(variants, attribution, claims, result.free_noise)
         rng = np.random.default_rng(FLOOR_SEED)  # fixed for reproducible results
         floors: Floors = {part: noise_floor(quiet, problem, logs, rng) for part, logs in sets.items()}
         remaining = _remaining(claims, played, subject)
@@ -304,6 +302,15 @@ def _variants(study: Study, a: Attribution, claims: Claims, free_noise: Noise | 
         variants["nearest"] = variants["after"] if nearest_fit is claimed else of_other
     each = {id(v): replace(v, free_noise=free_noise) for v in variants.values()}  # one that stands twice stays one
     return {name: each[id(variant)] for name, variant in variants.items()}
+
+
+def _with_log_noise(
+    variants: Mapping[str, Variant], a: Attribution, claims: Claims, free_noise: Noise | None
+) -> Variant:
+    """Return the refined variant, or the nearest one without a claim, with noise estimated from the logs."""
+    best = variants["after"] if claims.claimed else variants.get("nearest", variants["after"])
+    fitted = (claims.nearest_hypothesis or a.base).fit
+    return replace(best, noise=log_noise(fitted.noise, free_noise))
 
 
 def _write_models(variants: Mapping[str, Variant], scratch: Path, folder: Path) -> list[Path]:

@@ -87,16 +87,17 @@ def claims(line: Line) -> list[bool]:
     return covered(line) if grade(line) == "claimed" else []
 
 
-def sealed_ratio(line: Line) -> float:
+def sealed_ratio(line: Line) -> float | None:
     """Return the mean ratio of the sealed error of the claim, else of the nearest model, to the true model's error.
 
-    A failed study has ratio ∞.
+    A failed study has ratio ∞, one without a channel of both None.
     """
     if line["verdict"] == "failed":
         return math.inf
     stage = "nearest" if grade(line) != "claimed" and "nearest" in line["error"] else "after"
     error, true = line["error"][stage], line["error_true"]
-    return statistics.fmean(error[c] / true[c] for c in true if c in error)
+    ratios = [error[c] / true[c] for c in true if c in error]
+    return statistics.fmean(ratios) if ratios else None
 
 
 def counts(lines: Sequence[Line]) -> dict[str, tuple[int, int]]:
@@ -124,7 +125,8 @@ def counts(lines: Sequence[Line]) -> dict[str, tuple[int, int]]:
 def summary(lines: Sequence[Line]) -> dict[str, Any]:
     """Return the entry `field` in the last line of the output; None for figures without cases."""
     known = [line for line in lines if line["kind"] == "known"]
-    ratios, seconds = sorted(map(sealed_ratio, known)), sorted(line["seconds"] for line in lines)
+    ratios = sorted(ratio for line in known if (ratio := sealed_ratio(line)) is not None)
+    seconds = sorted(line["seconds"] for line in lines)
     by_number = {
         str(number): {"studies": len(chosen)} | shares(counts(chosen), ("right", "in_set", "wrong"))
         for number in sorted({len(line["truth"]) for line in known})

@@ -134,9 +134,10 @@ def parameter_tables(r: Refinement) -> list[ParameterTable]:
     """Return the tables of added and of base parameters."""
     hypothesis = r.verdict.claimed or r.attribution.base
     own = {n for c in hypothesis.candidates for n in c.parameters}
-    common = [f for f in hypothesis.fit.free if not f.group]
-    added = [_parameter_row(r, f, hypothesis) for f in common if f.name in own]
-    rest = [_parameter_row(r, f, hypothesis) for f in common if f.name not in own]
+    added, rest = list[ParameterRow](), list[ParameterRow]()
+    for f in hypothesis.fit.free:
+        if not f.group:
+            (added if f.name in own else rest).append(_parameter_row(r, f, hypothesis))
     title = "Added parameters" if r.verdict.name != "parameter_error" else "Wrong parameters"
     note = "Bar: 95 % interval; dashed line: neutral value or data sheet."
     if len(r.study.logs) == 1 and not r.problem.table:
