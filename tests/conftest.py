@@ -27,6 +27,7 @@ except ImportError:  # on Windows each worker builds its own
 
 ROOT = Path(__file__).resolve().parent.parent
 SHIPPED = c_compiler.OPTIONS
+QUICK = tuple(option.replace("-O3", "-O1") for option in SHIPPED)
 # every command and worker would compile anew all that it imports
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 collect_seldom()  # as commands do
@@ -106,7 +107,7 @@ def _warm_workers(request: pytest.FixtureRequest, _forker: Any) -> Iterator[None
 def _quick_compiler(request: pytest.FixtureRequest) -> Iterator[None]:
     """Compile at -O1: the same bits in less than half the time, except for modules marked `optimized`."""
     if request.node.get_closest_marker("optimized") is None:
-        c_compiler.OPTIONS = tuple(option.replace("-O3", "-O1") for option in SHIPPED)
+        c_compiler.OPTIONS = QUICK
     yield
     c_compiler.OPTIONS = SHIPPED
 
@@ -150,7 +151,13 @@ def native_fmus(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the native plant and controller for FMI 2.0."""
     if compiler() is None:
         pytest.skip("no C compiler")
-    return _built_once(tmp_path_factory, "native", build_native)
+
+    def fill(folder: Path) -> None:
+        before, c_compiler.OPTIONS = c_compiler.OPTIONS, QUICK  # whoever is first, as the modules build
+        build_native(folder)
+        c_compiler.OPTIONS = before
+
+    return _built_once(tmp_path_factory, "native", fill)
 
 
 @pytest.fixture(scope="session")

@@ -216,3 +216,9 @@ def test_a_run_tells_its_slow_component_in_manifest_and_report(tmp_path: Path) -
     quiet = run(scenario, tmp_path / "quiet", [*slow, "components.saving.start.pause=0"], report=False, in_process=True)
     assert "components" not in quiet.manifest["timings"]
     assert outcome.file.read_bytes() == quiet.file.read_bytes()
+
+
+def test_a_resumed_run_that_ends_in_its_replay_has_no_slower_component() -> None:
+    times = ComponentTimes(["wheel", "road"], ROWS, float, given=400)
+    times.read(10, -1)
+    assert times.slower() == []

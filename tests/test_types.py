@@ -187,7 +187,10 @@ def test_an_initialization_that_contracts_slowly_settles(tmp_path: Path) -> None
     slow = scenario(tmp_path, components | {"a": {"fmu": fmu, "start": {"gain": 0.98}}}, wires, algorithm="jacobi")
     assert results_of(slow)["a.r_out"][0] == pytest.approx(49, abs=1e-8)  # some 1400 sweeps
     path = scenario(tmp_path, components | {"a": {"fmu": fmu, "start": {"gain": 1.1}}}, wires, algorithm="jacobi")
-    with pytest.raises(StoppedRun, match=r"an algebraic loop a → b → a that exchanging values does not settle"):
+    with pytest.raises(
+        StoppedRun,
+        match=r"an algebraic loop that exchanging values does not settle.* a → b → a may be an algebraic loop",
+    ):
         results_of(path)
 
 

@@ -135,6 +135,8 @@ class ComponentTimes:
     def slower(self) -> list[Slower]:
         """Return components that get slower than the rest, by extra time; otherwise the run, if it does."""
         first, reached = self._bin(self.given), self._bin(self._reached)
+        if reached <= first:  # of a resumed run that ends before it goes on
+            return []
         steps = self._steps[first:reached] if self._stepped else np.ones(reached - first)
         parts = np.column_stack([self._bins[first:reached, :, :OTHER].sum(axis=2), self._rests[first:reached]])
         found = []
