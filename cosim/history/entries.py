@@ -248,7 +248,7 @@ def _by_mark(place: Path, label: str, there: Mapping[str, float], marks: _Marks)
 
 
 def _other_version(content: Content) -> str:
-    """Return the version of cosim that wrote a record, and its schema, if they are not those known here."""
+    """Return the version, or the version and the schema, of another cosim that wrote a record; "" for this one."""
     schema, by = content.get("schema_version", SCHEMA_VERSION), version_of(content)
     if schema != SCHEMA_VERSION:
         return f"{by or '?'} (schema {schema})"

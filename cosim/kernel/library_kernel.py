@@ -286,23 +286,24 @@ def propagation(responses: Array) -> Array:
 
 
 def _with_hidden_states(now: Array, before: Array, after: Array) -> tuple[list[int], Array]:
-    """Return the outputs whose row before tells a hidden state, and the matrix of `now` and these to `after`.
+    """Return the outputs whose previous row shows a hidden state, and the matrix from `now` and these to `after`.
 
-    Outputs are added one by one as long as the next row is told far better; of equal ones, the one told worst so far.
+    Outputs are added one by one as long as the next row is predicted far better; of equally good ones, the output that
+    was predicted worst so far.
     """
     change = np.sum((after - now) ** 2, axis=0)
     change[change == 0.0] = 1.0
 
-    def told(chosen: list[int]) -> tuple[Array, Array]:
+    def regression(chosen: list[int]) -> tuple[Array, Array]:
         known = np.hstack([now, before[:, chosen]])
         matrix = least_squares(known, after, rcond=1e-8)
         left = np.sum((after - known @ matrix) ** 2, axis=0) / change
         return matrix.T, np.log(np.maximum(left, EXACT))
 
     chosen: list[int] = []
-    matrix, left = told(chosen)
+    matrix, left = regression(chosen)
     while rest := [j for j in range(now.shape[1]) if j not in chosen]:
-        trials = {j: told([*chosen, j]) for j in rest}
+        trials = {j: regression([*chosen, j]) for j in rest}
         best = min(rest, key=lambda j: (float(trials[j][1].sum()), -left[j]))
         if left.sum() - trials[best][1].sum() < HIDDEN:
             break

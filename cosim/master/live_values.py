@@ -110,7 +110,7 @@ class LiveValues:
 
     @property
     def sends(self) -> bool:
-        """Whether there are outputs."""
+        """Return whether outputs are sent to partners."""
         return bool(self._outputs)
 
     def close(self) -> None:

@@ -127,7 +127,7 @@ def _named_source(selected: Selected) -> RunSource:
 
 
 def _read(selected: Selected) -> RecordedRun:
-    """Return the rows of results that are still those that were listed."""
+    """Return a recorded run; raise InputError if it was removed or replaced since it was listed."""
     from cosim.simulation.run_files import read_ran
 
     run = read_ran(selected.path)
