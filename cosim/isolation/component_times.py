@@ -85,7 +85,7 @@ class ComponentTimes:
         self._rests = np.zeros(len(self._bins))  # `rest` by parts
 
     def _begin(self, now: float, steps: int) -> None:
-        """Begin to count after steps."""
+        """Start the measurement anew after a number of communication steps."""
         self._last, self._stepped = now, steps
         first = steps or self.given
         self._marks = [(now, first, np.zeros(len(self.components) + 1))]  # wall time, steps, time of each part

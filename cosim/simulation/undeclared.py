@@ -54,7 +54,7 @@ def with_feedthrough(
     if not undeclared:
         return _with_notes(system, [])
     limits, spent = _limits(file.scenario), [0.0]
-    with _told_if_long(tell, messages.MEASURING(components=join_names([*undeclared]), limit=limits.total)):
+    with _with_note_if_long(tell, messages.MEASURING(components=join_names([*undeclared]), limit=limits.total)):
         try:
             measured = measure_feedthrough(system, file.scenario.step, worker, limits, spent)
         except (Interrupted, Signalled):
@@ -74,15 +74,15 @@ def with_feedthrough(
 
 
 def _limits(scenario: Scenario, spent: float = 0.0) -> Limits:
-    """Return the limits of a measurement, of which some time [s] is spent."""
+    """Return the limits of a measurement that has already taken some seconds."""
     limits = scenario.limits or Limits()
     load = limits.load or LOADING + (LIMIT if permission.get() else 0.0)
     return limits.model_copy(update={"total": max(min(limits.total or LONGEST, LONGEST) - spent, LEAST), "load": load})
 
 
 @contextmanager
-def _told_if_long(tell: Callable[[str], None], text: str) -> Iterator[None]:
-    """Show a note if the context lasts."""
+def _with_note_if_long(tell: Callable[[str], None], text: str) -> Iterator[None]:
+    """Show a note if a `with` block takes longer than SILENT seconds."""
     timer = Timer(SILENT, tell, (text,))
     timer.daemon = True
     timer.start()

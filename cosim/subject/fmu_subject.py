@@ -122,7 +122,7 @@ class FmuSubject(ModelSubject):
         return frozenset(map(with_place, self.structure.shown.values()))
 
     def candidates(self, varied: Sequence[str]) -> list[Candidate]:
-        """Return terms, sensor errors and parameters as candidates; a term that repeats tells its period."""
+        """Return terms, sensor errors and parameters as candidates; a periodic force names its period."""
         states, catalogue = self.model.base_states, self.model.catalogue
         forces = [kind for kind in catalogue if issubclass(kind, Force) and kind.repeats]
         periods = {kind.name: (f"{kind.name}.{kind.repeats}", states[kind.place.position].name) for kind in forces}
