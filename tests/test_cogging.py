@@ -18,6 +18,7 @@ from cosim.refinement.search import attribution, periods
 from cosim.refinement.search.fits import Search
 from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.refinement.study import read_study
+from cosim.subject.candidates import Candidate, Free
 from tests.blind.fmu_build import build
 from tests.logs import write_log
 from tests.test_refine_fmu_rules import hypothesis
@@ -77,6 +78,37 @@ def test_a_period_far_below_the_travel_is_a_line_of_the_innovations(cycles: floa
     lines = [*periods._lines(positions, answers, 1e-3 * travel, 0.5 * travel)]
     assert len(lines) == periods.LINES
     assert min(abs(travel / line - cycles) for line in lines) < 0.5
+
+
+@pytest.mark.parametrize(("amplitude", "varied"), [(0.3, False), (3.0, True)])
+def test_a_period_is_varied_only_if_the_term_may_be_fitted(
+    monkeypatch: pytest.MonkeyPatch, amplitude: float, varied: bool
+) -> None:
+    """The truth lies between two usual periods, half a cycle over the travel from one, and no line shows it."""
+    q, true = np.linspace(0.0, 1.0, 2000), 1.0 / 6.5
+    monkeypatch.setattr(periods, "_along", lambda test, along: ([q], [np.zeros((q.size, 1))]))
+    names, asked = ("cogging.sine", "cogging.cosine", "cogging.period"), set[float]()
+    residual = amplitude * np.sin(2.0 * math.pi * q / true) / math.sqrt(q.size) * 5.0
+
+    def row(steps: Mapping[str, float]) -> Any:
+        period = 0.25 + steps[names[2]]
+        asked.add(round(1.0 / period, 6))
+        angle = 2.0 * math.pi * q / period
+        return np.sin(angle) if names[0] in steps else np.cos(angle)
+
+    def gain(rows: Any) -> tuple[float, Any]:
+        fitted = np.linalg.lstsq(np.array(rows).T, residual)[0] @ np.array(rows)
+        return 0.5 * float(fitted @ fitted), None
+
+    free = (*(Free(n, -2.0, 2.0, 0.05, neutral=0.0) for n in names[:2]), Free(names[2], 5e-4, 0.5, 0.02))
+    starts = tuple({names[0]: 0.05, names[2]: 1.0 / cycles} for cycles in (3.0, 6.0, 12.0))
+    cogging = Candidate("cogging", "effect", free, starts, repeats=(names[2], "position"))
+    test: Any = SimpleNamespace(values={names[2]: 0.25}, row=row, gain=gain)
+    (chosen,), found = periods.with_likely_periods(test, [cogging], (), lambda c: 10.0)
+    assert (len(asked) > 6) == varied
+    assert chosen.among == 2000  # periods that the travel tells apart
+    assert chosen.starts == ({**starts[0], names[2]: found[names[2]]},)  # the scan has compared the others
+    assert (abs(1.0 / found[names[2]] - 6.5) < 0.3) == varied
 
 
 def test_a_term_that_looks_alike_is_fitted_again_from_the_best_if_it_was_fitted_from_elsewhere(

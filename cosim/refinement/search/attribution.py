@@ -54,7 +54,7 @@ class Attributor:
         candidates: Sequence[Candidate],
         progress: Progress = lambda stage, share: None,
     ) -> None:
-        self.candidates, self.progress = [*candidates], progress
+        self.candidates, self.usual, self.progress = [*candidates], tuple(candidates), progress
         self.fine = problem
         self.search = Search(subject, coarsen(problem), len(candidates), progress)
         self.identifiable: dict[str, float] = {}
@@ -199,7 +199,9 @@ class Attributor:
 
     def _choose_periods(self, test: ScoreTest, best: Hypothesis) -> None:
         """Let candidates that repeat along a position begin with the period that promises most."""
-        self.candidates, periods = with_likely_periods(test, self.candidates, best.names)
+        search, own = self.search, {c.name: c for c in self.candidates if c.name in best.names}
+        every = [own.get(c.name, c) for c in self.usual]  # the others begin with their usual periods again
+        self.candidates, periods = with_likely_periods(test, every, best.names, lambda c: search.cost([c]) / HOPE)
         if periods:
             self.periods |= periods
             self.fine, self.search.problem = (p.with_shapes(periods) for p in (self.fine, self.search.problem))

@@ -2,7 +2,8 @@
 
 A force that repeats hundreds of times over the travel promises nothing at another period, and no fit finds its own from
 there. The innovations of the base fit, ordered by position, show it as a line of their spectrum (a periodogram at
-unequal distances). A score test of the strongest lines and of the usual periods decides, and climbs from the best.
+unequal distances). A score test of the strongest lines and of the usual periods decides, and climbs from the best if
+that can lead to a fit.
 """
 
 from __future__ import annotations
@@ -25,22 +26,24 @@ FINE = 4  # cells of the shortest period, and points of the spectrum for each cy
 AROUND = 50  # cycles over the travel on each side, whose mean power is the background of a line
 MOST_CELLS = 2**18
 FARTHEST, NEAREST, MOST_STEPS = 2.0, 0.5, 12  # cycles over the travel by which a period is then varied; and how often
+OFF = 0.4  # least share of the gain within half a cycle over the travel, from the next line or cycle: sinc²(½)
 
 
 def with_likely_periods(
-    test: ScoreTest, candidates: Sequence[Candidate], known: Sequence[str]
+    test: ScoreTest, candidates: Sequence[Candidate], known: Sequence[str], required: Callable[[Candidate], float]
 ) -> tuple[list[Candidate], dict[str, float]]:
     """Return the candidates and their periods, those that promise most; the test then uses them.
 
     Args:
         known: Names of candidates in the fit, which keep their periods.
+        required: Candidate → least predicted gain with which it is fitted.
     """
-    chosen = [_with_period(test, c) if c.repeats and c.name not in known else c for c in candidates]
+    chosen = [_with_period(test, c, required) if c.repeats and c.name not in known else c for c in candidates]
     periods = {c.repeats[0]: test.values[c.repeats[0]] for c in chosen if c.repeats and c.name not in known}
     return chosen, periods
 
 
-def _with_period(test: ScoreTest, c: Candidate) -> Candidate:
+def _with_period(test: ScoreTest, c: Candidate, required: Callable[[Candidate], float]) -> Candidate:
     name, along = c.repeats
     (period,) = (f for f in c.free if f.name == name)
     positions, answers = _along(test, along)
@@ -55,9 +58,10 @@ def _with_period(test: ScoreTest, c: Candidate) -> Candidate:
         apart = value - test.values[name]
         return test.gain([test.row({name: apart, f.name: SHARE * f.size}) for f in sizes])[0]
 
+    among = max(1, round(travel / period.low))  # periods apart by a cycle over the travel
     best, most = _best(gain, [*tried])
     apart = FARTHEST
-    for _ in range(MOST_STEPS):
+    for _ in range(MOST_STEPS if most > OFF * required(replace(c, among=among)) else 0):
         others = [1.0 / (1.0 / best + cycles / travel) for cycles in (-apart, apart)]
         other, more = _best(gain, [value for value in others if period.low <= value <= period.high] or [best])
         if more > most:
@@ -69,8 +73,7 @@ def _with_period(test: ScoreTest, c: Candidate) -> Candidate:
     test.values[name] = best
     size = best**2 / (2.0 * math.pi * travel)  # moves the phase over the travel by 1
     free = tuple(replace(f, size=size) if f.name == name else f for f in c.free)
-    among = max(1, round(travel / period.low))  # periods apart by a cycle over the travel
-    return replace(c, free=free, among=among, starts=({**c.starts[0], name: best}, *c.starts[1:]))
+    return replace(c, free=free, among=among, starts=({**c.starts[0], name: best},))
 
 
 def _best(gain: Callable[[float], float], periods: Sequence[float]) -> tuple[float, float]:
