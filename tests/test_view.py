@@ -24,7 +24,6 @@ from cosim.base.errors import InputError
 from cosim.storage.results import Results, read_results
 from cosim.verbs.cli import app
 from cosim.viewing import stored_rows, view_page
-from cosim.viewing.derived_signals import Formula, derivative, integral, lowpass
 from cosim.viewing.layouts import Layouts
 from cosim.viewing.pyramid import TIME, Recording, level_sizes
 from cosim.viewing.stored_rows import StoredRecording, open_rows
@@ -230,44 +229,6 @@ def test_without_pyarrow_a_table_is_read_as_a_whole_with_a_note(
     assert not (tmp_path / ".view").exists()
 
 
-# -- derived signals -----------------------------------------------------------------------------------
-
-
-def test_filters_derivatives_and_integrals_are_those_of_their_definitions() -> None:
-    time = np.sort(RNG(4).random(2000)) * 10.0
-    np.testing.assert_allclose(derivative(time, 3.0 * time + 1.0), 3.0, rtol=1e-6)
-    assert integral(time, 2.0 * time)[-1] == pytest.approx(time[-1] ** 2 - time[0] ** 2)
-    answer = lowpass(time, np.r_[0.0, np.ones(1999)], 0.5)  # a step at the second row
-    np.testing.assert_allclose(answer[1:], 1.0 - np.exp(-(time[1:] - time[1]) / 0.5), atol=1e-9)
-    uniform = np.arange(500) * 0.01
-    values = RNG(5).standard_normal(500)
-    gap = values.copy()
-    gap[499] = np.nan  # takes the other way, row by row
-    np.testing.assert_allclose(lowpass(uniform, values, 0.2)[:499], lowpass(uniform, gap, 0.2)[:499], rtol=1e-9)
-    steps = derivative(np.array([0.0, 1.0, 1.0, 2.0]), np.array([0.0, 1.0, 5.0, 6.0]))
-    assert np.isnan(steps[1:3]).all()
-    assert steps[0] == 1.0
-
-
-def test_a_formula_takes_signals_of_other_runs_and_units() -> None:
-    first = _recording(np.array([0.0, 1.0, 2.0]), x=np.array([1.0, 2.0, 3.0]))
-    second = Recording({TIME: np.array([0.0, 2.0]), "x": np.array([0.0, 2000.0])}, {"x": "mm"}, 2)
-    values, unit = Formula("a - b", {"a": (first, "x"), "b": (second, "x")}).evaluate()
-    np.testing.assert_allclose(values, [1.0, 1.0, 1.0])
-    assert unit == "m"
-    assert Formula("-der(2*a) + 0", {"a": (first, "x")}).evaluate()[1] == "m/s"
-    np.testing.assert_allclose(Formula("hypot(3, 4) + 0*a", {"a": (first, "x")}).evaluate()[0], 5.0)
-
-
-@pytest.mark.parametrize(
-    "text",
-    ["a.x", "__import__('os')", "a +", "q", "der(a, 1)", "lowpass(a, a)", "a if a else a", "f(a)", "(" * 300, "'a'"],
-)
-def test_a_wrong_formula_is_refused(text: str) -> None:
-    with pytest.raises(InputError):
-        Formula(text, {"a": (_recording(np.arange(3.0), x=np.ones(3)), "x")}).evaluate()
-
-
 # -- runs ----------------------------------------------------------------------------------------------
 
 
@@ -388,7 +349,7 @@ def test_points_values_planes_and_tables_come_from_the_server(page: tuple[ViewPa
 
 def test_a_derived_signal_is_a_signal_of_its_run(page: tuple[ViewPage, Ask], tmp_path: Path) -> None:
     _, ask = page
-    made = ask("derive", {"name": "d", "formula": "a - b", "of": {"a": [1, "x"], "b": [0, "x"]}})
+    (made,) = ask("derive", {"name": "d", "formula": "a - b", "of": {"a": [1, "x"], "b": [0, "x"]}})
     assert made["unit"] == "m"
     values = np.frombuffer(ask("values", {"at": 0.0, "curves": [[1, "d"]]}))
     np.testing.assert_array_equal(values, [0, 1])
@@ -400,6 +361,36 @@ def test_a_derived_signal_is_a_signal_of_its_run(page: tuple[ViewPage, Ask], tmp
     ):
         with pytest.raises(HTTPError, match="400"):
             ask("derive", wrong)
+
+
+def _refusal(ask: Ask, path: str, content: Any) -> str:
+    """The reason why a request is refused."""
+    with pytest.raises(HTTPError, match="400") as refused:
+        ask(path, content)
+    return str(json.loads(refused.value.read())["error"])
+
+
+def test_a_derived_signal_is_never_derived_from_itself(page: tuple[ViewPage, Ask]) -> None:
+    _, ask = page
+    ask("derive", {"name": "d", "formula": "a + 1", "of": {"a": [0, "x"]}})
+    ask("derive", {"name": "e", "formula": "2 * a", "of": {"a": [0, "d"]}})
+    own = {"name": "d", "formula": "a + 1", "of": {"a": [0, "d"]}}
+    for _ in range(2):
+        assert "d ← d" in _refusal(ask, "derive", own)
+    assert "d ← e ← d" in _refusal(ask, "derive", {**own, "of": {"a": [0, "e"]}})
+    np.testing.assert_array_equal(np.frombuffer(ask("values", {"at": 0.0, "curves": [[0, "d"]]})), [0, 1])
+
+
+def test_a_changed_formula_changes_the_signals_that_depend_on_it_or_nothing(page: tuple[ViewPage, Ask]) -> None:
+    _, ask = page
+    ask("derive", {"name": "d", "formula": "a", "of": {"a": [0, "x"]}})
+    ask("derive", {"name": "e", "formula": "a + b", "of": {"a": [0, "d"], "b": [0, "x"]}})
+    made = ask("derive", {"name": "d", "formula": "3 * a", "of": {"a": [0, "x"]}})
+    assert [each["name"] for each in made] == ["d", "e"]
+    at_end = {"at": 1.0, "curves": [[0, "d"], [0, "e"]]}
+    np.testing.assert_array_equal(np.frombuffer(ask("values", at_end)), [1, 6, 1, 8])
+    assert "different quantities" in _refusal(ask, "derive", {"name": "d", "formula": "t", "of": {"a": [0, "x"]}})
+    np.testing.assert_array_equal(np.frombuffer(ask("values", at_end)), [1, 6, 1, 8])
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Mapping
+from fractions import Fraction
 from typing import NamedTuple
 from xml.etree.ElementTree import Element, SubElement
 
@@ -237,8 +238,7 @@ def coherent(written: str) -> str:
     powers: dict[str, int] = {}
     for symbol, power in _words(written) or ():
         unit = SYMBOLS[symbol]
-        sizes = (s for s, u in SYMBOLS.items() if u.is_coherent and u.exponents == unit.exponents)
-        same = symbol if unit.is_coherent else next(sizes, "")
+        same = symbol if unit.is_coherent else _symbol_of(unit.exponents)
         for name, count in {same: 1}.items() if same else unit.exponents.items():
             powers[name] = powers.get(name, 0) + power * count
     return _unit_text(powers)
@@ -270,6 +270,43 @@ def unit_product(factors: Iterable[tuple[str, int]]) -> str:
             powers[symbol] = powers.get(symbol, 0) + times * power
     powers = {symbol: power for symbol, power in powers.items() if power}
     return _unit_text(powers) if powers else ""
+
+
+def combined_unit(factors: Iterable[tuple[str, Fraction | int]]) -> tuple[str, float] | None:
+    """Return the unit of a product of powers of units, and the factor of its values; None for an unknown unit or root.
+
+    Different symbols of one dimension become SI: `m2` and 1e-3 for m times mm. Without dimension the unit is "1".
+    """
+    powers: dict[str, Fraction] = {}
+    size = 1.0
+    for unit, times in factors:
+        words = _words(unit)
+        if words is None:
+            return None
+        for symbol, power in words:
+            powers[symbol] = powers.get(symbol, Fraction(0)) + times * power
+    for symbol in [symbol for symbol in powers if not SYMBOLS[symbol].exponents]:
+        size *= SYMBOLS[symbol].factor ** float(powers.pop(symbol))
+    powers = {symbol: times for symbol, times in powers.items() if times}
+    if not powers:
+        return "1", size
+    dimensions = {tuple(sorted(SYMBOLS[symbol].exponents.items())) for symbol in powers}
+    if len(dimensions) == len(powers) and all(times.denominator == 1 for times in powers.values()):
+        return _unit_text({symbol: int(times) for symbol, times in powers.items()}), size
+    exponents: dict[str, Fraction] = {}
+    for symbol, times in powers.items():
+        size *= SYMBOLS[symbol].factor ** float(times)
+        for name, count in SYMBOLS[symbol].exponents.items():
+            exponents[name] = exponents.get(name, Fraction(0)) + times * count
+    if any(times.denominator != 1 for times in exponents.values()):
+        return None
+    whole = {name: int(times) for name, times in exponents.items() if times}
+    return _symbol_of(whole) or (_unit_text(whole) if whole else "1"), size
+
+
+def _symbol_of(exponents: Mapping[str, int]) -> str:
+    """Return the SI symbol of a dimension, "" without one."""
+    return next((s for s, u in SYMBOLS.items() if u.is_coherent and u.exponents == exponents), "")
 
 
 def computed_in(displayed: str) -> tuple[str, float]:

@@ -21,7 +21,7 @@ from cosim.server.answers import Answer, Handler, Request, json_answer
 from cosim.server.served_page import ServedPage
 from cosim.storage.csv_source import write_table
 from cosim.viewing import messages
-from cosim.viewing.derived_signals import Formula
+from cosim.viewing.derivations import Derivations
 from cosim.viewing.layouts import Layouts
 from cosim.viewing.pyramid import TIME, Picture
 from cosim.viewing.viewed_runs import ViewedRun
@@ -46,6 +46,7 @@ class ViewPage(ServedPage):
     ) -> None:
         self._runs, self._layouts, self._notes = list(runs), layouts, list(notes)
         self._looked, self._exports = 0.0, count()
+        self._derivations = Derivations(self._runs)
         html = render(TEMPLATE, {"heading": title, "version": __version__, "data": '{"rows": 0}'}, also=DESK)
         super().__init__(html, port)
 
@@ -84,7 +85,7 @@ class ViewPage(ServedPage):
             first, last = run.rows.span()
             place = {"name": run.place.name, "label": run.place.label, "file": str(run.place.file)}
             runs.append({**place, "set": sets.index(signals), "rows": run.rows.rows, "from": first, "to": last})
-            runs[-1]["derived"] = [*run.derived.values()]
+            runs[-1]["derived"] = self._derivations.of_run(len(runs) - 1)
         return json_answer({"runs": runs, "sets": sets, "layouts": self._layouts.read(), "notes": self._notes})
 
     def _points(self, request: Request) -> Answer:
@@ -139,20 +140,18 @@ class ViewPage(ServedPage):
         )
 
     def _derive(self, request: Request) -> Answer:
-        """Add a derived signal to the run of its first signal."""
+        """Add a derived signal to the run of its first signal; return it and the signals that depend on it."""
         content = _content(request)
         name, text, of = (content.get(key) for key in ("name", "formula", "of"))
         if not (isinstance(name, str) and name.strip() and isinstance(text, str) and isinstance(of, dict) and of):
             raise _refused("a name, a formula and its signals")
-        signals = {str(letter): self._curve(curve) for letter, curve in of.items()}
-        run = next(iter(signals.values()))[0]
-        if name in run.rows.units or name == TIME:
-            raise InputError.at(Path("name"), messages.NAME_TAKEN(name=name))
-        formula = Formula(text, {letter: (each.rows, signal) for letter, (each, signal) in signals.items()})
-        values, unit = formula.evaluate()
-        run.rows.add(name, values, unit)
-        run.derived[name] = {"name": name, "formula": text, "of": of, "unit": unit}
-        return json_answer(run.derived[name])
+        curves = {str(letter): self._curve(curve) for letter, curve in of.items()}
+        signals = {letter: (self._runs.index(run), signal) for letter, (run, signal) in curves.items()}
+        try:
+            return json_answer(self._derivations.define(name, text, signals))
+        except OSError:
+            lost = next((run.lost for run, _ in curves.values() if not run.check()), "its rows cannot be read")
+            raise InputError.at(Path("formula"), messages.UNREADABLE(reason=lost)) from None
 
     def _save_layout(self, request: Request) -> Answer:
         content = _content(request)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +55,6 @@ class ViewedRun:
     rows: Recording
     state: tuple[int, int]
     lost: str = ""
-    derived: dict[str, Any] = field(default_factory=dict)
 
     def check(self) -> bool:
         """Return whether the file is still the opened one."""

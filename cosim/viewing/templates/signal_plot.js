@@ -181,7 +181,7 @@ class SignalPlot {
     away.setAttribute("aria-label", `Remove ${this.labelOf(curve)}`);
     const entry = make(
       "span",
-      { class: "entry", draggable: "true", title: this.desk.runs[curve.run].label },
+      { class: "entry", draggable: "true", title: this.desk.about(curve) },
       ...parts,
       away,
     );

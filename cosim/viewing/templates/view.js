@@ -99,6 +99,16 @@
       return desk.isDense || (!paper.matches && points > QUICK);
     },
 
+    // Run, formula and notes of a curve.
+    about({ run, name }) {
+      const { label, formulas } = runs[run],
+        made = formulas.find((f) => f.name === name);
+      if (!made) return label;
+      const of = (r, signal) => (r === run ? signal : `${signal} of ${runs[r].short}`),
+        parts = Object.entries(made.of).map(([letter, [r, signal]]) => `${letter}: ${of(r, signal)}`);
+      return [label, `${made.formula} with ${parts.join(", ")}`, ...made.notes].join("\n");
+    },
+
     // -- view and cursor ----------------------------------------------------------------------------
     look(from, to) {
       const least = LEAST * (whole.to - whole.from),
@@ -461,13 +471,20 @@
     place.hidden = !error;
     put(place, error?.message ?? "");
   };
-  async function derive(run, name, formula, of) {
-    const made = await post("derive", { name, formula, of });
-    runs[run].units[name] = made.unit;
-    if (!runs[run].derived.includes(name)) runs[run].derived = [...runs[run].derived, name];
-    runs[run].formulas = [...runs[run].formulas.filter((f) => f.name !== name), made];
-    for (const plot of desk.plots)
-      for (const curve of plot.curves) if (curve.run === run && curve.name === name) plot.fresh = false;
+  async function derive(name, formula, of) {
+    for (const made of await post("derive", { name, formula, of })) takeDerived(made); // also what depends on it
+  }
+  function takeDerived(made) {
+    const run = runs[made.run],
+      isHere = (curve) => curve.run === made.run && curve.name === made.name;
+    run.units[made.name] = made.unit;
+    run.formulas = [...run.formulas.filter((f) => f.name !== made.name), made];
+    run.derived = run.formulas.map(({ name }) => name);
+    for (const plot of desk.plots.filter((each) => each.curves.some(isHere))) {
+      for (const curve of plot.curves.filter(isHere)) Object.assign(curve, { unit: made.unit, value: null });
+      plot.build();
+    }
+    for (const note of made.notes) warn(note);
   }
   function chosen() {
     const of = {};
@@ -533,12 +550,17 @@
       const first = Object.values(of)[0][0],
         sameRun = Object.values(of).every(([run]) => run === first);
       const added = [];
-      for (const place of runs.keys()) {
+      for (const place of [first, ...[...runs.keys()].filter((k) => k !== first)]) {
         const has = Object.values(of).every(([, signal]) => signal in runs[place].units);
         if (place !== first && !(one("#every-run").checked && sameRun && has)) continue;
         const here = place === first ? of : Object.fromEntries(Object.entries(of).map(([k, [, s]]) => [k, [place, s]]));
-        await derive(place, label, formula, here);
-        added.push([place, label]);
+        try {
+          await derive(label, formula, here);
+          added.push([place, label]);
+        } catch (error) {
+          if (place === first) throw error;
+          warn(`${label} of ${runs[place].label} is left out: ${error.message}`);
+        }
       }
       tree.tries.clear();
       tree.fill();
@@ -574,12 +596,9 @@
   async function open(content) {
     const names = new Set(content.plots.flatMap((p) => p.axes.flatMap((a) => a.curves.map((c) => c.run))));
     const find = (label) => (names.size === 1 && runs.length === 1 ? 0 : runs.findIndex((run) => run.name === label));
-    const missing = [];
-    for (const { name: signal, formula, of } of content.derived ?? []) {
-      const here = Object.fromEntries(Object.entries(of).map(([k, c]) => [k, [find(c.run), c.name]]));
-      const first = Object.values(here)[0][0];
-      await derive(first, signal, formula, here).catch(() => missing.push(signal));
-    }
+    const missing = [],
+      wrong = [];
+    await deriveAll(content.derived ?? [], find, missing, wrong);
     const known = (c) => {
       const run = find(c.run);
       if (run >= 0 && c.name in runs[run].units) return [{ ...c, run }];
@@ -613,6 +632,27 @@
     if (content.view) desk.look(Number(content.view.from), Number(content.view.to));
     if (missing.length)
       warn(`Not in these runs, and left out: ${missing.slice(0, 5).join(", ")}${missing.length > 5 ? ", …" : ""}`);
+    for (const words of wrong) warn(words);
+  }
+  // Derived signals of a layout, each after those that it depends on, in whatever order the file has them.
+  async function deriveAll(formulas, find, missing, wrong) {
+    let waiting = formulas.map(({ name: signal, formula, of }) => {
+      const here = Object.fromEntries(Object.entries(of).map(([k, c]) => [k, [find(c.run), c.name]]));
+      return { signal, formula, here, run: Object.values(here)[0][0] };
+    });
+    const waits = (each) =>
+      Object.values(each.here).some(([run, name]) =>
+        waiting.some((other) => other !== each && other.run === run && other.signal === name),
+      );
+    for (let next; (next = waiting.find((each) => !waits(each)) ?? waiting[0]); ) {
+      waiting = waiting.filter((each) => each !== next);
+      if (Object.values(next.here).some(([run, name]) => run < 0 || !(name in runs[run].units)))
+        missing.push(next.signal);
+      else
+        await derive(next.signal, next.formula, next.here).catch((error) =>
+          wrong.push(`${next.signal} is left out: ${error.message}`),
+        );
+    }
   }
   const attempt = async (deed) => {
     try {

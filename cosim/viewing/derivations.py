@@ -1,0 +1,111 @@
+"""Derived signals of all runs: definition, dependence on each other, and values."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from cosim.base.errors import InputError
+from cosim.viewing import messages
+from cosim.viewing.derived_signals import Formula
+from cosim.viewing.pyramid import TIME
+from cosim.viewing.viewed_runs import ViewedRun
+
+Signal = tuple[int, str]  # number of the run, name
+
+
+@dataclass(frozen=True)
+class Definition:
+    """The formula of a derived signal, and letter → signal."""
+
+    formula: str
+    of: Mapping[str, Signal]
+
+
+class Derivations:
+    """Derived signals of runs, in the order of their first definition."""
+
+    def __init__(self, runs: Sequence[ViewedRun]) -> None:
+        self._runs, self._lock = runs, threading.Lock()
+        self._definitions: dict[Signal, Definition] = {}
+        self._notes: dict[Signal, list[str]] = {}
+
+    def define(self, name: str, formula: str, of: Mapping[str, Signal]) -> list[dict[str, Any]]:
+        """Add a derived signal to the run of its first signal, or replace it; return it and all that depend on it.
+
+        Raises:
+            InputError: The name is that of a signal of the run, the signal depends on itself, or the formula is wrong.
+        """
+        made = next(iter(of.values()))[0], name
+        run = self._runs[made[0]]
+        if name in run.rows.units or name == TIME:
+            raise InputError.at(Path("name"), messages.NAME_TAKEN(name=name))
+        with self._lock:
+            if way := self._way(made, of):
+                chain = " ← ".join(signal for _, signal in way)
+                raise InputError.at(Path("name"), messages.OWN_SIGNAL(name=name, way=chain))
+            changed = {made: Definition(formula, of)}
+            changed |= {signal: self._definitions[signal] for signal in self._dependents(made)}
+            before = {signal: self._definitions[signal] for signal in changed if signal in self._definitions}
+            try:
+                return [self._compute(signal, definition) for signal, definition in changed.items()]
+            except InputError:  # A signal that depends on this one has, for example, no unit any more.
+                for signal, definition in before.items():
+                    self._compute(signal, definition)
+                raise
+
+    def of_run(self, number: int) -> list[dict[str, Any]]:
+        """Return the derived signals of a run."""
+        return [self._about(signal) for signal in self._definitions if signal[0] == number]
+
+    def _way(self, made: Signal, of: Mapping[str, Signal]) -> list[Signal]:
+        """Return a chain of signals from a signal back to itself, empty without one."""
+        for signal in of.values():
+            if signal == made:
+                return [made, signal]
+            definition = self._definitions.get(signal)
+            if definition is not None and (rest := self._way(made, definition.of)):
+                return [made, signal, *rest[1:]]
+        return []
+
+    def _dependents(self, made: Signal) -> Iterator[Signal]:
+        """Yield the signals that depend on a signal, each after those that it depends on."""
+        changed = {made}
+        for signal in self._ordered():
+            if signal not in changed and changed & {*self._definitions[signal].of.values()}:
+                changed.add(signal)
+                yield signal
+
+    def _ordered(self) -> list[Signal]:
+        """Return all derived signals, each after those that it depends on."""
+        ordered: dict[Signal, None] = {}
+
+        def visit(signal: Signal) -> None:
+            if signal in self._definitions and signal not in ordered:
+                for other in self._definitions[signal].of.values():
+                    visit(other)
+                ordered[signal] = None
+
+        for signal in self._definitions:
+            visit(signal)
+        return [*ordered]
+
+    def _compute(self, signal: Signal, definition: Definition) -> dict[str, Any]:
+        number, name = signal
+        signals = {letter: (self._runs[k].rows, other) for letter, (k, other) in definition.of.items()}
+        formula = Formula(definition.formula, signals, name)
+        values, unit = formula.evaluate()
+        self._runs[number].rows.add(name, values, unit)
+        self._definitions[signal] = definition
+        self._notes[signal] = list(formula.notes)
+        return self._about(signal)
+
+    def _about(self, signal: Signal) -> dict[str, Any]:
+        number, name = signal
+        definition, rows = self._definitions[signal], self._runs[number].rows
+        of = {letter: list(other) for letter, other in definition.of.items()}
+        about = {"run": number, "name": name, "formula": definition.formula, "of": of, "unit": rows.added[name]}
+        return {**about, "notes": self._notes[signal]}
