@@ -89,6 +89,27 @@ def test_what_refuses_the_best_hypothesis_says_nothing_against_a_simpler_one(
     assert list(found.dropped) == ["second_order_lag"]
 
 
+def test_what_came_near_beside_a_dropped_part_is_fitted_without_it() -> None:
+    """The search had replaced a part of a hypothesis with more parts; the rival of the rest was never fitted."""
+
+    def tried(score: float, *names: str, ended: bool = True) -> Hypothesis:
+        return replace(hypothesis(dict.fromkeys(names, (1.0, 0.1))), score=score, ended=ended)
+
+    best = tried(-222.5, "latency", "viscous")
+    others = (
+        tried(-213.9, "latency", "shaft", "viscous"),
+        tried(-213.7, "lag", "shaft", "viscous"),
+        tried(-190.0, "scale", "shaft", "viscous"),  # far behind
+        tried(-212.8, "drag", "latency", "viscous"),  # beside a part that nobody dropped
+        tried(-203.7, "latency", "offset", "shaft", "viscous"),  # contains the best
+        tried(-150.0, "lag", "viscous", ended=False),
+    )
+    search: Any = SimpleNamespace(tried={h.names: h for h in (best, *others)})
+    assert [h.names for h in judgement._rivals_without(search, best, {"shaft": "costs more"})] == [("lag", "viscous")]
+    search.tried["lag", "viscous"] = replace(others[-1], ended=True)
+    assert judgement._rivals_without(search, best, {"shaft": "costs more"}) == []
+
+
 @pytest.mark.parametrize(("others", "is_worse"), [(0.9, False), (1.1, True)])
 def test_one_window_does_not_speak_against_a_small_effect(others: float, is_worse: bool) -> None:
     """The claim is worse in one window, where an unstable motion parts from the log, and better or worse elsewhere."""

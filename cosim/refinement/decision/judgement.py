@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -53,6 +53,8 @@ def decide(result: SearchResult) -> Attribution:
     search, base = result.search, result.search.tried[()]
     rest = _supported(search, result.best)
     best = rest.best
+    if search.subject.probed and best.candidates and rest.dropped:
+        search.fit_alike(_rivals_without(search, best, rest.dropped), best)
     rivals = _rivals(search, best)
     tried = tuple(sorted(search.tried.values(), key=lambda h: h.score))
     reasons = {h.names: _reason(search, h, best, rivals, rest.dropped) for h in tried if h.names != best.names}
@@ -256,6 +258,23 @@ def _rivals(search: Search, best: Hypothesis) -> tuple[Hypothesis, ...]:
     rivals = [h for h in sorted(near, key=lambda h: h.score) if _is_rival(search, best, h)]
     # A superset of a rival with no better score is not a separate rival.
     return tuple(h for k, h in enumerate(rivals) if not any(set(r.names) < set(h.names) for r in rivals[:k]))
+
+
+def _rivals_without(search: Search, best: Hypothesis, dropped: Collection[str]) -> list[Hypothesis]:
+    """Return what came near the best hypothesis beside dropped parts, without these parts, where it was not fitted.
+
+    The search fits what replaces a part of its own best hypothesis, which had more parts.
+    """
+    found: dict[tuple[str, ...], Hypothesis] = {}
+    for h in search.tried.values():
+        beside = [c for c in h.candidates if c.name in dropped]
+        rest = replace(h, candidates=tuple(c for c in h.candidates if c not in beside))
+        before = search.tried.get(key_of((*best.candidates, *beside)))
+        earlier = search.tried.get(rest.names)
+        is_new = beside and rest.is_apart(best) and not (earlier and earlier.ended)
+        if before and is_new and h.score - before.score < NEAR:
+            found[rest.names] = rest
+    return [*found.values()]
 
 
 def _is_rival(search: Search, best: Hypothesis, h: Hypothesis) -> bool:
