@@ -6,6 +6,7 @@ import importlib.util
 import json
 import math
 import re
+import shlex
 from dataclasses import dataclass, replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -231,6 +232,25 @@ def test_what_is_to_be_typed_stands_as_code(cart: Refinement, tmp_path: Path) ->
     record = {**cart.record, "sentence": "These logs <cannot> tell; `cosim excite` designs it."}
     text = page(replace(cart, record=record), tmp_path)
     assert "These logs &lt;cannot&gt; tell; <code>cosim excite</code> designs it." in text
+
+
+def test_the_commands_to_repeat_a_study_name_files_from_the_current_folder(
+    cart: Refinement, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def commands() -> list[str]:
+        values = context(cart)
+        rows = [row.value for row in values["provenance"] if row.label not in {"Inputs", "Made by"}]
+        return [*shlex.split(values["use"]), *shlex.split(values["repeat"]), *rows]
+
+    monkeypatch.chdir(tmp_path)
+    assert str(cart.study.path) in commands()  # nothing of the study lies below
+    monkeypatch.chdir(cart.folder.parent)
+    words = commands()
+    study, out = words[words.index("refine") + 1], words[words.index("--out") + 1]
+    assert (study, out) == (f"{cart.study.name}/study.yaml", "out")
+    assert not [word for word in words if str(cart.folder.parent) in word]
+    assert Path(study).is_file()
+    assert Path(words[words.index("--set") + 1].partition("=")[2]).is_file()
 
 
 def test_the_second_sentence_says_what_the_record_says_of_sealed_runs(cart: Refinement) -> None:

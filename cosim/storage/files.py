@@ -158,6 +158,12 @@ def named_path(out: FilePath) -> Path:
     return Path(out)
 
 
+def path_from_here(path: FilePath) -> Path:
+    """Return a path relative to the current folder if it lies in it, else unchanged."""
+    path = Path(path)
+    return path.relative_to(Path.cwd()) if path.is_absolute() and path.is_relative_to(Path.cwd()) else path
+
+
 def check_folder(folder: Path) -> None:
     """Raise InputError if a file or another command blocks a folder."""
     take_folder(folder)

@@ -274,8 +274,8 @@ class FmuSubject(ModelSubject):
     def use(self, folder: Path) -> list[str]:
         """Return a command line that simulates the delivered FMU or SSP."""
         if self.ssp is not None:
-            return ["cosim", "run", str((folder / SSPS[0]).resolve())]
-        return ["cosim", "simulate", str((folder / FILES["refined"][1]).resolve())]
+            return ["cosim", "run", str(folder / SSPS[0])]
+        return ["cosim", "simulate", str(folder / FILES["refined"][1])]
 
 
 @dataclass

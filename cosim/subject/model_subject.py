@@ -180,11 +180,8 @@ class ModelSubject(Subject):
         return yaml, carry_experiment(fmu, self.model)
 
     def use(self, folder: Path) -> list[str]:
-        """Return a command line for the FMU, with design of a controller if the model has a designer.
-
-        Paths are absolute, since relative paths refer to the scenario.
-        """
-        model, fmu = ((folder / name).resolve() for name in REFINED)
+        """Return a command line for the FMU, with design of a controller if the model has a designer."""
+        model, fmu = (folder / name for name in REFINED)
         command = ["cosim", "run", "scenario.yaml", "--set", f"components.plant.fmu={fmu}"]
         entry = entry_of(type(self.model))
         return [*command, "--set", f"design={json.dumps({'model': str(model)})}"] if entry and entry.design else command

@@ -46,7 +46,7 @@ from cosim.report.drawing import Charts
 from cosim.report.html_tables import Badge, Row
 from cosim.report.template import render
 from cosim.residuals.windows import SKIPPED
-from cosim.storage.files import atomic_write
+from cosim.storage.files import atomic_write, path_from_here
 
 TEMPLATE = Path(__file__).with_name("templates") / "refine.html.j2"
 TITLES: Mapping[str, tuple[str, str]] = {  # verdict → badge, tone
@@ -95,8 +95,8 @@ def context(r: Refinement) -> Mapping[str, Any]:
         "per_log": per_log_rows(r),
         "noise": noise_rows(r),
         "noise_note": "Drift of each state in a second that its equation does not explain; logarithmic bars.",
-        "use": shlex.join(r.study.subject.use(r.folder)),
-        "repeat": shlex.join(["cosim", "refine", str(r.study.path), "--out", str(r.folder)]) if r.study.path else "",
+        "use": shlex.join(r.study.subject.use(path_from_here(r.folder))),
+        "repeat": _repeat_command(r),
         "provenance": _provenance(r),
         "data": charts.data(),  # after all drawings
         "version": __version__,
@@ -339,17 +339,24 @@ def _ranking_lead(r: Refinement) -> str:
 # -- provenance -------------------------------------------------------------------------------
 
 
+def _repeat_command(r: Refinement) -> str:
+    """Return the command that repeats the study in the current folder, or "" for a study written in Python."""
+    if r.study.path is None:
+        return ""
+    study, folder = path_from_here(r.study.path), path_from_here(r.folder)
+    return shlex.join(["cosim", "refine", str(study), "--out", str(folder)])
+
+
 def _provenance(r: Refinement) -> list[Row]:
     study = r.study
-    written = study.path is not None
-    rows = [Row("Study", str(study.path))] if written else []
-    rows += [Row("Model", study.subject.source, study.content.model if written else "")]
+    rows = [Row("Study", str(path_from_here(study.path)))] if study.path else []
+    rows += [Row("Model", str(path_from_here(study.subject.source)), study.content.model if study.path else "")]
     rows += [_log_row("Estimation log", log) for log in study.logs]
     rows += _inputs(r)
     rows += [_log_row("Sealed log", log) for log, _ in r.evidence["before"].get("validation", ())]
     for name, label in (("model.yaml", "Refined model"), ("plant.fmu", "Refined FMU")):
         if (file := r.folder / name).is_file():
-            rows.append(Row(label, str(file), _digest(file)))
+            rows.append(Row(label, str(path_from_here(file)), _digest(file)))
     sensors, claim = study.subject.sensor_parameters, r.verdict.claimed
     stated = any(study.subject.values[n] != float(p.default) for n, p in sensors.items())
     if stated or any(c.kind == "sensor" for c in (claim.candidates if claim else ())):
@@ -375,7 +382,7 @@ def _inputs(r: Refinement) -> list[Row]:
 def _log_row(label: str, log: Log) -> Row:
     times = "" if log.table else f" t = {log.time[0]:.6g} … {log.time[-1]:.6g} s,"
     holes = f"{log.rows} rows,{times} measures {', '.join(log.outputs)}"
-    return Row(label, str(log.path), f"{holes}\n{_digest(log.path)}")
+    return Row(label, str(path_from_here(log.path)), f"{holes}\n{_digest(log.path)}")
 
 
 def _digest(path: Path) -> str:
