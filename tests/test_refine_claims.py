@@ -33,7 +33,7 @@ from tests.blind import arm
 
 CRAFT = ModelSubject.of(Hovercraft())
 CANDIDATES = {c.name: c for c in CRAFT.candidates(())}
-FRICTION, DRAG, DAMPING = "coulomb_friction", "quadratic_drag", "yaw_damping"
+FRICTION, DRAG, DAMPING, STRIBECK = "coulomb_friction", "quadratic_drag", "yaw_damping", "stribeck_friction"
 NOISE = Noise(np.zeros(1), math.log(0.15), np.zeros(1), np.full(1, -np.inf))
 
 
@@ -82,6 +82,36 @@ def test_a_term_that_does_not_lead_on_every_log_is_not_named() -> None:
     for is_stable in (True, False):
         claims = judged(attribution(best), Leftover((term,), best.fit, 30.0, 8.0, is_stable=is_stable))
         assert (claims.term is not None, claims.residual["signals"]) == (is_stable, ["vx"] if is_stable else [])
+
+
+@pytest.mark.parametrize(
+    ("score", "deviations", "is_supported", "best", "rivals"),
+    [
+        (-199.0, 3.0, True, STRIBECK, []),
+        (-199.0, 2.0, True, FRICTION, [STRIBECK]),  # not refuted
+        (-199.0, 3.0, False, FRICTION, [STRIBECK]),
+        (-196.0, 3.0, True, FRICTION, []),  # far behind
+    ],
+)
+def test_a_rival_with_more_parameters_that_refutes_the_best_takes_its_place(
+    monkeypatch: pytest.MonkeyPatch, score: float, deviations: float, is_supported: bool, best: str, rivals: list[str]
+) -> None:
+    simple, rich = (replace(fitted(n, score=s), ended=True) for n, s in ((FRICTION, -200.0), (STRIBECK, score)))
+
+    def refutation(problem: Any, better: Fit, worse: Fit, costs: float) -> float:
+        return deviations if better is rich.fit else 9.0
+
+    def remainder(search: Any, h: Hypothesis) -> judgement._Remainder:
+        return judgement._Remainder(h if is_supported else fitted())
+
+    problem = SimpleNamespace(scatter=1.0)
+    search: Any = SimpleNamespace(problem=problem, tried={h.names: h for h in (simple, rich)}, subject=CRAFT)
+    search.cost = lambda parts: 10.0
+    monkeypatch.setattr(judgement, "refutation", refutation)
+    monkeypatch.setattr(judgement, "_remainder", remainder)
+    chosen = judgement._unrefuted(search, judgement._Remainder(simple)).best
+    assert chosen.names == (best,)
+    assert [h.names for h in judgement._rivals(search, chosen)] == [(name,) for name in rivals]
 
 
 def test_what_all_rivals_contain_is_claimed_with_an_interval_over_all_of_them() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -214,6 +215,24 @@ def test_a_sentence_has_at_most_25_words_and_no_chain_of_more_than_three_names(t
     for one in re.split(r"(?<=\.) (?=[A-Za-z`])", text):
         assert len(one.replace("\u00a0", "").split()) <= 25, one
         assert len(re.findall(r"effect_\d", one)) <= 3, one
+
+
+@pytest.mark.parametrize(
+    ("region", "words"),
+    [
+        ((0.0, 0.07), "at most 0.07 N"),
+        ((0.05, 1.0), "at least 0.05 N"),
+        ((0.05, 0.07), "between 0.05 N and"),
+    ],
+)
+def test_values_that_the_logs_do_not_distinguish_are_given_by_their_limits(
+    region: tuple[float, float], words: str
+) -> None:
+    h = fitted("coulomb_friction")
+    flat = replace(h, fit=replace(h.fit, regions={FORCE.name: region}))
+    assert f"force {words}" in claim_text(flat, flat.candidates, ModelSubject.of(CRAFT))
+    (entry,) = effects(ModelSubject.of(CRAFT), flat, ())
+    assert entry.parameters["force"].ci95 == region
 
 
 def changed(record: dict[str, Any], path: str, value: Any) -> dict[str, Any]:

@@ -59,12 +59,19 @@ def _untold(names: list[str], said: str) -> list[str]:
 
 
 def _intervals(record: Record) -> Iterator[str]:
-    """Yield estimates that are not in the middle of their interval."""
+    """Yield estimates that are not in the middle of their interval, unless the sentence gives its limits."""
     for entry in record["effects"]:
         for name, p in entry["parameters"].items():
             low, high = p["ci95"]
+            if _has_limits(record, name) and low <= p["value"] <= high:
+                continue
             if not abs(p["value"] - 0.5 * (low + high)) <= 1e-6 * (high - low) + 1e-12 * abs(p["value"]):
                 yield f"{entry['name']}.{name} is {p['value']}, and its interval {p['ci95']}"
+
+
+def _has_limits(record: Record, name: str) -> bool:
+    """Return True if the sentence gives the limits of a parameter in place of its value."""
+    return re.search(rf"\b{name} (at most|at least|between) ", record["sentence"]) is not None
 
 
 def _estimates(record: Record) -> Iterator[str]:
@@ -77,7 +84,7 @@ def _estimates(record: Record) -> Iterator[str]:
             ways = {(own, f"{half:.2g}") for own in ((name, entry["name"]) if name == "value" else (name,))}
             known |= ways
             told = [said[way] for way in ways & said.keys()]
-            untold = not told and f"{name} not identified" not in record["sentence"]
+            untold = not told and f"{name} not identified" not in record["sentence"] and not _has_limits(record, name)
             if record["verdict"] in CLAIMS and untold:
                 yield f"the sentence does not tell {entry['name']}.{name} ± {half:.2g}"
             if any(abs(value - p["value"]) > max(0.1 * half, 1e-11 * abs(value)) for value in told):

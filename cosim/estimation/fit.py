@@ -9,7 +9,7 @@ deficient equation and decreases when the correct term is added.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from cosim.estimation.noise_model import Noise
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem, Scored
 from cosim.kernel.remote_kernel import RemoteLibraryKernel, processor_time
+from cosim.logs.channel_noise import NORMAL_95
 from cosim.subject.candidates import Free
 
 ITERATIONS = 30
@@ -67,6 +68,7 @@ class Fit:
 
     Attributes:
         scattered: Covariance of the free parameters by scatter over blocks of time.
+        regions: Parameter on which the likelihood does not depend near its estimate → limits of its 95 % region.
         is_cut: Whether the fit was stopped after MAX_SECONDS.
     """
 
@@ -79,6 +81,7 @@ class Fit:
     iterations: int
     converged: bool
     scattered: Array | None = None
+    regions: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     is_cut: bool = False
 
     @property
@@ -102,6 +105,11 @@ class Fit:
         """Return whether the likelihood does not depend on a free parameter near its estimate."""
         k = [f.name for f in self.free].index(name)
         return not self.information[k, k] > 0.0
+
+    def interval(self, name: str) -> tuple[float, float]:
+        """Return the limits of the 95 % interval of an estimate."""
+        value, half = float(self.values[name]), NORMAL_95 * self.sigma(name)
+        return self.regions.get(name, (value - half, value + half))
 
     def sigma(self, name: str, held: Sequence[str] = ()) -> float:
         """Return the standard deviation of an estimate.

@@ -19,7 +19,6 @@ from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.per_log import own
 from cosim.estimation.problem import Problem
-from cosim.logs.channel_noise import NORMAL_95
 from cosim.refinement.decision.claims import Claims, Grade, Name, Rung
 from cosim.refinement.decision.sentences import sentence
 from cosim.refinement.proof.measure import Evidence, Floor, rmse
@@ -438,8 +437,7 @@ def per_log(study: Study, f: Fit, ends: Mapping[str, float]) -> dict[str, PerLog
 
 
 def _estimate(f: Fit, name: str, unit: str) -> Estimate:
-    value, half = float(f.values[name]), float(NORMAL_95 * f.sigma(name))
-    return Estimate(value=value, unit=unit, ci95=(value - half, value + half))
+    return Estimate(value=float(f.values[name]), unit=unit, ci95=f.interval(name))
 
 
 def hidden_effects(a: Attribution, claims: Claims) -> list[str]:

@@ -293,7 +293,14 @@ def _with_intervals_of(best: Hypothesis, rivals: Sequence[Hypothesis], common: C
             wider[k] = max(1.0, *(r / sigma for r in reach))
     sigmas = np.array([fit.sigma(f.name) for f in fit.free])
     covariance = np.diag(sigmas**2) if fit.scattered is None else fit.scattered
-    return replace(best, fit=replace(fit, scattered=covariance * np.outer(wider, wider)))
+    regions = {n: _span([fit.interval(n), *(h.fit.interval(n) for h in rivals if n in shared)]) for n in fit.regions}
+    return replace(best, fit=replace(fit, scattered=covariance * np.outer(wider, wider), regions=regions))
+
+
+def _span(intervals: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    """Return the interval that contains all intervals."""
+    lows, highs = zip(*intervals, strict=True)
+    return min(lows), max(highs)
 
 
 def usual_experiment(subject: Subject) -> str:

@@ -389,13 +389,15 @@ def with_intervals(search: Search, h: Hypothesis) -> Hypothesis:
 
     An estimate without one log should differ from the estimate of all by N(0, σ₋ₖ² − σ²) (Hausman 1978). The variance
     grows by the ratio of these squared differences to their expectation, if above 1 (Birge 1932). For logs that say
-    equally much this is the jackknife; a log that says nothing of a parameter does not widen its interval.
+    equally much this is the jackknife; a log that says nothing of a parameter does not widen its interval. A single log
+    is halved.
     """
     f = with_flat_directions(search.problem, with_sandwich_covariance(search.problem, h.fit))
-    logs = len(search.problem.logs)
-    if logs < 2 or f.scattered is None or search.problem.table:
+    if f.scattered is None or search.problem.table:
         return replace(h, fit=f)
-    white, fits = replace(f, scattered=None), in_parallel(partial(fit_without, search, search.problem, h), range(logs))
+    problem = search.problem if len(search.problem.logs) > 1 else halve_log(search.problem)
+    logs = range(len(problem.logs))
+    white, fits = replace(f, scattered=None), in_parallel(partial(fit_without, search, problem, h), logs)
     variances = np.array([_variance_with_logs(white, fits, x) for x in f.free])
     within = np.diag(f.scattered)
     wider = np.sqrt(np.maximum(1.0, np.divide(variances, within, out=np.ones_like(within), where=within > 0.0)))
@@ -403,45 +405,51 @@ def with_intervals(search: Search, h: Hypothesis) -> Hypothesis:
 
 
 def with_flat_directions(problem: Problem, f: Fit) -> Fit:
-    """Return the fit with a variance for each parameter on which the likelihood does not depend near the estimate.
+    """Return the fit with a region for each parameter on which the likelihood does not depend near the estimate.
 
-    Such an estimate has no information and would have an interval of width 0. Its interval reaches as far as the
-    likelihood is within its 95 % region (Venzon and Moolgavkar 1988, Appl. Stat. 37:87), the other parameters fixed.
+    Such an estimate has no information and would have an interval of width 0. Its region reaches as far as the
+    likelihood is within its 95 % region (Venzon and Moolgavkar 1988, Appl. Stat. 37:87), the other parameters fixed. It
+    is no scatter about the estimate: a lag shorter than the time between rows has an upper limit only.
     """
     flat = [k for k, x in enumerate(f.free) if f.is_flat(x.name) and x.low < x.high]
     if not flat or f.scattered is None:
         return f
-    scattered = f.scattered.copy()
+    scattered, regions = f.scattered.copy(), dict(f.regions)
     for k in flat:
         x = f.free[k]
-        reach = max(_reach(problem, f, x, limit) for limit in (x.low, x.high))
-        scattered[k, k] = (reach / NORMAL_95) ** 2
-    return replace(f, scattered=scattered)
+        low, high = regions[x.name] = _end(problem, f, x, x.low), _end(problem, f, x, x.high)
+        scattered[k, k] = (max(f.values[x.name] - low, high - f.values[x.name]) / NORMAL_95) ** 2
+    return replace(f, scattered=scattered, regions=regions)
 
 
-def _reach(problem: Problem, f: Fit, x: Free, limit: float) -> float:
-    """Return the distance from an estimate towards a limit over which the NLL rises by less than ½·1.96²."""
+def _end(problem: Problem, f: Fit, x: Free, limit: float) -> float:
+    """Return the value, from an estimate towards a limit, up to which the NLL rises by less than ½·1.96²."""
+    value = f.values[x.name]
 
     def is_inside(distance: float) -> bool:
-        values = {**f.values, x.name: f.values[x.name] + math.copysign(distance, limit - f.values[x.name])}
+        values = {**f.values, x.name: value + math.copysign(distance, limit - value)}
         return problem.score(values, f.noise).nll - f.nll < 0.5 * NORMAL_95**2
 
     inside, outside = 0.0, DOUBLINGS_FROM * x.size
-    while outside < abs(limit - f.values[x.name]) and is_inside(outside):
+    while outside < abs(limit - value) and is_inside(outside):
         inside, outside = outside, 2.0 * outside
-    outside = min(outside, abs(limit - f.values[x.name]))
+    outside = min(outside, abs(limit - value))
     for _ in range(HALVINGS):
         middle = 0.5 * (inside + outside)
         inside, outside = (middle, outside) if is_inside(middle) else (inside, middle)
-    return outside
+    return limit if outside == abs(limit - value) else value + math.copysign(outside, limit - value)
 
 
 def _variance_with_logs(f: Fit, fits: Sequence[Fit], x: Free) -> float:
-    """Return the variance of an estimate from its differences to the estimates without each log."""
+    """Return the variance of an estimate from its differences to the estimates without each log.
+
+    If the information of n logs adds up, the expectation is least for equal logs, σ²·n/(n − 1). An expectation below
+    that is a matter of the noise that each fit estimates for itself; the variance is at most that of the jackknife.
+    """
     if x.group:  # A fit without its log says nothing of a parameter per log.
         return 0.0
-    variance = f.sigma(x.name) ** 2
-    expected = sum(max(0.0, other.sigma(x.name) ** 2 - variance) for other in fits)
+    variance, n = f.sigma(x.name) ** 2, len(fits)
+    expected = max(variance * n / (n - 1), sum(max(0.0, other.sigma(x.name) ** 2 - variance) for other in fits))
     moved = sum((other.values[x.name] - f.values[x.name]) ** 2 for other in fits)
     return variance * moved / expected if expected > 0.0 else 0.0
 

@@ -51,7 +51,7 @@ TOLERANCES = (0.5, 2.0)  # factors on the tolerances that test whether a claim d
 def decide(result: SearchResult) -> Attribution:
     """Return the best supported hypothesis and its rivals."""
     search, base = result.search, result.search.tried[()]
-    rest = _supported(search, result.best)
+    rest = _unrefuted(search, _supported(search, result.best))
     best = rest.best
     if search.subject.probed and best.candidates and rest.dropped:
         search.fit_alike(_rivals_without(search, best, rest.dropped), best)
@@ -95,6 +95,30 @@ def _supported(search: Search, best: Hypothesis) -> _Remainder:
         kept = other if other.best.score < found.best.score else found
         found = replace(kept, dropped={**other.dropped, **found.dropped})
     return found
+
+
+def _unrefuted(search: Search, rest: _Remainder) -> _Remainder:
+    """Return the remainder, or in its place a richer rival that refutes it, if all parts of the rival are supported."""
+    best = rest.best
+    near = [h for h in search.tried.values() if h.ended and h.score - best.score < RIVAL and h.is_apart(best)]
+    for h in sorted(near, key=lambda h: h.score):
+        if _refutes(search, h, best):
+            found = _remainder(search, h)
+            if found.best.names == h.names:
+                return replace(found, dropped={**rest.dropped, **found.dropped})
+    return rest
+
+
+def _refutes(search: Search, rich: Hypothesis, simple: Hypothesis) -> bool:
+    """Return True if the logs refute a hypothesis beside one with as many candidates, but more parameters.
+
+    The score charges each further parameter alike. If the simple hypothesis is true and the rich one contains it, each
+    is expected to gain ½, and the divergence is as large.
+    """
+    more = sum(len(c.free) for c in rich.candidates) - sum(len(c.free) for c in simple.candidates)
+    if more < 1 or len(rich.candidates) != len(simple.candidates):
+        return False
+    return refutation(search.problem, rich.fit, simple.fit, -more * search.problem.scatter) >= REFUTED
 
 
 def _remainder(search: Search, best: Hypothesis) -> _Remainder:
@@ -278,6 +302,8 @@ def _rivals_without(search: Search, best: Hypothesis, dropped: Collection[str]) 
 
 
 def _is_rival(search: Search, best: Hypothesis, h: Hypothesis) -> bool:
+    if _refutes(search, best, h):
+        return False
     if h.score - best.score < RIVAL or (search.subject.probed and _is_richer_twin(search, best, h)):
         return True
     weight, cost, least = search.problem.scatter, search.cost(h.candidates), search.cost(best.candidates)

@@ -367,8 +367,18 @@ def _estimate_text(best: Hypothesis, f: Free, subject: Subject) -> str:
     name, value, half = f.name.rpartition(".")[2], best.fit.values[f.name], NORMAL_95 * best.fit.sigma(f.name)
     if half > f.high - f.low:
         return f"{name} not identified by these logs"
+    if f.name in best.fit.regions:
+        return f"{name} {_region_text(best.fit.regions[f.name], f, written(subject.declared[f.name].unit))}"
     digits = max(4, min(math.floor(math.log10(abs(value) / half)) + 3, 12)) if value and half else 4
     return f"{name} = {value:.{digits}g} ± {half:.2g} {written(subject.declared[f.name].unit)}".rstrip()
+
+
+def _region_text(region: tuple[float, float], f: Free, unit: str) -> str:
+    """Return the region of a parameter within which the logs do not distinguish its values."""
+    low, high = (f"{limit:.2g} {unit}".rstrip() for limit in region)
+    if region[0] <= f.low:
+        return f"at most {high}"
+    return f"at least {low}" if region[1] >= f.high else f"between {low} and {high}"
 
 
 def small_gains_text(names: Sequence[str]) -> str:

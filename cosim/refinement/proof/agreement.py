@@ -83,4 +83,6 @@ def _with_both(h: Hypothesis, refit: Fit, values: Mapping[str, float]) -> Hypoth
     moved = np.array([abs(refit.values[f.name] - h.fit.values[f.name]) for f in h.fit.free])
     wider = 1.0 + np.divide(moved / NORMAL_95, sigmas, out=np.zeros_like(sigmas), where=sigmas > 0.0)
     covariance = np.diag(sigmas**2) if h.fit.scattered is None else h.fit.scattered
-    return replace(h, fit=replace(h.fit, values=values, scattered=covariance * np.outer(wider, wider)))
+    ends = {n: (*h.fit.regions[n], refit.values[n]) for n in h.fit.regions}
+    regions = {n: (min(limits), max(limits)) for n, limits in ends.items()}
+    return replace(h, fit=replace(h.fit, values=values, scattered=covariance * np.outer(wider, wider), regions=regions))

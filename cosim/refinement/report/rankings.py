@@ -165,7 +165,7 @@ def _parameter_row(r: Refinement, free: Free, hypothesis: Hypothesis) -> Paramet
     unit = declaration.unit
     sigma, start = hypothesis.fit.sigma(free.name), float(r.problem.values[free.name])
     is_shape = "." in free.name and declaration.neutral is None
-    low, high = value - NORMAL_95 * sigma, value + NORMAL_95 * sigma
+    low, high = hypothesis.fit.interval(free.name)
     least, most = min(start, low), max(start, high)
     room = 0.12 * (most - least) or 0.1 * abs(value) or 1.0
     least, most = max(free.low, least - room), min(free.high, most + room)
