@@ -1,6 +1,7 @@
 """Evidence for a part of a hypothesis: its gain against the scatter of chance, over blocks of time."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,6 +10,7 @@ from scipy.signal import lfilter
 from scipy.special import stdtrit
 
 from cosim.estimation.fit import Fit
+from cosim.estimation.plateaus import values_beside_plateaus, with_flat_directions
 from cosim.estimation.problem import Scored
 from cosim.refinement.decision.evidence import (
     BY_CHANCE,
@@ -16,7 +18,6 @@ from cosim.refinement.decision.evidence import (
     deviations_from,
     gain_per_chance,
     gain_per_scatter,
-    with_flat_directions,
 )
 from cosim.refinement.decision.judgement import REFUTED
 from cosim.subject.candidates import Free
@@ -90,6 +91,25 @@ def test_an_estimate_without_information_has_the_interval_of_the_flat_likelihood
     widened = with_flat_directions(Flat(), estimate)
     assert 1.96 * widened.sigma("lag") == pytest.approx(0.4 + 0.196, rel=0.05)  # up to 1.96 σ above 0.5
     assert widened.interval("lag") == pytest.approx((0.0, 0.5 + 0.196), rel=0.05)  # no lag below zero
+
+
+class Plateau:
+    """A problem with a likelihood that is flat below 0.5, best at 0.6, and falls above."""
+
+    def score(self, values, noise):
+        """Return an object with the negative log-likelihood."""
+        return SimpleNamespace(nll=0.5 * ((max(0.5, values["lag"]) - 0.6) / 0.05) ** 2)
+
+
+@pytest.mark.parametrize(("value", "is_moved"), [(0.04, True), (0.0, False)])
+def test_a_fit_that_ended_on_a_plateau_goes_on_beside_it(value, is_moved) -> None:
+    lag = Free("lag", 0.0, 10.0, 1.0, neutral=0.0)
+    estimate = Fit({"lag": value}, None, (lag,), (2.0,), 0.0, np.zeros((1, 1)), 1, True, np.zeros((1, 1)))
+    better = values_beside_plateaus(Plateau(), estimate, [lag])
+    assert better.keys() == ({"lag"} if is_moved else set())
+    assert not is_moved or 0.5 < better["lag"] < 0.7
+    flat = replace(estimate, nll_by_log=(0.0,))
+    assert values_beside_plateaus(Flat(), flat, [lag]) == {}
 
 
 def estimate(value, sigma):

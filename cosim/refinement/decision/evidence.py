@@ -25,6 +25,7 @@ from cosim.estimation.expected import fit_for_held_out
 from cosim.estimation.fit import Fit, fit, inverse, scores
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.past_readings import lagged_table
+from cosim.estimation.plateaus import with_flat_directions
 from cosim.estimation.posing import halve_log
 from cosim.estimation.problem import Problem, Scored
 from cosim.kernel.kernel import Begin, simulate_all
@@ -39,7 +40,6 @@ FEWEST = 12  # least number of blocks over all logs
 DIVERGED = 1e6  # NLL of a measurement for which a filter has diverged
 BACK = 200  # rows before a replay that a delay may reach back to
 BY_CHANCE = 0.01  # probability below which chance is unlikely
-DOUBLINGS_FROM, HALVINGS = 0.01, 5  # search for the end of a flat likelihood: first distance in sizes, and bisections
 PREDICTED = 8  # least number of replays of a log for a model judged by a free run
 
 
@@ -402,42 +402,6 @@ def with_intervals(search: Search, h: Hypothesis) -> Hypothesis:
     within = np.diag(f.scattered)
     wider = np.sqrt(np.maximum(1.0, np.divide(variances, within, out=np.ones_like(within), where=within > 0.0)))
     return replace(h, fit=replace(f, scattered=f.scattered * np.outer(wider, wider)))
-
-
-def with_flat_directions(problem: Problem, f: Fit) -> Fit:
-    """Return the fit with a region for each parameter on which the likelihood does not depend near the estimate.
-
-    Such an estimate has no information and would have an interval of width 0. Its region reaches as far as the
-    likelihood is within its 95 % region (Venzon and Moolgavkar 1988, Appl. Stat. 37:87), the other parameters fixed. It
-    is no scatter about the estimate: a lag shorter than the time between rows has an upper limit only.
-    """
-    flat = [k for k, x in enumerate(f.free) if f.is_flat(x.name) and x.low < x.high]
-    if not flat or f.scattered is None:
-        return f
-    scattered, regions = f.scattered.copy(), dict(f.regions)
-    for k in flat:
-        x = f.free[k]
-        low, high = regions[x.name] = _end(problem, f, x, x.low), _end(problem, f, x, x.high)
-        scattered[k, k] = (max(f.values[x.name] - low, high - f.values[x.name]) / NORMAL_95) ** 2
-    return replace(f, scattered=scattered, regions=regions)
-
-
-def _end(problem: Problem, f: Fit, x: Free, limit: float) -> float:
-    """Return the value, from an estimate towards a limit, up to which the NLL rises by less than ½·1.96²."""
-    value = f.values[x.name]
-
-    def is_inside(distance: float) -> bool:
-        values = {**f.values, x.name: value + math.copysign(distance, limit - value)}
-        return problem.score(values, f.noise).nll - f.nll < 0.5 * NORMAL_95**2
-
-    inside, outside = 0.0, DOUBLINGS_FROM * x.size
-    while outside < abs(limit - value) and is_inside(outside):
-        inside, outside = outside, 2.0 * outside
-    outside = min(outside, abs(limit - value))
-    for _ in range(HALVINGS):
-        middle = 0.5 * (inside + outside)
-        inside, outside = (middle, outside) if is_inside(middle) else (inside, middle)
-    return limit if outside == abs(limit - value) else value + math.copysign(outside, limit - value)
 
 
 def _variance_with_logs(f: Fit, fits: Sequence[Fit], x: Free) -> float:

@@ -17,6 +17,7 @@ import numpy as np
 from cosim.estimation.fit import FAIR, Fit, Patience, fit, initial_fit
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.parallel import in_parallel
+from cosim.estimation.plateaus import values_beside_plateaus
 from cosim.estimation.problem import Problem
 from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.refinement.stages import report_ranking
@@ -172,7 +173,7 @@ class Search:
         """
 
         def refit(h: Hypothesis) -> Hypothesis:
-            fitted = self.hypothesis(h.candidates, h.fit, iterations, loosen=False)
+            fitted = self._beside_plateaus(self.hypothesis(h.candidates, h.fit, iterations, loosen=False))
             if only or self.problem.trusted or not fitted.ended:
                 return fitted
             noise = fitted.fit.noise
@@ -211,6 +212,15 @@ class Search:
         goal = h.fit.objective - DONE
         other = self.hypothesis(h.candidates, replace(h.fit, noise=noise), LEADING, goal, loosen=False)
         return replace(other, ended=h.ended) if other.fit.objective < goal else h
+
+    def _beside_plateaus(self, h: Hypothesis) -> Hypothesis:
+        """Return a hypothesis, refitted from beside the plateaus on which parameters ended."""
+        free = [f for c in h.candidates for f in c.free if f.neutral is not None]
+        better = values_beside_plateaus(self.problem, h.fit, free)
+        if not better:
+            return h
+        other = self.hypothesis(h.candidates, replace(h.fit, values={**h.fit.values, **better}), loosen=False)
+        return replace(other, ended=h.ended) if other.fit.objective < h.fit.objective else h
 
     def _without_noise(self, h: Hypothesis) -> Hypothesis:
         """Refit a hypothesis without superfluous unknown inputs."""
