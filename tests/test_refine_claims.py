@@ -114,6 +114,28 @@ def test_a_rival_with_more_parameters_that_refutes_the_best_takes_its_place(
     assert [h.names for h in judgement._rivals(search, chosen)] == [(name,) for name in rivals]
 
 
+@pytest.mark.parametrize(
+    ("score", "support", "named"),
+    [
+        (-199.2, Support(10.0, 2.8, 9.0, 1.0), {FRICTION, DAMPING}),
+        (-199.2, Support(10.0, 1.8, 9.0, 1.0), {FRICTION}),  # its gain may be chance
+        (-199.2, Support(10.0, 2.8, -1.0, 1.0), {FRICTION}),
+        (-196.0, Support(10.0, 2.8, 9.0, 1.0), {FRICTION}),  # its gain is far below its cost
+    ],
+)
+def test_a_part_whose_gain_nearly_pays_its_cost_is_named_beside_the_claim(
+    monkeypatch: pytest.MonkeyPatch, score: float, support: Support, named: set[str]
+) -> None:
+    best = replace(fitted(FRICTION), ended=True)
+    fuller = replace(fitted(FRICTION, DAMPING, score=score), ended=True)
+    search: Any = SimpleNamespace(problem=None, tried={h.names: h for h in (best, fuller)}, on_trial=20)
+    monkeypatch.setattr(judgement, "_support", lambda search, better, worse: support)
+    monkeypatch.setattr(judgement, "chance_limit", lambda problem, f, tried: 2.4)
+    rest = judgement._with_nearly_paid(search, judgement._Remainder(best))
+    assert rest.best is best
+    assert set((rest.fuller or best).names) == named
+
+
 def test_what_all_rivals_contain_is_claimed_with_an_interval_over_all_of_them() -> None:
     best, rival = fitted(FRICTION, DRAG), fitted(FRICTION, DAMPING, score=-199.0, coulomb_friction=0.15)
     a = attribution(best, rival)

@@ -51,7 +51,7 @@ TOLERANCES = (0.5, 2.0)  # factors on the tolerances that test whether a claim d
 def decide(result: SearchResult) -> Attribution:
     """Return the best supported hypothesis and its rivals."""
     search, base = result.search, result.search.tried[()]
-    rest = _unrefuted(search, _supported(search, result.best))
+    rest = _with_nearly_paid(search, _unrefuted(search, _supported(search, result.best)))
     best = rest.best
     if search.subject.probed and best.candidates and rest.dropped:
         search.fit_alike(_rivals_without(search, best, rest.dropped), best)
@@ -107,6 +107,28 @@ def _unrefuted(search: Search, rest: _Remainder) -> _Remainder:
             if found.best.names == h.names:
                 return replace(found, dropped={**rest.dropped, **found.dropped})
     return rest
+
+
+def _with_nearly_paid(search: Search, rest: _Remainder) -> _Remainder:
+    """Return the remainder with a fuller hypothesis if one more part nearly pays its cost, and gains more than chance.
+
+    Such a part is no claim, but is named beside the verdict.
+    """
+    best, dropped = rest.best, rest.dropped.keys()
+    larger = [
+        h
+        for h in search.tried.values()
+        if h.ended and h.score - best.score < RIVAL and set(h.names) > set(best.names) and dropped.isdisjoint(h.names)
+    ]
+    larger = [h for h in larger if len(h.candidates) == len(best.candidates) + 1]
+    if rest.fuller or not larger:
+        return rest
+    h = best_hypothesis(larger)
+    (part,) = (c for c in h.candidates if c.name not in best.names)
+    support = _support(search, h, best)
+    limit = chance_limit(search.problem, h.fit, search.on_trial * part.among)
+    is_named = part.kind != "parameter" and support.steady >= limit and support.held_out > 0.0
+    return replace(rest, fuller=h) if is_named else rest
 
 
 def _refutes(search: Search, rich: Hypothesis, simple: Hypothesis) -> bool:
