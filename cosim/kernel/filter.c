@@ -7,14 +7,15 @@
  * A reading that is older than its row by a part of it is held against g(x) at that time: on a cubic over the substep, by the
  * model's rates at both ends, or straight over the step if the equations are stiff. So is what a sensor with a lag sees.
  */
-/* Rows of b are added up, so that a compiler can take several columns at once. */
+/* Rows of b are added up, so that a compiler can take several columns at once; many entries of a Jacobian are zero. */
 static void multiply(const double *a, const double *b, double *out)
 {
     for (int i = 0; i < NS; i++) {
         double row[NS + 1] = {0.0};
         for (int k = 0; k < NS; k++) {
             const double factor = a[NS * i + k];
-            for (int j = 0; j < NS; j++) row[j] += factor * b[NS * k + j];
+            if (factor != 0.0)
+                for (int j = 0; j < NS; j++) row[j] += factor * b[NS * k + j];
         }
         memcpy(out + NS * i, row, sizeof(double) * NS);
     }
@@ -222,7 +223,7 @@ int filter(const Log *log, const double *p, const double *x0, const double *P0, 
             double s = r[NY * k + j], e = measured - y[j];
             for (int i = 0; i < NS; i++) PC[i] = 0.0;
             for (int l = 0; l < NS; l++)
-                if (C[NS * j + l] != 0.0) for (int i = 0; i < NS; i++) PC[i] += P[NS * i + l] * C[NS * j + l];
+                if (C[NS * j + l] != 0.0) for (int i = 0; i < NS; i++) PC[i] += P[NS * l + i] * C[NS * j + l]; /* P is symmetric */
             if (lags.any) s += lags_join(&lags, j, C, PC);
             if (lags.on[j]) e -= lags.moved[j];
             for (int i = 0; i < NS; i++) {
@@ -232,12 +233,10 @@ int filter(const Log *log, const double *p, const double *x0, const double *P0, 
             errors[NY * k + j] = e;
             variances[NY * k + j] = s;
             if (lags.any) lags_update(&lags, PC, e, s);
+            const double inverse = 1.0 / s; /* a division is dear */
             for (int i = 0; i < NS; i++) {
-                double less[NS + 1]; /* the same on both sides of the diagonal, and a division is dear */
-                moved[i] += PC[i] * e / s;
-                for (int l = 0; l <= i; l++) less[l] = PC[i] * PC[l] / s;
-                for (int l = 0; l <= i; l++) P[NS * i + l] -= less[l];
-                for (int l = 0; l < i; l++) P[NS * l + i] -= less[l];
+                moved[i] += PC[i] * e * inverse;
+                for (int l = 0; l < NS; l++) P[NS * i + l] -= PC[i] * PC[l] * inverse;
             }
         }
         for (int i = 0; i < NS; i++) x[S[i]] += moved[i];
