@@ -115,6 +115,35 @@ def test_a_rival_with_more_parameters_that_refutes_the_best_takes_its_place(
 
 
 @pytest.mark.parametrize(
+    ("score", "sigma", "steady", "names"),
+    [
+        (-199.6, 0.01, 2.4, {FRICTION, DRAG, DAMPING}),
+        (-199.6, 0.05, 2.4, {DAMPING}),  # not certain in the fuller hypothesis either
+        (-199.6, 0.01, 1.4, {DAMPING}),  # what both gain may be chance
+        (-196.0, 0.01, 2.4, {DAMPING}),
+    ],
+)
+def test_a_part_that_differs_between_logs_is_judged_beside_one_that_may_be_missing(
+    monkeypatch: pytest.MonkeyPatch, score: float, sigma: float, steady: float, names: set[str]
+) -> None:
+    def known_to(h: Hypothesis, sigma: float) -> Hypothesis:
+        return replace(h, fit=replace(h.fit, information=sigma**-2 * np.eye(len(h.fit.free))), ended=True)
+
+    best = known_to(fitted(FRICTION, DAMPING), 0.05)
+    rest = known_to(fitted(DAMPING, score=-198.0), 0.01)
+    fuller = known_to(fitted(FRICTION, DRAG, DAMPING, score=score), sigma)
+    tried = {h.names: h for h in (best, rest, fuller)}
+    search: Any = SimpleNamespace(problem=SimpleNamespace(values={}), tried=tried, on_trial=20)
+    monkeypatch.setattr(judgement, "with_intervals", lambda search, h: h)
+    monkeypatch.setattr(judgement, "_drop_unsupported", lambda search, h: judgement._Remainder(h))
+    monkeypatch.setattr(judgement, "_parameters_at_limit", lambda h, parts, neutral: [])
+    monkeypatch.setattr(judgement, "_support", lambda *hypotheses: Support(23.0, steady, 20.0, 1.0))
+    monkeypatch.setattr(judgement, "_fit_without_each", lambda search, h: {})
+    monkeypatch.setattr(judgement, "chance_limit", lambda problem, f, tried: 1.9)
+    assert set(judgement._remainder(search, best).best.names) == names
+
+
+@pytest.mark.parametrize(
     ("score", "support", "named"),
     [
         (-199.2, Support(10.0, 2.8, 9.0, 1.0), {FRICTION, DAMPING}),

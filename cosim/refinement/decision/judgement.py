@@ -144,9 +144,42 @@ def _refutes(search: Search, rich: Hypothesis, simple: Hypothesis) -> bool:
 
 
 def _remainder(search: Search, best: Hypothesis) -> _Remainder:
-    """Return the supported parts of a hypothesis; of an FMU, those that are certain."""
+    """Return the supported parts of a hypothesis that are certain, or a fuller hypothesis in which all are."""
     rest = _drop_unsupported(search, best)
-    return replace(rest, best=_with_certain_parts(search, rest.best, rest.dropped)) if rest.best.candidates else rest
+    if not rest.best.candidates:
+        return rest
+    certain = _with_certain_parts(search, rest.best, rest.dropped)
+    fuller = _fuller_certain(search, rest.best, certain) if certain.names != rest.best.names else None
+    if fuller is None:
+        return replace(rest, best=certain)
+    support = {n: _support(search, fuller, without) for n, without in _fit_without_each(search, fuller).items()}
+    return _Remainder(fuller, support, {n: doubt for n, doubt in rest.dropped.items() if n not in fuller.names})
+
+
+def _fuller_certain(search: Search, refused: Hypothesis, rest: Hypothesis) -> Hypothesis | None:
+    """Return a hypothesis that contains a refused one, if it is better than what remains and all its parts are certain.
+
+    Estimates of a part differ between the logs, too, if another part is missing beside it. Its gain beside the refused
+    hypothesis may be a little less than its cost.
+
+    Args:
+        refused: Hypothesis with a part that is not certain.
+        rest: The hypothesis without this part.
+    """
+    limit = min(rest.score, refused.score + RIVAL)
+    near = [h for h in search.tried.values() if h.ended and h.score < limit and set(h.names) > set(refused.names)]
+    for h in sorted(near, key=lambda h: h.score):
+        new = [c for c in h.candidates if c.name not in refused.names]
+        if any(c.kind == "parameter" for c in new) or _parameters_at_limit(h, new, search.problem.values):
+            continue
+        h = with_intervals(search, h)
+        if any(may_be_chance(h, c, search.on_trial) for c in h.candidates):
+            continue
+        joint = _support(search, h, rest)
+        is_chance = joint.steady < chance_limit(search.problem, h.fit, search.on_trial)
+        if not (is_chance or joint.held_out <= 0.0 or joint.predicted < WORSE):
+            return h
+    return None
 
 
 @dataclass
