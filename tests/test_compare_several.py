@@ -17,7 +17,7 @@ from cosim.base.errors import CriterionMissed, InputError
 from cosim.comparison import several
 from cosim.comparison.several import ComparedRuns, RunSource, compare_several
 from cosim.comparison.several_page import several_page
-from cosim.history.inputs import differing_inputs, labels_of
+from cosim.history.inputs import DifferingInput, differing_inputs, labels_of
 from cosim.simulation.run_files import RecordedRun
 from cosim.storage.artefact import kind_by_keys
 from cosim.storage.results import Results
@@ -71,6 +71,34 @@ def test_labels_name_the_inputs_that_differ_and_never_are_equal() -> None:
         "run 3 (plant.mass = 500)",
     ]
     assert labels_of(["tank", "tank"], [], unique=["one/tank", "two/tank"]) == ["tank, one/tank", "tank, two/tank"]
+
+
+def test_labels_beside_a_baseline_name_only_what_differs_from_it() -> None:
+    inputs = [
+        DifferingInput("parameter", "plant.mass", (440.0, 500.0, 440.0, 440.0)),
+        DifferingInput("parameter", "plant.k", (1.0, 1.0, 2.0, 1.0)),
+    ]
+    names = [f"run {k}" for k in range(1, 5)]
+    assert labels_of(names, inputs, unique=names, baseline=0) == [
+        "run 1 (plant.mass = 440, plant.k = 1)",
+        "run 2 (plant.mass = 500)",
+        "run 3 (plant.k = 2)",
+        "run 4",
+    ]
+
+
+def test_a_signal_that_is_equal_in_all_runs_is_folded_with_one_curve() -> None:
+    sources = [_source(name, gain) for name, gain in (("a", 1.0), ("b", 2.0), ("c", 3.0))]
+    found = compare_several(sources)
+    assert found.equal == ["y"]
+    assert [(len(panel.traces)) for panel in found._panels(["x", "y"], slice(None))] == [3, 1]
+    assert [panel.title for panel in found._panels(found._most_different(), slice(None))] == ["x"]
+    page = several_page(found, "", [])
+    assert "<summary>1 signal equal in all runs</summary>" in page
+    assert "Equal in all runs: y." in page
+    same = compare_several([_source(name, 1.0) for name in "abc"])
+    assert same._most_different() == ["x", "y"]
+    assert "2 signals equal in all runs" in several_page(same, "", [])
 
 
 def test_every_run_is_compared_with_the_baseline() -> None:
@@ -206,6 +234,13 @@ def test_python_compares_lists_of_folders_numbers_and_results(runs: Path, monkey
         cosim.compare("s/*")
 
 
+@pytest.mark.parametrize("runs", [[], ()])
+def test_no_run_is_refused_with_a_code(runs: Any) -> None:
+    with pytest.raises(InputError, match="name at least two runs") as refused:
+        cosim.compare(runs)
+    assert refused.value.code == "E-CLI-054"
+
+
 def test_folders_of_one_name_have_labels_that_differ(tmp_path: Path) -> None:
     rows = Results(TIME, ("x",), TIME[:, None])
     for place in ("one", "two", "three"):
@@ -280,6 +315,6 @@ def test_of_many_signals_the_page_lists_those_that_differ_most() -> None:
     assert found.ranking[0] == "a.x999"
     assert kind_by_keys(found.as_json()) == "an answer of `cosim compare`"
     page = several_page(found, "", [])
-    assert "800 more are in comparison.json" in page
+    assert "799 more are in comparison.json" in page
     assert "the 12 signals that differ most" in page
     assert "a.x100<" not in page

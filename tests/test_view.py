@@ -438,6 +438,42 @@ def test_layouts_are_kept_in_a_file(page: tuple[ViewPage, Ask], tmp_path: Path) 
     assert ask("layouts", {"name": "one", "layout": None}) == {}
 
 
+@pytest.mark.parametrize(
+    ("layout", "words"),
+    [
+        ({"plots": 3}, "layouts.one.plots: it should be a list"),
+        ({}, "layouts.one.plots: it is missing"),
+        ({"plots": [{"kind": "pie", "axes": []}]}, "layouts.one.plots.0.kind: it should be 'time' or 'xy'"),
+        ({"plots": [{"axes": [{"curves": [{"run": "r0"}]}]}]}, "curves.0.name: it is missing"),
+        ({"plots": [{"axes": [{"curves": []}] * 5}]}, "layouts.one.plots.0.axes"),
+        ({"plots": [], "view": {"from": float("nan"), "to": 1}}, "view.from: it should be a finite number"),
+        ({"plots": [], "derived": [{"name": "d", "formula": "a", "of": {}}]}, "derived.0.of: it names no signal"),
+    ],
+)
+def test_a_layout_that_is_none_is_refused_by_its_place_and_the_file_stays(
+    page: tuple[ViewPage, Ask], tmp_path: Path, layout: Any, words: str
+) -> None:
+    _, ask = page
+    ask("layouts", {"name": "good", "layout": {"plots": []}})
+    before = (tmp_path / "view.json").read_bytes()
+    assert words in _refusal(ask, "layouts", {"name": "one", "layout": layout})
+    content = {"schema_version": 1, "layouts": {"one": layout}}
+    assert words in _refusal(ask, "layouts", {"file": "of a colleague.json", "content": content})
+    assert (tmp_path / "view.json").read_bytes() == before
+    (tmp_path / "wrong.json").write_text(json.dumps(content))
+    with pytest.raises(InputError) as refused:
+        Layouts(tmp_path / "wrong.json")
+    assert words in str(refused.value)
+    assert refused.value.code == "E-VIE-027"
+
+
+@pytest.mark.parametrize("content", [None, 3, [], {}, {"schema_version": 2, "layouts": {}}])
+def test_a_file_that_the_page_opens_and_that_holds_no_layouts_is_refused(
+    page: tuple[ViewPage, Ask], content: Any
+) -> None:
+    assert "no file of layouts" in _refusal(page[1], "layouts", {"file": "x.json", "content": content})
+
+
 def test_a_run_that_is_removed_is_told_and_the_others_stay(page: tuple[ViewPage, Ask], tmp_path: Path) -> None:
     made, ask = page
     (tmp_path / "r0.csv").unlink()

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cosim.base.arrays import Array
+from cosim.base.arrays import Array, Rows
 from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.messages import Message
 from cosim.base.text import counted
@@ -25,6 +25,8 @@ from cosim.storage.results import Results
 if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
+
+    from cosim.report.panels import Panel
 
 MAX_RUNS, MAX_SIGNALS = 12, 12  # drawn
 MAX_PLOTTED, MAX_LISTED = 4, 12  # signals in a figure by default, and in a short text
@@ -121,6 +123,11 @@ class ComparedRuns:
         return {name: [differences.get(name) for differences in by_run] for name in self.ranking}
 
     @property
+    def equal(self) -> list[str]:
+        """Return the signals that are equal in all runs that have them."""
+        return [name for name, cells in self.table.items() if not any(d is not None and d.largest for d in cells)]
+
+    @property
     def criteria(self) -> dict[str, list[dict[str, Any] | None]]:
         """Return title → outcome in each run, None for runs without the criterion."""
         by_title: dict[str, list[dict[str, Any] | None]] = {}
@@ -135,14 +142,13 @@ class ComparedRuns:
         return "\n  ".join([sentence(self), *("  ".join(row) for row in rows), *more])
 
     def _repr_html_(self) -> str:
-        from cosim.comparison.signal_panels import overlay
         from cosim.report.cell.cell import cell_of, heading, rows_to_show, table
 
         listed = [(name, *map(_cell, cells)) for name, cells in list(self.table.items())[:MAX_LISTED]]
         differences = table(("signal", *self.labels), listed, len(self.ranking) - len(listed))
-        drawn, labels = [*self.curves][:MAX_PLOTTED], [self.labels[k] for k in self.drawn]
+        drawn = self._most_different()
         rows = rows_to_show([values for name in drawn for values in self.curves[name]])
-        panels = [overlay(n, self.units[n], labels, [values[rows] for values in self.curves[n]]) for n in drawn]
+        panels = self._panels(drawn, rows)
         omitted = len(self.ranking) - len(drawn)
         chart = cell_of(self.time[rows], panels, sentence(self), rows=len(self.time), omitted=omitted)
         return heading(sentence(self)) + differences + chart
@@ -166,16 +172,32 @@ class ComparedRuns:
         Raises:
             KeyError: A signal is not drawn.
         """
-        from cosim.comparison.signal_panels import overlay
         from cosim.simulation.report.figures import sheet
         from cosim.storage.yaml_file import did_you_mean
 
         for name in names:
             if name not in self.curves:
                 raise KeyError(f'no curves of "{name}"{did_you_mean(name, self.curves)}')
-        labels = [self.labels[k] for k in self.drawn]
-        panels = [overlay(n, self.units[n], labels, self.curves[n]) for n in names or [*self.curves][:MAX_PLOTTED]]
-        return sheet(self.time, panels)
+        return sheet(self.time, self._panels(names or self._most_different(), slice(None)))
+
+    def _most_different(self) -> list[str]:
+        """Return the signals that a figure has by default: those that differ most, of equal runs some."""
+        equal = {*self.equal}
+        return ([name for name in self.curves if name not in equal] or [*self.curves])[:MAX_PLOTTED]
+
+    def _panels(self, names: Sequence[str], rows: Rows | slice) -> list[Panel]:
+        """Return the panels of signals; one that is equal in all runs has a single curve."""
+        from cosim.comparison.signal_panels import equal_panel, overlay
+
+        labels, base = [self.labels[k] for k in self.drawn], self.drawn.index(self.baseline)
+        curves = {name: [values[rows] for values in self.curves[name]] for name in names}
+        equal = {*self.equal}
+        return [
+            equal_panel(name, self.units[name], values[base])
+            if name in equal
+            else overlay(name, self.units[name], labels, values, base)
+            for name, values in curves.items()
+        ]
 
     def as_json(self) -> dict[str, Any]:
         """Return the comparison as plain data; non-finite becomes None."""
@@ -217,7 +239,7 @@ def compare_several(
     comparisons, left_out = _compare_each(base, others, reader, tolerance, absolute)
     bare = {baseline: replace(base, results=NOTHING), **{k: c.b for k, c in comparisons.items()}}
     kept = sorted(bare)
-    shorts, labels, inputs = _names_of([sources[k] for k in kept], [bare[k] for k in kept])
+    shorts, labels, inputs = _names_of([sources[k] for k in kept], [bare[k] for k in kept], kept.index(baseline))
     runs = {k: replace(bare[k], name=label) for k, label in zip(kept, labels, strict=True)}
     named = tuple(replace(c, a=runs[baseline], b=runs[k]) for k, c in sorted(comparisons.items()))
     ranked = sorted(comparisons, key=lambda k: -max(d.share for d in comparisons[k].differences))
@@ -238,7 +260,7 @@ def _with_curves(compared: ComparedRuns, base: Results, drawn: Iterable[Recorded
 
 
 def _names_of(
-    sources: Sequence[RunSource], runs: Sequence[RecordedRun]
+    sources: Sequence[RunSource], runs: Sequence[RecordedRun], baseline: int
 ) -> tuple[tuple[str, ...], Sequence[str], tuple[DifferingInput, ...]]:
     """Return short names and labels of runs, and the inputs that differ."""
     shorts = _different([source.short for source in sources])
@@ -246,7 +268,7 @@ def _names_of(
         short if short != source.short else source.longer or short
         for source, short in zip(sources, shorts, strict=True)
     ]
-    labels, inputs = label_runs(runs, shorts, longer)
+    labels, inputs = label_runs(runs, shorts, longer, baseline)
     return tuple(shorts), labels, tuple(inputs)
 
 
@@ -273,11 +295,11 @@ def _compare_each(
 
 
 def label_runs(
-    runs: Sequence[RecordedRun], shorts: Sequence[str], longer: Sequence[str]
+    runs: Sequence[RecordedRun], shorts: Sequence[str], longer: Sequence[str], baseline: int | None = None
 ) -> tuple[list[str], list[DifferingInput]]:
     """Return a label for each run, with the inputs that differ between the runs: `run 3 (mass = 440)`."""
     inputs = differing_inputs([run.manifest or replay_record(run.path) for run in runs])
-    return labels_of(shorts, inputs, unique=[str(run.path) for run in runs], longer=longer), inputs
+    return labels_of(shorts, inputs, unique=[str(run.path) for run in runs], longer=longer, baseline=baseline), inputs
 
 
 class _Reader:

@@ -12,7 +12,7 @@ from cosim.base.version import __version__
 from cosim.comparison.criterion_cells import criterion_cell, criterion_limit
 from cosim.comparison.differences import Compared
 from cosim.comparison.several import ComparedRuns, sentence
-from cosim.comparison.signal_panels import differences, overlay, styles_of
+from cosim.comparison.signal_panels import differences, equal_panel, overlay, styles_of
 from cosim.comparison.signals import Difference, format_share, format_size
 from cosim.history.inputs import DifferingInput, input_text
 from cosim.report.chart_data import to_json
@@ -36,6 +36,8 @@ def several_page(c: ComparedRuns, tolerance: str, options: Sequence[str]) -> str
 
 def _context(c: ComparedRuns, tolerance: str, options: Sequence[str]) -> Mapping[str, Any]:
     paths = [str(c.runs[k].path) for k in (c.baseline, *c.others)]
+    equal = {*c.equal}
+    differing = {name: cells for name, cells in c.table.items() if name not in equal}
     return {
         "base": c.shorts[c.baseline],
         "count": counted(len(c.others), "run"),
@@ -49,8 +51,10 @@ def _context(c: ComparedRuns, tolerance: str, options: Sequence[str]) -> Mapping
         "more_inputs": max(0, len(c.inputs) - MAX_ROWS),
         "criteria": [_criterion_row(title, outcomes) for title, outcomes in c.criteria.items()],
         "left_out": c.left_out,
-        "signals": [(name, *map(_difference_cell, cells)) for name, cells in list(c.table.items())[:MAX_ROWS]],
-        "more_signals": max(0, len(c.ranking) - MAX_ROWS),
+        "signals": [(name, *map(_difference_cell, cells)) for name, cells in list(differing.items())[:MAX_ROWS]],
+        "more_signals": max(0, len(differing) - MAX_ROWS),
+        "equal_names": c.equal,
+        "equal_count": counted(len(equal), "signal"),
         **_charts(c),
         "is_drawn": _drawn(c),
         "baseline": c.baseline,
@@ -61,16 +65,16 @@ def _context(c: ComparedRuns, tolerance: str, options: Sequence[str]) -> Mapping
 
 def _charts(c: ComparedRuns) -> dict[str, Any]:
     """Return charts of signals that differ and of equal ones, with their data."""
-    base, short, table = c.drawn.index(c.baseline), c.shorts[c.baseline], c.table
+    base, short = c.drawn.index(c.baseline), c.shorts[c.baseline]
     labels = [(c.labels if len(c.drawn) <= MOST_LABELS else c.shorts)[k] for k in c.drawn]
     drawing = Drawing(c.time, 2 * len(labels) * max(1, len(c.curves)))
-    differing, equal = [], []
+    differing, equal, every_equal = [], [], {*c.equal}
     for name, curves in c.curves.items():
         about = name, c.units[name], labels, curves, base
-        if any(d is not None and d.largest for d in table[name]):
-            differing += [overlay(*about), differences(*about, short=short)]
+        if name in every_equal:
+            equal.append(equal_panel(name, c.units[name], curves[base]))
         else:
-            equal.append(overlay(*about))
+            differing += [overlay(*about), differences(*about, short=short)]
     plots = drawing.plots(differing)
     return {"plots": plots, "equal": drawing.plots(equal), "data": to_json(drawing.series)}
 

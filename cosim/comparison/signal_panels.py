@@ -34,6 +34,12 @@ def overlay(name: str, unit: str, runs: Sequence[str], values: Sequence[Array], 
     return Panel(name, label, [Trace(r, v * factor, s) for r, v, s in zip(runs, values, styles, strict=True)])
 
 
+def equal_panel(name: str, unit: str, values: Array, runs: str = "all runs") -> Panel:
+    """Return the panel of a signal that is equal in all runs: one curve."""
+    label, factor = _display(unit)
+    return Panel(name, label, [Trace(runs, values * factor, BASELINE)])
+
+
 def differences(
     name: str, unit: str, runs: Sequence[str], values: Sequence[Array], baseline: int = 0, short: str = ""
 ) -> Panel:

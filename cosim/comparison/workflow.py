@@ -12,14 +12,14 @@ from typing import Any
 
 from cosim.base.arrays import far_beyond
 from cosim.base.errors import InputError
-from cosim.base.text import written
+from cosim.base.text import counted, written
 from cosim.base.version import __version__
 from cosim.comparison import messages
 from cosim.comparison.criterion_cells import criterion_cell
 from cosim.comparison.differences import Compared, compare_runs, criteria_of, sentence
 from cosim.comparison.several import ComparedRuns, RunSource, compare_several
 from cosim.comparison.several_page import several_page
-from cosim.comparison.signal_panels import panels_of
+from cosim.comparison.signal_panels import equal_panel, panels_of
 from cosim.comparison.signals import Difference, format_share, format_size
 from cosim.report.chart_data import to_json
 from cosim.report.drawing import Drawing
@@ -166,10 +166,13 @@ def _write(place: Path, content: Mapping[str, Any], page: Callable[[], str] | No
 
 def context(c: Compared) -> Mapping[str, Any]:
     """Return the variables of the page's template."""
-    plotted = [d for d in c.ranking if d.name in c.values][:MAX_PLOTTED]
-    drawing = Drawing(c.time, 3 * len(plotted))
+    numeric = [d for d in c.ranking if d.name in c.values]
+    plotted, equal = [d for d in numeric if d.largest][:MAX_PLOTTED], [d for d in numeric if not d.largest]
+    shown = equal[: MAX_PLOTTED - len(plotted)]
+    drawing = Drawing(c.time, 3 * len(plotted) + len(shown))
     panels = [panel for d in plotted for panel in panels_of(d.name, d.unit, (c.a.name, c.b.name), c.values[d.name])]
     plots = drawing.plots(panels)  # before its series
+    equal_plots = drawing.plots([equal_panel(d.name, d.unit, c.values[d.name][0], "a and b") for d in shown])
     return {
         "a": c.a,
         "b": c.b,
@@ -181,7 +184,9 @@ def context(c: Compared) -> Mapping[str, Any]:
         "rows": [_row(d) for d in c.ranking],
         "criteria": [(title, criterion_cell(a), criterion_cell(b)) for title, a, b in criteria_of(c)],
         "plots": plots,
-        "undrawn": len(c.differences) - len(plotted),
+        "undrawn": sum(d.largest > 0 for d in c.differences) - len(plotted),
+        "equal_plots": equal_plots,
+        "equal_count": counted(len(equal), "signal"),
         "only_a": c.only_a,
         "only_b": c.only_b,
         "data": to_json(drawing.series),

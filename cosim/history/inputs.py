@@ -71,18 +71,26 @@ def differing_inputs(records: Sequence[Mapping[str, Any]]) -> list[DifferingInpu
 
 
 def labels_of(
-    names: Sequence[str], inputs: Sequence[DifferingInput], *, unique: Sequence[str], longer: Sequence[str] = ()
+    names: Sequence[str],
+    inputs: Sequence[DifferingInput],
+    *,
+    unique: Sequence[str],
+    longer: Sequence[str] = (),
+    baseline: int | None = None,
 ) -> list[str]:
     """Return a label that differs from all others for each run: `run 3 (mass = 440)`.
 
     Args:
+        baseline: Index of a run whose inputs are not repeated in the labels of runs that have the same.
         unique: A text for each run, such as its path, that tells runs with equal labels apart.
         longer: Labels of runs without an input that differs, by default their names.
     """
-    chosen = [row for row in inputs if row.kind != VERSION][:MOST_IN_LABEL]
+    listed = [row for row in inputs if row.kind != VERSION]
     labels = []
     for k, name in enumerate(names):
-        texts = [f"{row.name} = {_short_value(row.values[k])}" for row in chosen if row.values[k] is not None]
+        chosen = [row for row in listed if baseline in {None, k} or row.values[k] != row.values[baseline]]
+        rows = [row for row in chosen if row.values[k] is not None][:MOST_IN_LABEL]
+        texts = [f"{row.name} = {_short_value(row.values[k])}" for row in rows]
         labels.append(f"{name} ({', '.join(texts)})" if texts else (longer or names)[k])
     return [f"{t}, {u}" if labels.count(t) > 1 else t for t, u in zip(labels, unique, strict=True)]
 

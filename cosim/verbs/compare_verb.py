@@ -88,6 +88,8 @@ def _sources(sides: Sequence[Any], baseline: Any = None) -> tuple[list[RunSource
     Raises:
         InputError: Fewer than two runs, or a baseline that is not one run.
     """
+    if not sides:
+        raise InputError.at(Path("runs"), messages.NO_RUN())
     sources, place = _runs_of(sides), 0
     if baseline is not None:
         base = _runs_of([baseline])

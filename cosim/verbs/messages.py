@@ -30,5 +30,6 @@ KEYS_OF_STUDY = Template(
 NOT_JSON = Template("E-CLI-016", "holds what no file can: {reason}")
 NO_SCHEMA = Template("E-CLI-017", "is no kind of file that has a schema; give one of {kinds}")
 SEVERAL_RUNS = Template("E-CLI-050", "{count} runs match; give a list to compare them all")
+NO_RUN = Template("E-CLI-054", "no run is given; name at least two runs to compare")
 ONE_RUN = Template("E-CLI-051", "is one run; name at least two runs to compare")
 SEVERAL_BASELINES = Template("E-CLI-052", "{count} runs match; name one as the baseline")

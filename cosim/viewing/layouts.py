@@ -4,16 +4,115 @@ from __future__ import annotations
 
 import json
 import threading
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
-from cosim.base.errors import InputError
+from pydantic import BaseModel, Field, FiniteFloat, ValidationError
+
+from cosim.base.errors import Fault, InputError, refuse
+from cosim.base.messages import Message
 from cosim.storage.files import write_json
 from cosim.viewing import messages
 
 SCHEMA_VERSION = 1
 LONGEST = 80  # characters of a name
+MOST_AXES = 4  # of a plot
+MOST_FAULTS = 10  # told of a file
+LayoutName = Annotated[str, Field(min_length=1, max_length=LONGEST, pattern=r"\S")]
+
+
+class SignalPlace(BaseModel):
+    """A signal of a run, by the name of the run."""
+
+    run: str
+    name: str
+
+
+class Curve(SignalPlace):
+    """A curve, with the number of its colour."""
+
+    colour: int = Field(0, ge=0)
+    hidden: bool = False
+
+
+class Axis(BaseModel):
+    """An axis with its curves; without a range it takes that of the values."""
+
+    range: tuple[FiniteFloat, FiniteFloat] | None = None
+    curves: list[Curve]
+
+
+class Plot(BaseModel):
+    """A plot over time, or over another signal."""
+
+    kind: Literal["time", "xy"] = "time"
+    across: SignalPlace | None = None
+    axes: list[Axis] = Field(max_length=MOST_AXES)
+
+
+class DerivedSignal(BaseModel):
+    """A derived signal of the run of its first letter."""
+
+    name: str
+    formula: str
+    of: dict[str, SignalPlace] = Field(min_length=1)
+
+
+class View(BaseModel):
+    """The range of time in sight [s]."""
+
+    begin: FiniteFloat = Field(alias="from")
+    end: FiniteFloat = Field(alias="to")
+
+
+class Layout(BaseModel):
+    """Plots, range of time and derived signals."""
+
+    plots: list[Plot]
+    view: View | None = None
+    derived: list[DerivedSignal] = []
+
+
+class LayoutFile(BaseModel):
+    """Layouts by name; further keys are of other versions."""
+
+    schema_version: Literal[1]
+    layouts: dict[LayoutName, Layout]
+
+
+def check_layouts(file: Path, content: Any) -> dict[str, Any]:
+    """Return the layouts of a file's content.
+
+    Raises:
+        InputError: The content is no file of layouts; it lists the faults by their places.
+    """
+    if not isinstance(content, dict) or content.get("schema_version") != SCHEMA_VERSION:
+        raise InputError.at(file, messages.WRONG_LAYOUTS())
+    try:
+        LayoutFile.model_validate(content)
+    except ValidationError as error:
+        refuse(Fault(file, 0, 0, _message(fault)) for fault in error.errors(include_url=False)[:MOST_FAULTS])
+    layouts: dict[str, Any] = content["layouts"]
+    return layouts
+
+
+WORDS = {
+    "Input should be ": "it should be ",
+    "a valid dictionary": "an object",
+    "a valid list": "a list",
+    "a valid string": "text",
+    "Field required": "it is missing",
+    "Dictionary should have at least 1 item after validation, not 0": "it names no signal",
+    r"String should match pattern '\S'": "a name is not blank",
+}
+
+
+def _message(fault: Any) -> Message:
+    """Return a message on a part of a file that is not as it should be."""
+    reason = fault["msg"]
+    for theirs, ours in WORDS.items():
+        reason = reason.replace(theirs, ours)
+    return messages.WRONG_LAYOUT(place=".".join(str(part) for part in fault["loc"] if part != "[key]"), reason=reason)
 
 
 class Layouts:
@@ -35,17 +134,14 @@ class Layouts:
             return {}
         except (OSError, ValueError, RecursionError):
             content = None
-        layouts = content.get("layouts") if isinstance(content, dict) else None
-        if not isinstance(layouts, dict) or content.get("schema_version") != SCHEMA_VERSION:
-            raise InputError.at(self.file, messages.WRONG_LAYOUTS())
-        return layouts
+        return check_layouts(self.file, content)
 
     def put(self, name: Any, layout: Any) -> dict[str, Any]:
         """Save a layout under a name, or remove it if it is None; return all."""
-        if not isinstance(name, str) or not name.strip() or len(name) > LONGEST:
-            raise InputError.at(self.file, messages.WRONG_REQUEST(reason="a layout has a short name"))
-        if layout is not None and not isinstance(layout, Mapping):
-            raise InputError.at(self.file, messages.WRONG_REQUEST(reason="a layout is an object"))
+        if not isinstance(name, str):
+            raise InputError.at(self.file, messages.WRONG_REQUEST(reason="a layout has a name"))
+        if layout is not None:
+            check_layouts(self.file, {"schema_version": SCHEMA_VERSION, "layouts": {name: layout}})
         with self._lock:
             layouts = {key: value for key, value in self.read().items() if key != name}
             if layout is not None:

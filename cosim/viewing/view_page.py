@@ -22,7 +22,7 @@ from cosim.server.served_page import ServedPage
 from cosim.storage.csv_source import write_table
 from cosim.viewing import messages
 from cosim.viewing.derivations import Derivations
-from cosim.viewing.layouts import Layouts
+from cosim.viewing.layouts import Layouts, check_layouts
 from cosim.viewing.pyramid import TIME, Picture
 from cosim.viewing.viewed_runs import ViewedRun
 
@@ -154,7 +154,10 @@ class ViewPage(ServedPage):
             raise InputError.at(Path("formula"), messages.UNREADABLE(reason=lost)) from None
 
     def _save_layout(self, request: Request) -> Answer:
+        """Save a layout, or return the layouts of a file that the page has opened."""
         content = _content(request)
+        if "file" in content:
+            return json_answer(check_layouts(Path(str(content["file"])), content.get("content")))
         return json_answer(self._layouts.put(content.get("name"), content.get("layout")))
 
     def _export(self, request: Request) -> Answer:

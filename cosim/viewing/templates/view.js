@@ -692,9 +692,14 @@
   });
   one("#upload").addEventListener("change", (event) =>
     attempt(async () => {
-      const content = JSON.parse(await event.target.files[0].text());
+      const [file] = event.target.files,
+        text = await file.text();
       event.target.value = "";
-      const [first] = Object.values(content.layouts ?? {});
+      let content = null; // which is refused like all that is no file of layouts
+      try {
+        content = JSON.parse(text);
+      } catch {}
+      const [first] = Object.values(await post("layouts", { file: file.name, content }));
       if (!first) throw new Error("This file holds no layout.");
       await open(first);
     }),
