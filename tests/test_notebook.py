@@ -73,6 +73,20 @@ def test_a_long_run_is_thinned_to_a_bounded_size_and_keeps_its_peaks() -> None:
     assert "tank.s0 from -1 to 9" in frame
 
 
+def test_integers_of_64_bits_are_drawn_and_texts_are_named() -> None:
+    exact = {"fmu.id": [2**60 + k for k in range(9)], "fmu.mode": ["on"] * 9}
+    made = Signals("made", Results(np.arange(9.0), ("fmu.x",), np.ones((9, 1)), {}, exact))
+    shown = made._repr_html_()
+    (frame,) = frames(shown)
+    assert "fmu.id" in frame
+    assert "fmu.mode not drawn: texts; fmu.id above 2⁵³ drawn as the nearest doubles." in shown
+    assert f"<td>fmu.id</td><td></td><td>{2**60}</td>" in shown
+    assert "<td>fmu.mode</td><td></td><td>on</td>" in shown
+    assert len(frames(made.chart("fmu.id")._repr_html_())) == 1
+    with pytest.raises(KeyError, match=r"fmu\.mode"):
+        made.chart("fmu.mode")
+
+
 def test_named_signals_are_drawn_alone_and_unknown_ones_are_refused() -> None:
     (frame,) = frames(signals(50, 5).chart("tank.s3")._repr_html_())
     assert "tank.s3" in frame

@@ -229,6 +229,59 @@ def test_without_pyarrow_a_table_is_read_as_a_whole_with_a_note(
     assert not (tmp_path / ".view").exists()
 
 
+LARGE = [2**53 + 1, 2**63, 2**64 - 1]  # more digits than a double has
+
+
+def _with_texts(path: Path, rows: int) -> Results:
+    """A table of a run with 64-bit integers, texts and binary data."""
+    exact = {
+        "fmu.id": [LARGE[k % 3] for k in range(rows)],
+        "fmu.count": [-k for k in range(rows)],
+        "fmu.mode": ["idle", "run, fast", ""][:1] * (rows - 2) + ["run, fast", ""],
+        "fmu.raw": [bytes([255, k % 7]) for k in range(rows)],
+    }
+    results = Results(np.arange(rows) * 0.1, ("fmu.x",), np.ones((rows, 1)), {"fmu.x": "m"}, exact)
+    results.write(path)
+    return results
+
+
+def _same_texts(recording: Recording, results: Results, rows: int) -> None:
+    texts = results.texts()
+    assert {*recording.units} == {"fmu.x", "fmu.id", "fmu.count"}
+    assert {*recording.texts} == {*texts}
+    assert recording.rounded == ["fmu.id"]
+    np.testing.assert_array_equal(recording.read("fmu.id"), [float(LARGE[k % 3]) for k in range(rows)])
+    np.testing.assert_array_equal(recording.read("fmu.count"), -np.arange(rows))
+    for name, row in ((name, row) for name in texts for row in (0, rows // 2, rows - 2, rows - 1)):
+        assert recording.text(name, row) == texts[name][row]
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".hdf5"])
+def test_integers_of_64_bits_are_numbers_and_texts_and_texts_are_texts(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"results{suffix}"
+    if suffix == ".hdf5":
+        pytest.importorskip("h5py")
+    if suffix == ".parquet":
+        pytest.importorskip("pyarrow")
+    results = _with_texts(path, 300)
+    _same_texts(open_rows(path, {}, [*results.exact]), results, 300)
+
+
+@pytest.mark.usefixtures("always_stored")
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".hdf5"])
+def test_a_converted_table_keeps_texts_and_integers(
+    tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / f"results{suffix}"
+    if suffix == ".hdf5":
+        pytest.importorskip("h5py")
+    monkeypatch.setattr(stored_rows, "TEXT_ROWS", 64)  # several groups
+    results = _with_texts(path, 300)
+    stored = open_rows(path, {}, [*results.exact])
+    assert isinstance(stored, StoredRecording)
+    _same_texts(stored, results, 300)
+
+
 # -- runs ----------------------------------------------------------------------------------------------
 
 
@@ -318,22 +371,27 @@ def page(tmp_path: Path) -> Iterator[tuple[ViewPage, Ask]]:
         file.write_text(f"time,x [m],y\n0,{k},1\n1,{k + 1},\n1,{k + 2},3\n")
         runs.append(ViewedRun(RunPlace(f"r{k}", f"run {k}", file), open_rows(file, {}, []), file_state(file)))
     with ViewPage("2 runs", runs, Layouts(tmp_path / "view.json")) as made:
+        yield made, _asking(made)
 
-        def ask(path: str, content: Any = None) -> Any:
-            data = None if content is None else json.dumps(content).encode()
-            request = urllib.request.Request(made.server.url + path, data, {"Content-Type": "application/json"})
-            with urllib.request.urlopen(request, timeout=10) as answer:
-                body = answer.read()
-                return body if "json" not in answer.headers["Content-Type"] else json.loads(body)
 
-        yield made, ask
+def _asking(page: ViewPage) -> Ask:
+    """A function that sends a request to a page and returns the answer."""
+
+    def ask(path: str, content: Any = None) -> Any:
+        data = None if content is None else json.dumps(content).encode()
+        request = urllib.request.Request(page.server.url + path, data, {"Content-Type": "application/json"})
+        with urllib.request.urlopen(request, timeout=10) as answer:
+            body = answer.read()
+            return body if "json" not in answer.headers["Content-Type"] else json.loads(body)
+
+    return ask
 
 
 def test_points_values_planes_and_tables_come_from_the_server(page: tuple[ViewPage, Ask]) -> None:
     _, ask = page
     about = ask("about")
     assert [(run["name"], run["set"], run["rows"]) for run in about["runs"]] == [("r0", 0, 3), ("r1", 0, 3)]
-    assert about["sets"] == [[["x", "y"], ["m", ""]]]
+    assert about["sets"] == [[["x", "y"], ["m", ""], []]]
     span = {"from": 0.0, "to": 1.0}
     points = np.frombuffer(ask("points", {**span, "width": 100, "curves": [[0, "x"], [1, "y"], [0, "y"]]}))
     first, other, again = [3, 1, 1, 0, 1, 1, 0, 1, 2], [3, 1, 1, 0, 1, 1, 1, np.nan, 3], [3, 1, 0, 1, np.nan, 3]
@@ -436,6 +494,28 @@ def test_layouts_are_kept_in_a_file(page: tuple[ViewPage, Ask], tmp_path: Path) 
     assert ask("layouts", {"name": "one", "layout": {"plots": []}}) == {"one": {"plots": []}}
     assert Layouts(tmp_path / "view.json").read() == {"one": {"plots": []}}
     assert ask("layouts", {"name": "one", "layout": None}) == {}
+
+
+def test_texts_come_at_the_cursor_and_in_exports(tmp_path: Path) -> None:
+    file = tmp_path / "results.csv"
+    results = _with_texts(file, 4)
+    run = ViewedRun(RunPlace("r0", "run 0", file), open_rows(file, {}, [*results.exact]), file_state(file))
+    with ViewPage("run 0", [run], Layouts(tmp_path / "view.json")) as page:
+        ask = _asking(page)
+        assert ask("about")["sets"][0][2] == ["fmu.id", "fmu.count", "fmu.mode", "fmu.raw"]
+        names = [[0, name] for name in ("fmu.id", "fmu.mode", "fmu.raw")]
+        assert ask("texts", {"at": 0.25, "curves": names}) == [str(2**64 - 1), "run, fast", "ff02"]
+        assert ask("texts", {"at": -1.0, "curves": names}) == [None, None, None]
+        assert "a signal" in _refusal(ask, "points", {"from": 0, "to": 1, "width": 9, "curves": [[0, "fmu.mode"]]})
+        of = urlencode({"of": json.dumps({"from": 0.15, "to": 0.35, "curves": [[0, "fmu.x"], *names]})})
+        rows = ask(f"export.csv?{of}").decode().splitlines()
+        assert rows[1:] == [
+            '0.2,1.0,18446744073709551615,"run, fast",ff02',
+            "0.30000000000000004,1.0,9007199254740993,,ff03",
+        ]
+        assert "another name" in _refusal(ask, "derive", {"name": "fmu.raw", "formula": "a", "of": {"a": [0, "fmu.x"]}})
+        file.unlink()
+        assert ask("texts", {"at": 0.25, "curves": names}) == [None, None, None]
 
 
 @pytest.mark.parametrize(

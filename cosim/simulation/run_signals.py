@@ -12,6 +12,7 @@ from cosim.base.arrays import Array
 from cosim.base.text import MISSING, counted, plain
 from cosim.simulation import messages
 from cosim.storage.results import Results
+from cosim.storage.table_source import as_text
 
 if TYPE_CHECKING:
     import pandas
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 
 
 MAX_LINES = 8  # signals in the short text; further signals are counted
+LONGEST_TEXT = 40  # characters of a value in a table
 
 
 @dataclass(frozen=True)
@@ -100,11 +102,13 @@ class Signals:
         Raises:
             KeyError: There is no such signal.
         """
-        for name in names:
-            self[name]
         from cosim.simulation.report.signal_chart import results_cell
 
-        return Chart(results_cell(self.results, names or self.results.columns, self.title))
+        shown = self.results.with_integers()
+        for name in names:
+            if name not in shown:
+                self[name]
+        return Chart(results_cell(shown, names or shown.columns, self.title))
 
     def __repr__(self) -> str:
         lines = [f"  {n} [{self.units.get(n) or '1'}] {' → '.join(self._ends(n))}" for n in self.names[:MAX_LINES]]
@@ -119,12 +123,20 @@ class Signals:
         values = self.results[name]
         return (plain(float(values[0])), plain(float(values[-1]))) if len(values) else (MISSING, MISSING)
 
+    def _ends_of_text(self, name: str) -> tuple[str, str]:
+        values = self.results.exact[name]
+        ends = [as_text(values[k]) for k in (0, -1)] if len(values) else [MISSING, MISSING]
+        first, last = (text if len(text) <= LONGEST_TEXT else f"{text[:LONGEST_TEXT]}…" for text in ends)
+        return first, last
+
     def _repr_html_(self) -> str:
         from cosim.report.cell.cell import heading, table
 
-        shown = self.names[: 2 * MAX_LINES]
+        texts = [*self.results.exact]
+        shown, more = self.names[: 2 * MAX_LINES], texts[:MAX_LINES]
         rows = [(name, self.units.get(name, ""), *self._ends(name)) for name in shown]
-        listed = table(("signal", "unit", "first", "last"), rows, len(self.names) - len(rows))
+        rows += [(name, self.units.get(name, ""), *self._ends_of_text(name)) for name in more]
+        listed = table(("signal", "unit", "first", "last"), rows, len(self.names) + len(texts) - len(rows))
         chart = self.chart().html
         signals = f"<details><summary>Signals</summary>{listed}</details>" if chart else listed
         return heading(self._heading()) + self._html_more() + chart + signals

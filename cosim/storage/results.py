@@ -6,8 +6,10 @@ import csv
 import errno
 import io
 import os
+import re
+from array import array
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -20,9 +22,10 @@ from cosim.storage import messages
 from cosim.storage.csv_source import cell_text, write_table
 from cosim.storage.table import is_there
 from cosim.storage.table_columns import Faults, is_time, note_wrong_first, time_scale
-from cosim.storage.table_source import Frame, SourceColumn, source_named, source_of, suffixes
+from cosim.storage.table_source import Frame, SourceColumn, as_text, source_named, source_of, suffixes
 
 CHUNK = 1000  # rows
+EXACT = 2.0**53  # integers up to this size are doubles
 FEWER = 0.7  # share of the rows to try next on a full disk, for formats written as a whole
 
 
@@ -63,6 +66,18 @@ class Results:
 
     def __contains__(self, name: str) -> bool:
         return name in self._places
+
+    def with_integers(self) -> Results:
+        """Return results whose columns of 64-bit integers beside the doubles are numbers too, rounded to doubles."""
+        found = {name: whole for name, values in self.exact.items() if (whole := whole_numbers_of(values)) is not None}
+        if not found:
+            return self
+        values = np.column_stack([self.values, *found.values()])
+        return replace(self, columns=(*self.columns, *found), values=values, whole=self.whole | {*found})
+
+    def texts(self) -> dict[str, list[str]]:
+        """Return the columns beside the doubles as text."""
+        return {name: [as_text(value) for value in values] for name, values in self.exact.items()}
 
     @cached_property
     def _places(self) -> Mapping[str, int]:
@@ -138,6 +153,25 @@ class Results:
             for k in whole:
                 typed[k] = int(row[k])
             yield *typed, *(column[number] for column in self.exact.values())
+
+
+INTEGER = re.compile(r"0|-?[1-9]\d{0,19}")
+
+
+def whole_numbers_of(values: Sequence[Any]) -> Array | None:
+    """Return integers, or texts that are integers of 64 bits, as doubles; None for other values."""
+    numbers = array("d")
+    for value in values:
+        is_whole = INTEGER.fullmatch(value) if isinstance(value, str) else type(value) is int
+        if not is_whole:
+            return None
+        numbers.append(float(int(value)))
+    return np.array(numbers) if numbers else None
+
+
+def is_rounded(values: Array) -> bool:
+    """Return whether integers are too large for doubles to hold each of them."""
+    return bool(np.abs(values).max(initial=0.0) > EXACT)
 
 
 # -- reading results ------------------------------------------------------------------------------------

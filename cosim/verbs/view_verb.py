@@ -56,7 +56,7 @@ def command(
     opened, warnings = open_runs(places, progress_bar)
     warn(*notes, *warnings)
     labels = [run.place.label for run in opened]
-    signals, rows = sum(len(r.rows.units) for r in opened), sum(r.rows.rows for r in opened)
+    signals, rows = sum(len({*r.rows.units, *r.rows.texts}) for r in opened), sum(r.rows.rows for r in opened)
     amounts = counted(len(opened), "run"), counted(signals, "signal"), counted(rows, "row")
     say(f"{', '.join(amounts)}: {some(labels, MOST_NAMES)}")
     about = {"runs": [{"name": r.place.name, "file": str(r.place.file), "rows": r.rows.rows} for r in opened]}

@@ -41,7 +41,7 @@ class Derivations:
         """
         made = next(iter(of.values()))[0], name
         run = self._runs[made[0]]
-        if name in run.rows.units or name == TIME:
+        if name in run.rows.units or name in run.rows.texts or name == TIME:
             raise InputError.at(Path("name"), messages.NAME_TAKEN(name=name))
         with self._lock:
             if way := self._way(made, of):

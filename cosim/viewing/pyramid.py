@@ -10,11 +10,13 @@ import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
+from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
 
 from cosim.base.arrays import Array, Rows
+from cosim.storage.results import is_rounded
 
 FACTOR = 16
 TOP = 256  # most blocks of the highest level
@@ -99,11 +101,20 @@ class Recording:
         units: Name of a signal → unit, "" without unit, in the order of the file.
         rows: Number of rows.
         added: Units of signals that were computed here.
+        texts: Signals that doubles do not hold, each with all its texts; those of integers are numbers too.
+        rounded: Signals with integers that are rounded to doubles.
         needed: Signals that are read one after the other now, for a subclass that reads several at once.
     """
 
-    def __init__(self, columns: Mapping[str, Array], units: Mapping[str, str], rows: int) -> None:
-        self.units, self.rows, self.added = dict(units), rows, dict[str, str]()
+    def __init__(
+        self,
+        columns: Mapping[str, Array],
+        units: Mapping[str, str],
+        rows: int,
+        texts: Mapping[str, Sequence[str]] = MappingProxyType({}),
+    ) -> None:
+        self.units, self.rows, self.added, self.texts = dict(units), rows, dict[str, str](), texts
+        self.rounded = [name for name in texts if name in columns and is_rounded(columns[name])]
         self.needed: frozenset[str] = frozenset()
         self.sizes = level_sizes(rows)
         # Above the rows, all levels stand one behind the other in a column.
@@ -129,6 +140,16 @@ class Recording:
                 low, high = (np.concatenate(sides) for sides in zip(*levels, strict=True))
                 self._extremes[name] = low, high
             return self._extremes[name][part == "high"][places]
+
+    def text(self, name: str, row: int) -> str:
+        """Return a text of a row."""
+        return self.texts[name][row]
+
+    def exact(self, name: str, begin: int, end: int) -> Array | list[str]:
+        """Return the rows of a column from `begin` up to `end`, as texts if doubles do not hold them."""
+        if name not in self.texts:
+            return self.read(name, begin, end)
+        return [self.text(name, row) for row in range(begin, end)]
 
     # -- from here on the same for every kind of store -------------------------------------------------
 

@@ -13,6 +13,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from hashlib import sha256
 from importlib.util import find_spec
 from pathlib import Path
@@ -28,18 +29,29 @@ from cosim.base.units import factor
 from cosim.storage.csv_source import CSV, read_heading
 from cosim.storage.folders import content_of
 from cosim.storage.parquet_source import PARQUET, UNIT
-from cosim.storage.results import Results, read_results
+from cosim.storage.results import INTEGER, Results, is_rounded, read_results
 from cosim.storage.table_columns import is_time, split_heading
 from cosim.storage.table_source import source_of
 from cosim.viewing import messages
-from cosim.viewing.pyramid import FACTOR, TIME, Part, Places, Recording, join_blocks, level_sizes, make_levels
+from cosim.viewing.pyramid import (
+    FACTOR,
+    TIME,
+    Part,
+    Places,
+    Recording,
+    join_blocks,
+    level_sizes,
+    make_levels,
+)
 
-FOLDER, ABOUT, VERSION = ".view", "about.json", 1
+FOLDER, ABOUT, VERSION = ".view", "about.json", 2
+TEXTS, TEXT_ROWS = "texts", 1 << 16  # file of texts, and the rows of a group in it
 SMALL = 4_000_000  # size of a table that is read as a whole [bytes]
 GROUP_VALUES = 1 << 23  # values written at a time
 LEAST_GROUP, MOST_GROUP = FACTOR**3, 4 * FACTOR**3  # rows of a group
 MEMORY = 1 << 28  # of columns kept from files [bytes]
 BLOCK = 1 << 24  # of text read at a time [bytes]
+WHOLE = f"^({INTEGER.pattern})$"
 Progress = Callable[[int, int], None] | None
 Batches = Iterator[tuple[list[Array], int]]  # columns, and how much of the file they end at
 
@@ -49,16 +61,16 @@ class Chunks:
 
     def __init__(self, size: int = MEMORY) -> None:
         self._size, self._used, self._lock = size, 0, threading.Lock()
-        self._chunks = OrderedDict[Any, Array]()
+        self._chunks = OrderedDict[Any, Any]()  # arrays of numpy, and of pyarrow for texts
 
-    def get(self, key: Any) -> Array | None:
+    def get(self, key: Any) -> Any:
         """Return a chunk if it is here."""
         with self._lock:
             if key in self._chunks:
                 self._chunks.move_to_end(key)
             return self._chunks.get(key)
 
-    def put(self, chunks: Mapping[Any, Array]) -> None:
+    def put(self, chunks: Mapping[Any, Any]) -> None:
         """Keep chunks in the place of those that were used longest ago."""
         with self._lock:
             for key, chunk in chunks.items():
@@ -76,7 +88,8 @@ class StoredRecording(Recording):
     """Rows in the Parquet files of a cache, opened at their first use."""
 
     def __init__(self, folder: Path, about: Mapping[str, Any]) -> None:
-        super().__init__({}, about["units"], int(about["rows"]))
+        super().__init__({}, about["units"], int(about["rows"]), dict.fromkeys(about["texts"], ()))
+        self.rounded = list(about["rounded"])
         self._folder, self._group = folder, int(about["group"])
         self._ends = tuple(about["span"])
         self._files: dict[str, Any] = {}
@@ -103,20 +116,33 @@ class StoredRecording(Recording):
             values[here] = self._chunk(part, name, group)[places[here] - group * size]
         return values
 
+    def text(self, name: str, row: int) -> str:
+        """Return a text of a row."""
+        group = row // TEXT_ROWS
+        chunk = CHUNKS.get((id(self), TEXTS, name, group))
+        if chunk is None:
+            with self._lock:
+                chunk = self._file(TEXTS).read_row_group(group, columns=[name], use_threads=False).column(name)
+            CHUNKS.put({(id(self), TEXTS, name, group): chunk})
+        return str(chunk[row % TEXT_ROWS].as_py())
+
+    def _file(self, part: str) -> Any:
+        if part not in self._files:
+            parquet = optional("pyarrow.parquet", "cosim view")
+            self._files[part] = parquet.ParquetFile(self._folder / f"{part}.parquet", memory_map=True)
+        return self._files[part]
+
     def _chunk(self, part: Part, name: str, group: int) -> Array:
         """Return a column of a row group, read together with the other columns that are needed now."""
-        if (found := CHUNKS.get((id(self), part, name, group))) is not None:
+        found: Array | None = CHUNKS.get((id(self), part, name, group))
+        if found is not None:
             return found
         names = {name}
         if name in self.needed:  # not time, of which a search reads other groups
             names |= {n for n in self.needed if CHUNKS.get((id(self), part, n, group)) is None} - {*self.added}
         with self._lock:
-            file = self._files.get(part)
-            if file is None:
-                parquet = optional("pyarrow.parquet", "cosim view")
-                file = self._files[part] = parquet.ParquetFile(self._folder / f"{part}.parquet", memory_map=True)
             # A column a also brings a.b, whose path begins with its name.
-            table = file.read_row_group(group, columns=sorted(names), use_threads=False)
+            table = self._file(part).read_row_group(group, columns=sorted(names), use_threads=False)
         chunks = {n: np.asarray(table.column(n).to_numpy(), dtype=np.float64) for n in names}
         CHUNKS.put({(id(self), part, n, group): chunk for n, chunk in chunks.items()})
         return chunks[name]
@@ -127,7 +153,7 @@ def open_rows(path: Path, units: Mapping[str, str], text: Sequence[str], progres
 
     Args:
         units: Units of columns without unit in the header.
-        text: Columns of text, which are left out.
+        text: Columns of text, even with numeric content.
         progress: Function of the converted and the whole size.
 
     Raises:
@@ -177,8 +203,10 @@ def _is_writable(folder: Path) -> bool:
 def _in_memory(results: Results, path: Path) -> Recording:
     if not results.time.size:
         raise InputError.at(path, messages.NO_ROW())
-    columns = {TIME: results.time, **{name: results[name] for name in results.columns}}
-    return Recording(columns, {name: results.units.get(name, "") for name in results.columns}, results.time.size)
+    shown = results.with_integers()
+    columns = {TIME: shown.time, **{name: shown[name] for name in shown.columns}}
+    units = {name: shown.units.get(name, "") for name in shown.columns}
+    return Recording(columns, units, shown.time.size, shown.texts())
 
 
 # -- conversion -------------------------------------------------------------------------------------------
@@ -194,7 +222,11 @@ def _convert(path: Path, place: Path, units: Mapping[str, str], text: Sequence[s
     status = path.stat()
     try:
         try:
-            about = _write(draft, *_columns_of(path, units, text), path, progress)
+            table = _table_of(path, units, text)
+            whole, rounded = _write_texts(draft / f"{TEXTS}.parquet", table)
+            places = [*table.numbers, *whole]
+            about = _write(draft, [table.heads[k] for k in places], table.batches(places), path, progress)
+            about["texts"], about["rounded"] = ([table.heads[k][0] for k in some] for some in (table.texts, rounded))
         except (pyarrow.ArrowException, OSError, ValueError) as error:
             results = read_results(path, units, text)  # which tells each fault by its place
             if not results.time.size:
@@ -209,73 +241,144 @@ def _convert(path: Path, place: Path, units: Mapping[str, str], text: Sequence[s
     return about
 
 
-def _columns_of(path: Path, units: Mapping[str, str], text: Sequence[str]) -> tuple[list[tuple[str, str]], Batches]:
-    """Return names and units of the numeric columns, time first, and their values."""
+@dataclass(frozen=True)
+class _Table:
+    """Columns of a table by their places.
+
+    Attributes:
+        heads: Names and units.
+        numbers: Places of the columns of numbers, time first.
+        texts: Places of the columns of texts.
+        batches: Function of places that returns their columns as numbers.
+        text_batches: Function of places that returns their columns as arrays of pyarrow with texts.
+    """
+
+    heads: Sequence[tuple[str, str]]
+    numbers: Sequence[int]
+    texts: Sequence[int]
+    batches: Callable[[Sequence[int]], Batches]
+    text_batches: Callable[[Sequence[int]], Iterator[Sequence[Any]]]
+
+
+def _table_of(path: Path, units: Mapping[str, str], text: Sequence[str]) -> _Table:
+    """Return the columns of a table in any format."""
     source = source_of(path)
     if source is CSV:
-        return _csv_columns(path, units, text)
+        return _csv_table(path, units, text)
     if source is PARQUET:
-        return _parquet_columns(path, units, text)
+        return _parquet_table(path, units, text)
+    from pyarrow import array, string
+
     results = read_results(path, units, text)
-    heads = [(TIME, "s"), *((name, results.units.get(name, "")) for name in results.columns)]
-    return heads, iter([([results.time, *results.values.T], path.stat().st_size)])
+    texts, last = results.texts(), len(results.columns) + 1
+    values = [results.time, *results.values.T, *texts.values()]
+    heads = [(TIME, "s"), *((name, results.units.get(name, "")) for name in (*results.columns, *texts))]
+
+    def batches(places: Sequence[int]) -> Batches:
+        yield [np.asarray(values[k], dtype=np.float64) for k in places], path.stat().st_size
+
+    def text_batches(places: Sequence[int]) -> Iterator[Sequence[Any]]:
+        yield [array(values[k], string()) for k in places]
+
+    return _Table(heads, range(last), range(last, len(values)), batches, text_batches)
 
 
-def _csv_columns(path: Path, units: Mapping[str, str], text: Sequence[str]) -> tuple[list[tuple[str, str]], Batches]:
-    from pyarrow import csv, float64, types
+def _csv_table(path: Path, units: Mapping[str, str], text: Sequence[str]) -> _Table:
+    from pyarrow import csv, float64, string, types
 
     heads, line = read_heading(path, units)
     reading = csv.ReadOptions(block_size=BLOCK, skip_rows=line, column_names=[str(k) for k in range(len(heads))])
     with csv.open_csv(path, read_options=reading) as first:
         kinds = first.schema.types
     numbers = [types.is_floating(kind) or types.is_integer(kind) or types.is_null(kind) for kind in kinds]
-    chosen = _choose([(*head, number) for head, number in zip(heads, numbers, strict=True)], text)
-    names = [str(k) for k in chosen]
-    converting = csv.ConvertOptions(column_types=dict.fromkeys(names, float64()), include_columns=names)
 
-    def batches() -> Batches:
-        size, done = path.stat().st_size, 0
+    def read(places: Sequence[int], kind: Any) -> Iterator[Any]:
+        names = [str(k) for k in places]
+        converting = csv.ConvertOptions(column_types=dict.fromkeys(names, kind), include_columns=names)
         with csv.open_csv(path, read_options=reading, convert_options=converting) as reader:
-            for batch in reader:
-                done = min(size, done + BLOCK)
-                yield [column.to_numpy(zero_copy_only=False) for column in batch.columns], done
+            yield from reader
 
-    return [heads[k] for k in chosen], batches()
+    def batches(places: Sequence[int]) -> Batches:
+        size, done = path.stat().st_size, 0
+        for batch in read(places, float64()):
+            done = min(size, done + BLOCK)
+            yield [column.to_numpy(zero_copy_only=False) for column in batch.columns], done
+
+    return _Table(heads, *_choose(heads, numbers, text), batches, lambda k: (b.columns for b in read(k, string())))
 
 
-def _parquet_columns(
-    path: Path, units: Mapping[str, str], text: Sequence[str]
-) -> tuple[list[tuple[str, str]], Batches]:
-    from pyarrow import parquet, types
+def _parquet_table(path: Path, units: Mapping[str, str], text: Sequence[str]) -> _Table:
+    from pyarrow import array, parquet, string, types
 
     file = parquet.ParquetFile(path)
-    columns = []
+    heads, numbers, kinds = list[tuple[str, str]](), list[bool](), list[Any]()
     for field in file.schema_arrow:
         unit = (field.metadata or {}).get(UNIT)
-        head = split_heading(field.name, units) if unit is None else (field.name, unit.decode())
-        columns.append((*head, types.is_floating(field.type) or types.is_integer(field.type)))
-    chosen = _choose(columns, text)
+        heads.append(split_heading(field.name, units) if unit is None else (field.name, unit.decode()))
+        kind = field.type.value_type if types.is_dictionary(field.type) else field.type
+        kinds.append(kind)
+        numbers.append(types.is_floating(kind) or types.is_integer(kind) or types.is_boolean(kind))
 
-    def batches() -> Batches:
+    def read() -> Iterator[Any]:
+        with parquet.ParquetFile(path) as rows:
+            yield from rows.iter_batches(MOST_GROUP)
+
+    def batches(places: Sequence[int]) -> Batches:
         size, rows, done = path.stat().st_size, max(1, file.metadata.num_rows), 0
-        with file:
-            for batch in file.iter_batches(MOST_GROUP):
-                done += batch.num_rows
-                arrays = [batch.column(k).cast("float64", safe=False) for k in chosen]
-                yield [a.to_numpy(zero_copy_only=False) for a in arrays], size * done // rows
+        for batch in read():
+            done += batch.num_rows
+            arrays = [batch.column(k).cast("float64", safe=False) for k in places]
+            yield [a.to_numpy(zero_copy_only=False) for a in arrays], size * done // rows
 
-    return [columns[k][:2] for k in chosen], batches()
+    def texts_of(column: Any, kind: Any) -> Any:
+        is_binary = types.is_binary(kind) or types.is_large_binary(kind) or types.is_fixed_size_binary(kind)
+        return array([(v or b"").hex() for v in column.to_pylist()], string()) if is_binary else column.cast("string")
+
+    def text_batches(places: Sequence[int]) -> Iterator[Sequence[Any]]:
+        for batch in read():
+            yield [texts_of(batch.column(k), kinds[k]) for k in places]
+
+    return _Table(heads, *_choose(heads, numbers, text), batches, text_batches)
 
 
-def _choose(columns: Sequence[tuple[str, str, bool]], text: Sequence[str]) -> list[int]:
-    """Return the places of time and of all numeric columns, each name once."""
-    if not columns or not is_time(columns[0][0]) or not columns[0][2]:
+def _choose(
+    heads: Sequence[tuple[str, str]], numbers: Sequence[bool], text: Sequence[str]
+) -> tuple[list[int], list[int]]:
+    """Return the places of time and of all columns of numbers, and those of texts, each name once."""
+    if not heads or not is_time(heads[0][0]) or not numbers[0]:
         raise ValueError("the first column is no time")
     firsts: dict[str, int] = {}
-    for place, (name, _, is_number) in enumerate(columns[1:], 1):
-        if is_number and name != TIME and name not in text:
+    for place, (name, _) in enumerate(heads[1:], 1):
+        if name != TIME:
             firsts.setdefault(name, place)
-    return [0, *firsts.values()]
+    of_text = [place for name, place in firsts.items() if name in text or not numbers[place]]
+    return [0, *(place for place in firsts.values() if place not in {*of_text})], of_text
+
+
+def _write_texts(path: Path, table: _Table) -> tuple[list[int], list[int]]:
+    """Write columns of texts; return the places of those that are integers, and of those that doubles round."""
+    if not table.texts:
+        return [], []
+    import pyarrow as pa
+    from pyarrow import compute, parquet
+
+    schema = pa.schema([pa.field(table.heads[k][0], pa.string()) for k in table.texts])
+    whole, rounded, waiting = {*table.texts}, set[int](), schema.empty_table()
+    with parquet.ParquetWriter(path, schema, compression="lz4", write_statistics=False) as file:
+        for columns in table.text_batches(table.texts):
+            for place, column in zip(table.texts, columns, strict=True):
+                if place in whole and compute.all(compute.match_substring_regex(column, WHOLE), min_count=0).as_py():
+                    rounded |= {place} if is_rounded(column.cast("float64").to_numpy(zero_copy_only=False)) else set()
+                else:
+                    whole.discard(place)
+            waiting = pa.concat_tables([waiting, pa.Table.from_arrays(columns, schema=schema)])
+            full = waiting.num_rows // TEXT_ROWS * TEXT_ROWS
+            if full:
+                file.write_table(waiting.slice(0, full), row_group_size=TEXT_ROWS)
+                waiting = waiting.slice(full)
+        if waiting.num_rows:
+            file.write_table(waiting, row_group_size=TEXT_ROWS)
+    return sorted(whole), sorted(whole & rounded)
 
 
 def _further_levels(seconds: Sequence[tuple[Array, Array]], sizes: Sequence[int]) -> list[tuple[Array, Array]]:

@@ -19,7 +19,7 @@ from cosim.base.version import __version__
 from cosim.report.template import DESK, render
 from cosim.server.answers import Answer, Handler, Request, json_answer
 from cosim.server.served_page import ServedPage
-from cosim.storage.csv_source import write_table
+from cosim.storage.csv_source import cell_text, write_table
 from cosim.viewing import messages
 from cosim.viewing.derivations import Derivations
 from cosim.viewing.layouts import Layouts, check_layouts
@@ -57,6 +57,7 @@ class ViewPage(ServedPage):
             "POST /points": self._points,
             "POST /plane": self._plane,
             "POST /values": self._values,
+            "POST /texts": self._texts,
             "POST /derive": self._derive,
             "POST /layouts": self._save_layout,
             "GET /export.csv": self._export,
@@ -75,11 +76,11 @@ class ViewPage(ServedPage):
     # -- requests -------------------------------------------------------------------------------------
 
     def _about(self, request: Request) -> Answer:
-        """Return the runs and their signals; runs with equal signals share a list."""
+        """Return the runs, with names and units of numbers and names of texts; runs with equal signals share them."""
         sets: list[Any] = []
         runs = []
         for run in self._runs:
-            signals = [[*run.rows.units], [*run.rows.units.values()]]
+            signals = [[*run.rows.units], [*run.rows.units.values()], [*run.rows.texts]]
             if signals not in sets:
                 sets.append(signals)
             first, last = run.rows.span()
@@ -139,6 +140,18 @@ class ViewPage(ServedPage):
             [p for curve in self._curves(request) for p in _unless_lost(curve[0], value, *curve, lost=nothing)]
         )
 
+    def _texts(self, request: Request) -> Answer:
+        """Return the text of each signal at its last row up to a time; null before the first, and of a lost run."""
+        at = _number(request, "at")
+
+        def text(run: ViewedRun, name: str) -> list[str | None]:
+            row = run.rows.locate(at, "right") - 1
+            return [run.rows.text(name, row) if row >= 0 else None]
+
+        asked = _content(request).get("curves")
+        curves = [self._curve(curve, texts=True) for curve in asked] if isinstance(asked, list) else []
+        return json_answer([t for curve in curves for t in _unless_lost(curve[0], text, *curve, lost=[None])])
+
     def _derive(self, request: Request) -> Answer:
         """Add a derived signal to the run of its first signal; return it and the signals that depend on it."""
         content = _content(request)
@@ -167,17 +180,17 @@ class ViewPage(ServedPage):
         except (ValueError, RecursionError):
             content = None
         asked = Request("", content=content)
-        begin, end, curves = _number(asked, "from"), _number(asked, "to"), self._curves(asked)
+        begin, end, curves = _number(asked, "from"), _number(asked, "to"), self._curves(asked, texts=True)
         file = process_folder() / f"view-{next(self._exports)}.csv"
         several = len({id(run) for run, _ in curves}) > 1
-        heads, columns, places = list[str](), list[Array](), list[tuple[Array, Array]]()
+        heads, columns, places = list[str](), list[Array | list[str]](), list[tuple[Array, Array]]()
         cells = 0.0
         for run, name in curves:
             first, stop = run.rows.locate(begin), run.rows.locate(end, "right")
             cells += stop - first
             if cells > MOST_CELLS:
                 raise InputError.at(Path("export"), messages.MANY_CELLS(count=cells / 1e6, limit=MOST_CELLS / 1e6))
-            at, values = run.rows.read(TIME, first, stop), run.rows.read(name, first, stop)
+            at, values = run.rows.read(TIME, first, stop), run.rows.exact(name, first, stop)
             unit = {**run.rows.units, **run.rows.added}.get(name, "")
             heads.append(f"{f'{run.place.label}: ' * several}{name}{f' [{unit}]' * bool(unit)}")
             columns.append(values)
@@ -193,27 +206,32 @@ class ViewPage(ServedPage):
 
     # -- content of requests ----------------------------------------------------------------------------
 
-    def _curves(self, request: Request, key: str = "curves") -> list[tuple[ViewedRun, str]]:
+    def _curves(self, request: Request, key: str = "curves", *, texts: bool = False) -> list[tuple[ViewedRun, str]]:
         curves = _content(request).get(key)
         if not isinstance(curves, list):
             raise _refused("a list of curves")
-        found = [self._curve(curve) for curve in curves]
+        found = [self._curve(curve, texts=texts) for curve in curves]
         for run in self._runs:
             run.rows.needed = frozenset(name for each, name in found if each is run)
         return found
 
-    def _curve(self, curve: Any) -> tuple[ViewedRun, str]:
-        """Return run and name of a curve, which is [number of the run, name of the signal]."""
+    def _curve(self, curve: Any, *, texts: bool = False) -> tuple[ViewedRun, str]:
+        """Return run and name of a curve, which is [number of the run, name of the signal].
+
+        Args:
+            texts: Whether a signal of texts is meant too.
+        """
         if isinstance(curve, list) and len(curve) == 2 and isinstance(curve[0], int) and isinstance(curve[1], str):
             number, name = curve
             if 0 <= number < len(self._runs):
                 run = self._runs[number]
-                if name == TIME or name in run.rows.units or name in run.rows.added:
+                rows = run.rows
+                if name == TIME or name in rows.units or name in rows.added or (texts and name in rows.texts):
                     return run, name
         raise _refused("a run and a signal that it has")
 
 
-def _unless_lost(run: ViewedRun, read: Callable[..., list[Array]], *of: Any, lost: Sequence[Array] = LOST) -> Any:
+def _unless_lost(run: ViewedRun, read: Callable[..., list[Any]], *of: Any, lost: Sequence[Any] = LOST) -> Any:
     """Return what is read of a run; without its file or a file of its cache, the sign of a lost run."""
     if run.check():
         try:
@@ -244,19 +262,22 @@ def _binary(parts: Sequence[Array]) -> Answer:
     return Answer(b"".join(np.ascontiguousarray(part, "<f8").tobytes() for part in parts), "application/octet-stream")
 
 
-def _joined_rows(places: Sequence[tuple[Array, Array]], columns: Sequence[Array]) -> Iterator[list[float]]:
+def _joined_rows(places: Sequence[tuple[Array, Array]], columns: Sequence[Array | list[str]]) -> Iterator[list[Any]]:
     """Yield a row for each time of any column; rows of one time stay several."""
     if not places:
         return
     pairs = np.concatenate([np.column_stack(place) for place in places])
     rows, at = np.unique(pairs, axis=0, return_inverse=True)
-    table, begin = np.full((len(rows), len(columns)), np.nan), 0
+    kind: Any = np.float64 if all(isinstance(values, np.ndarray) for values in columns) else object
+    table, begin = np.full((len(rows), len(columns)), np.nan, kind), 0
     for k, values in enumerate(columns):
-        table[at.ravel()[begin : begin + values.size], k] = values
-        begin += values.size
+        table[at.ravel()[begin : begin + len(values)], k] = values
+        begin += len(values)
     for moment, cells in zip(rows[:, 0].tolist(), table, strict=True):
         yield [moment, *cells.tolist()]
 
 
-def _cell(value: float) -> str:
+def _cell(value: float | str) -> str:
+    if isinstance(value, str):
+        return cell_text(value)
     return "" if math.isnan(value) else repr(value)

@@ -20,6 +20,7 @@ from cosim.viewing.pyramid import Recording
 from cosim.viewing.stored_rows import notes_on, open_rows
 
 MOST_RUNS = 20  # shown without names
+MOST_NAMES = 5  # signals in a note
 WANTED = "the folder of a run or a table of its rows"
 Bar = Callable[[str], AbstractContextManager[Callable[[int, int], None] | None]]
 
@@ -115,6 +116,8 @@ def open_runs(places: Iterable[RunPlace], bar: Bar) -> tuple[list[ViewedRun], li
             if place.entry is not None:
                 place.entry.check_current()
             about = (*warnings_on(folder), *cut_rows(place.file, rows.rows, manifest), *notes_on(place.file))
+            if rows.rounded:
+                about += (messages.ROUNDED(run=place.label, names=", ".join(rows.rounded[:MOST_NAMES])),)
             runs.append(ViewedRun(place, rows, state))
             notes += [note for note in about if note not in notes]
         except (InputError, FileNotFoundError) as caught:

@@ -51,21 +51,29 @@ class SignalPlot {
   add(pairs, place = null) {
     for (const [run, name] of pairs) {
       if (this.kind === "xy" && !this.across) {
+        if (this.desk.runs[run].kinds[name] === "text") continue;
         this.across = { run, name };
         continue;
       }
-      if (this.across && !(this.across.name in this.desk.runs[run].units)) continue;
+      const { kinds, units } = this.desk.runs[run],
+        kind = kinds[name];
+      if (this.across && (kind === "text" || !(this.across.name in units))) continue;
       if (this.curves.some((c) => c.run === run && c.name === name)) continue;
-      const unit = this.desk.runs[run].units[name] || "",
-        used = new Set(this.curves.map((c) => c.colour)),
+      const unit = units[name] || "",
+        used = new Set(this.curves.filter((c) => c.kind !== "text").map((c) => c.colour)),
         free = [...Array(used.size + 1).keys()].find((k) => !used.has(k));
-      const curve = { run, name, unit, colour: free, hidden: false, data: null, value: null };
+      const colour = kind === "text" ? 0 : free,
+        curve = { run, name, unit, kind, colour, hidden: false, data: null, value: null };
       (place === null ? this.axisFor(curve) : this.axes[place]).curves.push(curve);
     }
     this.build();
   }
-  axisFor({ name, unit }) {
-    const suits = ({ curves }) => !curves.length || (unit ? curves[0].unit === unit : curves[0].name === name);
+  axisFor({ name, unit, kind }) {
+    if (kind === "text") return this.axes[0];
+    const suits = ({ curves }) => {
+      const first = curves.find((c) => c.kind !== "text");
+      return !first || (unit ? first.unit === unit : first.name === name);
+    };
     const found = this.axes.find(suits);
     if (found || this.axes.length === MOST_AXES || this.kind === "xy") return found ?? this.axes.at(-1);
     this.axes.push({ curves: [], range: null });
@@ -157,7 +165,9 @@ class SignalPlot {
       "aria-pressed": String(!curve.hidden),
       title: "show or hide",
     });
-    name.append(swatch, make("span", {}, this.labelOf(curve)));
+    const isText = curve.kind === "text"; // which is read at the cursor, and has neither line nor axis
+    name.append(...(isText ? [] : [swatch]), make("span", {}, this.labelOf(curve)));
+    name.disabled = isText;
     name.addEventListener("click", () => {
       curve.hidden = !curve.hidden;
       name.setAttribute("aria-pressed", String(!curve.hidden));
@@ -165,7 +175,7 @@ class SignalPlot {
     });
     curve.cell = make("output", {});
     const parts = [name, curve.cell];
-    if (this.kind === "time") {
+    if (this.kind === "time" && !isText) {
       const where = make("select", { class: "where", "aria-label": `Axis of ${this.labelOf(curve)}` });
       this.axes.forEach((_, k) => where.append(make("option", { value: k }, `axis ${k + 1}`)));
       if (this.axes.length < MOST_AXES && this.curves.length > 1)
@@ -301,9 +311,11 @@ class SignalPlot {
     if (this.kind === "xy" && cursor !== null && this.curves[0]?.data) this.spot(cursor);
   }
 
-  words({ data, value, lost, pinned }, cursor, pin) {
+  words({ data, value, text, kind, lost, pinned }, cursor, pin) {
     if (lost) return "removed";
-    if (cursor === null) return "";
+    if (cursor === null) return kind === "text" ? "text, at the cursor" : "";
+    if (kind && text?.at === cursor && (kind === "text" || pin === null))
+      return kind === "text" ? `“${text.text ?? ""}”` : (text.text ?? "");
     if (value?.at === cursor) {
       const more = pin === null || pinned === undefined ? "" : ` (Δ ${readable(value.value - pinned)})`;
       return readable(value.value) + more;
@@ -326,7 +338,7 @@ class SignalPlot {
   // -- a picture for a file ----------------------------------------------------------------------------
   picture() {
     const { x, ys } = this.scales();
-    const rows = Math.ceil(this.curves.length / 3);
+    const rows = Math.ceil(this.curves.filter((c) => c.kind !== "text").length / 3);
     const [width, height, top, right, bottom] = [1000, 440 + 18 * rows, 44 + 18 * rows, 20 + 62 * (ys.length - 1), 44],
       left = 72;
     const [wide, high] = [width - left - right, height - top - bottom];
@@ -359,8 +371,8 @@ class SignalPlot {
     const paths = [];
     let place = 0;
     this.axes.forEach((each, k) => {
-      for (const curve of each.curves) {
-        const pens = pen(this.lines[place]),
+      for (const curve of each.curves.filter((c) => c.kind !== "text")) {
+        const pens = pen(this.lines[this.curves.indexOf(curve)]),
           column = (place % 3) * (wide / 3) + left,
           line = 40 + 18 * Math.floor(place / 3);
         paths.push(stroke(this.path(curve, u, ys[k], high, top), pens));

@@ -79,9 +79,9 @@ class SignalTree {
     return (name) => tests.every((test) => test(name.toLowerCase()));
   }
 
-  row(id, level, label, curves, { group = false, unit = "", count = 0 } = {}) {
+  row(id, level, label, curves, { group = false, unit = "", count = 0, isText = false } = {}) {
     const isOpen = group && (this.open.has(id) || (this.words && !this.open.has(`-${id}`)));
-    this.rows.push({ id, level, label, curves, group, unit, count, isOpen });
+    this.rows.push({ id, level, label, curves, group, unit, count, isText, isOpen });
     return isOpen;
   }
 
@@ -94,39 +94,44 @@ class SignalTree {
     if (!this.row(`${place}`, 1, run.label, every, { group: true, count })) return;
     for (const name of derived) this.row(`${place}=${name}`, 2, name, () => [[place, name]], { unit: run.units[name] });
     if (found)
-      for (const name of own) this.row(`${place}.${name}`, 2, name, () => [[place, name]], { unit: run.units[name] });
-    else this.fillNode(this.trie(run), `${place}`, 2, (name) => [[place, name]], run.units);
+      for (const name of own) this.row(`${place}.${name}`, 2, name, () => [[place, name]], this.about(run, name));
+    else this.fillNode(this.trie(run), `${place}`, 2, (name) => [[place, name]], (name) => this.about(run, name));
   }
 
-  fillNode(node, id, level, curvesOf, units) {
+  about({ units, kinds }, name) {
+    return { unit: units[name], isText: kinds[name] === "text" };
+  }
+
+  fillNode(node, id, level, curvesOf, aboutOf) {
     for (const child of node.children.values()) {
       const inner = `${id}.${child.label}`,
         group = child.children.size > 0,
         count = group ? signalsBelow(child).length : 0,
-        unit = child.signal === undefined ? "" : units[child.signal];
+        about = child.signal === undefined ? {} : aboutOf(child.signal);
       const isOpen = this.row(inner, level, child.label, () => signalsBelow(child).flatMap(curvesOf), {
+        ...about,
         group,
-        unit,
         count,
       });
       if (isOpen) {
         if (child.signal !== undefined)
-          this.row(`${inner}=`, level + 1, "(itself)", () => curvesOf(child.signal), { unit });
-        this.fillNode(child, inner, level + 1, curvesOf, units);
+          this.row(`${inner}=`, level + 1, "(itself)", () => curvesOf(child.signal), about);
+        this.fillNode(child, inner, level + 1, curvesOf, aboutOf);
       }
     }
   }
 
   fillSignals(found) {
     const names = [...new Set(this.runs.flatMap((run) => [...run.derived, ...run.names]))];
-    const units = Object.assign({}, ...this.runs.map((run) => run.units));
+    const [units, kinds] = ["units", "kinds"].map((part) => Object.assign({}, ...this.runs.map((run) => run[part])));
+    const aboutOf = (name) => this.about({ units, kinds }, name);
     const curvesOf = (name) => this.runs.flatMap((run, place) => (name in run.units ? [[place, name]] : []));
     if (!found) {
       if (this.union?.length !== names.length) [this.union, this.unionTrie] = [names, trieOf(names)];
-      this.fillNode(this.unionTrie, "s", 1, curvesOf, units);
+      this.fillNode(this.unionTrie, "s", 1, curvesOf, aboutOf);
       return;
     }
-    for (const name of names.filter(found)) this.row(`s.${name}`, 1, name, () => curvesOf(name), { unit: units[name] });
+    for (const name of names.filter(found)) this.row(`s.${name}`, 1, name, () => curvesOf(name), aboutOf(name));
   }
 
   draw() {
@@ -136,7 +141,7 @@ class SignalTree {
       ...this.rows.slice(first, end).map((row, k) => {
         const at = first + k,
           mark = make("span", { class: "twig", "aria-hidden": "true" }, row.group ? (row.isOpen ? "▾" : "▸") : ""),
-          more = row.group ? String(row.count) : row.unit && `[${row.unit}]`;
+          more = row.group ? String(row.count) : row.isText ? "text" : row.unit && `[${row.unit}]`;
         return make(
           "div",
           {
@@ -145,7 +150,7 @@ class SignalTree {
             class: at === this.at ? "now" : null,
             draggable: "true",
             style: `top:${at * ROW}px;padding-left:${row.level * 14 - 8}px`,
-            title: row.label,
+            title: row.isText ? `${row.label}: texts are not drawn, a plot shows them at the cursor` : row.label,
             "aria-level": row.level,
             "aria-expanded": row.group ? String(row.isOpen) : null,
             "aria-selected": String(at === this.at),

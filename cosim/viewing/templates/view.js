@@ -10,18 +10,30 @@
   const paper = matchMedia("print");
   const READY = ["a - b", "a + b", "a * b", "a / b", "der(a)", "integral(a)", "lowpass(a, 1)", "abs(a)", "hypot(a, b)"];
   const about = await (await fetch("about")).json();
+  const lists = new Map(); // one for the runs of a set, so that they share a tree
+  function allNames(set) {
+    const [numbers, , texts] = about.sets[set];
+    if (!lists.has(set)) lists.set(set, [...new Set([...numbers, ...texts])]);
+    return lists.get(set);
+  }
   const runs = about.runs.map((run) => {
-    const [names, units] = about.sets[run.set];
-    const own = Object.create(null);
-    names.forEach((name, k) => (own[name] = units[k]));
+    const [numbers, units, texts] = about.sets[run.set];
+    const own = Object.create(null),
+      kinds = Object.create(null);
+    numbers.forEach((name, k) => (own[name] = units[k]));
+    for (const name of texts) {
+      kinds[name] = name in own ? "whole" : "text"; // integers that doubles may round are numbers and texts
+      own[name] ??= "";
+    }
     for (const { name, unit } of run.derived) own[name] = unit;
     const [short] = run.label.split(" (");
     const isOne = about.runs.filter(({ label }) => label.split(" (")[0] === short).length === 1;
     return {
       ...run,
       short: isOne ? short : run.label,
-      names,
+      names: texts.length ? allNames(run.set) : numbers,
       units: own,
+      kinds,
       formulas: run.derived,
       derived: run.derived.map(({ name }) => name),
     };
@@ -83,7 +95,7 @@
     // All boxes have one width, so that one time is at one place.
     changed() {
       const right = Math.max(1, ...desk.plots.map((plot) => plot.axes.length)) - 1;
-      one("#plots").style.setProperty("--right", right ? `repeat(${right}, 56px)` : "");
+      one("#plots").style.setProperty("--right", right ? `repeat(${right}, 66px)` : "");
       schedule();
     },
 
@@ -101,8 +113,9 @@
 
     // Run, formula and notes of a curve.
     about({ run, name }) {
-      const { label, formulas } = runs[run],
+      const { label, formulas, kinds } = runs[run],
         made = formulas.find((f) => f.name === name);
+      if (kinds[name] === "text") return `${label}\nTexts are not drawn; the cursor shows them.`;
       if (!made) return label;
       const of = (r, signal) => (r === run ? signal : `${signal} of ${runs[r].short}`),
         parts = Object.entries(made.of).map(([letter, [r, signal]]) => `${letter}: ${of(r, signal)}`);
@@ -145,10 +158,11 @@
     async export(plot, kind) {
       const name = safeName(plot.curves.map((c) => c.name).join(" ") || plot.name);
       if (kind !== "CSV") {
-        const before = plot.curves.map((c) => c.data); // a narrow page has fewer columns than the picture
-        if (plot.kind === "time") await fill("points", { ...desk.view, width: 1600 }, plot.curves).catch(() => {});
+        const curves = plot.curves.filter((c) => c.kind !== "text"),
+          before = curves.map((c) => c.data); // a narrow page has fewer columns than the picture
+        if (plot.kind === "time") await fill("points", { ...desk.view, width: 1600 }, curves).catch(() => {});
         const picture = plot.picture();
-        plot.curves.forEach((c, k) => (c.data = before[k]));
+        curves.forEach((c, k) => (c.data = before[k]));
         if (kind === "SVG") save(new Blob([picture], { type: "image/svg+xml" }), `${name}.svg`);
         else savePng(picture, `${name}.png`);
         return;
@@ -207,7 +221,9 @@
     for (const plot of plots) plot.fresh = true;
     try {
       const shown = (kind) =>
-        plots.filter((p) => p.kind === kind).flatMap((plot) => plot.curves.map((c) => ({ plot, c })));
+        plots
+          .filter((p) => p.kind === kind)
+          .flatMap((plot) => plot.curves.filter((c) => c.kind !== "text").map((c) => ({ plot, c })));
       const columns = (plots[0].box.clientWidth || 800) / (desk.isDense ? 2 : 1),
         width = Math.max(200, Math.round(columns)),
         range = { ...desk.view };
@@ -269,13 +285,20 @@
   async function fetchValues() {
     if (reading || desk.cursor === null) return;
     const at = desk.cursor,
-      curves = desk.plots.filter((plot) => seen.get(plot.figure)).flatMap((plot) => plot.curves);
-    if (!curves.length) return;
+      shown = desk.plots.filter((plot) => seen.get(plot.figure)).flatMap((plot) => plot.curves),
+      curves = shown.filter(({ kind }) => kind !== "text"),
+      exact = shown.filter(({ kind }) => kind);
+    if (!shown.length) return;
     reading = true;
+    const of = (some) => ({ at, curves: some.map((c) => [c.run, c.name]) });
     try {
-      const answer = await request("values", { at, curves: curves.map((c) => [c.run, c.name]) });
-      const numbers = new Float64Array(await answer.arrayBuffer());
+      const [answer, texts] = await Promise.all([
+        curves.length ? request("values", of(curves)) : null,
+        exact.length ? post("texts", of(exact)) : [],
+      ]);
+      const numbers = new Float64Array(answer ? await answer.arrayBuffer() : 0);
       curves.forEach((curve, k) => (curve.value = { at, value: numbers[2 * k + 1] }));
+      exact.forEach((curve, k) => (curve.text = { at, text: texts[k] }));
     } catch {
       return; // the points tell
     } finally {
@@ -493,6 +516,7 @@
       if (!text || !one("#formula").value.match(`\\b${letter}\\b`)) continue;
       const run = Number(one(`#run-${letter}`).value);
       if (!(text in runs[run].units)) throw new Error(`${text} is no signal of ${runs[run].label}.`);
+      if (runs[run].kinds[text] === "text") throw new Error(`${text} has texts, and a formula takes numbers.`);
       of[letter] = [run, text];
     }
     return of;
@@ -618,6 +642,7 @@
           colour: Number(c.colour) || 0,
           hidden: Boolean(c.hidden),
           unit: runs[c.run].units[c.name] || "",
+          kind: runs[c.run].kinds[c.name],
           data: null,
           value: null,
         })),
