@@ -163,7 +163,7 @@ class LibraryKernel(CompiledKernel):
         return [self.simulate(*each[:5], first=each[5]) for each in begins]
 
     def propagation(self, data: Data, x0: Array) -> Array:
-        """Return the matrices by which deviations of the outputs of a free run go on, as `propagation`."""
+        """Return the matrices by which deviations of the outputs of a free run go on, as `propagations`."""
         return self._responses(data, x0)[1]
 
     def step(self, data: Data, p: Array, points: tuple[Rows, Array, Array], back: int) -> tuple[Array, Array]:
@@ -204,7 +204,7 @@ class LibraryKernel(CompiledKernel):
         return np.asarray(np.nan_to_num(bends, posinf=0.0, neginf=0.0))
 
     def _responses(self, data: Data, x0: Array) -> tuple[Array, Array]:
-        """Return the slopes of the outputs by each start state (rows, outputs, start states), and the propagation.
+        """Return the slopes of the outputs by each start state (rows, outputs, start states), and the propagations.
 
         They are those at given parameter values, and change little with the parameters. Without start states, pulses of
         the inputs in the first row tell the propagation.
@@ -222,7 +222,7 @@ class LibraryKernel(CompiledKernel):
                 moved[first + k] += START_STEP * size
                 slope = (self.simulate(data, p, moved, memory).outputs - plain) / (moved[first + k] - x0[first + k])
                 slopes[:, :, k] = np.nan_to_num(slope, posinf=0.0, neginf=0.0)
-            known = slopes, propagation(slopes if count else self._pulse_responses(data, p, x0, plain))
+            known = slopes, propagations(slopes if count else self._pulse_responses(data, p, x0, plain), plain)
             self._slopes.append((key, known))
         return known
 
@@ -257,32 +257,63 @@ def _asks_past(data: Data) -> bool:
     return data.lags is not None or bool(data.late is not None and np.any(data.late))
 
 
-def propagation(responses: Array) -> Array:
-    """Return Φ and Ψ of δ⁺ = Φ·δ + Ψ·δ⁻, the deviations of the outputs of a free run from row to row, side by side.
+def propagations(responses: Array, run: Array) -> Array:
+    """Return Φ and Ψ of δ⁺ = Φ·δ + Ψ·δ⁻, the deviations of the outputs of a free run, side by side for each row.
 
     Any small deviation obeys the same dynamics. Φ and Ψ are their least-squares estimates. An output of which the row
-    before tells a hidden state, e.g. the velocity of a position, has a column in Ψ; the others have zeros there.
-    Growing deviations are scaled to lasting ones. Without responses, both are 0.
+    before tells a hidden state, e.g. the velocity of a position, has a column in Ψ; the others have zeros there. Where
+    it predicts far better, they depend on where the run is, with all squares of its outputs and their changes: a
+    pendulum swings faster near the bottom. Growing deviations are scaled to lasting ones. Without responses, both
+    are 0.
 
     Args:
-        responses: Deviations of the outputs (rows, outputs, responses).
+        responses: Deviations of the outputs (rows, outputs, responses), possibly without the first rows.
+        run: Outputs of the run from which they deviate (rows, outputs).
     """
-    _, outputs, count = responses.shape
-    whole = np.zeros((outputs, 2 * outputs))
+    rows, (_, outputs, count) = len(run), responses.shape
+    whole = np.zeros((rows, outputs, 2 * outputs))
     if not count:
         return whole
     size = np.sqrt(np.mean(responses**2, axis=(0, 2)))
     size[size == 0.0] = 1.0
     scaled = responses / size[:, None]
     scaled = scaled / np.maximum(np.sqrt(np.sum(scaled**2, axis=(0, 1))), np.finfo(float).tiny)
-    rows = scaled.transpose(0, 2, 1)
-    now, before, after = (part.reshape(-1, outputs) for part in (rows[1:-1], rows[:-2], rows[2:]))
+    parts = scaled.transpose(0, 2, 1)
+    now, before, after = (part.reshape(-1, outputs) for part in (parts[1:-1], parts[:-2], parts[2:]))
     chosen, matrix = _with_hidden_states(now, before, after)
-    whole[:, [*range(outputs), *(outputs + j for j in chosen)]] = matrix
-    lasting = np.vstack([whole, np.eye(outputs, 2 * outputs)])
+    columns = [*range(outputs), *(outputs + j for j in chosen)]
+    whole[:, :, columns] = matrix
+    lasting = np.vstack([whole[0], np.eye(outputs, 2 * outputs)])
     growth = max(1.0, float(np.abs(np.linalg.eigvals(lasting)).max()))
+    whole[:, :, columns] += _by_place(run, count, np.hstack([now, before[:, chosen]]), after, matrix)
     powers = np.repeat([growth, growth**2], outputs)
     return np.asarray(whole / powers * size[:, None] / np.tile(size, 2))
+
+
+def _by_place(run: Array, count: int, known: Array, after: Array, matrix: Array) -> Array:
+    """Return what is to be added in each row of a run to a matrix from `known` to `after`; 0 if that tells little.
+
+    Args:
+        count: Number of responses, each of which has a row of `known` for every row of the run but the ends.
+    """
+    outputs, rows = run.shape[1], len(run)
+    nothing = np.zeros((rows, *matrix.shape))
+    if not np.isfinite(run).all():
+        return nothing
+    at = np.hstack([run, np.diff(run, axis=0, prepend=run[:1])])
+    at = (at - at.mean(axis=0)) / np.maximum(at.std(axis=0), np.finfo(float).tiny)
+    one, other = np.triu_indices(2 * outputs)
+    basis = np.hstack([np.ones((rows, 1)), at, at[:, one] * at[:, other]])
+    used = np.repeat(basis[-1 - len(known) // count : -1], count, axis=0)
+    left = after - known @ matrix.T
+    terms = (used[:, :, None] * known[:, None, :]).reshape(len(known), -1)
+    added = least_squares(terms, left, rcond=1e-8)
+    change = np.sum((after - known[:, :outputs]) ** 2, axis=0)
+    errors = [np.sum(e**2, axis=0) / np.where(change > 0.0, change, 1.0) for e in (left, left - terms @ added)]
+    without, with_it = (float(np.log(np.maximum(e, EXACT)).sum()) for e in errors)
+    if without - with_it < HIDDEN:
+        return nothing
+    return np.asarray(np.einsum("rb,bko->rok", basis, added.reshape(basis.shape[1], -1, outputs)))
 
 
 def _with_hidden_states(now: Array, before: Array, after: Array) -> tuple[list[int], Array]:

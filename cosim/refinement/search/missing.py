@@ -154,7 +154,7 @@ def _orders(problem: Problem) -> list[int]:
     if not problem.layout.is_free_run:
         return [1] * count
     matrix = problem.kernel.propagation(problem.logs[0], problem.x0[0])  # type: ignore[attr-defined]
-    return [1 + bool(column.any()) for column in matrix[:, count:].T]
+    return [1 + bool(matrix[:, :, j].any()) for j in range(count, 2 * count)]
 
 
 def loosen_noise(problem: Problem, noise: Noise) -> Noise:
