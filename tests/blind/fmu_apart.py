@@ -20,7 +20,7 @@ from functools import cache
 
 import numpy as np
 
-from tests.blind.field_cost import Values, base_deviations, flat, innovations, left_out, nudge, remaining
+from tests.blind.field_cost import Values, base_deviations, flat, innovations, nudge, remaining
 from tests.blind.field_rig import Entry
 from tests.blind.field_study import conditions
 from tests.blind.field_visibility import middling
@@ -56,7 +56,7 @@ def nearest(study: FmuStudy) -> dict[str, tuple[str, float]]:
 def _nearest(study: FmuStudy, name: str) -> tuple[str, float]:
     rig = with_every_kind(study.plant, study.way)
     p, spread = rig.numbers(study.base, study.truth), base_deviations(rig)
-    without = p | flat(name, left_out(rig, name, study.truth[name]))
+    without = {q: v for q, v in p.items() if q.partition(".")[0] != name}  # a neutral limit would limit a gain
     others = {n: v for n, v in study.truth.items() if n != name}
     common = [p | {n: p[n] + 0.5 * deviation} for n, deviation in spread.items()]
     common += [p | {f"{n}.{q}": v + nudge(rig, n, q, v)} for n, values in others.items() for q, v in values.items()]
@@ -111,13 +111,15 @@ def _values(entry: Entry, sizes: Mapping[str, float]) -> Values:
 
 
 def _moved(entry: Entry, sizes: Values, change: Sequence[float]) -> Values:
-    """Return sizes after a change in steps, within the limits of a shape and on the side of an effect without sign."""
+    """Return sizes after a change in steps, within the limits and on the side of an effect without sign."""
     moved = {}
     for (q, s), steps in zip(sizes.items(), change, strict=True):
         to = s + float(steps) * _step(s)
         if q in entry.shape:
             to = float(np.clip(to, *entry.shape[q]))
-        elif not entry.signed:
+        elif entry.signed:
+            to = float(np.clip(to, -entry.limits[1], entry.limits[1]))
+        else:
             to = max(to, LEAST * s) if s > 0.0 else min(to, LEAST * s)
         moved[q] = to
     return moved
