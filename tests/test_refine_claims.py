@@ -196,8 +196,8 @@ def test_a_claim_that_halves_the_held_out_error_is_never_withdrawn() -> None:
     claims = Claims("effect_found", fitted(FRICTION), grade="claimed")
     before, after = {"x": 10.0}, {"x": 9.0}
     errors = {"before": before, "recalibrated": before, "after": after}
-    assert check_claim(claims, errors, {"x": 1.0}).name == "unexplained"
-    kept = check_claim(claims, errors, {"x": 1.0}, halves=True)
+    assert check_claim(claims, errors, {"x": 1.0}, alternative="recalibrated").name == "unexplained"
+    kept = check_claim(claims, errors, {"x": 1.0}, alternative="recalibrated", halves=True)
     assert (kept.name, kept.grade) == ("effect_found", "part")
     assert kept.part is not None
     assert kept.part.share == pytest.approx(80 / 99)

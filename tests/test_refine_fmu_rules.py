@@ -126,10 +126,9 @@ def test_a_sensor_error_of_an_fmu_must_not_make_replays_worse_on_every_channel()
     claims = Claims("sensor_error", claim, grade="claimed")
     error = {"before": {"x": 1.08}, "recalibrated": {"x": 1.02}, "after": {"x": 1.29}}
     answers = {
-        too: replay_check.check_claim(claims, error, {"x": 1.2}, must_be_nearer=False, sensors_too=too).name
-        for too in (False, True)
+        than: replay_check.check_claim(claims, error, {"x": 1.2}, alternative=than).name for than in ("", "before")
     }
-    assert answers == {False: "sensor_error", True: "unexplained"}
+    assert answers == {"": "sensor_error", "before": "unexplained"}
 
 
 @pytest.mark.parametrize(

@@ -512,7 +512,8 @@ def test_a_claim_that_leaves_much_of_the_error_says_so_and_one_that_leaves_most_
     def held(
         after: dict[str, float], before: dict[str, float] = before, recalibrated: dict[str, float] = same
     ) -> Claims:
-        return check_claim(verdict, {"before": before, "recalibrated": recalibrated, "after": after}, floor)
+        errors = {"before": before, "recalibrated": recalibrated, "after": after}
+        return check_claim(verdict, errors, floor, alternative="recalibrated")
 
     assert held({"x": 1.2, "v": 1.5, "quiet": 1.5}) is verdict  # 5 % of the excess of v stays
     part = held({"x": 1.2, "v": 2.1, "quiet": 1.5})  # 3.41 of 24

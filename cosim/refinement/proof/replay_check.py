@@ -42,35 +42,21 @@ ErrorOf = Mapping[str, Channels]  # replays before, recalibrated and after → e
 
 def check_with_replays(study: Study, a: Attribution, claims: Claims, result: SearchResult, problem: Problem) -> Claims:
     """Return the claims, changed or withdrawn if replays of the logs contradict the verdict."""
-    is_within, is_single = not beyond_tolerance(a.base.fit), False
-    if claims.name == "no_effect":
+    is_within, judged = not beyond_tolerance(a.base.fit), claims.name
+    if judged == "no_effect":
         error, floor = _replay_errors(study, a, claims, problem, result.free_noise)
-        if ratios := errors_per_floor(error["before"], floor):
-            if not is_within or errors_per_floor(error["recalibrated"], floor):
-                claims = claim_single_number(claims, a, study.subject, result, ratios)
-            is_single = True
-    elif claims.name == "parameter_error":
+        ratios = errors_per_floor(error["before"], floor)
+        if ratios and not (is_within and not errors_per_floor(error["recalibrated"], floor)):
+            claims = claim_single_number(claims, a, study.subject, result, ratios)
+    elif judged == "parameter_error":
         claims = _beyond_tolerance_checked(claims, a, study, result)
     if claims.claimed is None:
         return claims
-    variants = _variants(study, a, claims)
     error, floor = _replay_errors(study, a, claims, problem, result.free_noise)
-    if is_single and (doubt := _error_doubt(error, floor)):
+    if judged == "no_effect" and (doubt := _error_doubt(error, floor)):
         return claims.withdraw(doubt)
-    nearer = not study.subject.probed
-    if study.subject.probed and not claims.claimed.is_of_sensors:
-        after, without = (errors_by_replay(variants[name], problem, study.logs) for name in ("after", "recalibrated"))
-        nearer = _is_clearly_worse(after, without)
-    claims = check_claim(
-        claims,
-        error,
-        floor,
-        a.support,
-        recalibrated=is_within,
-        halves=a.halves_error,
-        must_be_nearer=nearer,
-        sensors_too=study.subject.probed,
-    )
+    alternative = _alternative(study, a, claims, claims.claimed, problem)
+    claims = check_claim(claims, error, floor, a.support, alternative=alternative, halves=a.halves_error)
     if claims.claimed is None or claims.claimed.is_of_sensors or claims.further:
         return claims
     return replace(claims, further=beyond_tolerance(claims.claimed.fit))
@@ -83,6 +69,24 @@ def _beyond_tolerance_checked(claims: Claims, a: Attribution, study: Study, resu
         return claims
     otherwise = claim_single_number(claims, a, study.subject, result, {})
     return otherwise if otherwise.claimed is not None else replace(claims, further=others)
+
+
+def _alternative(study: Study, a: Attribution, claims: Claims, claimed: Hypothesis, problem: Problem) -> str:
+    """Return the variant than which a claim must be nearer to the logs on some channel; "" for none.
+
+    Sensor errors keep the equations of the given model. Effects add to the recalibrated one, if its parameters are
+    within their tolerances. For an FMU, the replays without them count only if they are nearer beyond their scatter.
+    """
+    probed = study.subject.probed
+    if claimed.is_of_sensors:
+        return "before" if probed else ""
+    if beyond_tolerance(a.base.fit) or "effect" not in {c.kind for c in claimed.candidates}:
+        return ""
+    if not probed:
+        return "recalibrated"
+    variants = _variants(study, a, claims)
+    after, without = (errors_by_replay(variants[name], problem, study.logs) for name in ("after", "recalibrated"))
+    return "recalibrated" if _is_clearly_worse(after, without) else ""
 
 
 def _variants(study: Study, a: Attribution, claims: Claims) -> dict[str, Variant]:
@@ -110,30 +114,20 @@ def check_claim(
     floor: Channels,
     support: Mapping[str, Support] = MappingProxyType({}),
     *,
-    recalibrated: bool = True,
+    alternative: str = "",
     halves: bool = False,
-    must_be_nearer: bool = True,
-    sensors_too: bool = False,
 ) -> Claims:
     """Return the claims, graded or withdrawn according to replays.
 
     A term that reduces innovations one row ahead may still be wrong; only replays show the difference.
 
     Args:
-        recalibrated: True if the recalibrated base model is within its tolerances and so an alternative.
+        alternative: Variant than which the claim must be nearer to the logs on some channel; "" for none.
         halves: True if the claim halves the error on held-out logs. It is then at least a part of the answer.
-        must_be_nearer: True if effects must reduce the error of some channel.
-        sensors_too: True if sensor errors must do so too, compared with the given model, whose equations they keep.
     """
     if claims.claimed is None:
         return claims
-    is_of_sensors = claims.claimed.is_of_sensors
-    effects = must_be_nearer and recalibrated and "effect" in {c.kind for c in claims.claimed.candidates}
-    if is_of_sensors:
-        is_farther = sensors_too and bool(floor) and all(error["after"][n] >= error["before"][n] for n in floor)
-        doubt = Doubt("no_nearer") if is_farther else _error_doubt(error, floor)
-    else:
-        doubt = _plant_doubt(error, floor, effects=effects)
+    doubt = _doubt(claims.claimed, error, floor, alternative)
     if doubt and not halves:
         return claims.withdraw(doubt)
     if claims.name == "ambiguous" or claims.grade != "claimed":
@@ -172,11 +166,12 @@ def _error_doubt(error: ErrorOf, floor: Channels) -> Doubt | None:
     return Doubt("missed", worst, times) if worst else None
 
 
-def _plant_doubt(error: ErrorOf, floor: Channels, *, effects: bool) -> Doubt | None:
-    """Return a doubt if the effects do not reduce the replay error, or if most excess error remains; else None."""
-    recalibrated, after = error["recalibrated"], error["after"]
-    if effects and floor and all(after[n] >= recalibrated[n] for n in floor):
+def _doubt(claimed: Hypothesis, error: ErrorOf, floor: Channels, alternative: str) -> Doubt | None:
+    """Return a doubt if a claim is nearer on no channel, or if most excess error remains; else None."""
+    if alternative and floor and all(error["after"][n] >= error[alternative][n] for n in floor):
         return Doubt("no_nearer")
+    if claimed.is_of_sensors:
+        return _error_doubt(error, floor)
     least = min(_remaining_excess(error, floor).values(), default=0.0)
     return Doubt("kept", size=least) if least > HALF else None
 

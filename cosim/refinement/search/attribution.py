@@ -18,7 +18,7 @@ import numpy as np
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.posing import coarsen
 from cosim.estimation.problem import Problem
-from cosim.estimation.screen import Choice, ScoreTest, Terms
+from cosim.estimation.screen import Choice, Promise, ScoreTest, Terms
 from cosim.estimation.sensor_noise import erring_stamps
 from cosim.refinement.decision.evidence import scatter_ratio
 from cosim.refinement.decision.judgement import SIGNIFICANT, loss_without
@@ -297,16 +297,12 @@ class Attributor:
 
     def _with_replacement(self, best: Hypothesis) -> Hypothesis:
         """Return the best hypothesis, possibly with a replaced candidate."""
-        search, ended = self.search, list[Hypothesis]()
+        search = self.search
         if len(best.candidates) > MOST_REPLACED:
             return best
         sets = {key_of(trial[0]): trial for trial in self._replacements(best)}
         stuck = [trial for trial in sets.values() if self._is_stuck(trial[0], best)]
-        if any(c.kind == "parameter" for c in best.candidates):
-            # A fit along a ridge shared with a base parameter is slow, so an interrupted fit continues.
-            base = search.tried[()].score
-            halfway = [search.tried[k] for k in sets if k in search.tried and not search.tried[k].ended]
-            ended = search.fit_again([h for h in halfway if h.score - best.score < base - h.score])
+        ended = self._continued(best, [search.tried[k] for k in sets if k in search.tried])
         untried = [trial for k, trial in sets.items() if k not in search.tried]
         fitted = search.fit_all([*untried, *stuck], best, "replacing each part", NEAR, again=True)
         nearest = best_hypothesis((best, *ended, *fitted))
@@ -316,6 +312,13 @@ class Attributor:
         if search.subject.probed and better is not best:  # its values may suit what was the best, too
             search.fit_all([(best.candidates, None)], better, "replacing each part", NEAR, again=True)
         return better
+
+    def _continued(self, best: Hypothesis, tried: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """Continue interrupted fits, as a fit along a ridge shared with a base parameter is slow."""
+        if all(c.kind != "parameter" for c in best.candidates):
+            return []
+        base = self.search.tried[()].score
+        return self.search.fit_again([h for h in tried if not h.ended and h.score - best.score < base - h.score])
 
     def _is_stuck(self, parts: Parts, best: Hypothesis) -> bool:
         """Return True if a set that looks like the best hypothesis was fitted from elsewhere, and far worse.
@@ -340,21 +343,21 @@ class Attributor:
         for part in best.candidates:
             rest = tuple(c for c in best.candidates if c is not part)
             without = search.hypothesis(rest, best.fit, SCREEN_ITERATIONS, sensing=False)
-            test = ScoreTest(search.problem, without.fit)
-            test.values |= {
-                name: value for name, value in self.periods.items() if name.partition(".")[0] not in best.names
-            }
-            terms = [t for t in in_parallel(test.terms, others) if not t.switched]
-            promises = Choice(test, terms, (), search.problem.values).extensions(())
+            promises = self._promises(without, others)
             likely = [name for name in promises if promises[name].within][:REPLACING]
-            for c in self._substitutes(part, others, likely):
-                others_at = {} if self._is_twin(part, c) else without.fit.values
-                promised = promises.get(c.name)
-                yield (*rest, c), {**others_at, **promised.values} if promised else None
+            for c in others:
+                is_twin, promised = self._is_twin(part, c), promises.get(c.name)
+                if is_twin or c.name in likely:
+                    others_at = {} if is_twin else without.fit.values
+                    yield (*rest, c), {**others_at, **promised.values} if promised else None
 
-    def _substitutes(self, part: Candidate, others: Sequence[Candidate], likely: Sequence[str]) -> list[Candidate]:
-        """Return the likely candidates and, for an FMU, those that look like a part."""
-        return [c for c in others if c.name in likely or self._is_twin(part, c)]
+    def _promises(self, h: Hypothesis, others: Sequence[Candidate]) -> dict[str, Promise]:
+        """Return what each of other candidates promises beside a hypothesis, best first."""
+        problem, names = self.search.problem, {c.name for c in others}
+        test = ScoreTest(problem, h.fit)
+        test.values |= {name: value for name, value in self.periods.items() if name.partition(".")[0] in names}
+        terms = [t for t in in_parallel(test.terms, others) if not t.switched]
+        return Choice(test, terms, (), problem.values).extensions(())
 
     def _is_twin(self, part: Candidate, other: Candidate) -> bool:
         """Return True if two terms of an FMU look alike."""

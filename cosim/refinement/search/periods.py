@@ -18,7 +18,7 @@ from cosim.base.arrays import Array
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.screen import SHARE, ScoreTest
 from cosim.kernel.kernel import DEVIATION
-from cosim.subject.candidates import Candidate
+from cosim.subject.candidates import Candidate, Free
 
 LINES = 3  # strongest lines that a score test compares
 LASTING = 5  # rows over which the innovations answer a force
@@ -60,8 +60,18 @@ def _with_period(test: ScoreTest, c: Candidate, required: Callable[[Candidate], 
 
     among = max(1, round(travel / period.low))  # periods apart by a cycle over the travel
     best, most = _best(gain, [*tried])
+    if most > OFF * required(replace(c, among=among)):
+        best = _climbed(gain, best, most, period, travel)
+    test.values[name] = best
+    size = best**2 / (2.0 * math.pi * travel)  # moves the phase over the travel by 1
+    free = tuple(replace(f, size=size) if f.name == name else f for f in c.free)
+    return replace(c, free=free, among=among, starts=({**c.starts[0], name: best},))
+
+
+def _climbed(gain: Callable[[float], float], best: float, most: float, period: Free, travel: float) -> float:
+    """Return the period of a local maximum of the gain, near one whose gain is known."""
     apart = FARTHEST
-    for _ in range(MOST_STEPS if most > OFF * required(replace(c, among=among)) else 0):
+    for _ in range(MOST_STEPS):
         others = [1.0 / (1.0 / best + cycles / travel) for cycles in (-apart, apart)]
         other, more = _best(gain, [value for value in others if period.low <= value <= period.high] or [best])
         if more > most:
@@ -70,10 +80,7 @@ def _with_period(test: ScoreTest, c: Candidate, required: Callable[[Candidate], 
             apart *= 0.5
         else:
             break
-    test.values[name] = best
-    size = best**2 / (2.0 * math.pi * travel)  # moves the phase over the travel by 1
-    free = tuple(replace(f, size=size) if f.name == name else f for f in c.free)
-    return replace(c, free=free, among=among, starts=({**c.starts[0], name: best},))
+    return best
 
 
 def _best(gain: Callable[[float], float], periods: Sequence[float]) -> tuple[float, float]:
