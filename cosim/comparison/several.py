@@ -123,9 +123,15 @@ class ComparedRuns:
         return {name: [differences.get(name) for differences in by_run] for name in self.ranking}
 
     @property
+    def differing(self) -> dict[str, list[Difference | None]]:
+        """Return the rows of the table with a difference."""
+        return {name: cells for name, cells in self.table.items() if any(d and d.largest for d in cells)}
+
+    @property
     def equal(self) -> list[str]:
         """Return the signals that are equal in all runs that have them."""
-        return [name for name, cells in self.table.items() if not any(d is not None and d.largest for d in cells)]
+        differing = self.differing
+        return [name for name in self.table if name not in differing]
 
     @property
     def criteria(self) -> dict[str, list[dict[str, Any] | None]]:

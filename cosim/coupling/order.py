@@ -108,9 +108,9 @@ def _open_cycle(
     if unneeded:
         return unneeded, ""
     unknown = {component for component, name in inputs & direct if components[component].depends_on(name) is None}
-    assumed = None if undeclared else next((component for component in components if component in unknown), None)
-    if assumed is None:
+    if undeclared or not unknown:
         raise AlgebraicLoop(cycle)
+    assumed = min(unknown, key=[*components].index)
     removed = {(c, name) for c, name in direct if c == assumed and components[c].depends_on(name) is None}
     is_stated = getattr(components[assumed], "feedthrough", None) is not None
     return removed, "" if is_stated else messages.ASSUMED_WITHOUT_FEEDTHROUGH(component=assumed)

@@ -286,19 +286,18 @@ def simulate_apart(
     Raises:
         FmuError: An FMU does not load.
     """
-    columns, limits = len(system.columns), limits or Limits()
+    columns, limits, kept = len(system.columns), limits or Limits(), keeping or Keeping()
 
     def give(rows: int) -> None:
         feed(rows)
         worker.progress.stop[0] = feed.is_over
 
-    names = system.names
-    given, last = (Keeping() if keeping is None else keeping).first_rows, partial(_last_time, system, h)
-    times = ComponentTimes(names, steps + 1, last, warn, given=given) if warn is not None else None
+    last, given = partial(_last_time, system, h), kept.first_rows
+    times = ComponentTimes(system.names, steps + 1, last, warn, given=given) if warn is not None else None
     grace = 0.0 if keeping is None else keeping.grace
     calls = [fmi_calls(getattr(stage.component, "description", None)) for stage in system.stages]
     at = partial(_time_of_call, system, steps, h)
-    watch = Watch(names, calls, at, limits, 8 * columns, progress=give, times=times, grace=grace)
+    watch = Watch(system.names, calls, at, limits, 8 * columns, progress=give, times=times, grace=grace)
     compile_beforehand(system)
     with ExitStack() as stack:
         worker.start()
@@ -306,14 +305,13 @@ def simulate_apart(
         counters.loop, counters.stop[0], counters.hold[0], counters.sent[0] = b"", 0, 0, 0
         exchange = stack.enter_context(temporary_folder("changes"))  # outlives a crash of the worker
         channel = FileChannel(exchange, counters)
-        kept = keeping or Keeping()
         table, count = _begin_rows(stack, worker, folder, (steps + 1, 8 * columns), kept)
         feed = _feed(observers, system, steps, h, channel)
         if observers and columns:
             feed.table = np.memmap(table, np.float64, "r", shape=(count, columns))
-        job = RowsJob(table, limits, exchange, bool(observers), kept.interval, kept.first_rows, keeping is not None)
+        job = RowsJob(table, limits, exchange, bool(observers), kept.interval, given, keeping is not None)
         end = _end_of(worker, system, count - 1, h, job, watch)
-        done = max(counters.made[0], kept.first_rows)  # A failure before the last given row loses none.
+        done = max(counters.made[0], given)  # A failure before the last given row loses none.
         state = read_state(table.with_name(STATE)) if kept.folder is None else None
         values = read_table(table, done, columns, mapped=recording is not None)
         beside, changes = read_exact(table.with_name(BESIDE), done), channel.noted()

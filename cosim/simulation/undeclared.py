@@ -66,7 +66,7 @@ def with_feedthrough(
             measured = Feedthrough(failure=f": {reason}")
         declared = _declared(measured, undeclared)
         planned, failure = _planned(file, designed, system, worker, declared, spent) if declared else (system, "")
-    unknown = {i for inputs in undeclared.values() for i in inputs} - measured.inputs
+    unknown = frozenset[str]().union(*undeclared.values()) - measured.inputs
     held = {transfer.name for transfer in planned.held}
     facts = measured, unknown & held, failure, held
     loops = (replace(loop, left_open=_note(system, loop, *facts)) for loop in system.opened)

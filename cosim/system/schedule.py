@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from cosim.base.messages import Message, code_of, join
@@ -67,6 +67,78 @@ class Schedule:
     assumed: bool = False
 
 
+@dataclass(frozen=True)
+class _Graph:
+    """Components and the connections between them, without those of clocks.
+
+    Attributes:
+        every: Component → its step in steps of the scenario.
+        wired: Edge and transfers of each connection.
+    """
+
+    components: Components
+    every: Mapping[str, int]
+    wired: Sequence[tuple[Edge, Sequence[Transfer]]]
+
+    @property
+    def edges(self) -> list[Edge]:
+        """Return the edge of each connection."""
+        return [edge for edge, _ in self.wired]
+
+    def sort_transfers(self, plan: Plan) -> tuple[list[Transfer], dict[str, list[Transfer]], tuple[Loop, ...]]:
+        """Return held transfers, pulls by component, and loops with their transfers."""
+        loop_of = {name: k for k, members in enumerate(plan.loops) for name in members}
+        held: list[Transfer] = []
+        solved: list[list[Transfer]] = [[] for _ in plan.loops]
+        pulls: dict[str, list[Transfer]] = {name: [] for name in plan.order}
+        for ((source, target, *_), connection), is_immediate in zip(self.wired, plan.immediate, strict=True):
+            if not is_immediate:
+                held += connection
+            elif target in loop_of and loop_of.get(source) == loop_of[target]:
+                solved[loop_of[target]] += connection
+            else:
+                pulls[target] += connection
+        loops = (Loop(members, tuple(own)) for members, own in zip(plan.loops, solved, strict=True))
+        return held, pulls, tuple(loops)
+
+    def left_open(self, solved: Collection[tuple[str, ...]], key: str, assumptions: Sequence[str]) -> Iterator[Loop]:
+        """Yield the unsolved loops that exist if inputs without declared dependencies have feedthrough.
+
+        Args:
+            key: What leaves them open.
+        """
+        note = messages.NO_LOOP_AT_START if key == FEEDTHROUGH and not assumptions else messages.LEFT_OPEN
+        plan = DEFAULT.plan_with_loops(self.components, self.edges, None, undeclared=True)
+        for loop in self.sort_transfers(plan)[2]:
+            if loop.members not in solved:
+                fault = next((fault for _, fault in self.faults(loop)), None)
+                cure = join("; ", assumptions) or fault or messages.LOOPS_SOLVES(key=key)
+                yield replace(loop, left_open=note(loop=loop.name, by=key, cure=cure))
+
+    def faults(self, loop: Loop) -> Iterator[tuple[Place, Message]]:
+        """Yield faults of a loop that cannot be solved, with their places."""
+        has_events = any(isinstance(component, EventFmu) for component in self.components.values())
+        for name in loop.members:
+            component = self.components[name]
+            if isinstance(component, EventFmu):
+                yield ("components", name), messages.EVENT_MODE_IN_LOOP(component=name, loop=loop.name)
+            elif has_events and getattr(component, "changes_by_events", False):
+                yield ("components", name), messages.EXCHANGE_IN_LOOP(component=name, loop=loop.name)
+            if self.every[name] > 1:
+                yield ("components", name, "step"), messages.OWN_STEP_IN_LOOP(component=name, loop=loop.name)
+        for transfer in loop.transfers:
+            signal = self._target_of(transfer)
+            if any(transfer.beside) or (signal is not None and signal.is_whole):
+                kind = signal.kind if signal is not None else ""
+                yield ("connections",), messages.LOOP_OF_NO_REALS(signal=transfer.name, type=kind)
+
+    def _target_of(self, transfer: Transfer) -> Signal | None:
+        """Return the input that a transfer writes; None for a variable that is no input."""
+        name, _, variable = transfer.name.partition(".")
+        signals = (*self.components[name].inputs, *self.components[name].exact_inputs)
+        return next((signal for signal in signals if signal.name == variable), None)
+
+
 def schedule(
     scenario: Scenario, components: Components, transfers: Sequence[Sequence[Transfer]], diagnosis: Diagnosis
 ) -> Schedule:
@@ -76,67 +148,46 @@ def schedule(
         transfers: Transfers of each connection.
     """
     every = {name: _every(scenario, name, diagnosis) for name in components}
+    wired = [(_edge(c), ends) for c, ends in zip(scenario.connections, transfers, strict=True) if not ends[0].is_clock]
+    graph = _Graph(components, every, wired)
     algorithm = algorithms()[scenario.algorithm]
-    user_order = scenario.order if algorithm.sequential else None
-    if not _keys_agree(scenario, algorithm, user_order, components, diagnosis):
-        return Schedule()
-    wired = [(c, ends) for c, ends in zip(scenario.connections, transfers, strict=True) if not ends[0].is_clock]
-    edges, undeclared = [_edge(c) for c, _ in wired], scenario.loops is not None
-    try:
-        plan = algorithm.plan_with_loops(components, edges, user_order, undeclared=undeclared)
-    except AlgebraicLoop as loop:
-        names = {"names": ", ".join(sorted(set(loop.cycle))), "cycle": " → ".join(loop.cycle)}
-        message = messages.ALGEBRAIC_LOOP(algorithm=algorithm.name, other=WITHOUT_ORDER.name, **names)
-        diagnosis.note(("connections",), message)
-        return Schedule()
-    if sorted(plan.order) != sorted(components):
-        message = messages.PLAN_INCOMPLETE(algorithm=algorithm.name, order=", ".join(plan.order))
-        diagnosis.note(("algorithm",), message)
+    order = scenario.order if algorithm.sequential else None
+    plan = _plan(scenario, algorithm, order, graph, diagnosis)
+    if plan is None:
         return Schedule()
     diagnosis.warnings += plan.notes
-    ends = [ends for _, ends in wired]
-    held, pulls, solved = _sorted_transfers(plan, edges, ends)
-    loops = _loops(plan, solved)
-    for place, fault in (each for loop in loops for each in _loop_faults(loop, components, every)):
-        diagnosis.note(place, fault)
+    held, pulls, loops = graph.sort_transfers(plan)
+    for loop in loops:
+        for place, fault in graph.faults(loop):
+            diagnosis.note(place, fault)
     stages = tuple(Stage(components[n], tuple(pulls[n]), every[n]) for n in plan.order)
     assumptions = [note for note in plan.notes if code_of(note) == ASSUMED_WITHOUT_FEEDTHROUGH.code]
     opened: tuple[Loop, ...] = ()
-    if not undeclared:
-        key = FEEDTHROUGH if algorithm.solves_loops else f"algorithm: {algorithm.name}"
-        possible = _possible_loops(components, edges, ends)
-        others = [loop for loop in possible if loop.members not in plan.loops]
-        reasons = [next((fault for _, fault in _loop_faults(loop, components, every)), None) for loop in others]
-        opened = _left_open(others, "order" if user_order is not None else key, assumptions, reasons)
     if scenario.loops is None:
+        key = FEEDTHROUGH if algorithm.solves_loops else f"algorithm: {algorithm.name}"
+        opened = tuple(graph.left_open(plan.loops, key if order is None else "order", assumptions))
         diagnosis.warnings += _loop_notes(loops, components)
     return Schedule(stages, tuple(held), _clock_wires(transfers), loops, opened, bool(assumptions))
 
 
-def _loops(plan: Plan, solved: Sequence[Sequence[Transfer]]) -> tuple[Loop, ...]:
-    return tuple(Loop(members, tuple(solved[k])) for k, members in enumerate(plan.loops))
-
-
-def _left_open(
-    loops: Sequence[Loop], key: str, assumptions: Sequence[str], faults: Sequence[Message | None]
-) -> tuple[Loop, ...]:
-    """Return loops with the key that leaves them open and the cure.
-
-    Args:
-        faults: Why each of them cannot be solved.
-    """
-    cures = (join("; ", assumptions) or fault or messages.LOOPS_SOLVES(key=key) for fault in faults)
-    note = messages.NO_LOOP_AT_START if key == FEEDTHROUGH and not assumptions else messages.LEFT_OPEN
-    pairs = zip(loops, cures, strict=True)
-    return tuple(replace(loop, left_open=note(loop=loop.name, by=key, cure=cure)) for loop, cure in pairs)
-
-
-def _possible_loops(
-    components: Components, edges: Sequence[Edge], transfers: Sequence[Sequence[Transfer]]
-) -> tuple[Loop, ...]:
-    """Return the loops if all inputs without declared dependencies have direct feedthrough."""
-    plan = DEFAULT.plan_with_loops(components, edges, None, undeclared=True)
-    return _loops(plan, _sorted_transfers(plan, edges, transfers)[2])
+def _plan(
+    scenario: Scenario, algorithm: Algorithm, order: Sequence[str] | None, graph: _Graph, diagnosis: Diagnosis
+) -> Plan | None:
+    """Return the plan of an algorithm; note a fault and return None if there is none."""
+    if not _keys_agree(scenario, algorithm, order, graph.components, diagnosis):
+        return None
+    try:
+        plan = algorithm.plan_with_loops(graph.components, graph.edges, order, undeclared=scenario.loops is not None)
+    except AlgebraicLoop as loop:
+        names = {"names": ", ".join(sorted(set(loop.cycle))), "cycle": " → ".join(loop.cycle)}
+        message = messages.ALGEBRAIC_LOOP(algorithm=algorithm.name, other=WITHOUT_ORDER.name, **names)
+        diagnosis.note(("connections",), message)
+        return None
+    if sorted(plan.order) != sorted(graph.components):
+        message = messages.PLAN_INCOMPLETE(algorithm=algorithm.name, order=", ".join(plan.order))
+        diagnosis.note(("algorithm",), message)
+        return None
+    return plan
 
 
 def _loop_notes(loops: Sequence[Loop], components: Components) -> list[str]:
@@ -153,24 +204,6 @@ def _clock_wires(transfers: Sequence[Sequence[Transfer]]) -> tuple[tuple[str, st
     return tuple((transfer.origin, transfer.name) for ends in transfers for transfer in ends if transfer.is_clock)
 
 
-def _sorted_transfers(
-    plan: Plan, edges: Sequence[Edge], transfers: Sequence[Sequence[Transfer]]
-) -> tuple[list[Transfer], dict[str, list[Transfer]], list[list[Transfer]]]:
-    """Return held transfers, pulls by component, and loops' transfers."""
-    loop_of = {name: k for k, members in enumerate(plan.loops) for name in members}
-    held: list[Transfer] = []
-    solved: list[list[Transfer]] = [[] for _ in plan.loops]
-    pulls: dict[str, list[Transfer]] = {name: [] for name in plan.order}
-    for (source, target, *_), connection, is_immediate in zip(edges, transfers, plan.immediate, strict=True):
-        if not is_immediate:
-            held += connection
-        elif target in loop_of and loop_of.get(source) == loop_of[target]:
-            solved[loop_of[target]] += connection
-        else:
-            pulls[target] += connection
-    return held, pulls, solved
-
-
 def _keys_agree(
     scenario: Scenario, algorithm: Algorithm, order: Sequence[str] | None, components: Components, diagnosis: Diagnosis
 ) -> bool:
@@ -184,31 +217,6 @@ def _keys_agree(
     else:
         diagnosis.note(("loops",), messages.NO_LOOPS(algorithm=algorithm.name, other=DEFAULT.name))
     return False
-
-
-def _loop_faults(loop: Loop, components: Components, every: Mapping[str, int]) -> Iterator[tuple[Place, Message]]:
-    """Yield faults of a loop that cannot be solved, with their places."""
-    has_events = any(isinstance(component, EventFmu) for component in components.values())
-    for name in loop.members:
-        component = components[name]
-        if isinstance(component, EventFmu):
-            yield ("components", name), messages.EVENT_MODE_IN_LOOP(component=name, loop=loop.name)
-        elif has_events and getattr(component, "changes_by_events", False):
-            yield ("components", name), messages.EXCHANGE_IN_LOOP(component=name, loop=loop.name)
-        if every[name] > 1:
-            yield ("components", name, "step"), messages.OWN_STEP_IN_LOOP(component=name, loop=loop.name)
-    for transfer in loop.transfers:
-        signal = _target_of(transfer, components)
-        if any(transfer.beside) or (signal is not None and signal.is_whole):
-            kind = signal.kind if signal is not None else ""
-            yield ("connections",), messages.LOOP_OF_NO_REALS(signal=transfer.name, type=kind)
-
-
-def _target_of(transfer: Transfer, components: Components) -> Signal | None:
-    """Return the input that a transfer writes; None for a variable that is no input."""
-    name, _, variable = transfer.name.partition(".")
-    signals = (*components[name].inputs, *components[name].exact_inputs)
-    return next((signal for signal in signals if signal.name == variable), None)
 
 
 def _every(scenario: Scenario, name: str, diagnosis: Diagnosis) -> int:

@@ -234,7 +234,7 @@ def _lines_of_several(c: ComparedRuns) -> list[str]:
     inputs = [(f"  {i.name}", *(input_text(i.values[k]) for k in shown)) for i in c.inputs[:MAX_SIGNALS]]
     lines += table(("  input", *heads), inputs) if inputs else []
     rows = []
-    differing = {name: cells for name, cells in c.table.items() if any(d is not None and d.largest for d in cells)}
+    differing = c.differing
     for name, cells in list(differing.items())[:MAX_SIGNALS]:
         shares = ("" if (d := cells[k]) is None else f"{format_size(d, d.largest)}, {format_share(d)}" for k in shown)
         rows.append((f"  {name}", *shares))
