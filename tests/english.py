@@ -9,7 +9,7 @@ from __future__ import annotations
 import ast
 import re
 import statistics
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -55,20 +55,20 @@ def find_long_paragraphs(page: Path) -> list[str]:
     ]
 
 
-def measure(package: str) -> tuple[int, float, float, float]:
-    """Return the number of docstrings, the shares of fragments and pronouns, and the first lines' median words."""
-    texts = list(read_docstrings(package))
+def measure(texts: Sequence[str]) -> tuple[float, float, float]:
+    """Return the shares of fragments and pronouns in docstrings, and the first lines' median words."""
     first_lines = [split_words(text.splitlines()[0]) for text in texts]
     all_words = [word for text in texts for word in split_words(text)]
     fragments = sum(bool(line) and line[0] in FRAGMENTS for line in first_lines) / len(texts)
     pronouns = sum(word in PRONOUNS for word in all_words) / len(all_words)
-    return len(texts), fragments, pronouns, statistics.median(map(len, first_lines))
+    return fragments, pronouns, statistics.median(map(len, first_lines))
 
 
 def format_docstring_line(package: str) -> str:
     """Return the measures of a package's docstrings as a line of a table."""
-    count, fragments, pronouns, median = measure(package)
-    return f"{package:12}{count:6}{fragments:12.1%}{pronouns:11.1%}{median:9.0f}"
+    texts = list(read_docstrings(package))
+    fragments, pronouns, median = measure(texts)
+    return f"{package:12}{len(texts):6}{fragments:12.1%}{pronouns:11.1%}{median:9.0f}"
 
 
 def main() -> None:

@@ -71,25 +71,22 @@ def bare_calls(tree: ast.AST) -> list[tuple[int, str]]:
 
     The text is in the call, or the argument is a name to which the same function assigns a text.
     """
-    calls = set()
-    for scope in ast.walk(tree):
-        if not isinstance(scope, (ast.Module, ast.FunctionDef)):
-            continue
-        nodes = [*ast.walk(scope)]
-        texts = set() if isinstance(scope, ast.Module) else set(_names_of_texts(nodes))
-        for node in nodes:
-            if isinstance(node, ast.Call) and (sink := _sink(node)) is not None:
-                name, argument = sink
-                if _has_text(argument) or (isinstance(argument, ast.Name) and argument.id in texts):
-                    calls.add((node.lineno, name))
+    found = _sinks(tree)
+    calls = {(line, name) for line, name, argument in found if _has_text(argument)}
+    if any(isinstance(argument, ast.Name) for _, _, argument in found):
+        for scope in ast.walk(tree):
+            if isinstance(scope, ast.FunctionDef):
+                named = [(line, name, value.id) for line, name, value in _sinks(scope) if isinstance(value, ast.Name)]
+                texts = set(_names_of_texts(ast.walk(scope))) if named else set()
+                calls |= {(line, name) for line, name, value in named if value in texts}
     return sorted(calls)
 
 
-def _sink(call: ast.Call) -> tuple[str, ast.expr] | None:
-    """Return the name of a call that takes a message, and the message."""
-    name = _name_of(call)
-    at = SINKS.get(name)
-    return None if at is None or len(call.args) <= at else (name, call.args[at])
+def _sinks(scope: ast.AST) -> list[tuple[int, str, ast.expr]]:
+    """Return line, name and message of each call that takes a message."""
+    calls = [(node, _name_of(node)) for node in ast.walk(scope) if isinstance(node, ast.Call)]
+    known = [(node, name, SINKS[name]) for node, name in calls if name in SINKS]
+    return [(node.lineno, name, node.args[at]) for node, name, at in known if at < len(node.args)]
 
 
 def _name_of(call: ast.Call) -> str:

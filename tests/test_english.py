@@ -9,10 +9,8 @@ import pytest
 from tests.english import (
     HAND_WRITTEN,
     MAX_README_WORDS,
-    PACKAGES,
     ROOT,
     find_long_paragraphs,
-    measure,
     split_paragraphs,
 )
 
@@ -24,14 +22,6 @@ def test_the_readme_is_short() -> None:
 @pytest.mark.parametrize("page", HAND_WRITTEN, ids=lambda page: page.stem)
 def test_paragraphs_of_a_document_are_short(page: Path) -> None:
     assert find_long_paragraphs(page) == []
-
-
-@pytest.mark.parametrize("package", PACKAGES)
-def test_docstrings_begin_with_a_short_complete_sentence(package: str) -> None:
-    _, fragments, pronouns, median = measure(package)
-    assert fragments <= 0.02
-    assert pronouns <= 0.03
-    assert median <= 9
 
 
 def test_paragraphs_are_counted_without_code_tables_and_headings(tmp_path: Path) -> None:

@@ -8,10 +8,14 @@ import re
 import subprocess
 import tomllib
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
 
+from tests.english import PACKAGES as ENGLISH
+from tests.english import measure
+from tests.messages import bare_calls
 from tests.test_drive import EXAMPLE, simulated
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -94,19 +98,6 @@ def test_no_single_modules_at_the_top_of_the_framework() -> None:
     assert files == {"__init__.py", "__main__.py", "py.typed"}
 
 
-def test_the_framework_names_no_module_of_the_example_in_a_text() -> None:
-    module = re.compile(r"(?:plant|controller|fmus)(?:\.\w+)+(?::\w+)?|(?:plant|controller|fmus):\w+")
-    found = [
-        f"{path}:{node.lineno}: {node.value}"
-        for path in sources()
-        if path.suffix == ".py" and path.parts[0] == "cosim"
-        for node in ast.walk(ast.parse((ROOT / path).read_text(encoding="utf-8")))
-        if isinstance(node, ast.Constant) and isinstance(node.value, str) and module.fullmatch(node.value)
-        if not node.value.endswith((".fmu", ".ssp", ".yaml", ".py"))
-    ]
-    assert found == []
-
-
 MOST_BRANCHES = 14  # cyclomatic complexity of a function
 
 
@@ -147,24 +138,69 @@ def function(a, b):
     assert branches(ast.parse(text).body[0]) == 10
 
 
-@pytest.mark.thorough
-def test_no_function_is_compressed() -> None:
-    found = []
-    for path in sources():
-        if path.suffix != ".py":
+@dataclass
+class Read:
+    """What the modules contain, each of them parsed once: docstrings of functions by package, and findings."""
+
+    docstrings: dict[str, list[str]] = field(default_factory=lambda: {package: [] for package in ENGLISH})
+    compressed: list[str] = field(default_factory=list)
+    texts_of_example: list[str] = field(default_factory=list)
+    without_code: list[str] = field(default_factory=list)
+    formatted_by_hand: list[str] = field(default_factory=list)
+
+
+@pytest.fixture(scope="module")
+def read() -> Read:
+    module_path = re.compile(r"(?:plant|controller|fmus)(?:\.\w+)+(?::\w+)?|(?:plant|controller|fmus):\w+")
+    found = Read()
+    for path in sorted(path.relative_to(ROOT) for package in ENGLISH for path in (ROOT / package).rglob("*.py")):
+        text, package = (ROOT / path).read_text(encoding="utf-8"), path.parts[0]
+        tree = ast.parse(text)
+        nodes = [*ast.walk(tree)]
+        functions = [node for node in nodes if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef))]
+        found.docstrings[package] += filter(None, map(ast.get_docstring, functions))
+        if package not in PACKAGES:
             continue
-        text = (ROOT / path).read_text(encoding="utf-8")
-        found += [
+        found.compressed += [
             f"{path}:{node.lineno}: {node.name} has {count} branches; a table, a class or a longer body has fewer"
-            for node in ast.walk(ast.parse(text))
-            if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)) and (count := branches(node)) > MOST_BRANCHES
+            for node in functions
+            if (count := branches(node)) > MOST_BRANCHES
         ]
-        found += [
+        found.formatted_by_hand += [
             f"{path}:{number}: {line.strip()}"
             for number, line in enumerate(text.splitlines(), 1)
             if re.search(r"# fmt: (skip|off)", line)
         ]
-    assert found == []
+        found.without_code += [f"{path}:{line}: {name}" for line, name in bare_calls(tree)]
+        if package == "cosim":
+            found.texts_of_example += [
+                f"{path}:{node.lineno}: {node.value}"
+                for node in nodes
+                if isinstance(node, ast.Constant) and isinstance(node.value, str) and module_path.fullmatch(node.value)
+                if not node.value.endswith((".fmu", ".ssp", ".yaml", ".py"))
+            ]
+    return found
+
+
+def test_no_function_is_compressed(read: Read) -> None:
+    assert read.compressed == []
+    assert read.formatted_by_hand == []
+
+
+def test_the_framework_names_no_module_of_the_example_in_a_text(read: Read) -> None:
+    assert read.texts_of_example == []
+
+
+def test_no_text_without_a_code_becomes_a_message(read: Read) -> None:
+    assert read.without_code == []
+
+
+@pytest.mark.parametrize("package", ENGLISH)
+def test_docstrings_begin_with_a_short_complete_sentence(package: str, read: Read) -> None:
+    fragments, pronouns, median = measure(read.docstrings[package])
+    assert fragments <= 0.02
+    assert pronouns <= 0.03
+    assert median <= 9
 
 
 def test_the_names_of_the_craft_stand_in_its_own_rooms_alone() -> None:

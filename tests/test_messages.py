@@ -24,7 +24,7 @@ from cosim.base.errors import (
 from cosim.base.messages import Message, Template, code_of
 from cosim.blocks.component import EarlyEnd
 from tests.conftest import ROOT
-from tests.messages import PACKAGES, bare, bare_calls, message_modules, page, templates
+from tests.messages import PACKAGES, bare_calls, message_modules, page, templates
 from tests.warm import cosim
 
 MADE = Template("E-TST-001", "is {value:.1f} s; the largest is {most:g} s")
@@ -86,11 +86,6 @@ def test_codes_are_unique_and_well_formed_and_every_template_is_used() -> None:
 def test_the_page_of_messages_is_made_from_the_templates() -> None:
     told = "python -m tests.messages > docs/messages.md"
     assert (ROOT / "docs" / "messages.md").read_text(encoding="utf-8") == page(), told
-
-
-@pytest.mark.parametrize("package", PACKAGES)
-def test_no_text_without_a_code_becomes_a_message(package: str) -> None:
-    assert list(bare(ROOT / package)) == []
 
 
 @pytest.mark.parametrize(
