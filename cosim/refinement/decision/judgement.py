@@ -30,6 +30,7 @@ from cosim.refinement.search.hypotheses import (
     Support,
     are_halved,
     best_hypothesis,
+    settled,
 )
 from cosim.subject.base_parameters import WIDTHS
 from cosim.subject.candidates import Candidate, Free
@@ -82,11 +83,8 @@ def _supported(search: Search, best: Hypothesis) -> _Remainder:
     while search.subject.probed and found.dropped and len(judged) <= MOST_OTHERS:
         others = [
             h
-            for h in search.tried.values()
-            if h.ended
-            and h.score < found.best.score - RIVAL
-            and h not in judged
-            and found.dropped.keys().isdisjoint(h.names)
+            for h in settled(search.tried.values(), found.best.score - RIVAL)
+            if h not in judged and found.dropped.keys().isdisjoint(h.names)
         ]
         if not others:
             break
@@ -100,7 +98,7 @@ def _supported(search: Search, best: Hypothesis) -> _Remainder:
 def _unrefuted(search: Search, rest: _Remainder) -> _Remainder:
     """Return the remainder, or in its place a richer rival that refutes it, if all parts of the rival are supported."""
     best = rest.best
-    near = [h for h in search.tried.values() if h.ended and h.score - best.score < RIVAL and h.is_apart(best)]
+    near = [h for h in settled(search.tried.values(), best.score + RIVAL) if h.is_apart(best)]
     for h in sorted(near, key=lambda h: h.score):
         if _refutes(search, h, best):
             found = _remainder(search, h)
@@ -114,13 +112,11 @@ def _with_nearly_paid(search: Search, rest: _Remainder) -> _Remainder:
 
     Such a part is no claim, but is named beside the verdict.
     """
-    best, dropped = rest.best, rest.dropped.keys()
+    best, size = rest.best, len(rest.best.candidates) + 1
     larger = [
-        h
-        for h in search.tried.values()
-        if h.ended and h.score - best.score < RIVAL and set(h.names) > set(best.names) and dropped.isdisjoint(h.names)
+        h for h in settled(search.tried.values(), best.score + RIVAL) if h.extends(best) and len(h.candidates) == size
     ]
-    larger = [h for h in larger if len(h.candidates) == len(best.candidates) + 1]
+    larger = [h for h in larger if rest.dropped.keys().isdisjoint(h.names)]
     if rest.fuller or not larger:
         return rest
     h = best_hypothesis(larger)
@@ -167,7 +163,7 @@ def _fuller_certain(search: Search, refused: Hypothesis, rest: Hypothesis) -> Hy
         rest: The hypothesis without this part.
     """
     limit = min(rest.score, refused.score + RIVAL)
-    near = [h for h in search.tried.values() if h.ended and h.score < limit and set(h.names) > set(refused.names)]
+    near = [h for h in settled(search.tried.values(), limit) if h.extends(refused)]
     for h in sorted(near, key=lambda h: h.score):
         new = [c for c in h.candidates if c.name not in refused.names]
         if any(c.kind == "parameter" for c in new) or _parameters_at_limit(h, new, search.problem.values):
@@ -332,7 +328,7 @@ def _rivals(search: Search, best: Hypothesis) -> tuple[Hypothesis, ...]:
     """
     if not best.candidates:
         return ()
-    near = [h for h in search.tried.values() if h.ended and h.score - best.score < NEAR and h.is_apart(best)]
+    near = [h for h in settled(search.tried.values(), best.score + NEAR) if h.is_apart(best)]
     near = [h for h in near if len(h.candidates) <= len(best.candidates) or h.score - best.score < RIVAL]
     rivals = [h for h in sorted(near, key=lambda h: h.score) if _is_rival(search, best, h)]
     # A superset of a rival with no better score is not a separate rival.

@@ -37,6 +37,10 @@ class Hypothesis:
         """Return True if all candidates are sensor errors."""
         return {c.kind for c in self.candidates} == {"sensor"}
 
+    def extends(self, other: Hypothesis) -> bool:
+        """Return True if this hypothesis contains all parts of the other, and more."""
+        return set(self.names) > set(other.names)
+
     def is_apart(self, other: Hypothesis) -> bool:
         """Return True if neither hypothesis contains the other."""
         names, others = set(self.names), set(other.names)
@@ -57,6 +61,11 @@ def are_halved(ratios: Sequence[float]) -> bool:
     if not ratios:
         return False
     return math.exp(sum(map(math.log, ratios)) / len(ratios)) <= MAX_HALVED_RATIO and max(ratios) < 1.0
+
+
+def settled(tried: Iterable[Hypothesis], limit: float) -> list[Hypothesis]:
+    """Return the hypotheses that were fitted to the end and have a score below a limit."""
+    return [h for h in tried if h.ended and h.score < limit]
 
 
 def best_hypothesis(hypotheses: Iterable[Hypothesis]) -> Hypothesis:
