@@ -24,3 +24,8 @@ def criterion_cell(entry: Mapping[str, Any] | None, *, limit: bool = True) -> tu
     value = entry.get("value")
     text = "never" if value is None else amount(float(value), str(entry.get("unit") or ""))
     return f"{text} of {criterion_limit(entry)}" if limit else text, "good" if entry.get("met") else "bad"
+
+
+def tone_of(*, judged: bool, same: bool) -> str:
+    """Return the tone of a verdict on a page."""
+    return "plain" if not judged else "good" if same else "bad"

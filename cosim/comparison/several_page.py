@@ -9,7 +9,7 @@ from typing import Any
 
 from cosim.base.text import counted
 from cosim.base.version import __version__
-from cosim.comparison.criterion_cells import criterion_cell, criterion_limit
+from cosim.comparison.criterion_cells import criterion_cell, criterion_limit, tone_of
 from cosim.comparison.differences import Compared
 from cosim.comparison.several import ComparedRuns, sentence
 from cosim.comparison.signal_panels import differences, equal_panel, overlay, styles_of
@@ -42,7 +42,7 @@ def _context(c: ComparedRuns, tolerance: str, options: Sequence[str]) -> Mapping
         "base": c.shorts[c.baseline],
         "count": counted(len(c.others), "run"),
         "outcome": sentence(c),
-        "tone": "plain" if not c.judged else "good" if c.same else "bad",
+        "tone": tone_of(judged=c.judged, same=c.same),
         "tolerance": tolerance,
         "judged": c.judged,
         "runs": _run_rows(c),

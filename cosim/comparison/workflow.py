@@ -15,7 +15,7 @@ from cosim.base.errors import InputError
 from cosim.base.text import counted, written
 from cosim.base.version import __version__
 from cosim.comparison import messages
-from cosim.comparison.criterion_cells import criterion_cell
+from cosim.comparison.criterion_cells import criterion_cell, tone_of
 from cosim.comparison.differences import Compared, compare_runs, criteria_of, sentence
 from cosim.comparison.several import ComparedRuns, RunSource, compare_several
 from cosim.comparison.several_page import several_page
@@ -177,7 +177,7 @@ def context(c: Compared) -> Mapping[str, Any]:
         "a": c.a,
         "b": c.b,
         "outcome": sentence(c),
-        "tone": "plain" if not c.judged else "good" if c.same else "bad",
+        "tone": tone_of(judged=c.judged, same=c.same),
         "judged": c.judged,
         "tolerance": _tolerance(c.tolerance, c.absolute),
         "aligned": c.aligned,
