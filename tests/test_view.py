@@ -439,6 +439,18 @@ def test_a_derived_signal_is_never_derived_from_itself(page: tuple[ViewPage, Ask
     np.testing.assert_array_equal(np.frombuffer(ask("values", {"at": 0.0, "curves": [[0, "d"]]})), [0, 1])
 
 
+def test_a_derived_signal_is_removed_after_those_that_depend_on_it(page: tuple[ViewPage, Ask]) -> None:
+    _, ask = page
+    ask("derive", {"name": "d", "formula": "a", "of": {"a": [0, "x"]}})
+    ask("derive", {"name": "e", "formula": "a", "of": {"a": [0, "d"]}})
+    assert "e is derived from d" in _refusal(ask, "derive", {"remove": [0, "d"]})
+    assert "no derived signal" in _refusal(ask, "derive", {"remove": [0, "x"]})
+    for name in ("e", "d"):
+        assert ask("derive", {"remove": [0, name]}) == []
+    assert ask("about")["runs"][0]["derived"] == []
+    _refusal(ask, "values", {"at": 0.0, "curves": [[0, "d"]]})
+
+
 def test_a_changed_formula_changes_the_signals_that_depend_on_it_or_nothing(page: tuple[ViewPage, Ask]) -> None:
     _, ask = page
     ask("derive", {"name": "d", "formula": "a", "of": {"a": [0, "x"]}})

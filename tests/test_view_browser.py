@@ -134,7 +134,7 @@ def test_zoom_cursor_files_and_layouts(browser: Browser, page_of_runs: ViewPage,
     box.focus()
     page.keyboard.press("0")
     until(page, DRAWN)
-    assert float(page.input_value("#to")) == 100.0
+    assert float(page.input_value("#to")) == 99.999  # of the runs that are drawn; another one ends at 100
     for key in ("End", "ArrowLeft", "m", "+"):
         page.keyboard.press(key)
     until(page, DRAWN)
@@ -186,6 +186,54 @@ def test_zoom_cursor_files_and_layouts(browser: Browser, page_of_runs: ViewPage,
     assert "run 0 (r0) was removed" in page.locator("#message").inner_text()
     assert _names(page) == before
     page.close()
+    assert faults == []
+
+
+def test_derived_signals_of_a_layout_stand_in_any_order_and_texts_are_read_at_the_cursor(
+    browser: Browser, tmp_path: Path
+) -> None:
+    at, runs = np.arange(100.0), []
+    for k in range(2):
+        texts = {"mode": ["idle"] * 50 + ["fly"] * 50, "id": [str(2**60 + row) for row in range(100)]}
+        columns = {TIME: at, "x": at * (k + 1), "id": np.full(100, 2.0**60)}
+        recording = Recording(columns, {"x": "m", "id": ""}, 100, texts)
+        runs.append(_run(tmp_path / f"r{k}.csv", k, recording))
+    curves = [{"run": "r0", "name": name} for name in ("d2", "mode", "id")]
+    derived = [
+        {"name": "d2", "formula": "2 * a", "of": {"a": {"run": "r0", "name": "d1"}}},
+        {"name": "d1", "formula": "b - a", "of": {"a": {"run": "r0", "name": "x"}, "b": {"run": "r1", "name": "d0"}}},
+        {"name": "d0", "formula": "a + 1", "of": {"a": {"run": "r1", "name": "x"}}},
+        {"name": "own", "formula": "a + 1", "of": {"a": {"run": "r0", "name": "own"}}},
+    ]
+    content = {"plots": [{"axes": [{"curves": curves}]}], "derived": derived}
+    (tmp_path / "view.json").write_text(json.dumps({"schema_version": 1, "layouts": {"last": content}}))
+    faults: list[str] = []
+    with ViewPage("2 runs", runs, Layouts(tmp_path / "view.json")) as served:
+        for _ in range(2):  # the second time the server has the signals already
+            page = opened(browser, served.server.url, faults, viewport={"width": 1300, "height": 900})
+            page.wait_for_selector("html[data-ready=view]", state="attached")
+            until(page, DRAWN)
+            assert page.locator("#message").inner_text() == "Derived from themselves, and left out: own"
+            assert _names(page) == ["d2 · run 0", "mode · run 0", "id · run 0"]
+            page.locator(".box").focus()
+            for key in ("End", "Shift+ArrowLeft"):
+                page.keyboard.press(key)
+            until(page, "document.querySelectorAll('.legend output')[1].textContent === '“fly”'")
+            number, _, whole = page.locator(".legend output").all_inner_texts()
+            row = int(whole) - 2**60
+            assert 90 < row < 99
+            assert float(number) == 2 * (row + 1)
+        page.click("#derive")
+        away = page.locator("#derived-list").get_by_role("button", name="Remove d1 · run 0")
+        away.click()
+        page.wait_for_selector("#derive-error:not([hidden])")
+        assert "d2 is derived from d1" in page.locator("#derive-error").inner_text()
+        page.locator("#derived-list").get_by_role("button", name="Remove d2 · run 0").click()
+        until(page, "document.querySelectorAll('#derived-list li').length === 2")
+        assert _names(page) == ["mode · run 0", "id · run 0"]
+        away.click()
+        until(page, "document.querySelectorAll('#derived-list li').length === 1")
+        page.close()
     assert faults == []
 
 

@@ -57,6 +57,21 @@ class Derivations:
                     self._compute(signal, definition)
                 raise
 
+    def remove(self, number: int, name: str) -> None:
+        """Remove a derived signal of a run.
+
+        Raises:
+            InputError: There is no such signal, or others depend on it.
+        """
+        signal = number, name
+        with self._lock:
+            if signal not in self._definitions:
+                raise InputError.at(Path("name"), messages.NOT_DERIVED(name=name))
+            if others := [other for _, other in self._dependents(signal)]:
+                raise InputError.at(Path("name"), messages.NEEDED(name=name, others=", ".join(others)))
+            del self._definitions[signal], self._notes[signal]
+            self._runs[number].rows.remove(name)
+
     def of_run(self, number: int) -> list[dict[str, Any]]:
         """Return the derived signals of a run."""
         return [self._about(signal) for signal in self._definitions if signal[0] == number]

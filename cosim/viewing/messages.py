@@ -53,6 +53,8 @@ OWN_SIGNAL = Template("E-VIE-023", "{name} would be derived from itself: {way}; 
 GAPS = Template("N-VIE-024", "{name}: {count} without values, at most {longest:.3g} s, are bridged by straight lines")
 NO_VALUE = Template("N-VIE-025", "{name} has no value in any row")
 UNKNOWN_UNITS = Template("N-VIE-026", "{name}: {units} is no known unit, so that the result has none")
+NOT_DERIVED = Template("E-VIE-029", "{name} is no derived signal")
+NEEDED = Template("E-VIE-030", "{others} is derived from {name}; remove that first")
 ROUNDED = Template(
     "N-VIE-028", "{run}: integers of {names} above 2^53 are drawn as the nearest double; the cursor shows all digits"
 )

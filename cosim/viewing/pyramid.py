@@ -129,6 +129,12 @@ class Recording:
             self._columns[name], self.added[name] = values, unit
             self._extremes.pop(name, None)
 
+    def remove(self, name: str) -> None:
+        """Remove a computed signal."""
+        with self._lock:
+            del self._columns[name], self.added[name]
+            self._extremes.pop(name, None)
+
     def take(self, part: Part, name: str, places: Places) -> Array:
         """Return values of a column at places, which are within it."""
         with self._lock:

@@ -153,8 +153,12 @@ class ViewPage(ServedPage):
         return json_answer([t for curve in curves for t in _unless_lost(curve[0], text, *curve, lost=[None])])
 
     def _derive(self, request: Request) -> Answer:
-        """Add a derived signal to the run of its first signal; return it and the signals that depend on it."""
+        """Add a derived signal to the run of its first signal, or remove one; return it and those that depend on it."""
         content = _content(request)
+        if "remove" in content:
+            run, name = self._curve(content["remove"])
+            self._derivations.remove(self._runs.index(run), name)
+            return json_answer([])
         name, text, of = (content.get(key) for key in ("name", "formula", "of"))
         if not (isinstance(name, str) and name.strip() and isinstance(text, str) and isinstance(of, dict) and of):
             raise _refused("a name, a formula and its signals")

@@ -71,11 +71,13 @@
       return plot;
     },
     remove(plot) {
+      const before = desk.extent;
       plot.figure.remove();
       desk.plots = desk.plots.filter((each) => each !== plot);
       if (!desk.plots.length) desk.addPlot("time");
       if (desk.active === plot) desk.mark(desk.plots[0]);
       for (const each of desk.plots) each.build();
+      desk.follow(before);
     },
     mark(plot) {
       desk.active = plot;
@@ -85,8 +87,10 @@
       }
     },
     add(curves, plot, place = null) {
-      const some = curves.slice(0, MOST_DROPPED);
+      const some = curves.slice(0, MOST_DROPPED),
+        before = desk.extent;
       plot.add(some, place);
+      desk.follow(before);
       desk.mark(plot);
       const rest = curves.length - some.length;
       const what = some.length === 1 ? some[0][1] : `${some.length} signals`;
@@ -122,6 +126,13 @@
       return [label, `${made.formula} with ${parts.join(", ")}`, ...made.notes].join("\n");
     },
 
+    // Paper has no hints: it lists the runs that are drawn.
+    listRuns() {
+      const drawn = [...new Set(desk.plots.flatMap((plot) => plot.curves.map((c) => c.run)))].sort((a, b) => a - b);
+      const lines = drawn.map((run) => make("li", {}, `${runs[run].label}: ${runs[run].file}`));
+      one("#paper-runs").replaceChildren(...lines);
+    },
+
     // -- view and cursor ----------------------------------------------------------------------------
     look(from, to) {
       const least = LEAST * (whole.to - whole.from),
@@ -134,9 +145,23 @@
       for (const plot of desk.plots) plot.fresh = false;
       schedule();
     },
+    // The time of the runs that are drawn: a short run beside a long one that is not drawn keeps its width.
+    get extent() {
+      const drawn = new Set(desk.plots.flatMap((plot) => plot.curves.map((c) => c.run))),
+        some = [...drawn].map((run) => runs[run]);
+      const from = Math.min(...some.map((r) => r.from)),
+        to = Math.max(...some.map((r) => r.to));
+      return to > from ? { from, to } : { ...whole };
+    },
+    follow(before) {
+      const { from, to } = desk.extent;
+      const isNear = (one, other) => Math.abs(one - other) <= LEAST * (before.to - before.from);
+      if (isNear(desk.view.from, before.from) && isNear(desk.view.to, before.to)) desk.look(from, to); // not zoomed
+    },
     home() {
       for (const each of desk.plots.flatMap((plot) => plot.axes)) each.range = null;
-      desk.look(whole.from, whole.to);
+      const { from, to } = desk.extent;
+      desk.look(from, to);
     },
     zoom(factor, about) {
       const { from, to } = desk.view;
@@ -546,9 +571,52 @@
     one("#formula").value = curves.length > 1 ? READY[0] : "der(a)";
     one("#ready").value = one("#formula").value;
     name();
+    listDerived();
     fail(one("#derive-error"), null);
     one("#derive-box").showModal();
   });
+  // Derived signals by their names; a click shows the formula for a change.
+  function listDerived() {
+    const entry = (made) => {
+      const label = `${made.name}${runs.length > 1 ? ` · ${runs[made.run].short}` : ""}`,
+        show = make("button", { type: "button", title: desk.about(made) }, label),
+        away = make("button", { type: "button", class: "away", "aria-label": `Remove ${label}` }, "×");
+      show.addEventListener("click", () => showFormula(made));
+      away.addEventListener("click", () => removeDerived(made).catch((error) => fail(one("#derive-error"), error)));
+      return make("li", {}, show, " ", away);
+    };
+    one("#derived-list").replaceChildren(...runs.flatMap((run) => run.formulas).map(entry));
+  }
+  function showFormula({ name: label, formula, of }) {
+    for (const [letter, [run, signal]] of Object.entries(of).filter(([each]) => LETTERS.includes(each))) {
+      one(`#run-${letter}`).value = run;
+      one(`#letter-${letter}`).value = signal;
+    }
+    one("#formula").value = formula;
+    one("#derived-name").value = label;
+    one("#formula").focus();
+  }
+  async function removeDerived(made) {
+    await post("derive", { remove: [made.run, made.name] });
+    const run = runs[made.run];
+    run.formulas = run.formulas.filter((f) => f.name !== made.name);
+    run.derived = run.formulas.map(({ name: label }) => label);
+    delete run.units[made.name];
+    const isIt = (c) => c?.run === made.run && c.name === made.name;
+    for (const plot of desk.plots) {
+      if (isIt(plot.across)) plot.across = null;
+      for (const curve of plot.curves.filter((c) => isIt(c) || (plot.kind === "xy" && !plot.across))) plot.take(curve);
+    }
+    fail(one("#derive-error"), null);
+    renew();
+    listDerived();
+  }
+  function renew() {
+    tree.tries.clear();
+    tree.union = null;
+    tree.fill();
+    count();
+  }
   const name = () => {
     const used = LETTERS.filter((letter) => one("#formula").value.match(`\\b${letter}\\b`)),
       places = new Set(used.map((letter) => one(`#run-${letter}`).value));
@@ -586,9 +654,7 @@
           warn(`${label} of ${runs[place].label} is left out: ${error.message}`);
         }
       }
-      tree.tries.clear();
-      tree.fill();
-      count();
+      renew();
       one("#derive-box").close();
       desk.add(added, desk.active);
     } catch (error) {
@@ -651,10 +717,9 @@
       plot.build();
     }
     if (!desk.plots.length) desk.addPlot("time");
-    tree.tries.clear();
-    tree.fill();
-    count();
-    if (content.view) desk.look(Number(content.view.from), Number(content.view.to));
+    renew();
+    const { from, to } = content.view ?? desk.extent;
+    desk.look(Number(from), Number(to));
     if (missing.length)
       warn(`Not in these runs, and left out: ${missing.slice(0, 5).join(", ")}${missing.length > 5 ? ", …" : ""}`);
     for (const words of wrong) warn(words);
@@ -666,10 +731,10 @@
       return { signal, formula, here, run: Object.values(here)[0][0] };
     });
     const waits = (each) =>
-      Object.values(each.here).some(([run, name]) =>
-        waiting.some((other) => other !== each && other.run === run && other.signal === name),
+      Object.values(each.here).some(([run, signal]) =>
+        waiting.some((other) => other.run === run && other.signal === signal),
       );
-    for (let next; (next = waiting.find((each) => !waits(each)) ?? waiting[0]); ) {
+    for (let next; (next = waiting.find((each) => !waits(each))); ) {
       waiting = waiting.filter((each) => each !== next);
       if (Object.values(next.here).some(([run, name]) => run < 0 || !(name in runs[run].units)))
         missing.push(next.signal);
@@ -678,6 +743,7 @@
           wrong.push(`${next.signal} is left out: ${error.message}`),
         );
     }
+    if (waiting.length) wrong.push(`Derived from themselves, and left out: ${waiting.map((f) => f.signal).join(", ")}`);
   }
   const attempt = async (deed) => {
     try {
@@ -745,6 +811,9 @@
     for (const plot of desk.plots) plot.fresh = false;
     schedule();
   }).observe(one("#charts"));
-  addEventListener("beforeprint", () => draw(desk.plots));
+  addEventListener("beforeprint", () => {
+    desk.listRuns();
+    draw(desk.plots);
+  });
   document.documentElement.dataset.ready = "view";
 })();
