@@ -101,6 +101,21 @@ def test_a_signal_that_is_equal_in_all_runs_is_folded_with_one_curve() -> None:
     assert "2 signals equal in all runs" in several_page(same, "", [])
 
 
+def test_integers_of_64_bits_are_compared_as_numbers_and_large_ones_by_their_digits() -> None:
+    def source(name: str, small: int, large: int, mode: str, *, as_read: bool) -> RunSource:
+        columns = {"small": [small] * 101, "large": [large] * 101, "mode": [mode] * 101}
+        exact = {n: [str(v) for v in values] if as_read else values for n, values in columns.items()}
+        rows = Results(TIME, ("x",), TIME[:, None], {}, exact)
+        return RunSource(name, Path(name), lambda: RecordedRun(Path(name), name, rows))
+
+    others = [source("b", 5, 2**60 + 1, "on", as_read=True), source("c", 0, 2**60, "off", as_read=True)]
+    found = compare_several([source("a", 0, 2**60, "on", as_read=False), *others])
+    first, second = ({d.name: d.largest for d in c.differences} for c in found.comparisons)
+    assert first == {"x": 0.0, "small": 5.0, "large": 1.0, "mode": 0.0}
+    assert second == {"x": 0.0, "small": 0.0, "large": 0.0, "mode": 1.0}
+    assert [values[0] for values in found.curves["small"]] == [0.0, 5.0, 0.0]
+
+
 def test_every_run_is_compared_with_the_baseline() -> None:
     found = compare_several([_source("a", 1.0), _source("b", 2.0), _source("c", 1.0)], baseline=1, tolerance=0.4)
     assert [(c.a.name, c.b.name, c.differences[0].largest) for c in found.comparisons] == [

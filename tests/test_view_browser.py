@@ -198,7 +198,9 @@ def test_derived_signals_of_a_layout_stand_in_any_order_and_texts_are_read_at_th
         columns = {TIME: at, "x": at * (k + 1), "id": np.full(100, 2.0**60)}
         recording = Recording(columns, {"x": "m", "id": ""}, 100, texts)
         runs.append(_run(tmp_path / f"r{k}.csv", k, recording))
-    curves = [{"run": "r0", "name": name} for name in ("d2", "mode", "id")]
+    short = Recording({TIME: np.array([0.0, 1.0]), "x": np.zeros(2)}, {"x": "m"}, 2)
+    runs.append(_run(tmp_path / "r2.csv", 2, short))
+    curves = [{"run": "r0", "name": name} for name in ("d2", "mode", "id")] + [{"run": "r2", "name": "x"}]
     derived = [
         {"name": "d2", "formula": "2 * a", "of": {"a": {"run": "r0", "name": "d1"}}},
         {"name": "d1", "formula": "b - a", "of": {"a": {"run": "r0", "name": "x"}, "b": {"run": "r1", "name": "d0"}}},
@@ -208,18 +210,19 @@ def test_derived_signals_of_a_layout_stand_in_any_order_and_texts_are_read_at_th
     content = {"plots": [{"axes": [{"curves": curves}]}], "derived": derived}
     (tmp_path / "view.json").write_text(json.dumps({"schema_version": 1, "layouts": {"last": content}}))
     faults: list[str] = []
-    with ViewPage("2 runs", runs, Layouts(tmp_path / "view.json")) as served:
+    with ViewPage("3 runs", runs, Layouts(tmp_path / "view.json")) as served:
         for _ in range(2):  # the second time the server has the signals already
             page = opened(browser, served.server.url, faults, viewport={"width": 1300, "height": 900})
             page.wait_for_selector("html[data-ready=view]", state="attached")
             until(page, DRAWN)
             assert page.locator("#message").inner_text() == "Derived from themselves, and left out: own"
-            assert _names(page) == ["d2 · run 0", "mode · run 0", "id · run 0"]
+            assert sorted(_names(page)) == ["d2 · run 0", "id · run 0", "mode · run 0", "x · run 2"]
             page.locator(".box").focus()
             for key in ("End", "Shift+ArrowLeft"):
                 page.keyboard.press(key)
             until(page, "document.querySelectorAll('.legend output')[1].textContent === '“fly”'")
-            number, _, whole = page.locator(".legend output").all_inner_texts()
+            number, _, whole, ended = page.locator(".legend output").all_inner_texts()
+            assert ended == "ended"
             row = int(whole) - 2**60
             assert 90 < row < 99
             assert float(number) == 2 * (row + 1)
@@ -230,7 +233,7 @@ def test_derived_signals_of_a_layout_stand_in_any_order_and_texts_are_read_at_th
         assert "d2 is derived from d1" in page.locator("#derive-error").inner_text()
         page.locator("#derived-list").get_by_role("button", name="Remove d2 · run 0").click()
         until(page, "document.querySelectorAll('#derived-list li').length === 2")
-        assert _names(page) == ["mode · run 0", "id · run 0"]
+        assert _names(page) == ["mode · run 0", "id · run 0", "x · run 2"]
         away.click()
         until(page, "document.querySelectorAll('#derived-list li').length === 1")
         page.close()

@@ -18,6 +18,7 @@ from cosim.comparison import messages, signals
 from cosim.comparison.intermediate_rows import rows_between
 from cosim.comparison.signals import Difference, Tolerance, format_share, format_size
 from cosim.simulation.run_files import RecordedRun
+from cosim.storage.results import is_rounded
 
 if TYPE_CHECKING:
     import pandas
@@ -176,6 +177,7 @@ def compare_runs(a: RecordedRun, b: RecordedRun, tolerance: float | None = None,
     Raises:
         InputError: The runs have no common signal or time.
     """
+    a, b = (replace(run, results=run.results.with_integers()) for run in (a, b))
     in_both = {*_names(a)} & {*_names(b)}
     common = [name for name in _names(a) if name in in_both]
     if not common:
@@ -194,7 +196,7 @@ def compare_runs(a: RecordedRun, b: RecordedRun, tolerance: float | None = None,
 
 
 def _names(run: RecordedRun) -> tuple[str, ...]:
-    return (*run.results.columns, *run.results.exact)
+    return tuple(dict.fromkeys((*run.results.columns, *run.results.exact)))
 
 
 class _Overlap:
@@ -214,7 +216,7 @@ class _Overlap:
         """Return the comparison of a signal."""
         a, b = self.a.results, self.b.results
         has_tolerance = self.allowed.relative is not None
-        if name in a.exact or name in b.exact:
+        if not all(name in r and not (name in r.exact and is_rounded(r[name])) for r in (a, b)):
             return signals.compare_text(self.a, self.b, name, self.rows, self.between, has_tolerance=has_tolerance)
         unit, other = a.units.get(name, ""), b.units.get(name, "")
         by = conversion(other, unit)

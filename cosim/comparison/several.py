@@ -258,9 +258,11 @@ def compare_several(
 
 def _with_curves(compared: ComparedRuns, base: Results, drawn: Iterable[RecordedRun]) -> ComparedRuns:
     """Add the values of the signals that differ most in the drawn runs, at the times of the baseline."""
+    base = base.with_integers()
     names = [name for name in compared.ranking if name in base][:MAX_SIGNALS]
     units = {name: base.units.get(name, "") for name in names}
-    by_run = [[_at_times(run, name, units[name], base.time) for name in names] for run in drawn]
+    runs = (replace(run, results=run.results.with_integers()) for run in drawn)
+    by_run = [[_at_times(run, name, units[name], base.time) for name in names] for run in runs]
     curves = {name: [values[place] for values in by_run] for place, name in enumerate(names)}
     return replace(compared, curves=curves, units=units)
 

@@ -12,6 +12,7 @@ from cosim.base.text import amount, plain
 from cosim.base.units import Conversion
 from cosim.comparison.intermediate_rows import RowsBetween
 from cosim.simulation.run_files import RecordedRun
+from cosim.storage.table_source import as_text
 
 SAME_TIME = 1e-9  # fraction of a step
 ROUNDING = 8 * float(np.finfo(float).eps)  # fraction of a value, for a unit conversion there and back
@@ -143,7 +144,7 @@ def compare_text(
     A text of b holds until the next row of b.
     """
     aligned = between is None
-    first, second = (list(r.results.exact.get(name) or [str(v) for v in r.results[name]]) for r in (a, b))
+    first, second = ([*map(as_text, r.results.exact.get(name) or r.results[name])] for r in (a, b))
     time = a.results.time[rows]
     close = time_tolerance(a.results.time)
     places = range(time.size) if aligned else np.searchsorted(b.results.time, time + close, side="right") - 1

@@ -156,14 +156,14 @@ class ViewPage(ServedPage):
         """Add a derived signal to the run of its first signal, or remove one; return it and those that depend on it."""
         content = _content(request)
         if "remove" in content:
-            run, name = self._curve(content["remove"])
-            self._derivations.remove(self._runs.index(run), name)
+            removed, signal = self._curve(content["remove"])
+            self._derivations.remove(self._runs.index(removed), signal)
             return json_answer([])
         name, text, of = (content.get(key) for key in ("name", "formula", "of"))
         if not (isinstance(name, str) and name.strip() and isinstance(text, str) and isinstance(of, dict) and of):
             raise _refused("a name, a formula and its signals")
         curves = {str(letter): self._curve(curve) for letter, curve in of.items()}
-        signals = {letter: (self._runs.index(run), signal) for letter, (run, signal) in curves.items()}
+        signals = {letter: (self._runs.index(run), each) for letter, (run, each) in curves.items()}
         try:
             return json_answer(self._derivations.define(name, text, signals))
         except OSError:

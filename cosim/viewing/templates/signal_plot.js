@@ -311,9 +311,10 @@ class SignalPlot {
     if (this.kind === "xy" && cursor !== null && this.curves[0]?.data) this.spot(cursor);
   }
 
-  words({ data, value, text, kind, lost, pinned }, cursor, pin) {
+  words({ run, data, value, text, kind, lost, pinned }, cursor, pin) {
     if (lost) return "removed";
     if (cursor === null) return kind === "text" ? "text, at the cursor" : "";
+    if (this.isOver(run, cursor)) return "ended";
     if (kind && text?.at === cursor && (kind === "text" || pin === null))
       return kind === "text" ? `“${text.text ?? ""}”` : (text.text ?? "");
     if (value?.at === cursor) {
@@ -325,7 +326,13 @@ class SignalPlot {
     return data.isRow ? readable(data.low[k]) : `${readable(data.low[k])} … ${readable(data.high[k])}`;
   }
 
+  isOver(run, cursor) {
+    const { from, to } = this.desk.runs[run];
+    return cursor > to + 1e-9 * (to - from);
+  }
+
   spot(cursor) {
+    if (this.isOver(this.curves[0].run, cursor)) return;
     const { t, x, low } = this.curves[0].data,
       k = lastUpTo(t, cursor),
       scale = this.scales();
