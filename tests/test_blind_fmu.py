@@ -23,6 +23,7 @@ from tests.blind.fmu_build import FAULTS, PLANTS, WAYS, build, build_slave
 from tests.blind.fmu_rig import FmuRig, place
 from tests.blind.fmu_study import OWN_C, PYTHONFMU, SLAVES, deal, draw
 from tests.blind.fmu_truths import RIGS
+from tests.cases import some
 
 pytestmark = pytest.mark.skipif(
     compiler() is None or platform.system() != "Linux", reason="needs a C compiler and Linux folders"
@@ -53,9 +54,7 @@ def test_both_ways_of_both_versions_agree_in_fmpy(tmp_path: Path, plant: str, ve
     assert np.max(np.abs(exchange - steps) / np.ptp(steps, axis=0)) < 1e-3
 
 
-@pytest.mark.parametrize(
-    "fault", [pytest.param(fault, marks=pytest.mark.thorough) if k % 3 else fault for k, fault in enumerate(FAULTS)]
-)
+@pytest.mark.parametrize("fault", some(FAULTS, every=3))
 def test_each_fault_is_a_valid_fmu(tmp_path: Path, fault: str) -> None:
     for version in (2, 3):
         path = build(tmp_path / f"{version}.fmu", "drive", version, ways=WAYS, fault=fault)
@@ -177,7 +176,7 @@ def short_run(rig: FmuRig, rows: int) -> Run:
 
 
 @pytest.mark.parametrize("way", WAYS)
-@pytest.mark.parametrize("plant", PLANTS)
+@pytest.mark.parametrize("plant", some(PLANTS, every=3))
 def test_an_fmu_agrees_with_its_truth_within_a_tenth_of_the_noise(tmp_path: Path, plant: str, way: str) -> None:
     rig, declared = RIGS[plant, way], PLANTS[plant]
     run = short_run(rig, 60)

@@ -14,6 +14,7 @@ from cosim.scenario.controller_design import designed_values
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.system.system import build_system
 from fmus.recipes import integral_recipe, poles_recipe, predictive_recipe, time_variant_recipe
+from tests.cases import some
 
 FMUS = {
     "": "controller",
@@ -89,7 +90,7 @@ def test_every_key_of_a_design_is_tried() -> None:
 
 @pytest.mark.parametrize(
     ("key", "law", "value"),
-    [pytest.param(*case, marks=pytest.mark.thorough) if k % 3 else case for k, case in enumerate(CASES)],
+    some(CASES, every=3),
 )
 def test_a_value_that_an_option_cannot_have_is_one_fault_at_its_place(
     folder: Path, key: str, law: str, value: str

@@ -104,8 +104,10 @@ def free_run(subject: FmuSubject, folder: Path) -> Array:
 @pytest.mark.parametrize(
     ("claim", "change"),
     [
-        ({"bias_at_inflow__value": 0.01}, lambda u: u + 0.01),
-        ({"dead_band_at_inflow__width": 0.02}, lambda u: u - np.clip(u, -0.02, 0.02)),
+        pytest.param({"bias_at_inflow__value": 0.01}, lambda u: u + 0.01, marks=pytest.mark.thorough),
+        pytest.param(
+            {"dead_band_at_inflow__width": 0.02}, lambda u: u - np.clip(u, -0.02, 0.02), marks=pytest.mark.thorough
+        ),
         ({"lag_at_inflow__time": 1.5}, lambda u: lagged(u, 1.5)),
         ({"delay__time": 1.3}, lambda u: late(u, 1.3)),
     ],

@@ -46,7 +46,13 @@ def _listed(name: str) -> list[Entry]:
     ("name", "first", "second", "changes"),
     [
         ("tank", ["run", "run.yaml"], ["--set", AREA.format(0.7)], {"components.tank.start.area": 0.7}),
-        ("tank", ["simulate", "tank.fmu", "--stop", "1"], ["--set", "area=0.7"], {"components.tank.start.area": 0.7}),
+        pytest.param(
+            "tank",
+            ["simulate", "tank.fmu", "--stop", "1"],
+            ["--set", "area=0.7"],
+            {"components.tank.start.area": 0.7},
+            marks=pytest.mark.thorough,
+        ),
         ("e1", ["replay", "e1.csv", "--plant", "tank.fmu"], ["--start", "area=0.7"], {"start.area": 0.7}),
         ("areas", ["sweep", "sweep.yaml", "--workers", "1"], ["--force"], {}),
         ("e1-and-v1", ["compare", "e1.csv", "v1.csv"], ["--tol", "9"], {"tolerance": 9.0}),

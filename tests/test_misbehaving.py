@@ -33,6 +33,7 @@ from cosim.simulation.workflow import run
 from cosim.storage.folder_lock import LOCK_FILE
 from cosim.storage.table import read_columns
 from cosim.verbs.check_verb import check as check_files
+from tests.cases import some
 from tests.conftest import ROOT
 from tests.deeds import deeds_fmu, deeds_scenario
 from tests.logs import write_log
@@ -509,7 +510,7 @@ def test_limits_are_read_with_their_units() -> None:
     assert Limits.model_validate({"step": 1}).loading == 60.0
 
 
-@pytest.mark.parametrize("value", ["10 parsecs", "-1 s", "0", "s", "1e999", "1..2 s", "[]", "true"])
+@pytest.mark.parametrize("value", some(["10 parsecs", "-1 s", "s", "0", "1e999", "1..2 s", "[]", "true"], every=3))
 def test_a_limit_that_is_none_is_refused_at_its_place(tmp_path: Path, value: str) -> None:
     path = deeds_scenario(tmp_path, "none", "none", limits=f"{{step: {value}}}")
     with pytest.raises(InputError, match=r"deeds.yaml:\d+:\d+: limits.step is .*, 10 s for one") as refused:

@@ -15,6 +15,7 @@ from fmpy.validation import validate_fmu
 from cosim.loading.build_native import build_native
 from cosim.model import SCALAR
 from plant.hovercraft import Hovercraft
+from tests.cases import some
 from tests.native import NEEDS_COMPILER, Exchange, dop853, rk4
 from tests.test_effects import CASES, EVERYTHING, MEMORY, MOVING, named
 from tests.test_native import STEP, TIGHT, by_fmu, difference, wandering
@@ -52,7 +53,7 @@ def plants_own(f: Any, t: float, x: Any, end: float) -> Any:
 
 @pytest.mark.parametrize(
     "effects",
-    [{}, *(case for case, _ in CASES if not set(case) & set(REMEMBERING)), SMOOTH],
+    [SMOOTH, *some([{}, *(case for case, _ in CASES if not set(case) & set(REMEMBERING))], every=4)],
     ids=lambda e: str(named(e))[:60],
 )
 def test_the_plants_own_substeps_driven_from_outside_are_its_co_simulation(effects: Any, native_plant: Path) -> None:

@@ -111,7 +111,17 @@ def values_of(function: str, name: str) -> dict[str, Any]:
     return dict([*ODD.items()][(turn - 1) % 4 :: 4]) if turn else ODD
 
 
-@pytest.mark.parametrize(("function", "name"), parameters())
+def cases() -> list[Any]:
+    """Each argument of each function: those that an earlier function has, with the same type, in `make thorough`."""
+    known, found = set(), []
+    for function, name in parameters():
+        kind = name, str(inspect.signature(getattr(cosim, function)).parameters[name].annotation)
+        found.append(pytest.param(function, name, marks=[pytest.mark.thorough] if kind in known else []))
+        known.add(kind)
+    return found
+
+
+@pytest.mark.parametrize(("function", "name"), cases())
 def test_an_odd_value_of_an_argument_is_taken_or_refused_in_words(
     function: str, name: str, material: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

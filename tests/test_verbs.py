@@ -36,7 +36,7 @@ CASES = {  # verb → its words, and a file that it writes
     "replay": ("e1.csv --plant tank.fmu", "results/e1/residual.csv"),
     "fit": ("e1.csv --fmu tank.fmu --vary area=0.3..2", "results/tank-fit/fit.json"),
     "refine": ("study.yaml --no-report", "results/study/refine.json"),
-    "excite": ("tank.py:Tank --against leak --limit level=1 --duration 60", "results/Tank-excitation/excitation.csv"),
+    "excite": ("tank.py:Tank --against leak --limit level=1 --duration 50", "results/Tank-excitation/excitation.csv"),
     "info": ("tank.fmu", ""),
     "init": ("tank.fmu --out first.yaml", "first.yaml"),
     "simulate": ("tank.fmu --stop 1", "results/tank/results.csv"),
@@ -65,7 +65,7 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "tank.py").write_text(MODEL, encoding="utf-8")
     (folder / "study.yaml").write_text(STUDY)
     for seed, name in enumerate(("e1.csv", "v1.csv")):
-        tank_log(folder / name, seed, seconds=100.0)
+        tank_log(folder / name, seed, seconds=60.0)
     build(load_model("tank.py:Tank", folder).recipe(), folder / "tank.fmu")
     (folder / "run.yaml").write_text(RUN)
     (folder / "sweep.yaml").write_text(SWEEP)
