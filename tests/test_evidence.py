@@ -12,6 +12,7 @@ from scipy.special import stdtrit
 from cosim.estimation.fit import Fit
 from cosim.estimation.plateaus import values_beside_plateaus, with_flat_directions
 from cosim.estimation.problem import Scored
+from cosim.refinement.decision import evidence
 from cosim.refinement.decision.evidence import (
     BY_CHANCE,
     _variance_with_logs,
@@ -20,6 +21,7 @@ from cosim.refinement.decision.evidence import (
     gain_per_scatter,
 )
 from cosim.refinement.decision.judgement import REFUTED
+from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.subject.candidates import Free
 from tests.cases import some
 
@@ -131,6 +133,16 @@ def test_estimates_that_differ_between_logs_have_the_variance_of_the_jackknife_a
     both = estimate(1.0, 0.1 / math.sqrt(2.0))
     without = [estimate(value, sigma) for value, sigma in zip((1.3, 0.7), sigmas, strict=True)]
     assert _variance_with_logs(both, without, both.free[0]) == pytest.approx(variance)
+
+
+def test_the_halves_of_a_single_log_widen_its_intervals_as_two_logs_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    both, halves = estimate(1.0, 0.1), [estimate(1.3, 0.14), estimate(0.7, 0.14)]
+    monkeypatch.setattr(evidence, "halve_log", lambda problem: SimpleNamespace(logs=[0, 1]))
+    monkeypatch.setattr(evidence, "with_sandwich_covariance", lambda problem, f: replace(f, scattered=np.eye(1) * 0.01))
+    monkeypatch.setattr(evidence, "fit_without", lambda search, problem, h, log: halves[log])
+    search = SimpleNamespace(problem=SimpleNamespace(logs=[0], table=False))
+    widened = evidence.with_intervals(search, Hypothesis((), both, 0.0))
+    assert widened.fit.sigma("force") == pytest.approx(0.3, rel=0.01)
 
 
 def alike(rng):
