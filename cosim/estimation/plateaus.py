@@ -17,6 +17,7 @@ from cosim.logs.channel_noise import NORMAL_95
 from cosim.subject.candidates import Free
 
 DOUBLINGS_FROM, HALVINGS = 0.01, 5  # search for the end of a plateau: first distance in sizes, and bisections
+FURTHEST = 1e4  # distance in sizes from which a plateau has no end
 
 
 def with_flat_directions(problem: Problem, f: Fit) -> Fit:
@@ -62,7 +63,7 @@ def _walk(problem: Problem, f: Fit, x: Free, limit: float) -> tuple[float, float
         tried.append((nll if math.isfinite(nll) else math.inf, value))
         return nll - f.nll < 0.5 * NORMAL_95**2
 
-    whole, inside, outside = abs(limit - start), 0.0, DOUBLINGS_FROM * x.size
+    whole, inside, outside = min(abs(limit - start), FURTHEST * x.size), 0.0, DOUBLINGS_FROM * x.size
     while outside < whole and is_inside(outside):
         inside, outside = outside, 2.0 * outside
     outside = min(outside, whole)
