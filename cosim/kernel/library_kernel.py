@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import math
 import threading
 from collections import deque
 from collections.abc import Mapping, Sequence
@@ -28,6 +29,7 @@ NAME = "model"  # component name in messages
 RUNS = 16  # kept free runs
 STEP = 1e-6  # step of differences, as a share of a state's usual size
 HIDDEN, EXACT = 1.5, 1e-6  # fall of ln squared errors from which a state is hidden; share of the squared change
+MOST_ROWS, EACH = 10000, 10  # rows of responses to estimate what depends on the place, and least rows of a coefficient
 PULSE = 1e-2  # of an input, as a share of its range
 START_STEP = 1e-2  # step of a start state, as a share of the change that moves an output by its spread
 
@@ -296,22 +298,30 @@ def _by_place(run: Array, count: int, known: Array, after: Array, matrix: Array)
     Args:
         count: Number of responses, each of which has a row of `known` for every row of the run but the ends.
     """
-    outputs, rows = run.shape[1], len(run)
+    outputs, rows, told = run.shape[1], len(run), len(known) // count
     nothing = np.zeros((rows, *matrix.shape))
-    if not np.isfinite(run).all():
+    every = math.ceil(len(known) / MOST_ROWS) or 1
+    coefficients = known.shape[1] * math.comb(2 * outputs + 2, 2)
+    if len(known) < EACH * every * coefficients or not np.isfinite(run).all():
+        return nothing
+    change = np.mean((after - known[:, :outputs]) ** 2, axis=0)
+
+    def size(left: Array) -> float:
+        share = np.mean(left**2, axis=0) / np.where(change > 0.0, change, 1.0)
+        return float(np.log(np.maximum(share, EXACT)).sum())
+
+    left = after - known @ matrix.T
+    if size(left) - outputs * math.log(EXACT) < HIDDEN:  # linear
         return nothing
     at = np.hstack([run, np.diff(run, axis=0, prepend=run[:1])])
     at = (at - at.mean(axis=0)) / np.maximum(at.std(axis=0), np.finfo(float).tiny)
     one, other = np.triu_indices(2 * outputs)
     basis = np.hstack([np.ones((rows, 1)), at, at[:, one] * at[:, other]])
-    used = np.repeat(basis[-1 - len(known) // count : -1], count, axis=0)
-    left = after - known @ matrix.T
-    terms = (used[:, :, None] * known[:, None, :]).reshape(len(known), -1)
+    some = np.repeat(np.arange(told) % every == 0, count)
+    used, known, left = np.repeat(np.arange(rows - 1 - told, rows - 1), count)[some], known[some], left[some]
+    terms = (basis[used][:, :, None] * known[:, None, :]).reshape(len(known), -1)
     added = least_squares(terms, left, rcond=1e-8)
-    change = np.sum((after - known[:, :outputs]) ** 2, axis=0)
-    errors = [np.sum(e**2, axis=0) / np.where(change > 0.0, change, 1.0) for e in (left, left - terms @ added)]
-    without, with_it = (float(np.log(np.maximum(e, EXACT)).sum()) for e in errors)
-    if without - with_it < HIDDEN:
+    if size(left) - size(left - terms @ added) < HIDDEN:
         return nothing
     return np.asarray(np.einsum("rb,bko->rok", basis, added.reshape(basis.shape[1], -1, outputs)))
 

@@ -6,6 +6,9 @@ What no refiner can tell apart is no fault of a refiner. As `field_cost`, this u
 of the true model gives the innovations with the replacement in place of the effect. Its size and shape (Gauss-Newton,
 from two sizes), the base parameters within their tolerances and the study's other effect adapt. What is left is D nats.
 
+A sensor's lag is never below half a row here, and a latency is read on a straight line between rows, so that D of such
+effects is too large.
+
 A difference of likelihoods scatters by √(2·D) about D. A test that refutes a true hypothesis in 1 % of all cases
 tells both apart in 90 % only from D = ½·(2.33 + 1.28)² = 6.5 nats on (`APART`).
 """
