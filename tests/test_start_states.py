@@ -148,6 +148,8 @@ def test_deviations_go_on_as_the_place_of_the_run_demands(missed: int) -> None:
         float(np.std(other[2:] - np.sum(of * pairs, axis=1))) for of in (found[1:-1, 0], found[:, 0].mean(axis=0))
     ]
     assert errors[0] < 0.1 * errors[1]
+    both = np.concatenate([found, np.broadcast_to(np.eye(1, 2), (len(run), 1, 2))], axis=1)
+    assert np.abs(np.linalg.eigvals(both)).max() < 1.0 + 1e-9  # nothing grows without end in any row
 
 
 def test_a_deviation_of_both_angles_stays_and_a_twist_fades(problem: Problem) -> None:
