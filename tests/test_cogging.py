@@ -142,7 +142,10 @@ def test_what_was_the_best_is_fitted_again_from_what_replaces_it() -> None:
     subject = SimpleNamespace(probed=True)
     search = SimpleNamespace(subject=subject, tried={}, fit_all=fit_all, fit_again=lambda hypotheses: [better])
     attributor: Any = SimpleNamespace(
-        search=search, _replacements=lambda best: [(lag.candidates, None)], _is_stuck=lambda parts, best: False
+        search=search,
+        _replacements=lambda best: [(lag.candidates, None)],
+        _is_stuck=lambda parts, best: False,
+        _continued=lambda best, earlier: [],
     )
     assert attribution.Attributor._with_replacement(attributor, latency) is better
     assert begun[1:] == [([latency.candidates], better)]
