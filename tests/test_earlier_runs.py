@@ -40,13 +40,13 @@ def files_in(folder: Path) -> set[str]:
 def test_files_of_the_verb_move_and_those_of_the_user_stay(results: Path) -> None:
     assert keep_earlier(results, "cosim run") == results / "runs" / "0001"
     assert files_in(results / "runs" / "0001") == set(FILES)
-    assert files_in(results) - {f"runs/0001/{n}" for n in FILES} == {
+    assert files_in(results) - {"runs/.last", *(f"runs/0001/{n}" for n in FILES)} == {
         "notes.txt",
         "figures/mine.svg",
         "mine/results.csv",
     }
     assert keep_earlier(results, "cosim run") is None  # there is nothing any more
-    assert [p.name for p in (results / "runs").iterdir()] == ["0001"]
+    assert {p.name for p in (results / "runs").iterdir()} == {"0001", ".last"}
 
 
 def test_files_of_another_verb_whose_marks_are_there_move_too(results: Path) -> None:
@@ -56,7 +56,7 @@ def test_files_of_another_verb_whose_marks_are_there_move_too(results: Path) -> 
     assert files_in(results / "runs" / "0001") == {*FILES, "refine.json", "model.yaml", "plant.fmu"}
 
 
-@pytest.mark.parametrize("cut", range(len(FILES) + 3))
+@pytest.mark.parametrize("cut", range(len(FILES) + 4))
 def test_a_move_that_is_cut_off_anywhere_is_finished_by_the_next_verb(
     results: Path, monkeypatch: pytest.MonkeyPatch, cut: int
 ) -> None:
@@ -80,17 +80,18 @@ def test_a_move_that_is_cut_off_anywhere_is_finished_by_the_next_verb(
         try:
             keep_earlier(results, "cosim run")
         except Killed:
-            assert cut < len(FILES) + 2  # the list of files, each of them, the folder
+            assert cut < len(FILES) + 3  # the list of files, each of them, the number, the folder
     with folder_locks():
         check_overwritable(results, "cosim run")
-    kept = results / "runs" / "0001"
+    # a run that is killed between the note of its number and its name gets the next number
+    kept = results / "runs" / ("0002" if cut == len(FILES) + 2 else "0001")
     where = kept if kept.exists() else results
     assert {name for name in FILES if (where / name).is_file()} == set(FILES)
     if kept.exists():
         assert files_in(kept) == set(FILES)
         assert not set(FILES) & files_in(results)
     assert not (results / "runs" / folders.MOVING).exists()
-    after = {p.read_text() for p in results.rglob("*") if p.is_file()}
+    after = {p.read_text() for p in results.rglob("*") if p.is_file() and p.name != folders.LAST}
     assert after == set(everything.values())
 
 
@@ -121,12 +122,12 @@ def test_a_second_run_at_the_same_time_is_refused_and_moves_nothing(results: Pat
     import sys
 
     with folder_locks():
-        check_overwritable(results, "cosim run", keep=True)
+        check_overwritable(results, "cosim run")
         code = (
             "import sys; from pathlib import Path; from cosim.base.errors import InputError\n"
             "from cosim.storage.folder_lock import folder_locks; from cosim.storage.folders import check_overwritable\n"
             "with folder_locks():\n"
-            "    try: check_overwritable(Path(sys.argv[1]), 'cosim run', keep=True)\n"
+            "    try: check_overwritable(Path(sys.argv[1]), 'cosim run')\n"
             "    except InputError as error: sys.exit(str(error))\n"
         )
         root = Path(__file__).resolve().parent.parent
@@ -145,11 +146,35 @@ def test_numbers_go_on_beyond_four_digits(results: Path, last: str, following: s
     assert keep_earlier(results, "cosim run") == results / "runs" / following
 
 
+@pytest.mark.parametrize(("last", "following"), [("7", "0008"), ("12345", "12346"), ("x", "0002"), ("9" * 99, "0002")])
+def test_the_number_of_a_removed_run_is_not_used_again(results: Path, last: str, following: str) -> None:
+    first = keep_earlier(results, "cosim run")
+    assert first is not None
+    for _ in range(2):
+        (results / "results.csv").touch()
+        shutil.rmtree(keep_earlier(results, "cosim run") or results)
+    assert (results / "runs" / ".last").read_text() == "3\n"
+    (results / "runs" / ".last").write_text(last)
+    (results / "results.csv").touch()
+    assert keep_earlier(results, "cosim run") == results / "runs" / following
+
+
+def test_input_files_and_folders_of_the_user_stay(results: Path) -> None:
+    (results / "system").mkdir()
+    (results / "system" / "tank.fmu").touch()
+    (results / "refine.json").touch()
+    keep_earlier(results, "cosim run", read=[results / "system" / "tank.fmu", results / "refine.json"])
+    assert files_in(results / "runs" / "0001") == set(FILES)
+    assert keep_earlier(results, "cosim refine", read=[results]) is None
+    (results / "refine.json").unlink()
+    (results / "figures" / "paper.png").touch()
+    assert keep_earlier(results, "cosim run") is None  # no run has been here
+
+
 def test_runs_that_is_a_file_of_the_user_is_refused_before_any_work(results: Path) -> None:
     (results / "runs").write_text("5 km, 10 km")
     with pytest.raises(InputError, match="is a file; earlier runs are kept in a folder of this name; move it away"):
-        check_overwritable(results, "cosim run", keep=True)
-    check_overwritable(results, "cosim run")  # with --out nothing is kept
+        check_overwritable(results, "cosim run")
     assert (results / "runs").read_text() == "5 km, 10 km"
 
 
@@ -163,7 +188,7 @@ def test_runs_that_cannot_be_written_are_refused_before_any_work() -> None:
             code = 1
             try:
                 os.setuid(OTHER)
-                check_overwritable(folder, "cosim run", keep=True)
+                check_overwritable(folder, "cosim run")
             except InputError as error:
                 code = 3 if "cannot be written" in str(error) else 4
             finally:

@@ -315,15 +315,15 @@ def test_a_folder_of_another_run_or_a_scenario_of_ones_own_is_not_written_over(t
     assert "is a scenario of yours" in told(*again, "--force", code=2)
 
 
-def test_a_scenario_of_simulate_that_was_edited_is_not_written_over(tmp_path: Path) -> None:
+def test_a_scenario_of_simulate_that_was_edited_is_kept_with_its_run(tmp_path: Path) -> None:
     again = ["simulate", "--in-process", typed_fmu(tmp_path), "--out", tmp_path / "out", "--no-report", "--stop"]
     told(*again, "0.1")
     told(*again, "0.2")  # with another option
     scenario = tmp_path / "out" / "scenario.yaml"
     edited = scenario.read_text().replace("step:", "seed: 3\nstep:")
     scenario.write_text(edited)
-    assert "scenario.yaml: is a scenario of yours" in told(*again, "0.1", code=2)
-    assert scenario.read_text() == edited
+    told(*again, "0.1")
+    assert (tmp_path / "out" / "runs" / "0002" / "scenario.yaml").read_text().splitlines()[2:] == edited.splitlines()[2:]
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
+import cosim
 from cosim.base.errors import CosimError, Interrupted
 from cosim.history.entries import Entry, entries
 from cosim.residuals import workflow as replaying
@@ -76,6 +77,20 @@ def test_a_repeated_command_keeps_its_results_and_the_list_tells_them_apart(
     assert [entry.verb for entry in (earlier, newest)] == [verb, verb]
     listed = json.loads(_do("list", f"{name}*", "--json").output)["results"]
     assert [(r["name"], r["changes"]) for r in listed] == [(f"{name}/0001", {}), (name, changes)]
+
+
+def test_a_named_folder_keeps_its_earlier_results_too(here: Path) -> None:
+    words = ["run", "run.yaml", "--no-report", "--in-process", "--out", "results/sub/tank"]
+    for area in (0.5, 0.6, 0.7):
+        _do(*words, "--set", AREA.format(area))
+    earlier, middle, newest = entries()
+    assert [e.name for e in (earlier, middle, newest)] == ["sub/tank/0001", "sub/tank/0002", "sub/tank"]
+    assert [e.is_newest for e in (earlier, middle, newest)] == [False, False, True]
+    assert dict(newest.changes) == {"components.tank.start.area": 0.7}
+    assert "removed: 2 earlier runs" in _do("gc", "--yes").output
+    cosim.run("run.yaml", out="elsewhere", report=False)
+    cosim.run("run.yaml", out="elsewhere", report=False)
+    assert Path("elsewhere/runs/0001/manifest.json").is_file()
 
 
 @pytest.mark.thorough

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from cosim.authoring import messages
-from cosim.authoring.draft_text import BY, is_edited, scenario_text, seal
+from cosim.authoring.draft_text import BY, scenario_text
 from cosim.authoring.matching import Match, Matches, Port, match_ports, text
 from cosim.authoring.parts import SLACK, STEPS, STOP, DraftPart, RequestedTimes, parts_of, times_of
 from cosim.base.drafts import draft_of
@@ -52,7 +52,6 @@ def write_single(
     step: float | None = None,
     record: Sequence[str] = (),
     force: bool = False,
-    keep: bool = False,
 ) -> tuple[Path, tuple[str, ...]]:
     """Write scenario.yaml for a run of one FMU.
 
@@ -60,7 +59,6 @@ def write_single(
         recorded: CSV whose columns drive the inputs of the same names.
         stop: Stop time [s], like `step` in place of the default experiment's.
         record: Further variables to record.
-        keep: Whether to move the files of an earlier run to `runs` in the folder.
 
     Returns:
         The path and warnings.
@@ -70,22 +68,22 @@ def write_single(
     """
     (part,) = parts_of([fmu], start)
     path = folder / "scenario.yaml"
-    check_run_folder(folder, part.name, force=force, keep=keep)
+    check_run_folder(folder, part.name, force=force)
     earlier = _read_earlier(path) if path.is_file() else BY.format("simulate")
-    if not earlier.startswith(BY.format("simulate")) or (is_edited(earlier) and not keep):
+    if not earlier.startswith(BY.format("simulate")):
         raise InputError.at(path, messages.SCENARIO_EDITED())
     recording = _read_recording(recorded, part) if recorded is not None else None
     request, notes = _choose_times(part, recording, stop, step)
     times = times_of([part], request, most=MAX_SINGLE_STEPS)
-    check_writable(folder, (path.name,), [fmu, *([recorded] if recorded else [])])
+    inputs = [fmu, *([recorded] if recorded else [])]
+    check_writable(folder, (path.name,), inputs)
     matches = recording.matches if recording else Matches((), ())
     lines = scenario_text(folder, [part], matches, times, DEFAULT, played=recorded, verb="simulate")
     names = [n if n.startswith(f"{part.name}.") else f"{part.name}.{n}" for n in record]
     lines += f"record: {json.dumps(names)}\n" if names else ""
     with draft_of(path) as draft:
-        _write_sound(draft, seal(lines), fmu)
-        if keep:
-            keep_earlier(folder, "cosim run", [path.name])
+        _write_sound(draft, lines, fmu)
+        keep_earlier(folder, "cosim run", [path.name], read=inputs)
     return path, (*notes, *times.notes)
 
 

@@ -6,7 +6,6 @@ import json
 import os
 import re
 from collections.abc import Iterator, Sequence
-from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,6 @@ from cosim.coupling.algorithms import DEFAULT, Algorithm
 from cosim.scenario.start_values import settable
 
 BY = "# Written by `cosim {}`."
-SEAL = "# SHA-256 of the lines above: "  # lets `cosim simulate` detect an edited scenario
 MAX_PARAMETERS = 12  # shown per FMU
 PLAIN = re.compile(r"[A-Za-z_][\w.]*")
 NOT_TEXT = {"true", "false", "yes", "no", "on", "off", "null", "y", "n"}  # YAML words that need quotes as text
@@ -72,17 +70,6 @@ def scenario_text(
         ]
     lines += _connections(matches) + _more(parts)
     return "\n".join(lines) + "\n"
-
-
-def seal(text: str) -> str:
-    """Return a scenario with a last line that contains the digest of its text."""
-    return f"{text}{SEAL}{sha256(text.encode()).hexdigest()}\n"
-
-
-def is_edited(text: str) -> bool:
-    """Return whether a scenario was changed after `seal`: its text does not match its digest."""
-    lines, digest, _ = text.rpartition(SEAL)
-    return bool(digest) and text != seal(lines)
 
 
 def _whole(value: float) -> str:

@@ -62,9 +62,7 @@ def simulate(
     values = start if isinstance(start, Mapping) else start_pairs(path, start, description)
     place = folder_named(parts_of([path])[0].name) if folder is None else named_path(folder)
     csv = None if recorded is None else Path(recorded)
-    scenario, notes = write_single(
-        place, path, values, csv, stop=stop, step=step, record=record, force=force, keep=folder is None
-    )
+    scenario, notes = write_single(place, path, values, csv, stop=stop, step=step, record=record, force=force)
     outcome = run(scenario, place, report=report, force=True, in_process=in_process, format_=format_, progress=progress)
     return outcome, notes
 

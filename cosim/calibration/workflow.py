@@ -57,7 +57,6 @@ def fit(
     in_process: bool = False,
     report: bool = True,
     force: bool = True,
-    keep: bool = False,
     progress: Report = lambda stage, share: None,
 ) -> tuple[Record, list[str]]:
     """Estimate an FMU's parameters and start values.
@@ -65,7 +64,6 @@ def fit(
     Writes fit.json, fitted.ssv, fitted.fmu (if its library follows the start values of the file) and report.html.
 
     Args:
-        keep: Move the files of an earlier fit to `runs` in the folder.
 
     Returns:
         The content of fit.json, and warnings and notes with their codes.
@@ -78,7 +76,7 @@ def fit(
     begin = time.monotonic()
     most, path, place = request.limits, request.fmu, named_path(folder)
     estimation, test = request.estimation, request.sealed
-    check_overwritable(place, "cosim fit", str(path), force=force, keep=keep)
+    check_overwritable(place, "cosim fit", str(path), force=force)
     read, chosen, given = _read(request)
     files = [*request.logs, path, *([request.yaml.path] if request.yaml else [])]
     check_writable(place, FILES, files)
@@ -101,8 +99,7 @@ def fit(
         hold_stops()
         entries = parameter_entries(estimate)
         outcome = Outcome(path, tuple(estimation), tuple(test), estimate, fixed, parts, _risen(parts), entries)
-        if keep:
-            keep_earlier(place, "cosim fit")
+        keep_earlier(place, "cosim fit", read=files)
         _remove(place)
         if request.unused:
             behaved.append(messages.UNUSED_KEYS(keys=join_names(request.unused)))

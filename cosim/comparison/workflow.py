@@ -69,7 +69,7 @@ def compare(
     names, paths = shorts or (a.name, b.name), [a.path, b.path]
     place = folder_named(_name_of(names, paths)) if folder is None else named_path(folder)
     if write:
-        _prepare(place, paths, force=force, numbered=folder is None and _is_numbered(names), keep=folder is None)
+        _prepare(place, paths, force=force, numbered=folder is None and _is_numbered(names))
         page = partial(render, TEMPLATE, context(comparison)) if report else None
         _write(place, comparison.as_json(), page)
     return comparison, place
@@ -110,7 +110,7 @@ def compare_all(
     names = [base.short, *(s.short for k, s in enumerate(sources) if k != baseline)]
     place = folder_named(_name_of(names, paths)) if folder is None else named_path(folder)
     if write:
-        _prepare(place, paths, force=force, numbered=folder is None and _is_numbered(names), keep=folder is None)
+        _prepare(place, paths, force=force, numbered=folder is None and _is_numbered(names))
         options = _options(tolerance, absolute)
         page = (
             partial(several_page, comparison, _tolerance(tolerance, absolute, "the baseline"), options)
@@ -142,19 +142,19 @@ def _check_tolerance(path: Path, tolerance: float | None, absolute: float) -> No
             raise InputError.at(path, messages.NEGATIVE_TOLERANCE(option=name, value=value))
 
 
-def _prepare(place: Path, paths: Sequence[Path], *, force: bool, numbered: bool, keep: bool) -> None:
+def _prepare(place: Path, paths: Sequence[Path], *, force: bool, numbered: bool) -> None:
     """Check that a folder may take a comparison; move an earlier one to `runs`.
 
     Args:
+        paths: Folders and tables that are compared; they stay where they are.
         numbered: Whether the folder is named by numbers, which mean other paths after a further run or `cosim gc`.
     """
     read = [p / "manifest.json" if p.is_dir() else p for p in paths]
     others = ", ".join(str(path) for path in paths[1:])
     compared = () if numbered else (str(paths[0]), others)
-    check_overwritable(place, "cosim compare", *compared, force=force, keep=keep)
+    check_overwritable(place, "cosim compare", *compared, force=force)
     check_writable(place, FILES, read)
-    if keep:
-        keep_earlier(place, "cosim compare")
+    keep_earlier(place, "cosim compare", read=paths)
 
 
 def _write(place: Path, content: Mapping[str, Any], page: Callable[[], str] | None) -> None:

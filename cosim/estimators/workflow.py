@@ -72,26 +72,22 @@ def check_size(runs: int, steps: int) -> None:
     raise InputError.at(Path("--steps"), messages.TOO_MANY_STEPS(**size, most=MAX_SAMPLES // MIN_RUNS))
 
 
-def check_folder(folder: Path, *, force: bool = False, keep: bool = False) -> None:
+def check_folder(folder: Path, *, force: bool = False) -> None:
     """Check and create the output folder.
 
     Raises:
         InputError: The folder is not writable, or holds results of another command without `force`.
     """
-    check_overwritable(folder, "cosim consistency", force=force, keep=keep)
+    check_overwritable(folder, "cosim consistency", force=force)
     check_writable(folder, [RECORD, PAGE])
 
 
-def write(
-    folder: Path, rows: Sequence[ConsistencyRow], steps: int, seed: int, *, report: bool = True, keep: bool = False
-) -> None:
+def write(folder: Path, rows: Sequence[ConsistencyRow], steps: int, seed: int, *, report: bool = True) -> None:
     """Write consistency.json and report.html to a folder.
 
-    Args:
-        keep: Move an earlier result to `runs`.
+    An earlier result moves to `runs`.
     """
-    if keep:
-        keep_earlier(folder, "cosim consistency")
+    keep_earlier(folder, "cosim consistency")
     record = {"runs": rows[0].result.runs, "steps": steps, "seed": seed, "rows": [row.as_json() for row in rows]}
     write_json(folder / RECORD, record, indent=1)
     if report:

@@ -57,7 +57,6 @@ def excite(
     experiments: Count = EXPERIMENTS,
     report: bool = True,
     force: bool = True,
-    keep: bool = False,
     progress: Progress | None = None,
 ) -> Excitation:
     """Design the input that separates rival hypotheses best.
@@ -74,7 +73,6 @@ def excite(
         experiments: Number of random experiments.
         report: Write report.html.
         force: Overwrite results of another command in `folder`.
-        keep: Move the files of an earlier call to `runs`.
         progress: Function of (stage, completed share).
 
     Returns:
@@ -91,7 +89,7 @@ def excite(
     time = _times(text, model.rate, duration)
     rig = _rig(question, float(time[-1]))
     files = ("excitation.csv", "excitation.yaml", "plant.fmu", REPORT, *rig.files)
-    check_overwritable(folder, "cosim excite", force=force, keep=keep)
+    check_overwritable(folder, "cosim excite", force=force)
     check_writable(folder, files, [source / "plant.fmu"] if (source := refinement_folder(text)) else [])
     excitation = _choose(question, rig, time, seed, experiments, show_stage)
     if excitation is None:
@@ -99,8 +97,7 @@ def excite(
     if max(excitation.apart.values()) < MIN_DISTANCE:
         raise InputError.at(Path(text), messages.NONE_SEPARATES(count=experiments))
     show_stage("building the FMUs", 0.0)
-    if keep:
-        keep_earlier(folder, "cosim excite", rig.files)
+    keep_earlier(folder, "cosim excite", rig.files, read=[source] if source else [])
     _write(folder, excitation, seed)
     (folder / REPORT).unlink(missing_ok=True)
     if report:

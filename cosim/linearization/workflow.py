@@ -68,7 +68,6 @@ def linearize(
     side: str | None = None,
     report: bool = True,
     force: bool = True,
-    keep: bool = False,
     compile: bool = False,
 ) -> Outcome:
     """Linearize a model or an FMU about an operating point.
@@ -87,7 +86,6 @@ def linearize(
         side: Side of a kink whose derivative is used, "below" or "above". Without it a kink is refused.
         report: Write report.html.
         force: Overwrite results of another model or command in `out`.
-        keep: Move the files of an earlier call to `runs`.
         compile: Compile and execute the sources of an FMU that has no library for this machine.
 
     Returns:
@@ -109,7 +107,7 @@ def linearize(
         source = _source(stack, Path(model), values, step)
         selection = _complete(source, selection)
         if folder is not None:
-            check_overwritable(folder, "cosim linearize", str(model), force=force, keep=keep)
+            check_overwritable(folder, "cosim linearize", str(model), force=force)
             check_writable(folder, (*FILES, "report.html"), source.files)
         notes: list[str] = []
         if where.moment is None:
@@ -125,8 +123,7 @@ def linearize(
         notes.append(messages.SIDE_WITHOUT_EFFECT(side=side))
     outcome = Outcome(str(model), source.title, tuple(linear), structure(linear[0]), tuple(notes), folder)
     if folder is not None:
-        if keep:
-            keep_earlier(folder, "cosim linearize")
+        keep_earlier(folder, "cosim linearize", read=source.files)
         write(folder, outcome)
         if report:
             from cosim.linearization.report import page

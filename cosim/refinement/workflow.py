@@ -87,19 +87,17 @@ def refine(
     *,
     report: bool = False,
     force: bool = True,
-    keep: bool = False,
     in_process: bool = False,
     limits: str = "",
 ) -> Refinement:
     """Refine the model of a study; write refine.json and the refined files to `folder`, all or none.
 
-    A model gives model.yaml and plant.fmu.
+    A model gives model.yaml and plant.fmu. The files of an earlier refinement move to `runs` in the folder.
 
     Args:
         study: Study file, or a study of any subject (`cosim.refinement.study.study_of`).
         report: Write report.html too.
         force: Overwrite results of another study or command.
-        keep: Move the files of an earlier refinement to `runs` in the folder.
         in_process: Load FMUs into this process, for a debugger.
         limits: Limits in place of those of a study file, such as `step: 10 s, total: 10 min`.
 
@@ -114,7 +112,7 @@ def refine(
     folder = named_path(folder)
     study = study if isinstance(study, Study) else read_study(Path(study), limits)
     limited = _within_limit(progress, study.content.limits, start)
-    check_overwritable(folder, "cosim refine", *filter(None, [str(study.path or "")]), force=force, keep=keep)
+    check_overwritable(folder, "cosim refine", *filter(None, [str(study.path or "")]), force=force)
     check_writable(folder, (*RESULTS, "report.html"), study.files)
     problem = _build_problem(study)
     refuse(_divergences(study, problem))
@@ -157,8 +155,7 @@ def refine(
         if study.content.carry_logs and sealed:
             carry_sealed_logs([path for path in files if path.suffix == ".fmu"], sealed, content)
         with delay_stops():
-            if keep:
-                keep_earlier(folder, "cosim refine")
+            keep_earlier(folder, "cosim refine", read=study.files)
             _publish(files, scratch / ANSWER, folder)
         release_stops()
     searched, evidence = result.search.problem, _at_horizon(played, subject.horizon)

@@ -64,7 +64,6 @@ def replay(
     columns: Sequence[str] = (),
     report: bool = True,
     force: bool = True,
-    keep: bool = False,
     in_process: bool = False,
     limits: str = "",
     format_: str = "csv",
@@ -79,7 +78,6 @@ def replay(
         start: Start values and parameters of the FMU as NAME=VALUE, `gain=0.9`, `angle=12 deg`.
         columns: Log columns with other names than in the FMU, `measured_speed=motor.w`.
         force: Overwrite results of another command.
-        keep: Move files of an earlier replay to `runs`.
         in_process: Load the FMU into this process, for a debugger.
         limits: Limits of the FMU, such as `step: 10 s, memory: 2 GB`; default: none.
 
@@ -92,7 +90,7 @@ def replay(
     rows_name("results", format_)  # An unavailable format must fail before the replay.
     check_files(Path(log), None if fmu is None else Path(fmu))
     place = named_path(folder)
-    check_overwritable(place, "cosim replay", str(log), str(fmu or ""), force=force, keep=keep)
+    check_overwritable(place, "cosim replay", str(log), str(fmu or ""), force=force)
     with ExitStack() as stack:
         worker = None if in_process else stack.enter_context(Worker(*MODULES))
         if worker is not None:
@@ -113,7 +111,6 @@ def replay(
             worker=worker,
             limits=most,
             format_=format_,
-            keep=keep,
             progress=progress,
         )
 
@@ -133,7 +130,6 @@ def write_replay(
     worker: Worker | None = None,
     limits: Limits | None = None,
     format_: str = "csv",
-    keep: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> Comparison:
     """Replay a log through an FMU and write results and report to `folder`.
@@ -145,7 +141,6 @@ def write_replay(
         proposed: Study to write if the FMU lacks something.
         rate: Required step of the log [s]; by default the FMU's own step only causes a warning.
         worker: Process of the FMU, within limits; default: this process.
-        keep: Move the files of an earlier replay to `runs` in the folder.
 
     Raises:
         InputError: The log has faults, gate included.
@@ -161,8 +156,7 @@ def write_replay(
         findings = _findings(drive, log, rate)
         written = "report.html", REPLAY, NEXT_STUDY
         check_writable(folder, (rows_file.name, residual_file.name, *written), (log.path, fmu))
-        if keep:
-            keep_earlier(folder, "cosim replay")
+        keep_earlier(folder, "cosim replay", read=(log.path, fmu))
         _remove_outdated(folder, written, rows_file)
         free = _free_run(drive, start, rows_file)
         try:

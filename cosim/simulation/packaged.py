@@ -99,24 +99,19 @@ def open_scenario(path: Path, overrides: Sequence[str] = ()) -> Iterator[Package
         yield PackagedScenario(scenario, files, places, warnings)
 
 
-def lay_out(
-    path: Path, folder: Path, overrides: Sequence[str] = (), *, keep: bool = False
-) -> tuple[ScenarioFile, list[str]]:
+def lay_out(path: Path, folder: Path, overrides: Sequence[str] = ()) -> tuple[ScenarioFile, list[str]]:
     """Write an SSP's scenario and FMUs to `folder`/system.
 
-    A faulty SSP raises InputError before anything is written.
-
-    Args:
-        keep: Whether to move the files of an earlier run to `runs` in the folder.
+    The files of an earlier run move to `runs` in the folder. A faulty SSP raises InputError before anything is written.
 
     Returns:
         The scenario file and warnings.
     """
     with open_scenario(path, overrides) as packaged:
         within = folder / FOLDER
-        check_writable(within, (SCENARIO, *packaged.files), [path, *packaged.files.values()])
-        if keep:
-            keep_earlier(folder, "cosim run")
+        inputs = [path, *packaged.files.values()]
+        check_writable(within, (SCENARIO, *packaged.files), inputs)
+        keep_earlier(folder, "cosim run", read=inputs)
         for name, source in packaged.files.items():
             with draft_of(within / name) as draft:
                 shutil.copyfile(source, draft)

@@ -142,7 +142,7 @@ class _Prepared:
             folder = write_run(self.place, self.base(), self.rows_file, self.warnings)
             return Keeping(folder, self.interval, self.start)
         if self.keep:
-            keep_earlier(self.place, "cosim run")
+            keep_earlier(self.place, "cosim run", read=self.file.files)
             self.keep = False
         return Keeping(begin_keeping(self.place, self.base(), self.rows_file, self.warnings), self.interval)
 
@@ -174,8 +174,8 @@ def run(
 
     Args:
         scenario: File; with `resume` or `until` the folder of a run.
-        folder: Output folder. The default is results/NAME, where an earlier run moves to `runs`. An SSP's generated
-            scenario and FMUs go to `system` in the folder.
+        folder: Output folder, by default results/NAME. An earlier run in it moves to `runs`. An SSP's generated
+            scenario and FMUs go to `system`.
         force: Whether to overwrite the run of a different scenario.
         nearest: Whether to use the nearest FMUs and model of a refine instead of its refined ones.
         inputs: Input → function that returns its value while the run goes on.
@@ -256,18 +256,17 @@ def _prepare_new(
     force, nearest, rows_file = options
     is_package = is_ssp(path)
     file, place, warnings = _read(path, folder, overrides, force=force)
-    keep = folder is None and not is_package  # lay_out has already moved the earlier run of an SSP.
     if nearest:
         take_nearest(file)
     check_pinned(file)
     designed = designed_apart(file, worker)
     system = build_system(file, designed)
     if not is_package:
-        check_run_folder(place, file.scenario.name, force=force, keep=keep)
+        check_run_folder(place, file.scenario.name, force=force)
     check_writable(place, (rows_file, MANIFEST, "report.html"), file.files)
     system = replace(with_feedthrough(file, designed, system, worker, tell), real_time=real_time_of(file))
     ssp = path if is_package else None
-    return _Prepared(file, place, system, designed, rows_file, software, warnings, ssp, keep)
+    return _Prepared(file, place, system, designed, rows_file, software, warnings, ssp, keep=ssp is None)
 
 
 def _prepare_stopped(
@@ -372,8 +371,8 @@ def _read(
         file = ScenarioFile(path, overrides)
         return file, folder_named(file.scenario.name) if folder is None else named_path(folder), []
     place = folder_named(path.stem) if folder is None else named_path(folder)
-    check_run_folder(place, ssp=path, force=force, keep=folder is None)
-    file, warnings = lay_out(path, place, overrides, keep=folder is None)
+    check_run_folder(place, ssp=path, force=force)
+    file, warnings = lay_out(path, place, overrides)
     return file, place, warnings
 
 
@@ -424,7 +423,7 @@ class _Files:
         failure, time = self.stepped.failure, self.stepped.results.time
         try:
             if self.prepared.keep:
-                keep_earlier(self.rows.parent, "cosim run")
+                keep_earlier(self.rows.parent, "cosim run", read=self.prepared.file.files)
             self._write_rows()
             release_stops()
             self._draw(report=report, figures=figures)

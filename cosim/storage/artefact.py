@@ -94,9 +94,9 @@ class Artefact:
             return 0
         return max((len(needed) for needed in self.keys if needed <= keys), default=0)
 
-    def is_left_in(self, folder: Path) -> bool:
-        """Return whether a folder contains results of the verb."""
-        return any((folder / mark).is_file() for mark in self.marks)
+    def is_left_in(self, folder: Path, *, unfinished: bool = False) -> bool:
+        """Return whether a folder contains results of the verb, or also results that were stopped."""
+        return any((folder / mark).is_file() for mark in (*self.marks, *self.unfinished * unfinished))
 
 
 @functools.cache

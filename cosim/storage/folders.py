@@ -24,11 +24,13 @@ from cosim.storage.folder_lock import take_folder
 RESULTS = Path("results")
 EARLIER = "runs"  # folder of earlier runs inside a results folder, 0001 and so on
 MOVING, LIST = ".moving", ".files"  # inside EARLIER: a run being moved, and the list of its files
+LAST = ".last"  # inside EARLIER: the highest number ever given; no later run has the number of a removed one
 UPWARDS = re.compile(r"^([\w ]+: \"?)(?=\.\./)", re.MULTILINE)  # a YAML key whose value is a relative path upwards
 REPLAY = "replay.json"  # stored with the rows of a replay
 SCHEMA_VERSION = 1  # of manifest.json, replay.json and sweep.json
 MOST_BYTES = 200_000_000  # size of a JSON or YAML file [bytes]
 MOST_LISTED, LONGEST_NAME = 10_000_000, 255  # size of the list of a move [bytes], length of a name
+MOST_DIGITS = 15  # of the number of an earlier run
 
 
 def folder_named(name: str, of: str = "") -> Path:
@@ -111,11 +113,9 @@ def replay_record(folder: Path) -> dict[str, Any]:
     return content_of(folder / REPLAY)
 
 
-def check_run_folder(
-    folder: Path, name: str = "", *, ssp: Path | None = None, force: bool = False, keep: bool = False
-) -> None:
+def check_run_folder(folder: Path, name: str = "", *, ssp: Path | None = None, force: bool = False) -> None:
     """Lock a folder; raise InputError if another scenario, SSP or command owns it."""
-    prepare_folder(folder, keep=keep)
+    prepare_folder(folder)
     if force or not folder.is_dir():
         return
     manifest = manifest_in(folder)
@@ -128,16 +128,13 @@ def check_run_folder(
     check_overwritable(folder, "cosim run")
 
 
-def check_overwritable(folder: Path, by: str, *sources: str, force: bool = False, keep: bool = False) -> None:
+def check_overwritable(folder: Path, by: str, *sources: str, force: bool = False) -> None:
     """Lock a results folder; refuse results of another command or of other sources.
-
-    Args:
-        keep: Whether files of an earlier run will move to `runs` in the folder.
 
     Raises:
         InputError: The folder belongs to another command, or to other sources.
     """
-    prepare_folder(folder, keep=keep)
+    prepare_folder(folder)
     if force or not folder.is_dir():
         return
     for artefact in sorted(artefacts(), key=lambda a: a.verb == by):  # other commands first
@@ -168,8 +165,11 @@ def _is_same(one: str, other: str) -> bool:
 # -- earlier runs -------------------------------------------------------------------------------------
 
 
-def prepare_folder(folder: Path, *, keep: bool) -> None:
+def prepare_folder(folder: Path, *, keep: bool = True) -> None:
     """Lock a results folder, and finish a move of earlier results that was interrupted.
+
+    Args:
+        keep: Whether files of an earlier run will move to `runs` in the folder.
 
     Raises:
         InputError: `keep` is impossible, or a link would lead files out of the folder.
@@ -198,16 +198,20 @@ def refuse_links(folder: Path) -> None:
     refuse(faults)
 
 
-def keep_earlier(folder: Path, verb: str, also: Iterable[str] = ()) -> Path | None:
+def keep_earlier(folder: Path, verb: str, also: Iterable[str] = (), *, read: Iterable[Path] = ()) -> Path | None:
     """Move an earlier run's files to the next of runs/0001, 0002.
 
     The files are those declared by the verb, `also`, and those of verbs whose marks are in the folder; user files stay.
     The next verb to lock the folder finishes an interrupted move.
 
+    Args:
+        read: Input files of the verb, and folders of them, which stay where they are.
+
     Returns:
         The new folder; None without files to move.
     """
-    paths, moving = _files_of(folder, verb, also), folder / EARLIER / MOVING
+    inputs, moving = {path.resolve() for path in read}, folder / EARLIER / MOVING
+    paths = [p for p in _files_of(folder, verb, also) if inputs.isdisjoint((p.resolve(), p.parent.resolve()))]
     if not paths:
         return None
     with delay_stops():
@@ -222,7 +226,9 @@ def _files_of(folder: Path, verb: str, also: Iterable[str]) -> list[Path]:
 
     declared = [a for a in artefacts() if a.verb and (a.verb == verb or a.is_left_in(folder))]
     tables = (f"{stem}{suffix}" for a in declared for stem in a.tables for suffix in suffixes())
-    patterns = dict.fromkeys((*(name for a in declared for name in a.files), *tables, *also))
+    # A folder of figures may be the user's, as long as no result of the verb is there.
+    names = (name for a in declared for name in a.files if "/" not in name or a.is_left_in(folder, unfinished=True))
+    patterns = dict.fromkeys((*names, *tables, *also))
     return list(dict.fromkeys(p for pattern in patterns for p in sorted(folder.glob(pattern)) if p.is_file()))
 
 
@@ -247,11 +253,21 @@ def _finish_move(folder: Path) -> Path | None:
     if not any(moving.iterdir()):
         moving.rmdir()
         return None
-    numbers = (int(path.name) for path in moving.parent.iterdir() if path.name.isdecimal())
-    place = moving.parent / f"{max(numbers, default=0) + 1:04d}"
+    place = moving.parent / f"{_next_number(moving.parent):04d}"
+    write_text(moving.parent / LAST, f"{int(place.name)}\n")
     moving.rename(place)
     place.chmod(stat.S_IMODE(place.parent.stat().st_mode))
     return place
+
+
+def _next_number(earlier: Path) -> int:
+    """Return a number that no earlier run has or had."""
+    last = ""
+    with suppress(OSError, ValueError):  # no file, as written by a version without it
+        if stat.S_ISREG((earlier / LAST).lstat().st_mode):
+            last = (earlier / LAST).read_text(encoding="ascii")[: MOST_DIGITS + 1].strip()
+    names = [last, *(path.name for path in earlier.iterdir())]
+    return max((int(name) for name in names if name.isdecimal() and len(name) <= MOST_DIGITS), default=0) + 1
 
 
 def _is_inside(folder: Path, name: str) -> bool:

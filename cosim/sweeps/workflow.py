@@ -84,7 +84,7 @@ def sweep(
         workers: Number of worker processes; None means one per core.
         dask: Address of a Dask scheduler; replaces that of the file.
         report: Write report.html.
-        force: Start again. In results/NAME the files of the earlier sweep move to `runs`.
+        force: Start again. The files of the earlier sweep move to `runs` in the folder.
         in_process: Load FMUs into this process, for a debugger.
         progress: Function of (completed runs, all runs).
         observers: Objects that receive the finished runs.
@@ -101,16 +101,15 @@ def sweep(
     study = read_sweep(Path(path), loads=True)
     folder = folder_named(study.name) if out is None else named_path(out)
     inputs = [study.yaml.path, study.job.scenario, *(fmu for fmu, _ in study.system.fmus.values())]
-    check_overwritable(folder, "cosim sweep", force=force, keep=out is None)
+    check_overwritable(folder, "cosim sweep", force=force)
     check_writable(folder, (TABLE, RECORD, REPORT, DATABASE), inputs)
     address = study.file.dask if dask is None else dask
     for library in ("pyarrow", "SALib"):  # missing libraries are reported before any run
         optional(library, "cosim sweep")
     with ExitStack() as stack:
         client = stack.enter_context(dask_client(address, fault_maker(study.yaml, dask)))
-        if force and out is None:
-            keep_earlier(folder, "cosim sweep")
         if force:
+            keep_earlier(folder, "cosim sweep", read=inputs)
             for name in (DATABASE, TABLE, RECORD, REPORT):
                 (folder / name).unlink(missing_ok=True)
         record, count = _read_completed(folder, study.key), 0

@@ -38,11 +38,11 @@ def command(
     from cosim.estimators.workflow import consistency as over_runs
 
     check_size(runs, steps)
-    keep, out = out is None, out or folder_named("consistency")
-    check_folder(out, force=force, keep=keep)
+    out = out or folder_named("consistency")
+    check_folder(out, force=force)
     with progress_bar("estimating") as progress:
         rows = over_runs(runs, steps, seed, progress)
-    write(out, rows, steps, seed, report=report, keep=keep)
+    write(out, rows, steps, seed, report=report)
     show(out / "report.html", open_=report and open_)
     if as_json:
         say_json([row.as_json() for row in rows])

@@ -71,7 +71,6 @@ def command(
             seed=seed,
             report=report,
             force=force,
-            keep=out is None,
             progress=progress,
         )
     say(choice.headline)

@@ -164,7 +164,6 @@ def command(
             in_process=in_process,
             report=report,
             force=force,
-            keep=out is None,
             progress=progress or _silent,
         )
     warn(*told)

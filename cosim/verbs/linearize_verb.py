@@ -85,7 +85,6 @@ def command(
         side=side,
         report=report,
         force=force,
-        keep=out is None,
         compile=compile_,
     )
     warn(*outcome.notes)

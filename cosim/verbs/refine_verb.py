@@ -98,7 +98,6 @@ def command(
     from cosim.refinement.workflow import refine as refine_study
 
     place = folder_of_file(study) if out is None else out
-    keep = out is None
     with (
         stages(stage_number) as progress,
         ending_when_stuck(),
@@ -106,7 +105,7 @@ def command(
     ):
         told = progress if page is None else page
         options: dict[str, Any] = {"report": report, "force": force, "in_process": in_process, "limits": limits}
-        result = refine_study(study, place, told, keep=keep, **options)
+        result = refine_study(study, place, told, **options)
         if page is not None:
             page.show_verdict(result.record, place / "report.html")
     warn(*result.study.warnings)

@@ -125,7 +125,7 @@ def command(
     with compiling(compile_), progress_bar("replaying") as progress:
         drive = partial(replay_log, in_process=in_process, limits=limits, progress=progress)
         posed = partial(drive, start=start or (), columns=column or ())
-        comparison = posed(log, place, plant, report=report, force=force, keep=out is None, format_=format_)
+        comparison = posed(log, place, plant, report=report, force=force, format_=format_)
     for finding in comparison.findings:
         if finding.severity == "warning":
             say_finding(finding.line)

@@ -39,7 +39,7 @@ def command(
 
     place = results_of(protocol) if out is None else out
     with stages() as progress:
-        outcome = identify_bench(protocol, place, progress, report=report, seed=seed, force=force, keep=out is None)
+        outcome = identify_bench(protocol, place, progress, report=report, seed=seed, force=force)
     for text in outcome.warnings:
         warn(text)
     for line in outcome.sentences:

@@ -15,11 +15,10 @@ from plant.identification.write import RECORD, REPORT, model_text, write
 FILES = ("model.yaml", RECORD, REPORT)
 
 
-def identify_craft(yaml: YamlFile, out: Path, *, report: bool = True, keep: bool = False) -> CraftOutcome:
+def identify_craft(yaml: YamlFile, out: Path, *, report: bool = True) -> CraftOutcome:
     """Analyse logs of a craft and write results.
 
-    Args:
-        keep: Move the files of an earlier identification to `runs` in `out`.
+    The files of an earlier identification move to `runs` in `out`.
 
     Raises:
         InputError: Every fault of the file and its logs.
@@ -33,7 +32,7 @@ def identify_craft(yaml: YamlFile, out: Path, *, report: bool = True, keep: bool
         parameter, output = file.distance.parameter, file.distance.output
         outcome.results.append(distance(craft.runs, craft.loaded, parameter, output, craft.distances))
     draw = (lambda: page(outcome)) if report else None
-    write(out, (FILES[0], _model(outcome)), {"name": file.name}, outcome.results, draw, keep=keep)
+    write(out, (FILES[0], _model(outcome)), {"name": file.name}, outcome.results, draw, read=craft.files)
     return outcome
 
 

@@ -58,7 +58,6 @@ def identify(
     report: bool = True,
     seed: Seed | None = None,
     force: bool = True,
-    keep: bool = False,
 ) -> Outcome | CraftOutcome:
     """Identify a power-train, or noise and friction of a craft.
 
@@ -69,7 +68,6 @@ def identify(
         report: Write report.html.
         seed: Seed for the noise of a simulated bench; None takes that of the protocol.
         force: Overwrite results of another command in `out`.
-        keep: Move the files of an earlier call to `runs`.
 
     Returns:
         Results of the tests with their intervals, or estimates of noise and friction.
@@ -79,9 +77,9 @@ def identify(
     """
     path, out = Path(path), named_path(out)
     check_given(path, PROTOCOL)
-    check_overwritable(out, "cosim identify", force=force, keep=keep)
+    check_overwritable(out, "cosim identify", force=force)
     if (yaml := craft_file(path)) is not None:
-        return identify_craft(yaml, out, report=report, keep=keep)
+        return identify_craft(yaml, out, report=report)
     ready = prepare(path)
     protocol, measured = ready.protocol, ready.measured
     named = [path, *(protocol.folder / f for _, test in protocol.file.tests.named_tests() for f in test.files)]
@@ -94,7 +92,7 @@ def identify(
         return page(outcome)
 
     model = (FILES[0], powertrain(outcome, ready.model))
-    write(out, model, _record(outcome), outcome.results, page if report else None, keep=keep)
+    write(out, model, _record(outcome), outcome.results, page if report else None, read=named)
     return outcome
 
 

@@ -23,15 +23,17 @@ def write(
     results: Iterable[Result],
     page: Callable[[], str] | None,
     *,
-    keep: bool = False,
+    read: Iterable[Path],
 ) -> None:
     """Write each file completely or not at all.
+
+    The files of an earlier identification move to `runs` in the folder.
 
     Args:
         model: Name and text of the model file.
         record: Content of identify.json besides estimates and tests.
         page: Function that returns the report, or None.
-        keep: Move the files of an earlier identification to `runs` in the folder.
+        read: Input files, which stay where they are.
     """
     results = list(results)
     whole = {
@@ -44,8 +46,7 @@ def write(
     texts = [model, (RECORD, json.dumps(whole, indent=1, ensure_ascii=False, allow_nan=False) + "\n")]
     if page is not None:
         texts.append((REPORT, page()))
-    if keep:
-        keep_earlier(out, "cosim identify")
+    keep_earlier(out, "cosim identify", read=read)
     for name, text in texts:
         write_text(out / name, text)
 
