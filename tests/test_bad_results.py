@@ -17,6 +17,7 @@ from cosim.base.version import __version__
 from cosim.calibration import report
 from cosim.calibration.fit_study import _beside
 from cosim.history import entries as listing
+from cosim.history import row_ends
 from cosim.simulation import run_files
 from cosim.storage.kinds import MANIFEST, kind_of
 from cosim.storage.results import read_results
@@ -113,6 +114,87 @@ def test_rows_that_were_cut_are_told(root: Path, length: int, says: list[str]) -
         told_lines = [line for line in _invoke(*words).stderr.splitlines() if line.startswith("warning")]
         assert len(told_lines) == len(says)
         assert all(part in line for part, line in zip(says, told_lines, strict=True))
+
+
+def _outcomes() -> dict[str, str]:
+    return {row["name"]: row["outcome"] for row in json.loads(_invoke("list", "--json").stdout)["results"]}
+
+
+@pytest.mark.parametrize("length", [0, 4, len("time,a.x\n"), len(ROWS) - 1, len(ROWS) - 3, ROWS.index("1.0")])
+def test_cut_rows_are_listed_as_cut(root: Path, length: int) -> None:
+    _write(root / "one", status="ok")
+    _write(root / "two", status="ok")
+    (root / "two" / "results.csv").write_text(ROWS[:length])
+    (root / "three" / "results.csv").unlink()
+    assert _outcomes() == {"one": "ok", "two": "cut", "three": "rows are gone"}
+
+
+@pytest.mark.parametrize(
+    ("every", "status", "last", "cut"),
+    [
+        (None, "ok", 100.0, False),
+        (None, "ok", 99.99, True),
+        (None, "failed: x", 50.0, False),  # 5000 rows of 10001
+        (None, "failed: x", 49.9, True),
+        (0.03, "ok", 100.0, False),  # the end is recorded, 99.99 too
+        (0.03, "ok", 99.99, True),
+    ],
+)
+def test_a_long_table_is_cut_if_its_last_time_is_before_the_end_of_the_run(
+    root: Path, every: float | None, status: str, last: float, cut: bool
+) -> None:
+    step = every or 0.01
+    scenario = {"name": "two", "duration": 100, "step": 0.01, "record": {"every": every} if every else []}
+    rows = 5001 if status != "ok" else 10001 if every is None else 3335
+    _write(root / "two", scenario=scenario, status=status, rows=rows)
+    times = [*(k * step for k in range(rows + 1) if k * step < last - 1e-6), last]
+    (root / "two" / "results.csv").write_text("time,a.x\n" + "".join(f"{t!r},0.123456789\n" for t in times))
+    assert (root / "two" / "results.csv").stat().st_size > row_ends.LAST_BYTES
+    assert _outcomes()["two"] == ("cut" if cut else status)
+
+
+@pytest.mark.parametrize(("name", "end"), row_ends.ENDS.items())
+def test_binary_tables_without_their_end_are_cut(root: Path, name: str, end: bytes) -> None:
+    (root / "two" / "results.csv").unlink()
+    _write(root / "one", status="ok")
+    for content, outcome in ((b"rows" + end, ""), (b"rows" + end[:-1], "cut")):
+        (root / "two" / f"results{name}").write_bytes(content)
+        assert _outcomes()["two"] == outcome
+        (root / "two" / "results.csv").unlink(missing_ok=True)
+
+
+@pytest.mark.parametrize(
+    ("record", "says"),
+    [
+        ({"criteria": "all"}, 'criteria is "all", not a list of criteria; criteria is not used'),
+        ({"criteria": [{"of": "a.x", "met": "no"}]}, 'criteria[0].met is "no", not true or false'),
+        ({"scenario": ["two"]}, 'scenario is ["two"], not a mapping'),
+        ({"scenario": {"name": "two", "components": {"a": 3}}}, "scenario.components.a is 3, not a mapping"),
+        ({"rows": "3"}, 'rows is "3", not a whole number'),
+        ({"status": 5}, "status is 5, not text"),
+        ({"units": {"a.x": 1}}, "units.a.x is 1, not text"),
+        ({"cosim_version": 9}, "cosim_version is 9, not text"),
+    ],
+)
+def test_a_value_of_the_wrong_type_in_a_record_is_named_and_the_rest_goes_on(
+    root: Path, record: dict[str, Any], says: str
+) -> None:
+    _write(root / "two", **record)
+    (root / "two" / "report.html").write_text("<html>")
+    (root / "two" / "runs" / "0001").mkdir(parents=True)
+    (root / "two" / "runs" / "0001" / "manifest.json").write_text("{}")
+    for words in (
+        ("list",),
+        ("list", "--json"),
+        ("gc", "two*", "--yes"),
+        ("open", "two", "--no-browser"),
+        ("compare", "one", "two", "--no-report", "--out", "out"),
+    ):
+        done = _invoke(*words)
+        assert done.exit_code == 0, (words, done.exception)
+        (line,) = [line for line in done.stderr.splitlines() if "two/manifest.json" in line and "is not used" in line]
+        assert says in line
+        assert "results/one" not in done.stderr
 
 
 def test_a_run_says_how_many_rows_it_wrote(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,6 +16,7 @@ from cosim.base.errors import InputError
 from cosim.history.entries import entries, find_entries
 from cosim.history.inputs import changes_between
 from cosim.history.removal import plan_removal, remove
+from cosim.history.selection import select_results
 from cosim.verbs.cli import app
 
 SCENARIO = {"name": "tank", "duration": 1.0, "components": {"tank": {"fmu": "tank.fmu", "start": {"area": 0.5}}}}
@@ -95,7 +96,7 @@ def test_removal_takes_earlier_runs_and_never_the_newest(results: Path) -> None:
     assert plan.size == sum(p.stat().st_size for e in plan.entries for p in e.folder.iterdir())
     assert not remove(plan.entries)
     assert [e.name for e in entries(results)] == ["study", "tank"]
-    assert not (results / "tank" / "runs").exists()
+    assert (results / "tank" / "runs" / ".last").read_text() == "2\n"  # no later run is called 2
     assert (results / "mine" / "notes.txt").exists()
     (gone, _) = remove(plan.entries)
     assert "is gone already" in gone
@@ -115,6 +116,35 @@ def test_the_commands_list_open_and_remove(results: Path) -> None:
     assert len(entries(results)) == 4
     assert "removed: 2 earlier runs" in CliRunner().invoke(app, ["gc", "--yes"]).output
     assert "nothing is removed" in CliRunner().invoke(app, ["gc", "--yes"]).output
+
+
+def test_results_in_folders_within_are_listed_but_not_in_parts_of_results(results: Path) -> None:
+    met = {"scenario": SCENARIO, "status": "ok"}
+    for k, place in enumerate(("sub/x", "sub/x/runs/0004", "tank/firm", "a/b/c/d", "a/b/c/d/e", "sub/.hidden/y")):
+        _write(results / place, 2e9 + k, met)
+    _write(results / "tank" / "runs" / "0002" / "z", 2e9, met)
+    (results / "tank" / "system").mkdir()
+    (results / "tank" / "system" / "manifest.json").write_text("{}")
+    assert [e.name for e in entries(results) if e.time >= 2e9] == ["sub/x", "sub/x/0004", "tank/firm", "a/b/c/d"]
+    assert [e.name for e in find_entries(["sub/x", "tank/firm"])] == ["sub/x", "tank/firm"]
+    assert [e.name for e in plan_removal(entries(results)).entries] == ["tank/0001", "tank/0002", "sub/x/0004"]
+
+
+def test_a_folder_without_results_does_not_hide_results_of_its_name(results: Path) -> None:
+    Path("tank").mkdir()
+    Path("tank/model.mo").touch()
+    (results / "tank" / "report.html").write_text("<html>")
+    assert [s.path for s in select_results(["tank", "3"])] == [results / "tank", results / "tank" / "runs" / "0002"]
+    assert CliRunner().invoke(app, ["open", "tank", "--no-browser"]).output == "report: results/tank/report.html\n"
+    Path("tank/results.csv").touch()
+    assert [s.path for s in select_results(["tank"])] == [Path("tank")]
+    Path("mine").mkdir()
+    assert "holds no results" in str(CliRunner().invoke(app, ["open", "mine"]).exception)
+
+
+def test_the_name_of_newest_results_does_not_remove_and_says_which_name_would(results: Path) -> None:
+    done = CliRunner().invoke(app, ["gc", "tank", "study", "--yes"])
+    assert "the newest results of a name stay; name its earlier runs as 'tank/*' 'study/*'" in done.output
 
 
 def test_results_without_a_report_and_several_results_are_named(results: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,9 +13,11 @@ import pytest
 
 import cosim
 from cosim.base.errors import InputError
+from cosim.blocks.fmu import FmuBlock
 from cosim.simulation import workflow
 from cosim.simulation.run_signals import Run
 from cosim.simulation.workflow import run
+from cosim.system.recording import _is_meant, _objection
 from tests.test_resume import check_equal, stopped
 from tests.walker import walker_scenario
 
@@ -176,3 +179,23 @@ def test_a_manifest_repeats_the_part(tmp_path: Path) -> None:
     rows = [(tmp_path / name / "results.csv").read_bytes() for name in ("out", "again")]
     assert rows[0] == rows[1]
     assert json.loads((tmp_path / "again" / "manifest.json").read_text())["beside"] == []
+
+
+@pytest.mark.parametrize(
+    ("pattern", "column", "is_meant"),
+    [("a.y", "a.y[1]", True), ("a.y", "a.y[1,2]", True), ("a.y", "a.y2[1]", False), ("a.y[1]", "a.y[1]", True),
+     ("a.y[*]", "a.y[2]", True), ("a.y[1]", "a.y[2]", False), ("*.y", "a.y[1]", False), ("*", "a.y[1]", True)],
+)  # fmt: skip
+def test_the_name_of_an_array_means_its_elements(pattern: str, column: str, is_meant: bool) -> None:
+    assert _is_meant(pattern, column) is is_meant
+
+
+def test_the_time_of_an_fmu_is_no_signal_and_is_not_suggested() -> None:
+    component: Any = object.__new__(FmuBlock)
+    variables = [SimpleNamespace(name=n, causality=c) for n, c in (("time", "independent"), ("tide", "local"))]
+    object.__setattr__(component, "description", SimpleNamespace(modelVariables=variables))
+    scenario: Any = SimpleNamespace(components={"d": None})
+    layout: Any = SimpleNamespace(columns=["d.x"], beside=[])
+    said = [str(_objection(pattern, scenario, {"d": component}, layout)) for pattern in ("d.time", "d.tim")]
+    assert said[0] == "d.time is the time, the first column of every result; leave it out"
+    assert said[1] == 'no signal matches "d.tim"; did you mean "d.tide"?'

@@ -15,12 +15,17 @@ from cosim.base.suggestions import did_you_mean
 from cosim.base.version import __version__
 from cosim.history import messages
 from cosim.history.inputs import changes_between, input_text, input_tree, short_input
+from cosim.history.row_ends import is_cut
 from cosim.storage.artefact import Artefact, artefacts
 from cosim.storage.folders import EARLIER, RESULTS, SCHEMA_VERSION, content_of, version_of
+from cosim.storage.record_types import sound_part
 
 OUTCOMES = ("verdict", "status", "sentence")  # keys of a record whose text is an outcome
 UNFINISHED, DAMAGED, ROWS_ONLY = "unfinished", "damaged record", "rows without a record"
+CUT, NO_ROWS = "cut", "rows are gone"  # fewer rows than the record says
 MOST_CHANGES = 3  # in a text
+ROWS = "results"  # name, without ending, of the rows of a run
+DEEPEST = 4  # levels of folders below the folder of results: results/a/b/c/d
 
 
 @dataclass(frozen=True)
@@ -29,17 +34,21 @@ class Entry:
 
     Attributes:
         number: Number by age, from 1 for the oldest.
-        name: Name within the folder of results: `tank` for the newest, `tank/0001` for an earlier run.
+        name: Name within the folder of results: `tank` or `sub/tank` for the newest, `tank/0001` for an earlier run.
+        of: Name of the newest results, of which this is an earlier run or which this is.
         verb: Command that wrote the results, without `cosim`; "" if unknown.
         time: Time of writing [s] since 1970.
-        outcome: Outcome of criteria, verdict or status, `unfinished`, `damaged record`, `rows without a record`, or "".
+        outcome: Outcome of criteria, verdict or status, `unfinished`, `damaged record`, `rows without a record`, `cut`,
+            `rows are gone`, or "".
         changes: Input → value, where it differs from the run before of the same name; None for a removed input.
         record: File by which the results are known, whose time is `time`.
         version: Version of cosim that wrote the record, or its schema, if it is another one; otherwise "".
+        warnings: Values of wrong types in the record.
     """
 
     number: int
     name: str
+    of: str
     folder: Path
     verb: str
     time: float
@@ -47,6 +56,7 @@ class Entry:
     changes: Mapping[str, Any]
     record: Path
     version: str = ""
+    warnings: tuple[str, ...] = ()
 
     def check_current(self) -> None:
         """Raise InputError if the results were removed or replaced since they were listed."""
@@ -58,7 +68,7 @@ class Entry:
     @property
     def is_newest(self) -> bool:
         """Return whether no later run of the same name exists."""
-        return "/" not in self.name
+        return self.name == self.of
 
     @property
     def label(self) -> str:
@@ -86,9 +96,9 @@ class Entry:
 
 
 def entries(results: Path | None = None) -> list[Entry]:
-    """Return all results in a folder, the oldest first.
+    """Return all results in a folder and in the folders within, the oldest first.
 
-    Folders that are links and folders without results of a command are left out.
+    Folders that are links, hidden folders within and folders without results of a command are left out.
 
     Args:
         results: Folder of results, by default `results`.
@@ -97,14 +107,15 @@ def entries(results: Path | None = None) -> list[Entry]:
     marks = _marks()
     every: list[tuple[_Recorded, Content]] = []
     for name in sorted(_folders(root)):
-        before: Mapping[str, Any] | None = None
-        for recorded, content in _of_name(root / name, name, marks):
-            inputs = input_tree(content)
-            every.append((recorded, {} if before is None or not inputs else changes_between(before, inputs)))
-            before = inputs or before
+        for of, folder, scanned in _nested(root / name, name, marks):
+            before: Mapping[str, Any] | None = None
+            for recorded, content in _of_name(folder, of, scanned, marks):
+                inputs = input_tree(content)
+                every.append((recorded, {} if before is None or not inputs else changes_between(before, inputs)))
+                before = inputs or before
     every.sort(key=lambda each: (each[0].time, each[0].name))
     return [
-        Entry(number, r.name, r.folder, r.verb, r.time, r.outcome, changes, r.record, r.version)
+        Entry(number, r.name, r.of, r.folder, r.verb, r.time, r.outcome, changes, r.record, r.version, r.warnings)
         for number, (r, changes) in enumerate(every, 1)
     ]
 
@@ -152,6 +163,13 @@ def match_entries(text: str, every: Sequence[Entry], root: Path = RESULTS) -> li
     return [e for e in every if e.name == name] or [e for e in every if fnmatch.fnmatchcase(e.name, name)]
 
 
+def hides_results(path: Path) -> bool:
+    """Return whether a path is a folder without results, so that its name may rather mean results elsewhere."""
+    if not path.is_dir() or any(a.is_left_in(path, unfinished=True) for a in artefacts() if a.verb):
+        return False
+    return not any(path.glob(f"{ROWS}.*"))
+
+
 def _folders(root: Path) -> Iterator[str]:
     try:
         with os.scandir(root) as items:
@@ -168,83 +186,135 @@ class _Marks:
         finished: Marks of results.
         unfinished: Marks of results without their first mark.
         rows: Names, without ending, of tables of rows.
+        parts: Names of folders that are part of results, and so hold no results of their own.
     """
 
     finished: Mapping[str, Artefact]
     unfinished: Mapping[str, Artefact]
     names: frozenset[str]
     rows: frozenset[str]
+    parts: frozenset[str]
 
 
 Content = Mapping[str, Any]  # of a record
+
+
+class _Scanned(NamedTuple):
+    """A folder: times of the marks in it, tables of rows, and folders."""
+
+    there: Mapping[str, float]
+    tables: Sequence[str]
+    folders: Sequence[str]
 
 
 class _Recorded(NamedTuple):
     """Results of one command without their number and changes."""
 
     name: str
+    of: str
     folder: Path
     verb: str
     time: float
     outcome: str
     record: Path
     version: str = ""
+    warnings: tuple[str, ...] = ()
 
 
 def _marks() -> _Marks:
     finished: dict[str, Artefact] = {}
     unfinished: dict[str, Artefact] = {}
     rows: set[str] = set()
+    parts = {EARLIER}
     for artefact in artefacts():
         if artefact.verb:
+            parts |= {path.partition("/")[0] for path in artefact.files if "/" in path}
             finished = {**dict.fromkeys(artefact.marks, artefact), **finished}
             unfinished = {**dict.fromkeys(artefact.unfinished, artefact), **unfinished}
             rows |= {*artefact.tables}
     names = frozenset((*finished, *(path.partition("/")[0] for path in unfinished)))
-    return _Marks(finished, unfinished, names, frozenset(rows))
+    return _Marks(finished, unfinished, names, frozenset(rows), frozenset(parts))
 
 
-def _of_name(folder: Path, name: str, marks: _Marks) -> Iterator[tuple[_Recorded, Content]]:
+def _nested(folder: Path, name: str, marks: _Marks) -> Iterator[tuple[str, Path, _Scanned]]:
+    """Yield name, path and content of a folder and of the folders within that may hold results of their own."""
+    scanned = _scan(folder, marks)
+    if scanned is None:
+        return
+    yield name, folder, scanned
+    if name.count("/") + 1 < DEEPEST:
+        for inner in sorted(scanned.folders):
+            if inner not in marks.parts and not inner.startswith("."):
+                yield from _nested(folder / inner, f"{name}/{inner}", marks)
+
+
+def _scan(place: Path, marks: _Marks) -> _Scanned | None:
+    """Return the content of a folder; None if it was removed meanwhile or cannot be read."""
+    there: dict[str, float] = {}
+    tables: list[str] = []
+    folders: list[str] = []
+    try:
+        with os.scandir(place) as items:
+            for item in items:
+                if item.name in marks.names:
+                    there[item.name] = item.stat().st_mtime
+                elif item.name.partition(".")[0] in marks.rows:
+                    tables.append(item.name)
+                if item.is_dir(follow_symlinks=False):
+                    folders.append(item.name)
+    except OSError:
+        return None
+    return _Scanned(there, tables, folders)
+
+
+def _of_name(folder: Path, name: str, newest: _Scanned, marks: _Marks) -> Iterator[tuple[_Recorded, Content]]:
     """Yield the results of a name and the contents of their records, earlier runs first."""
     earlier = folder / EARLIER
-    numbers = sorted((n for n in _folders(earlier) if n.isdecimal()), key=int)
-    for place, label in (*((earlier / n, f"{name}/{n}") for n in numbers), (folder, name)):
-        there: dict[str, float] = {}
-        tables: list[str] = []
-        try:
-            with os.scandir(place) as items:
-                for item in items:
-                    if item.name in marks.names:
-                        there[item.name] = item.stat().st_mtime
-                    elif item.name.partition(".")[0] in marks.rows:
-                        tables.append(item.name)
-        except OSError:  # removed meanwhile
+    names = _folders(earlier) if EARLIER in newest.folders else ()
+    numbers = sorted((n for n in names if n.isdecimal()), key=int)
+    places = [(earlier / n, f"{name}/{n}", _scan(earlier / n, marks)) for n in numbers]
+    for place, label, scanned in (*places, (folder, name, newest)):
+        if scanned is None:
             continue
-        recorded = _by_mark(place, label, there, marks) or (_by_rows(place, label) if tables else None)
+        about = place, label, name
+        recorded = _by_mark(about, scanned, marks) or (_by_rows(about) if scanned.tables else None)
         if recorded is not None:
             yield recorded
 
 
-def _by_mark(place: Path, label: str, there: Mapping[str, float], marks: _Marks) -> tuple[_Recorded, Content] | None:
+def _by_mark(about: tuple[Path, str, str], scanned: _Scanned, marks: _Marks) -> tuple[_Recorded, Content] | None:
     """Return results with a mark of their command, and the content of their record.
 
     Args:
-        there: Marks in the folder, and their times.
+        about: Folder, name, and name of the newest results.
     """
+    (place, label, of), there = about, scanned.there
     for mark, artefact in marks.finished.items():
         if mark in there:
             content = content_of(place / mark) if mark.endswith(".json") else {"status": ""}
             if not content and not (place / mark).is_file():
                 return None  # removed meanwhile
-            outcome, verb = _outcome(content) if content else DAMAGED, artefact.verb.removeprefix("cosim ")
-            about = there[mark], outcome, place / mark, _other_version(content)
-            return _Recorded(label, place, verb, *about), content
+            verb = artefact.verb.removeprefix("cosim ")
+            content, warnings = sound_part(place / mark, content)
+            outcome = (_outcome(content) or DAMAGED * bool(warnings)) if content else DAMAGED
+            if artefact.tables and isinstance(content.get("rows"), int):
+                outcome = _missing_rows(place, scanned.tables, content) or outcome
+            written = there[mark], outcome, place / mark, _other_version(content), warnings
+            return _Recorded(label, of, place, verb, *written), content
     for mark, artefact in marks.unfinished.items():
         if (time := there.get(mark.partition("/")[0])) is not None and (place / mark).is_file():
             content = content_of(place / mark) if mark.endswith(".json") else {}
             verb, record = artefact.verb.removeprefix("cosim "), place / mark.partition("/")[0]
-            return _Recorded(label, place, verb, time, UNFINISHED, record, _other_version(content)), content
+            return _Recorded(label, of, place, verb, time, UNFINISHED, record, _other_version(content)), content
     return None
+
+
+def _missing_rows(place: Path, tables: Sequence[str], content: Content) -> str:
+    """Return `cut` or `rows are gone` if the rows are not those of the record, otherwise ""."""
+    rows = [name for name in tables if name.startswith(f"{ROWS}.")]
+    if not rows:
+        return NO_ROWS if content["rows"] else ""
+    return CUT if all(is_cut(place / name, content) for name in rows) else ""
 
 
 def _other_version(content: Content) -> str:
@@ -255,13 +325,14 @@ def _other_version(content: Content) -> str:
     return by if by != __version__ else ""
 
 
-def _by_rows(place: Path, label: str) -> tuple[_Recorded, Content] | None:
+def _by_rows(about: tuple[Path, str, str]) -> tuple[_Recorded, Content] | None:
     """Return results with rows and no record: the record was deleted, or another tool wrote the rows."""
     from cosim.storage.results import rows_in  # with numpy, which a list seldom needs
 
+    place, label, of = about
     rows = rows_in(place)
     with suppress(OSError):  # removed meanwhile
-        return None if rows is None else (_Recorded(label, place, "", rows.stat().st_mtime, ROWS_ONLY, rows), {})
+        return None if rows is None else (_Recorded(label, of, place, "", rows.stat().st_mtime, ROWS_ONLY, rows), {})
     return None
 
 

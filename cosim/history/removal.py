@@ -13,6 +13,7 @@ from pathlib import Path
 from cosim.history import messages
 from cosim.history.entries import Entry
 from cosim.storage.folder_lock import folder_locks, take_folder
+from cosim.storage.folders import note_last_number
 
 DAY = 86_400.0  # [s]
 
@@ -39,7 +40,7 @@ def plan_removal(
     by_name: dict[str, list[Entry]] = {}
     for entry in entries:
         if not entry.is_newest:
-            by_name.setdefault(entry.name.partition("/")[0], []).append(entry)
+            by_name.setdefault(entry.of, []).append(entry)
     limit = time.time() - DAY * older
     names = {entry.name for entry in (entries if chosen is None else chosen)}
     outdated = [e for runs in by_name.values() for e in runs[: max(0, len(runs) - keep)] if e.time <= limit]
@@ -57,11 +58,10 @@ def remove(entries: Iterable[Entry]) -> list[str]:
             continue
         take_folder(entry.folder.parent.parent)
         try:
+            note_last_number(entry.folder.parent)
             shutil.rmtree(entry.folder)
         except OSError as error:
             warnings.append(messages.NOT_REMOVED(folder=entry.folder, reason=error.strerror or error))
-        with suppress(OSError):  # other runs are left
-            entry.folder.parent.rmdir()
     return warnings
 
 

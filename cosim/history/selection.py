@@ -9,7 +9,7 @@ from pathlib import Path
 from cosim.base.errors import Fault, refuse
 from cosim.base.suggestions import did_you_mean
 from cosim.history import messages
-from cosim.history.entries import Entry, entries, match_entries
+from cosim.history.entries import Entry, entries, hides_results, match_entries
 from cosim.storage.folders import RESULTS
 
 PATTERN = ("*", "?", "[")  # characters that make a text a pattern
@@ -45,7 +45,8 @@ class Selected:
 def select_results(texts: Sequence[str], results: Path | None = None) -> list[Selected]:
     """Return the results of paths, numbers, names and patterns such as `tank/*`, in this order.
 
-    A path that exists is taken as a path. A pattern gives its matches by age, without results that are there already.
+    A path that exists is taken as a path, but for a folder without results that has the name of results. A pattern
+    gives its matches by age, without results that are there already.
 
     Args:
         results: Folder of results, by default `results`.
@@ -66,7 +67,7 @@ def select_groups(texts: Sequence[str], results: Path | None = None) -> list[lis
     there: set[Path] = set()
     for text in texts:
         path = Path(text)
-        if path.exists():
+        if path.exists() and not (hides_results(path) and match_entries(text, every, root)):
             group = [Selected(path, by_folder.get(path.resolve()))]
         else:
             matches = match_entries(text, every, root)
@@ -88,7 +89,7 @@ def is_pattern(text: str) -> bool:
 
 def _may_be_entry(text: str, root: Path) -> bool:
     path = Path(text)
-    return not path.exists() or (root.is_dir() and root.resolve() in path.resolve().parents)
+    return not path.exists() or hides_results(path) or (root.is_dir() and root.resolve() in path.resolve().parents)
 
 
 def _no_match(text: str, every: Sequence[Entry]) -> str:

@@ -20,6 +20,7 @@ from cosim.storage import messages
 from cosim.storage.artefact import artefacts
 from cosim.storage.files import delay_stops, write_text
 from cosim.storage.folder_lock import take_folder
+from cosim.storage.record_types import sound_part
 
 RESULTS = Path("results")
 EARLIER = "runs"  # folder of earlier runs inside a results folder, 0001 and so on
@@ -65,8 +66,8 @@ def name_of(model: str) -> str:
 
 
 def manifest_in(folder: Path) -> dict[str, Any]:
-    """Return the manifest in a folder, empty if unreadable."""
-    return content_of(folder / "manifest.json")
+    """Return the manifest in a folder, without values of wrong types, empty if unreadable."""
+    return sound_part(folder / "manifest.json", content_of(folder / "manifest.json"))[0]
 
 
 def warnings_on(folder: Path) -> tuple[str, ...]:
@@ -74,8 +75,9 @@ def warnings_on(folder: Path) -> tuple[str, ...]:
     file = next((path for name in ("manifest.json", REPLAY) if (path := folder / name).is_file()), None)
     if file is None:
         return ()
-    record = content_of(file)
-    return other_version(file, record) if record else (messages.DAMAGED_MANIFEST(file=file),)
+    content = content_of(file)
+    record, wrong = sound_part(file, content)
+    return (*other_version(file, record), *wrong) if content else (messages.DAMAGED_MANIFEST(file=file),)
 
 
 def other_version(file: Path, record: Mapping[str, Any]) -> tuple[str, ...]:
@@ -108,9 +110,9 @@ def content_of(path: Path) -> dict[str, Any]:
 def replay_record(folder: Path) -> dict[str, Any]:
     """Return a replay's description of its rows.
 
-    Keys are `log`, `fmu`, `units` and `sentence`; the result is empty if unreadable.
+    Keys are `log`, `fmu`, `units` and `sentence`; values of wrong types are left out, and all if unreadable.
     """
-    return content_of(folder / REPLAY)
+    return sound_part(folder / REPLAY, content_of(folder / REPLAY))[0]
 
 
 def check_run_folder(folder: Path, name: str = "", *, ssp: Path | None = None, force: bool = False) -> None:
@@ -268,6 +270,12 @@ def _next_number(earlier: Path) -> int:
             last = (earlier / LAST).read_text(encoding="ascii")[: MOST_DIGITS + 1].strip()
     names = [last, *(path.name for path in earlier.iterdir())]
     return max((int(name) for name in names if name.isdecimal() and len(name) <= MOST_DIGITS), default=0) + 1
+
+
+def note_last_number(earlier: Path) -> None:
+    """Write the highest number of the earlier runs in a folder down, before runs are removed from it."""
+    if earlier.is_dir() and not (earlier / LAST).is_file():
+        write_text(earlier / LAST, f"{_next_number(earlier) - 1}\n")
 
 
 def _is_inside(folder: Path, name: str) -> bool:

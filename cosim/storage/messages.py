@@ -198,4 +198,7 @@ GONE = Template("E-STO-111", "was removed while it was read; repeat the command 
 NO_VERSION = Template(
     "W-STO-112", "{file} is a manifest without schema_version, as after an edit; it is read as one of version {known}"
 )
+WRONG_TYPE = Template(
+    "W-STO-113", "{file}: {field} is {value}, not {wanted}; {key} is not used: run it again, or correct the file"
+)
 MCAP_TIME = Template("E-STO-103", "times from {first:g} s to {last:g} s: MCAP counts from 0; take another format")

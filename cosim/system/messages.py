@@ -29,6 +29,7 @@ NOTHING_RECORDED = Template(
 RECORD_WITHOUT_COMPONENT = Template("E-SYS-011", 'no component "{name}"{hint}; write component.* or component.variable')
 RECORD_WITHOUT_VARIABLE = Template("E-SYS-012", 'no variable "{pattern}"{hint}')
 RECORD_WITHOUT_SIGNAL = Template("E-SYS-094", 'no signal matches "{pattern}"{hint}')
+RECORD_TIME = Template("E-SYS-107", "{pattern} is the time, the first column of every result; leave it out")
 NOT_RECORDED = Template("E-SYS-095", "{name} is not recorded, and the criterion needs it; add it to record: signals")
 CHARTS_LEFT_OUT = Template(
     "N-SYS-096", "{count} of {total} signals are recorded; the report has no chart of the connections {names}"

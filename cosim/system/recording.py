@@ -101,8 +101,13 @@ def _variables(columns: Sequence[str] | set[str]) -> list[set[str]]:
 
 
 def _is_recorded(column: str, record: Recording) -> bool:
+    return record.signals is None or any(_is_meant(pattern, column) for pattern in record.signals)
+
+
+def _is_meant(pattern: str, column: str) -> bool:
+    """Return whether a pattern matches a column, or is the name of the array of which the column is an element."""
     component, _, variable = column.partition(".")
-    return record.signals is None or any(matches(pattern, component, variable) for pattern in record.signals)
+    return matches(pattern, component, variable) or column.startswith(f"{pattern}[")
 
 
 def _objection(
@@ -111,7 +116,7 @@ def _objection(
     """Return the objection to a pattern that matches no signal, with near names."""
     name, is_pattern = pattern.partition(".")[0], "*" in pattern.partition(".")[0]
     columns = (*layout.columns, *layout.beside)
-    if any(matches(pattern, *_parts(column)) for column in columns):
+    if any(_is_meant(pattern, column) for column in columns):
         return None
     if not is_pattern and name not in scenario.components:
         return messages.RECORD_WITHOUT_COMPONENT(name=name, hint=did_you_mean(name, scenario.components))
@@ -120,11 +125,9 @@ def _objection(
         return None
     others = [column for column in columns if column.startswith("" if is_pattern else f"{name}.")]
     if isinstance(component := components.get(name), FmuBlock):
-        others += [f"{name}.{v.name}" for v in component.description.modelVariables]
+        variables = {f"{name}.{v.name}": v.causality != "independent" for v in component.description.modelVariables}
+        if not variables.get(pattern, True):
+            return messages.RECORD_TIME(pattern=pattern)
+        others += [variable for variable, is_recordable in variables.items() if is_recordable]
     near = did_you_mean(pattern.replace("*", ""), others)
     return messages.RECORD_WITHOUT_SIGNAL(pattern=pattern, hint=near or f"; there are {join_names(others) or 'none'}")
-
-
-def _parts(column: str) -> tuple[str, str]:
-    component, _, variable = column.partition(".")
-    return component, variable

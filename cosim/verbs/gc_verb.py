@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
-from typing import Annotated
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -12,6 +14,9 @@ from cosim.base.text import counted
 from cosim.storage.folders import RESULTS
 from cosim.verbs.options import Json, ResultsFolder, Texts
 from cosim.verbs.terminal import say, say_json, some, warn
+
+if TYPE_CHECKING:
+    from cosim.history.entries import Entry
 
 MOST_NAMES = 10
 UNITS = ("B", "kB", "MB", "GB", "TB")
@@ -38,7 +43,9 @@ def command(
     from cosim.history.removal import plan_removal, remove
 
     root = results or RESULTS
-    plan = plan_removal(entries(root), keep=keep, older=older, chosen=listed_entries(names, root))
+    chosen = listed_entries(names, root)
+    plan = plan_removal(entries(root), keep=keep, older=older, chosen=chosen)
+    warn(*(text for entry in chosen for text in entry.warnings))
     amount = f"{counted(len(plan.entries), 'earlier run')}, {_size(plan.size)}"
     removed = [entry.name for entry in plan.entries]
     if removed:
@@ -50,10 +57,18 @@ def command(
                 removed = []
     warnings = remove(plan.entries) if removed else []
     warn(*warnings)
-    nothing = "nothing is removed" if plan.entries else "nothing is removed: no earlier run is among these results"
+    nothing = "nothing is removed" if plan.entries else f"nothing is removed: {_reason(chosen, named=bool(names))}"
     say(f"removed: {amount}" if removed else nothing)
     if as_json:
         say_json({"removed": removed, "bytes": plan.size if removed else 0})
+
+
+def _reason(chosen: Sequence[Entry], *, named: bool) -> str:
+    """Return why no run is removed."""
+    if not named or not chosen or not all(entry.is_newest for entry in chosen):
+        return "no earlier run is among these results"
+    names = " ".join(shlex.quote(f"{entry.name}/*") for entry in chosen)
+    return f"the newest results of a name stay; name its earlier runs as {names}"
 
 
 def _size(count: float) -> str:

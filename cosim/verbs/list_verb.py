@@ -9,7 +9,7 @@ import typer
 
 from cosim.storage.folders import RESULTS
 from cosim.verbs.options import Json, ResultsFolder, Texts
-from cosim.verbs.terminal import say, say_json, table
+from cosim.verbs.terminal import say, say_json, table, warn
 
 if TYPE_CHECKING:
     from cosim.history.entries import Entry
@@ -32,6 +32,7 @@ def command(
 
     root = results or RESULTS
     found = listed_entries(names, root)
+    warn(*(text for entry in found for text in entry.warnings))
     if as_json:
         say_json({"results": [_as_json(entry) for entry in found]})
         return
@@ -55,4 +56,4 @@ def _as_json(entry: Entry) -> dict[str, Any]:
     when = datetime.fromtimestamp(entry.time).astimezone().isoformat(timespec="seconds")
     content = {"number": entry.number, "name": entry.name, "folder": str(entry.folder), "command": entry.verb}
     about = {"outcome": entry.outcome, "changes": dict(entry.changes), "other_version": entry.version or None}
-    return {**content, "time": when, **about}
+    return {**content, "time": when, **about, "warnings": [*entry.warnings]}

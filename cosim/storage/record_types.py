@@ -1,0 +1,110 @@
+"""Types of the values in the records of commands, such as manifest.json, and their check."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from cosim.storage import messages
+
+LONGEST = 40  # characters of a value in a message
+
+
+@dataclass(frozen=True)
+class Kind:
+    """Type of a value in a record.
+
+    Attributes:
+        title: Noun phrase for messages.
+        inner: Type of each element of a list and each value of a mapping, if all have the same.
+        keys: Types of single keys of a mapping, which may be absent.
+    """
+
+    title: str
+    type: type
+    inner: Kind | None = None
+    keys: Mapping[str, Kind] = field(default_factory=dict)
+
+    def fault(self, value: Any, name: str) -> WrongValue | None:
+        """Return the first wrong value within a value of this name, if any."""
+        if type(value) is not self.type:
+            return WrongValue(name, value, self.title)
+        if self.inner is None:
+            parts = ((k, value[n], f"{name}.{n}") for n, k in self.keys.items() if n in value)
+        else:
+            pairs, place = (value.items(), "{}.{}") if self.type is dict else (enumerate(value), "{}[{}]")
+            wrong = ((n, v) for n, v in pairs if self.inner.is_deep or type(v) is not self.inner.type)
+            parts = ((self.inner, v, place.format(name, n)) for n, v in wrong)
+        return next(filter(None, (kind.fault(part, where) for kind, part, where in parts)), None)
+
+    @cached_property
+    def is_deep(self) -> bool:
+        """Return whether the type says more than the class of a value."""
+        return bool(self.inner or self.keys)
+
+
+class WrongValue(NamedTuple):
+    """A value of a record that has another type than it should."""
+
+    name: str
+    value: Any
+    wanted: str
+
+
+TEXT, WHOLE = Kind("text", str), Kind("a whole number", int)
+MAPPING = Kind("a mapping", dict)
+TEXTS, MAPPINGS = Kind("a list of texts", list, TEXT), Kind("a list of mappings", list, MAPPING)
+CRITERION = Kind("a mapping", dict, keys={"kind": TEXT, "of": TEXT, "met": Kind("true or false", bool)})
+SCENARIO = Kind("a mapping", dict, keys={"name": TEXT, "components": Kind("a mapping", dict, MAPPING)})
+COMMON = {
+    "schema_version": WHOLE,
+    "cosim_version": TEXT,
+    "version": TEXT,
+    "status": TEXT,
+    "verdict": TEXT,
+    "sentence": TEXT,
+}
+TYPES: Mapping[str, Mapping[str, Kind]] = {
+    "manifest.json": {
+        "source": TEXT,
+        "scenario": SCENARIO,
+        "rows": WHOLE,
+        "criteria": Kind("a list of criteria", list, CRITERION),
+        "units": Kind("a mapping", dict, TEXT),
+        "items": MAPPING,
+        "fmus": Kind("a mapping", dict, MAPPING),
+        "order": TEXTS,
+        "beside": TEXTS,
+        "warnings": TEXTS,
+        "versions": MAPPING,
+        "timings": MAPPING,
+        "loop": TEXT,
+    },
+    "replay.json": {"log": TEXT, "fmu": TEXT, "units": Kind("a mapping", dict, TEXT), "start": MAPPING},
+    "sweep.json": {"runs": WHOLE, "failed": WHOLE, "criteria": MAPPINGS},
+    "comparison.json": {"signals": MAPPINGS, "criteria": MAPPINGS},
+}
+
+
+ALL = {name: {**COMMON, **kinds} for name, kinds in TYPES.items()}
+
+
+def _short(value: Any) -> str:
+    """Return a value as JSON, cut to LONGEST characters."""
+    text = json.dumps(value, ensure_ascii=False)
+    return text if len(text) <= LONGEST else f"{text[:LONGEST]}…"
+
+
+def sound_part(file: Path, record: Mapping[str, Any]) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """Return a record without the keys that hold a value of another type, and a warning for each of them."""
+    kinds = ALL.get(file.name, COMMON)
+    faults = {k: fault for k, v in record.items() if k in kinds and (fault := kinds[k].fault(v, k))}
+    warnings = (
+        messages.WRONG_TYPE(file=file, field=fault.name, value=_short(fault.value), wanted=fault.wanted, key=key)
+        for key, fault in faults.items()
+    )
+    return {key: value for key, value in record.items() if key not in faults}, tuple(warnings)
