@@ -57,15 +57,19 @@ def _is_cut_text(path: Path, record: Mapping[str, Any], count: int) -> bool:
 def _time_of_last_row(record: Mapping[str, Any], count: int) -> float | None:
     """Return a time [s] before which the last of `count` rows cannot be, if the record says enough."""
     scenario: Mapping[str, Any] = record.get("scenario") or {}
-    start, duration, step = (scenario.get(key, 0.0) for key in ("start_time", "duration", "step"))
+    start, duration, step = (_number(scenario.get(key, 0.0)) for key in ("start_time", "duration", "step"))
     recorded = scenario.get("record")
-    every = recorded.get("every") if isinstance(recorded, dict) else None
-    if not all(isinstance(value, (int, float)) for value in (start, duration)):
+    every = _number(recorded.get("every")) if isinstance(recorded, dict) else None
+    if start is None or duration is None:
         return None
     end = start + duration
-    if not isinstance(step, (int, float)) or (every is not None and not isinstance(every, (int, float))):
+    if step is None:  # controlled steps
         return end - ROUNDING * abs(end) if record.get("status") == "ok" else None
     last = start + (count - 1) * (every or step)
     if every and last < end:  # The last row of a run is recorded even between two times of `every`.
         return last - every
     return min(end, last) - step / 2
+
+
+def _number(value: Any) -> float | None:
+    return float(value) if isinstance(value, (int, float)) else None
