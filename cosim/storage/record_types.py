@@ -31,15 +31,19 @@ class Kind:
 
     def fault(self, value: Any, name: str) -> WrongValue | None:
         """Return the first wrong value within a value of this name, if any."""
-        if type(value) is not self.type:
+        if not self.has_class(value):
             return WrongValue(name, value, self.title)
         if self.inner is None:
             parts = ((k, value[n], f"{name}.{n}") for n, k in self.keys.items() if n in value)
         else:
             pairs, place = (value.items(), "{}.{}") if self.type is dict else (enumerate(value), "{}[{}]")
-            wrong = ((n, v) for n, v in pairs if self.inner.is_deep or type(v) is not self.inner.type)
+            wrong = ((n, v) for n, v in pairs if self.inner.is_deep or not self.inner.has_class(v))
             parts = ((self.inner, v, place.format(name, n)) for n, v in wrong)
         return next(filter(None, (kind.fault(part, where) for kind, part, where in parts)), None)
+
+    def has_class(self, value: Any) -> bool:
+        """Return whether a value has the class of this type; true and false are no whole numbers."""
+        return type(value) is self.type
 
     @cached_property
     def is_deep(self) -> bool:
