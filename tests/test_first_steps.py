@@ -323,9 +323,8 @@ def test_a_scenario_of_simulate_that_was_edited_is_kept_with_its_run(tmp_path: P
     edited = scenario.read_text().replace("step:", "seed: 3\nstep:")
     scenario.write_text(edited)
     told(*again, "0.1")
-    assert (tmp_path / "out" / "runs" / "0002" / "scenario.yaml").read_text().splitlines()[2:] == edited.splitlines()[
-        2:
-    ]
+    kept = tmp_path / "out" / "runs" / "0002" / "scenario.yaml"
+    assert kept.read_text().replace("../", "") == edited.replace("../", "")
 
 
 @pytest.mark.parametrize(

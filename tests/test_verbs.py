@@ -138,7 +138,7 @@ def test_a_verb_works_as_shipped_and_moves_an_earlier_run_aside(desk: Path, tmp_
         assert moved == before
         assert {(kept / name).read_text() for name in before} == {"{}"}
         assert (result.parent / "notes.txt").read_text() == "of the user"
-        assert sorted(p.name for p in (result.parent / "runs").iterdir()) == ["0001"]
+        assert sorted(p.name for p in (result.parent / "runs").iterdir()) == [".last", "0001"]
     else:
         assert not (folder / "results").exists()
 
@@ -146,7 +146,7 @@ def test_a_verb_works_as_shipped_and_moves_an_earlier_run_aside(desk: Path, tmp_
 # -- earlier runs -------------------------------------------------------------------------------------
 
 
-def test_runs_by_default_are_kept_and_those_with_out_are_written_over(desk: Path, tmp_path: Path) -> None:
+def test_runs_are_kept_by_default_and_with_out(desk: Path, tmp_path: Path) -> None:
     import cosim
     from cosim.simulation.workflow import run
 
@@ -164,8 +164,7 @@ def test_runs_by_default_are_kept_and_those_with_out_are_written_over(desk: Path
         json.loads((folder / "results" / "tank" / place / "manifest.json").read_text())["scenario"]["components"][
             "tank"
         ]["start"]["area"]
-        for place in ("runs/0001", "runs/0002", ".")
+        for place in ("runs/0001", "runs/0002", "runs/0003", ".")
     ]
-    assert areas == [0.5, 0.6, 0.8]
-    assert not (folder / "results" / "tank" / "runs" / "0003").exists()
+    assert areas == [0.5, 0.6, 0.7, 0.8]
     assert cosim.read(folder / "results" / "tank" / "runs" / "0002").manifest["scenario"]["name"] == "tank"
