@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import json
 import math
+import re
 import shutil
 import subprocess
 import sys
@@ -376,6 +377,58 @@ def test_a_torn_file_of_another_format_is_one_message(tmp_path: Path, suffix: st
     for size in (0, 40, len(whole) // 2):
         torn.write_bytes(whole[:size])
         assert len(faults_of(torn)) == 1
+
+
+@pytest.mark.parametrize(
+    ("columns", "index", "names"),
+    [
+        ("x T", {"time": TIME}, ["x", "T"]),
+        ("x T", {None: TIME}, ["x", "T"]),
+        ("x T", {"time [ms]": TIME * 1000}, ["x", "T"]),
+        ("T time", {}, ["T"]),
+        ("T time", {None: [0, 2, 4, 6, 8]}, ["T"]),  # rows of a longer table
+        ("x time", {"T": TIME + 300}, ["x", "T"]),
+        ("x", {"run": [1, 1, 1, 2, 2], "time": TIME}, ["x", "run"]),
+    ],
+)
+def test_the_index_of_a_pandas_table_is_its_time(
+    tmp_path: Path, columns: str, index: dict[str, Any], names: list[str]
+) -> None:
+    pandas = pytest.importorskip("pandas")
+    made = [*index.values()]
+    kept = pandas.MultiIndex.from_arrays(made, names=[*index]) if len(made) > 1 else None
+    kept = pandas.Index(made[0], name=next(iter(index))) if len(made) == 1 else kept
+    values = {name: TIME if name == "time" else TIME + k for k, name in enumerate(columns.split())}
+    pandas.DataFrame(values, index=kept).to_parquet(tmp_path / "a.parquet")
+    read = read_results(tmp_path / "a.parquet")
+    assert (list(read.columns), read.time.tolist()) == (names, TIME.tolist())
+    assert [*read_columns(tmp_path / "a.parquet").columns] == ["time", *names] == read_header(tmp_path / "a.parquet")
+
+
+@pytest.mark.parametrize(
+    ("index", "says"),
+    [
+        ({None: [0, 2, 4, 6, 8]}, "column time is the index of a pandas table and has no name"),
+        ({"stamp": TIME}, 'the first column is "stamp"'),
+        ({None: np.array([0, 1, 2, 3, 4], dtype="datetime64[s]")}, "column time holds moments or durations"),
+    ],
+)
+def test_an_index_that_may_not_be_the_time_is_named(tmp_path: Path, index: dict[str, Any], says: str) -> None:
+    pandas = pytest.importorskip("pandas")
+    ((name, values),) = index.items()
+    pandas.DataFrame({"x": TIME}, index=pandas.Index(values, name=name)).to_parquet(tmp_path / "a.parquet")
+    (fault,) = faults_of(tmp_path / "a.parquet")
+    assert says in fault
+    with pytest.raises(InputError, match=re.escape(says)):
+        read_results(tmp_path / "a.parquet")
+
+
+def test_a_time_that_is_not_the_first_column_is_named_and_does_not_stand_twice(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("T,time,x\n300,0,1\n301,1,2\n")
+    says = 'the first column is "T"; it must be "time" [s]; time is column 2: move it to the front'
+    assert faults_of(tmp_path / "a.csv") == [f":1:1: {says}"]
+    with pytest.raises(InputError, match=re.escape(says)):
+        read_results(tmp_path / "a.csv")
 
 
 @pytest.mark.parametrize(("library", "format_"), [("h5py", "hdf5"), ("mcap", "mcap"), ("pyarrow", "parquet")])

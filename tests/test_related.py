@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+import posixpath
 import re
 import zipfile
 from pathlib import Path
 from shutil import copyfile
 from types import SimpleNamespace
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 import pytest
@@ -157,10 +159,45 @@ def test_expected_results_are_compared_with_the_default_experiment(fmu: Path, tm
 
 def test_expected_results_that_cannot_be_read_are_a_fault_of_the_fmu(fmu: Path, tmp_path: Path) -> None:
     path = _with(fmu, tmp_path, (RelatedFile("out.csv", "result", CSV), b"y,z\n0,1\n1,2\n"))
-    with pytest.raises(InputError, match=r'"default experiment" cannot be run: extra/.*out.csv') as error:
+    with pytest.raises(InputError, match=r'"default experiment" .* cannot be compared .*: extra/.*out.csv') as error:
         cosim.check(path)
     (fault,) = error.value.faults
     assert (fault.exit_code, fault.file) == (3, path)
+
+
+def test_expected_results_without_a_signal_of_the_fmu_are_named_as_such(fmu: Path, tmp_path: Path) -> None:
+    path = _with(fmu, tmp_path, (RelatedFile("out.csv", "result", CSV), _decay().replace(b",y", b",height")))
+    with pytest.raises(InputError) as error:
+        cosim.check(path)
+    (fault,) = error.value.faults
+    assert (fault.code, fault.exit_code) == ("E-REL-013", 3)
+    assert "is run to its end" in fault.message
+    assert fault.message.endswith("out.csv: none of its signals is a signal of the FMU: height")
+
+
+def test_several_files_of_expected_results_have_names_of_their_own(fmu: Path, tmp_path: Path) -> None:
+    files = [(RelatedFile(f"{name}.csv", "result", CSV), _decay()) for name in ("a", "b")]
+    lines = [line for line in cosim.check(_with(fmu, tmp_path, *files)) if getattr(line, "code", "") == "N-REL-005"]
+    assert [line.partition('"')[2].partition('"')[0] for line in lines] == [
+        "default experiment, a.csv", "default experiment, b.csv",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("folder", ["a b", "50%", "sub/./x"])
+def test_an_experiment_in_a_folder_with_an_encoded_name_reads_the_files_beside_it(
+    fmu: Path, tmp_path: Path, folder: str
+) -> None:
+    run = Experiment("from two", stop=1.0, step=0.1, parameters="two.ssv", references="out.csv")
+    place = posixpath.normpath(f"{FOLDER}/{folder}")
+    members = {f"{place}/a.exp": experiments_text("a", [run]), f"{place}/two.ssv": SSV}
+    members |= {f"{place}/out.csv": _decay(begin=2.0)}
+    members |= {MANIFEST: manifest_text([RelatedFile(f"{quote(folder)}/a.exp", "experiment", EXPERIMENTS)])}
+    path = tmp_path / "decay.fmu"
+    copyfile(fmu, path)
+    with zipfile.ZipFile(path, "a") as archive:
+        for name, content in members.items():
+            archive.writestr(name, content)
+    assert any('"from two"' in line and "1 signal within" in line for line in cosim.check(path))
 
 
 def test_an_experiment_sets_parameters_and_inputs(fmu: Path, tmp_path: Path) -> None:

@@ -67,23 +67,32 @@ def run_experiment(carried: Carried, out: Path) -> tuple[list[str], list[Fault]]
     Returns:
         Notes, and the faults: a failure, or deviations beyond the tolerance.
     """
+    failed, notes = messages.FAILED, list[str]()
     try:
         results = _simulate(carried, out)
+        notes += results.warnings
+        failed = messages.NOT_COMPARED
         references = carried.path(carried.experiment.references)
         if references is None:
-            return [*results.warnings, messages.NOTHING_EXPECTED(experiment=carried.title)], []
+            return [*notes, messages.NOTHING_EXPECTED(experiment=carried.title)], []
         expected = read_ran(references)
         rows, missing = in_form_of(results.results, expected.results)
-        notes, faults = _judge(carried, compare_runs(replace(expected, results=rows), results, TOLERANCE))
+        if missing and not (rows.columns or rows.exact):
+            raise InputError.at(references, messages.NOTHING_COMMON(names=_some(missing)))
+        told, faults = _judge(carried, compare_runs(replace(expected, results=rows), results, TOLERANCE))
         if missing:
-            names = ", ".join(missing[:MAX_LISTED]) + (", …" if len(missing) > MAX_LISTED else "")
-            left_out = messages.NOT_IN_FMU(experiment=carried.title, count=counted(len(missing), "signal"), names=names)
-            notes = [left_out.after("warning: "), *notes]
-        return [*results.warnings, *notes], faults
+            about = {"count": counted(len(missing), "signal"), "names": _some(missing)}
+            notes.append(messages.NOT_IN_FMU(experiment=carried.title, **about).after("warning: "))
+        return [*notes, *told], faults
     except CosimError as error:
-        message = messages.FAILED.around(_within(carried, str(error)), experiment=carried.title)
+        message = failed.around(_within(carried, str(error)), experiment=carried.title)
         code = FmuError.exit_code if isinstance(error, InputError) else error.exit_code  # its files are part of the FMU
-        return [], [Fault(carried.fmu, 0, 0, message, code)]
+        return notes, [Fault(carried.fmu, 0, 0, message, code)]
+
+
+def _some(names: Sequence[str]) -> str:
+    """Return the first names as a list."""
+    return ", ".join(names[:MAX_LISTED]) + (", …" if len(names) > MAX_LISTED else "")
 
 
 def _simulate(carried: Carried, out: Path) -> RecordedRun:
@@ -157,9 +166,14 @@ def _within(carried: Carried, text: str) -> str:
     return text.replace(f"{carried.folder}/", "")
 
 
-def with_default(fmu: Path, folder: Path, source: str) -> Carried:
-    """Return the default experiment of an FMU with a file of expected results."""
-    return Carried(fmu, folder, Experiment("default experiment", references=source), role="result")
+def with_default(fmu: Path, folder: Path, source: str, part: str = "") -> Carried:
+    """Return the default experiment of an FMU with a file of expected results.
+
+    Args:
+        part: Name that tells several files of expected results apart.
+    """
+    name = f"default experiment, {part}" if part else "default experiment"
+    return Carried(fmu, folder, Experiment(name, references=source), role="result")
 
 
 def labels_text(labels: Sequence[tuple[str, str]]) -> str:

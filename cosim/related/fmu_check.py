@@ -8,7 +8,7 @@ from pathlib import Path
 from cosim.base.errors import Fault, FmuError, InputError, refuse
 from cosim.base.scratch import temporary_folder
 from cosim.base.text import counted
-from cosim.fmi.related_files import CSV, EXPERIMENTS, FOLDER, MANIFEST, RelatedFile, read_experiments, read_manifest
+from cosim.fmi.related_files import CSV, EXPERIMENTS, MANIFEST, RelatedFile, read_experiments, read_manifest
 from cosim.related import messages
 from cosim.related.experiments import Carried, labels_text, run_experiment, with_default
 from cosim.simulation.trial import check_loaded_fmu
@@ -49,6 +49,7 @@ def check_fmu_file(path: Path, checking: Checking) -> list[str]:
 def _read(path: Path, folder: Path) -> tuple[list[Carried], list[str]]:
     """Return the experiments of an unpacked FMU, and notes on everything else that it carries."""
     manifest = read_manifest((folder / MANIFEST).read_bytes())
+    several = sum(file.role == "result" and file.type == CSV for file in manifest.files) > 1
     carried: list[Carried] = []
     notes: list[str] = [warning.after("warning: ") for warning in manifest.warnings]
     for file in manifest.files:
@@ -59,11 +60,11 @@ def _read(path: Path, folder: Path) -> tuple[list[Carried], list[str]]:
         elif not (folder / member).is_file():
             notes.append(messages.FILE_MISSING(**about).after("warning: "))
             if file.role == "result" and file.type == CSV:  # The experiment itself can be run.
-                carried.append(with_default(path, folder, ""))
+                carried.append(with_default(path, folder, "", file.source if several else ""))
         elif file.role == "result" and file.type == CSV:
-            carried.append(with_default(path, folder, file.source))
+            carried.append(with_default(path, folder, file.source, file.source if several else ""))
         elif file.role.startswith("experiment") and file.type == EXPERIMENTS:
-            base = f"{FOLDER}/{file.source}".rpartition("/")[0]
+            base = member.rpartition("/")[0]
             experiments = read_experiments(file.source, (folder / member).read_bytes())
             found = [Carried(path, folder, each, base, file.role) for each in experiments]
             notes += [warning for each in found for warning in _lost(file.source, each)]

@@ -9,6 +9,10 @@ NOT_RUN = Template("N-REL-004", "carries {count} with expected results; not run 
 REPRODUCED = Template("N-REL-005", "{experiment}: {count} within {share:g} % of the range; {largest}")
 DEVIATES = Template("E-REL-006", "{experiment} is not reproduced: {reasons}; {largest}")
 FAILED = Template("E-REL-007", "{experiment} cannot be run: {error}")
+NOT_COMPARED = Template(
+    "E-REL-012", "{experiment} is run to its end, and cannot be compared with its expected results: {error}"
+)
+NOTHING_COMMON = Template("E-REL-013", "none of its signals is a signal of the FMU: {names}")
 NOTHING_EXPECTED = Template("N-REL-008", "{experiment}: run to its end; no expected results")
 MEASURED = Template("N-REL-009", "{experiment}: root mean square of the error {errors}")
 BY_MODEL_EXCHANGE = Template(

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
+import re
 from collections.abc import Callable, Collection, Container, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +17,17 @@ from cosim.base.drafts import draft_of
 from cosim.base.errors import Fault, InputError
 from cosim.base.extras import optional
 from cosim.storage import messages
-from cosim.storage.table_columns import split_heading
+from cosim.storage.table_columns import is_time, split_heading
 from cosim.storage.table_source import Frame, Source, SourceColumn
 
 MAGIC = b"PAR1"  # first and last bytes of every Parquet file
 UNIT = b"unit"  # key of a column's metadata
+PANDAS = b"pandas"  # key of the metadata that pandas writes, in JSON
+UNNAMED = re.compile(r"__index_level_\d+__")  # name that pandas gives to an index without one
+NO_NAME = (
+    "is the index of a pandas table and has no name: its whole numbers may count rows or seconds; "
+    "name it by `rename_axis('time')`, or write a column time"
+)
 MOST_VALUES = 200_000_000  # numbers in a file, 1.6 GB in memory
 ROWS_A_GROUP = 65_536
 
@@ -35,19 +44,22 @@ class Parquet(Source):
         """Read all columns; a column of an unsupported type gets a fault."""
         parquet = optional("pyarrow.parquet", lambda message: Fault(path, 0, 0, message))
         content = _content(parquet, path)
-        columns = []
-        for field, column in zip(content.schema, content.columns, strict=True):
+        columns, order = [], _order(content.schema)
+        for field, column in ((content.schema.field(k), content.column(k)) for k in order):
             metadata = (field.metadata or {}).get(UNIT)
             # Without a unit in the metadata, the name may be `name [unit]`.
             name, unit = split_heading(field.name, names) if metadata is None else (field.name, metadata.decode())
-            columns.append(_column(name, unit, column, is_text=name in text))
+            read = _column(name, unit, column, is_text=name in text)
+            columns.append(_unnamed_time(read) if _is_unnamed(field.name) and not columns else read)
         return Frame(columns, range(1, content.num_rows + 1))
 
     def column_names(self, path: Path) -> list[str]:
         """Return the column names, none if unreadable."""
         try:
             parquet = optional("pyarrow.parquet", lambda message: Fault(path, 0, 0, message))
-            return [split_heading(field.name)[0] for field in parquet.read_schema(path)]
+            schema = parquet.read_schema(path)
+            names = (schema.field(k).name for k in _order(schema))
+            return ["time" if _is_unnamed(name) and not k else split_heading(name)[0] for k, name in enumerate(names)]
         except (InputError, OSError, ValueError):
             return []
 
@@ -91,6 +103,42 @@ def _content(parquet: Any, path: Path) -> Any:
     except (OSError, ValueError, NotImplementedError) as error:  # pyarrow's errors derive from these
         reason = str(error).strip().partition("\n")[0][:200]
         raise InputError.at(path, messages.BAD_PARQUET(reason=reason)) from None
+
+
+def _order(schema: Any) -> list[int]:
+    """Return the places of the columns, that of the time first.
+
+    pandas writes the index of a table as its last column. The time is the column `time` or else the index. An index
+    without a name beside a column `time` numbers the rows; it is left out.
+    """
+    names = [field.name for field in schema]
+    index = [k for k, name in enumerate(names) if name in _pandas_index(schema) or _is_unnamed(name)]
+    time = next((k for k, name in enumerate(names) if is_time(split_heading(name)[0])), None)
+    if time is None and len(index) == 1:
+        (time,) = index
+    if time is None:
+        return [*index, *(k for k in range(len(names)) if k not in index)]
+    return [time, *(k for k, name in enumerate(names) if k != time and not _is_unnamed(name))]
+
+
+def _pandas_index(schema: Any) -> list[str]:
+    """Return the names of the columns that are the index of a table of pandas."""
+    try:
+        index = json.loads((schema.metadata or {})[PANDAS])["index_columns"]
+        return [name for name in index if isinstance(name, str)]
+    except (KeyError, TypeError, ValueError):
+        return []
+
+
+def _is_unnamed(name: str) -> bool:
+    """Return whether a name is that of an index of pandas without a name."""
+    return UNNAMED.fullmatch(name) is not None
+
+
+def _unnamed_time(column: SourceColumn) -> SourceColumn:
+    """Return an index without a name as the time; whole numbers may number the rows, and are a fault."""
+    is_whole = column.numeric and np.asarray(column.values).dtype.kind == "i"
+    return replace(column, name="time", unit="s", fault=NO_NAME if is_whole else column.fault)
 
 
 def _column(name: str, unit: str, column: Any, *, is_text: bool) -> SourceColumn:

@@ -173,11 +173,16 @@ class Faults:
 
 def choose_columns(table: Table, headings: Collection[Heading], faults: Faults, request: TableRequest) -> None:
     """Add the requested columns to a table, still without values."""
+    times = [heading.cell for heading in headings if is_time(heading.name)]
     for heading in headings:
         if heading.cell == 1:
             table.first = heading.name
             if request.timed and (is_time(heading.name) or heading.name in request.times):
                 heading = replace(heading, name="time")
+            elif request.timed:
+                note_wrong_first(faults, heading.line, heading.name, next(iter(times), 0))
+        elif request.timed and 1 not in times and heading.cell in times and table.first not in request.times:
+            continue  # The first column, which is not the time, stands for it from here on.
         _choose_column(table, heading, faults, request)
 
 
@@ -185,7 +190,6 @@ def _choose_column(table: Table, heading: Heading, faults: Faults, request: Tabl
     line, cell, name = heading.line, heading.cell, heading.name
     column: Column | None
     if request.timed and cell == 1 and name != "time":
-        note_wrong_first(faults, line, name)
         column = Column(replace(heading, name="time"), spare=True)  # Reading continues with the remaining columns.
     elif name in table.columns:
         faults.note(line, cell, messages.REPEATED_COLUMN(name=name, first=table.columns[name].cell))
@@ -223,9 +227,14 @@ def note_backwards(faults: Faults, line: int, time: float, before: float) -> Non
     faults.note_cell(line, 1, "times that do not increase", message)
 
 
-def note_wrong_first(faults: Faults, line: int, name: str) -> None:
-    """Note a first column that is not time."""
-    faults.note(line, 1, messages.NO_TIME_COLUMN(name=name, hint=_hint_of_first(name)))
+def note_wrong_first(faults: Faults, line: int, name: str, time: int = 0) -> None:
+    """Note a first column that is not time.
+
+    Args:
+        time: Number of the column of the time, 0 if there is none.
+    """
+    hint = f"; time is column {time}: move it to the front" if time else _hint_of_first(name)
+    faults.note(line, 1, messages.NO_TIME_COLUMN(name=name, hint=hint))
 
 
 def _hint_of_first(name: str) -> str:
