@@ -44,7 +44,7 @@ class Parquet(Source):
         """Read all columns; a column of an unsupported type gets a fault."""
         parquet = optional("pyarrow.parquet", lambda message: Fault(path, 0, 0, message))
         content = _content(parquet, path)
-        columns, order = [], _order(content.schema)
+        columns, order = list[SourceColumn](), _order(content.schema)
         for field, column in ((content.schema.field(k), content.column(k)) for k in order):
             metadata = (field.metadata or {}).get(UNIT)
             # Without a unit in the metadata, the name may be `name [unit]`.

@@ -219,8 +219,8 @@ def _time_of(frame: Frame, faults: Faults) -> Array:
     lines = frame.row_lines
     line = 1 if len(lines) and lines[0] > 1 else 0  # line of the header
     if not is_time(first.name):
-        time = next((cell for cell, column in enumerate(frame.columns, 1) if is_time(column.name)), 0)
-        note_wrong_first(faults, line, first.name, time)
+        place = next((cell for cell, column in enumerate(frame.columns, 1) if is_time(column.name)), 0)
+        note_wrong_first(faults, line, first.name, place)
         return np.empty(0)
     scale = time_scale(faults, line, first.unit)
     if not first.numeric:
