@@ -169,6 +169,10 @@ def test_input_files_and_folders_of_the_user_stay(results: Path) -> None:
     (results / "refine.json").unlink()
     (results / "figures" / "paper.png").touch()
     assert keep_earlier(results, "cosim run") is None  # no run has been here
+    (results / "manifest.json").touch()
+    os.utime(results / "figures" / "paper.png", (1e9, 1e9))  # older than the results
+    assert keep_earlier(results, "cosim run") == results / "runs" / "0002"
+    assert (results / "figures" / "paper.png").is_file()
 
 
 def test_runs_that_is_a_file_of_the_user_is_refused_before_any_work(results: Path) -> None:

@@ -130,6 +130,14 @@ def test_results_in_folders_within_are_listed_but_not_in_parts_of_results(result
     assert [e.name for e in plan_removal(entries(results)).entries] == ["tank/0001", "tank/0002", "sub/x/0004"]
 
 
+def test_the_folder_named_as_out_is_listed_with_its_earlier_runs(results: Path) -> None:
+    listed = entries(results / "tank")
+    assert [(e.name, e.is_newest) for e in listed] == [("tank/0001", False), ("tank/0002", False), ("tank", True)]
+    assert [e.name for e in find_entries(["tank/*"], results / "tank")] == ["tank/0001", "tank/0002"]
+    assert not remove(plan_removal(listed).entries)
+    assert [e.name for e in entries(results / "tank")] == ["tank"]
+
+
 def test_a_folder_without_results_does_not_hide_results_of_its_name(results: Path) -> None:
     Path("tank").mkdir()
     Path("tank/model.mo").touch()

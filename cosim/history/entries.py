@@ -106,13 +106,12 @@ def entries(results: Path | None = None) -> list[Entry]:
     root = RESULTS if results is None else results
     marks = _marks()
     every: list[tuple[_Recorded, Content]] = []
-    for name in sorted(_folders(root)):
-        for of, folder, scanned in _nested(root / name, name, marks):
-            before: Mapping[str, Any] | None = None
-            for recorded, content in _of_name(folder, of, scanned, marks):
-                inputs = input_tree(content)
-                every.append((recorded, {} if before is None or not inputs else changes_between(before, inputs)))
-                before = inputs or before
+    for of, folder, scanned in _every_folder(root, marks):
+        before: Mapping[str, Any] | None = None
+        for recorded, content in _of_name(folder, of, scanned, marks):
+            inputs = input_tree(content)
+            every.append((recorded, {} if before is None or not inputs else changes_between(before, inputs)))
+            before = inputs or before
     every.sort(key=lambda each: (each[0].time, each[0].name))
     return [
         Entry(number, r.name, r.of, r.folder, r.verb, r.time, r.outcome, changes, r.record, r.version, r.warnings)
@@ -228,12 +227,25 @@ def _marks() -> _Marks:
     parts = {EARLIER}
     for artefact in artefacts():
         if artefact.verb:
-            parts |= {path.partition("/")[0] for path in artefact.files if "/" in path}
+            parts |= artefact.folders
             finished = {**dict.fromkeys(artefact.marks, artefact), **finished}
             unfinished = {**dict.fromkeys(artefact.unfinished, artefact), **unfinished}
             rows |= {*artefact.tables}
     names = frozenset((*finished, *(path.partition("/")[0] for path in unfinished)))
     return _Marks(finished, unfinished, names, frozenset(rows), frozenset(parts))
+
+
+def _every_folder(root: Path, marks: _Marks) -> Iterator[tuple[str, Path, _Scanned]]:
+    """Yield name, path and content of the folder of results, if it holds results itself, and of all folders within."""
+    own = _scan(root, marks)
+    if own is None:
+        return
+    is_result = bool(own.there or own.tables)
+    if is_result:  # as named by --out
+        yield root.resolve().name, root, own
+    for name in sorted(own.folders):
+        if not (is_result and name in marks.parts):
+            yield from _nested(root / name, name, marks)
 
 
 def _nested(folder: Path, name: str, marks: _Marks) -> Iterator[tuple[str, Path, _Scanned]]:
@@ -258,7 +270,7 @@ def _scan(place: Path, marks: _Marks) -> _Scanned | None:
             for item in items:
                 if item.name in marks.names:
                     there[item.name] = item.stat().st_mtime
-                elif item.name.partition(".")[0] in marks.rows:
+                elif "." in item.name and item.name.partition(".")[0] in marks.rows:
                     tables.append(item.name)
                 if item.is_dir(follow_symlinks=False):
                     folders.append(item.name)

@@ -55,6 +55,7 @@ class Artefact:
         marks: Files that only this verb writes into a folder, the most specific first.
         unfinished: Files of results that were stopped before their first mark.
         files: Names or patterns of further files written by the verb.
+        drawn: Patterns of files written after the marks, in folders that may hold older files of the user.
         tables: Names, without ending, of row files in any format.
         folder: Noun phrase for the folder.
         folder_step: Advice for the folder; {file} is its path.
@@ -78,6 +79,7 @@ class Artefact:
     marks: tuple[str, ...] = ()
     unfinished: tuple[str, ...] = ()
     files: tuple[str, ...] = ()
+    drawn: tuple[str, ...] = ()
     tables: tuple[str, ...] = ()
     folder: str = ""
     folder_step: str = ""
@@ -93,6 +95,11 @@ class Artefact:
         if self.without & keys:
             return 0
         return max((len(needed) for needed in self.keys if needed <= keys), default=0)
+
+    @property
+    def folders(self) -> set[str]:
+        """Return the folders within results that the verb writes into."""
+        return {name.partition("/")[0] for name in (*self.files, *self.drawn) if "/" in name}
 
     def is_left_in(self, folder: Path, *, unfinished: bool = False) -> bool:
         """Return whether a folder contains results of the verb, or also results that were stopped."""

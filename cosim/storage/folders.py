@@ -190,7 +190,7 @@ def prepare_folder(folder: Path, *, keep: bool = True) -> None:
 
 def refuse_links(folder: Path) -> None:
     """Raise InputError for links in place of folders in a results folder, and for a link of another user to it."""
-    inner = {EARLIER, *(name.partition("/")[0] for a in artefacts() for name in a.files if "/" in name)}
+    inner = {EARLIER, *(part for a in artefacts() for part in a.folders)}
     links = [folder / name for name in sorted(inner) if (folder / name).is_symlink()]
     faults = [Fault(link, 0, 0, messages.LINK_IN_FOLDER()) for link in links]
     if hasattr(os, "geteuid"):
@@ -228,10 +228,16 @@ def _files_of(folder: Path, verb: str, also: Iterable[str]) -> list[Path]:
 
     declared = [a for a in artefacts() if a.verb and (a.verb == verb or a.is_left_in(folder))]
     tables = (f"{stem}{suffix}" for a in declared for stem in a.tables for suffix in suffixes())
-    # A folder of figures may be the user's, as long as no result of the verb is there.
+    # A folder may be the user's, as long as no result of the verb is there.
     names = (name for a in declared for name in a.files if "/" not in name or a.is_left_in(folder, unfinished=True))
     patterns = dict.fromkeys((*names, *tables, *also))
-    return list(dict.fromkeys(p for pattern in patterns for p in sorted(folder.glob(pattern)) if p.is_file()))
+    paths = [p for pattern in patterns for p in sorted(folder.glob(pattern))]
+    for artefact in declared:
+        if marks := [folder / mark for mark in artefact.marks if (folder / mark).is_file()]:
+            written = min(mark.stat().st_mtime for mark in marks)
+            drawn = (p for pattern in artefact.drawn for p in sorted(folder.glob(pattern)))
+            paths += [p for p in drawn if p.stat().st_mtime >= written]
+    return list(dict.fromkeys(p for p in paths if p.is_file()))
 
 
 def _finish_move(folder: Path) -> Path | None:
