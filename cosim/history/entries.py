@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import fnmatch
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -149,6 +149,23 @@ def listed_entries(texts: Sequence[str] | None, results: Path) -> list[Entry]:
     if results != RESULTS and not results.is_dir():
         raise InputError.at(results, messages.NO_FOLDER())
     return find_entries(texts, results) if texts else entries(results)
+
+
+def named_entries(text: str, root: Path) -> list[Entry]:
+    """Return the entries that a text names, none if it is the path of a folder.
+
+    Raises:
+        InputError: The text is no path, and matches no entry.
+    """
+    path = Path(text)
+    if text.isdecimal() or not path.is_dir():
+        return find_entries([text], root)
+    return match_entries(text, entries(root), root) if hides_results(path) else []
+
+
+def warnings_of(found: Iterable[Entry]) -> list[str]:
+    """Return the warnings on the records of entries."""
+    return [text for entry in found for text in entry.warnings]
 
 
 def match_entries(text: str, every: Sequence[Entry], root: Path = RESULTS) -> list[Entry]:
@@ -308,9 +325,8 @@ def _by_mark(about: tuple[Path, str, str], scanned: _Scanned, marks: _Marks) -> 
                 return None  # removed meanwhile
             verb = artefact.verb.removeprefix("cosim ")
             content, warnings = sound_part(place / mark, content)
-            outcome = (_outcome(content) or DAMAGED * bool(warnings)) if content else DAMAGED
-            if artefact.tables and isinstance(content.get("rows"), int):
-                outcome = _missing_rows(place, scanned.tables, content) or outcome
+            outcome = _missing_rows(place, scanned.tables, content) if artefact.tables else ""
+            outcome = outcome or _outcome_of(content, warnings)
             written = there[mark], outcome, place / mark, _other_version(content), warnings
             return _Recorded(label, of, place, verb, *written), content
     for mark, artefact in marks.unfinished.items():
@@ -321,8 +337,15 @@ def _by_mark(about: tuple[Path, str, str], scanned: _Scanned, marks: _Marks) -> 
     return None
 
 
+def _outcome_of(content: Content, warnings: Sequence[str]) -> str:
+    """Return the outcome in the sound part of a record."""
+    return _outcome(content) or (DAMAGED if warnings or not content else "")
+
+
 def _missing_rows(place: Path, tables: Sequence[str], content: Content) -> str:
     """Return `cut` or `rows are gone` if the rows are not those of the record, otherwise ""."""
+    if not isinstance(content.get("rows"), int):
+        return ""
     rows = [name for name in tables if name.startswith(f"{ROWS}.")]
     if not rows:
         return NO_ROWS if content["rows"] else ""

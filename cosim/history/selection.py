@@ -67,10 +67,10 @@ def select_groups(texts: Sequence[str], results: Path | None = None) -> list[lis
     there: set[Path] = set()
     for text in texts:
         path = Path(text)
-        if path.exists() and not (hides_results(path) and match_entries(text, every, root)):
+        matches = _matches(text, every, root)
+        if path.exists() and not matches:
             group = [Selected(path, by_folder.get(path.resolve()))]
         else:
-            matches = match_entries(text, every, root)
             if not matches:
                 faults.append(Fault(path, 0, 0, _no_match(text, every)))
             several = len(matches) > 1
@@ -89,7 +89,15 @@ def is_pattern(text: str) -> bool:
 
 def _may_be_entry(text: str, root: Path) -> bool:
     path = Path(text)
-    return not path.exists() or hides_results(path) or (root.is_dir() and root.resolve() in path.resolve().parents)
+    return _may_be_name(path) or (root.is_dir() and root.resolve() in path.resolve().parents)
+
+
+def _matches(text: str, every: Sequence[Entry], root: Path) -> list[Entry]:
+    return match_entries(text, every, root) if _may_be_name(Path(text)) else []
+
+
+def _may_be_name(path: Path) -> bool:
+    return not path.exists() or hides_results(path)
 
 
 def _no_match(text: str, every: Sequence[Entry]) -> str:

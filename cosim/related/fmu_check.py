@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zipfile
+from collections.abc import Sequence
 from pathlib import Path
 
 from cosim.base.errors import Fault, FmuError, InputError, refuse
@@ -49,7 +50,7 @@ def check_fmu_file(path: Path, checking: Checking) -> list[str]:
 def _read(path: Path, folder: Path) -> tuple[list[Carried], list[str]]:
     """Return the experiments of an unpacked FMU, and notes on everything else that it carries."""
     manifest = read_manifest((folder / MANIFEST).read_bytes())
-    several = sum(file.role == "result" and file.type == CSV for file in manifest.files) > 1
+    expected = [file.source for file in manifest.files if _is_expected(file)]
     carried: list[Carried] = []
     notes: list[str] = [warning.after("warning: ") for warning in manifest.warnings]
     for file in manifest.files:
@@ -59,10 +60,10 @@ def _read(path: Path, folder: Path) -> tuple[list[Carried], list[str]]:
             notes.append(messages.OUTSIDE(**about).after("warning: "))
         elif not (folder / member).is_file():
             notes.append(messages.FILE_MISSING(**about).after("warning: "))
-            if file.role == "result" and file.type == CSV:  # The experiment itself can be run.
-                carried.append(with_default(path, folder, "", file.source if several else ""))
-        elif file.role == "result" and file.type == CSV:
-            carried.append(with_default(path, folder, file.source, file.source if several else ""))
+            if _is_expected(file):  # The experiment itself can be run.
+                carried.append(with_default(path, folder, "", _part(file, expected)))
+        elif _is_expected(file):
+            carried.append(with_default(path, folder, file.source, _part(file, expected)))
         elif file.role.startswith("experiment") and file.type == EXPERIMENTS:
             base = member.rpartition("/")[0]
             experiments = read_experiments(file.source, (folder / member).read_bytes())
@@ -72,6 +73,16 @@ def _read(path: Path, folder: Path) -> tuple[list[Carried], list[str]]:
         else:
             notes.append(_listed(file))
     return carried, notes
+
+
+def _is_expected(file: RelatedFile) -> bool:
+    """Return whether a file holds results of the default experiment."""
+    return file.role == "result" and file.type == CSV
+
+
+def _part(file: RelatedFile, expected: Sequence[str]) -> str:
+    """Return the name that tells one of several files of expected results apart."""
+    return file.source if len(expected) > 1 else ""
 
 
 def _lost(name: str, carried: Carried) -> list[str]:

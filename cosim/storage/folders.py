@@ -7,7 +7,7 @@ import os
 import re
 import shutil
 import stat
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -17,7 +17,7 @@ from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.scratch import is_own
 from cosim.base.version import __version__
 from cosim.storage import messages
-from cosim.storage.artefact import artefacts
+from cosim.storage.artefact import Artefact, artefacts
 from cosim.storage.files import delay_stops, write_text
 from cosim.storage.folder_lock import take_folder
 from cosim.storage.record_types import sound_part
@@ -224,20 +224,25 @@ def keep_earlier(folder: Path, verb: str, also: Iterable[str] = (), *, read: Ite
 
 def _files_of(folder: Path, verb: str, also: Iterable[str]) -> list[Path]:
     """Return an earlier run's files in a folder."""
+    declared = [a for a in artefacts() if a.verb and (a.verb == verb or a.is_left_in(folder))]
+    paths = (path for artefact in declared for path in _files_by(artefact, folder))
+    more = (path for pattern in also for path in sorted(folder.glob(pattern)))
+    return list(dict.fromkeys(p for p in (*paths, *more) if p.is_file()))
+
+
+def _files_by(artefact: Artefact, folder: Path) -> Iterator[Path]:
+    """Yield the files of a verb in a folder. Without results of the verb, a folder within is the user's."""
     from cosim.storage.table_source import suffixes  # numpy, which `cosim list` does not need
 
-    declared = [a for a in artefacts() if a.verb and (a.verb == verb or a.is_left_in(folder))]
-    tables = (f"{stem}{suffix}" for a in declared for stem in a.tables for suffix in suffixes())
-    # A folder may be the user's, as long as no result of the verb is there.
-    names = (name for a in declared for name in a.files if "/" not in name or a.is_left_in(folder, unfinished=True))
-    patterns = dict.fromkeys((*names, *tables, *also))
-    paths = [p for pattern in patterns for p in sorted(folder.glob(pattern))]
-    for artefact in declared:
-        if marks := [folder / mark for mark in artefact.marks if (folder / mark).is_file()]:
-            written = min(mark.stat().st_mtime for mark in marks)
-            drawn = (p for pattern in artefact.drawn for p in sorted(folder.glob(pattern)))
-            paths += [p for p in drawn if p.stat().st_mtime >= written]
-    return list(dict.fromkeys(p for p in paths if p.is_file()))
+    is_there = artefact.is_left_in(folder, unfinished=True)
+    names = [*artefact.files, *(f"{stem}{suffix}" for stem in artefact.tables for suffix in suffixes())]
+    for pattern in names:
+        if is_there or "/" not in pattern:
+            yield from sorted(folder.glob(pattern))
+    times = [(folder / mark).stat().st_mtime for mark in artefact.marks if (folder / mark).is_file()]
+    for path in (path for pattern in artefact.drawn for path in sorted(folder.glob(pattern))):
+        if times and path.stat().st_mtime >= min(times):
+            yield path
 
 
 def _finish_move(folder: Path) -> Path | None:

@@ -111,14 +111,13 @@ def _order(schema: Any) -> list[int]:
     pandas writes the index of a table as its last column. The time is the column `time` or else the index. An index
     without a name beside a column `time` numbers the rows; it is left out.
     """
-    names = [field.name for field in schema]
-    index = [k for k, name in enumerate(names) if name in _pandas_index(schema) or _is_unnamed(name)]
-    time = next((k for k, name in enumerate(names) if is_time(split_heading(name)[0])), None)
-    if time is None and len(index) == 1:
-        (time,) = index
-    if time is None:
-        return [*index, *(k for k in range(len(names)) if k not in index)]
-    return [time, *(k for k, name in enumerate(names) if k != time and not _is_unnamed(name))]
+    places = {field.name: k for k, field in reversed([*enumerate(schema)])}
+    of_pandas = _pandas_index(schema)
+    index = [name for name in places if name in of_pandas or _is_unnamed(name)]
+    times = [name for name in places if is_time(split_heading(name)[0])][-1:] or index
+    first = sorted(places[name] for name in times)
+    left_out = {places[name] for name in index if _is_unnamed(name) and len(times) == 1}
+    return [*first, *(k for k in range(len(schema)) if k not in {*first, *left_out})]
 
 
 def _pandas_index(schema: Any) -> list[str]:

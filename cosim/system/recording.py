@@ -110,6 +110,14 @@ def _is_meant(pattern: str, column: str) -> bool:
     return matches(pattern, component, variable) or column.startswith(f"{pattern}[")
 
 
+def _recordable(name: str, component: FmuBlock) -> tuple[list[str], list[str]]:
+    """Return the variables of an FMU that can be recorded, and those that are the time."""
+    variables, times = list[str](), list[str]()
+    for variable in component.description.modelVariables:
+        (times if variable.causality == "independent" else variables).append(f"{name}.{variable.name}")
+    return variables, times
+
+
 def _objection(
     pattern: str, scenario: Scenario, components: Mapping[str, Component], layout: RowLayout
 ) -> Message | None:
@@ -125,9 +133,9 @@ def _objection(
         return None
     others = [column for column in columns if column.startswith("" if is_pattern else f"{name}.")]
     if isinstance(component := components.get(name), FmuBlock):
-        variables = {f"{name}.{v.name}": v.causality != "independent" for v in component.description.modelVariables}
-        if not variables.get(pattern, True):
+        variables, times = _recordable(name, component)
+        if pattern in times:
             return messages.RECORD_TIME(pattern=pattern)
-        others += [variable for variable, is_recordable in variables.items() if is_recordable]
+        others += variables
     near = did_you_mean(pattern.replace("*", ""), others)
     return messages.RECORD_WITHOUT_SIGNAL(pattern=pattern, hint=near or f"; there are {join_names(others) or 'none'}")

@@ -39,13 +39,13 @@ def command(
     Example: cosim gc --keep 5
     """
     from cosim.history import messages
-    from cosim.history.entries import entries, listed_entries
+    from cosim.history.entries import entries, listed_entries, warnings_of
     from cosim.history.removal import plan_removal, remove
 
     root = results or RESULTS
     chosen = listed_entries(names, root)
     plan = plan_removal(entries(root), keep=keep, older=older, chosen=chosen)
-    warn(*(text for entry in chosen for text in entry.warnings))
+    warn(*warnings_of(chosen))
     amount = f"{counted(len(plan.entries), 'earlier run')}, {_size(plan.size)}"
     removed = [entry.name for entry in plan.entries]
     if removed:

@@ -28,11 +28,11 @@ def command(
 
     Example: cosim list 'tank*'
     """
-    from cosim.history.entries import listed_entries
+    from cosim.history.entries import listed_entries, warnings_of
 
     root = results or RESULTS
     found = listed_entries(names, root)
-    warn(*(text for entry in found for text in entry.warnings))
+    warn(*warnings_of(found))
     if as_json:
         say_json({"results": [_as_json(entry) for entry in found]})
         return

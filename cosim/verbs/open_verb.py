@@ -29,17 +29,12 @@ def command(
     Example: cosim open 3
     """
     from cosim.history import messages
-    from cosim.history.entries import entries, find_entries, hides_results, match_entries
+    from cosim.history.entries import named_entries
     from cosim.storage.artefact import folder_kind
     from cosim.storage.folders import content_of, warnings_on
 
     folder, verb, record = Path(run), "", Path(run) / "manifest.json"
-    root = results or RESULTS
-    if run.isdecimal() or not folder.is_dir():
-        found = find_entries([run], root)
-    else:
-        found = match_entries(run, entries(root), root) if hides_results(folder) else []
-    if found:
+    if found := named_entries(run, results or RESULTS):
         if len(found) > 1:
             names = some([f"{e.number} {e.name}" for e in found], MOST_NAMES)
             raise InputError.at(Path(run), messages.SEVERAL(count=len(found), names=names))
