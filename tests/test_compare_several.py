@@ -96,6 +96,7 @@ def test_a_signal_that_is_equal_in_all_runs_is_folded_with_one_curve() -> None:
     page = several_page(found, "", [])
     assert "<summary>1 signal equal in all runs</summary>" in page
     assert "Equal in all runs: y." in page
+    assert "Drawn:" not in page  # all that differs is
     same = compare_several([_source(name, 1.0) for name in "abc"])
     assert same._most_different() == ["x", "y"]
     assert "2 signals equal in all runs" in several_page(same, "", [])

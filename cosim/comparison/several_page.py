@@ -131,9 +131,10 @@ def _difference_cell(d: Difference | None) -> tuple[str, str, bool]:
 
 
 def _drawn(c: ComparedRuns) -> str:
-    """Return a sentence on the runs and signals that are drawn, "" if all are."""
-    runs, signals = len(c.runs) - len(c.drawn), len(c.ranking) - len(c.curves)
+    """Return a sentence on the runs and differing signals that are drawn, "" if all are."""
+    drawn = len({*c.curves} - {*c.equal})
+    runs, signals = len(c.runs) - len(c.drawn), len(c.ranking) - len(c.equal) - drawn
     parts = [f"the baseline and the {len(c.drawn) - 1} runs that differ most"] if runs else []
-    parts += [f"the {len(c.curves)} signals that differ most"] if signals else []
+    parts += [f"the {drawn} signals that differ most"] if signals else []
     rest = [counted(count, noun) for count, noun in ((runs, "run"), (signals, "signal")) if count]
     return f"Drawn: {', '.join(parts)}. Only in the tables: {' and '.join(rest)}." if parts else ""
