@@ -29,7 +29,6 @@ NAME = "model"  # component name in messages
 RUNS = 16  # kept free runs
 STEP = 1e-6  # step of differences, as a share of a state's usual size
 HIDDEN, EXACT = 1.5, 1e-6  # fall of ln squared errors from which a state is hidden; share of the squared change
-GROWN, FAR = 10.0, 1e9  # growth of deviations with matrices by place over that with one matrix; no limit is beyond
 MOST_ROWS, EACH = 10000, 10  # rows of responses to estimate what depends on the place, and least rows of a coefficient
 PULSE = 1e-2  # of an input, as a share of its range
 START_STEP = 1e-2  # step of a start state, as a share of the change that moves an output by its spread
@@ -166,8 +165,8 @@ class LibraryKernel(CompiledKernel):
         return [self.simulate(*each[:5], first=each[5]) for each in begins]
 
     def propagation(self, data: Data, x0: Array) -> Array:
-        """Return the matrices by which deviations of the outputs of a free run go on, as `propagations`."""
-        return self._responses(data, x0)[1]
+        """Return the matrices by which deviations of a free run go on that no reading corrects, as `propagations`."""
+        return _lasting(self._responses(data, x0)[1])
 
     def step(self, data: Data, p: Array, points: tuple[Rows, Array, Array], back: int) -> tuple[Array, Array]:
         """Return single steps from rows of a log, as `single_steps`."""
@@ -286,32 +285,21 @@ def propagations(responses: Array, run: Array) -> Array:
     chosen, matrix = _with_hidden_states(now, before, after)
     columns = [*range(outputs), *(outputs + j for j in chosen)]
     whole[:, :, columns] = matrix
-    varied = whole.copy()
-    varied[:, :, columns] += _by_place(run, count, np.hstack([now, before[:, chosen]]), after, matrix)
-    whole = np.repeat(_lasting(whole[:1]), rows, axis=0)
-    if (varied != varied[:1]).any() and _growth(varied := _lasting(varied)) < GROWN * _growth(whole):
-        whole = varied
-    return np.asarray(whole * size[:, None] / np.tile(size, 2))
+    lasting = np.vstack([whole[0], np.eye(outputs, 2 * outputs)])
+    growth = max(1.0, float(np.abs(np.linalg.eigvals(lasting)).max()))
+    whole[:, :, columns] += _by_place(run, count, np.hstack([now, before[:, chosen]]), after, matrix)
+    powers = np.repeat([growth, growth**2], outputs)
+    return np.asarray(whole / powers * size[:, None] / np.tile(size, 2))
 
 
 def _lasting(matrices: Array) -> Array:
-    """Return matrices with growing deviations scaled to lasting ones."""
+    """Return matrices with deviations that grow in some row scaled to lasting ones; one matrix for all rows stays."""
+    if (matrices == matrices[:1]).all():
+        return matrices
     rows, outputs, width = matrices.shape
     both = np.concatenate([matrices, np.broadcast_to(np.eye(outputs, width), (rows, outputs, width))], axis=1)
     growth = np.maximum(1.0, np.abs(np.linalg.eigvals(both)).max(axis=1))[:, None]
     return np.asarray(matrices / np.repeat(np.hstack([growth, growth**2]), outputs, axis=1)[:, None, :])
-
-
-def _growth(matrices: Array) -> float:
-    """Return the largest factor by which a deviation grows along a run, infinite beyond any number."""
-    _, outputs, width = matrices.shape
-    reached, largest = np.eye(width), 1.0
-    for matrix in matrices:
-        reached = np.vstack([matrix @ reached, reached[:outputs]])
-        largest = max(largest, float(np.abs(reached).max()))
-        if not largest < FAR:
-            return math.inf
-    return largest
 
 
 def _by_place(run: Array, count: int, known: Array, after: Array, matrix: Array) -> Array:
