@@ -283,9 +283,9 @@ def test_nothing_is_left_where_nothing_is_to_be_written(tmp_path: Path) -> None:
     compare(a, b, tmp_path / "out", tolerance=0.0, report=False)
     assert [p.name for p in place.iterdir()] == ["comparison.json"]
     compare(a, b, tmp_path / "out", tolerance=0.0)
-    assert sorted(p.name for p in place.iterdir()) == ["comparison.json", "report.html"]
+    assert sorted(p.name for p in place.iterdir()) == ["comparison.json", "report.html", "runs"]
     compare(a, b, tmp_path / "out", tolerance=0.0, report=False)  # a page of another comparison does not stay
-    assert [p.name for p in place.iterdir()] == ["comparison.json"]
+    assert sorted(p.name for p in place.iterdir()) == ["comparison.json", "runs"]
 
 
 def test_panels_show_both_runs_in_the_unit_that_people_read_and_how_far_b_is_from_a() -> None:

@@ -143,7 +143,9 @@ def test_what_another_left_is_written_over_by_force_alone(
     if not words:
         check_overwritable(tmp_path, by, *sources)
         return
-    with pytest.raises(InputError, match="give another folder with --out, or overwrite them with --force") as refused:
+    with pytest.raises(
+        InputError, match="give another folder with --out, or move them to runs with --force"
+    ) as refused:
         check_overwritable(tmp_path, by, *sources)
     assert words in str(refused.value)
     assert refused.value.exit_code == 2

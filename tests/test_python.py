@@ -217,7 +217,7 @@ def test_results_go_to_the_name_of_the_scenario_and_over_no_other(
     told("run", "--in-process", "one.yaml", "--no-report", "--out", "out")
     told("run", "--in-process", "one.yaml", "--no-report", "--out", "out")
     words = (
-        'out: holds the run of another scenario, "../one"; give another folder as --out, or write over it by --force'
+        'out: holds the run of another scenario, "../one"; give another folder as --out, or move it to runs by --force'
     )
     assert told("run", "--in-process", "two.yaml", "--no-report", "--out", "out", code=2) == words
     told("run", "--in-process", "two.yaml", "--no-report", "--out", "out", "--force")

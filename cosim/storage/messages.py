@@ -145,14 +145,14 @@ BUSY_FOLDER = Template(
 )
 FOLDER_OF_OTHER_SCENARIO = Template(
     "E-STO-089",
-    'holds the run of another scenario, "{name}"; give another folder as --out, or write over it by --force',
+    'holds the run of another scenario, "{name}"; give another folder as --out, or move it to runs by --force',
 )
 FOLDER_OF_OTHER_COMMAND = Template(
-    "E-STO-090", "contains results of `{command}`; give another folder with --out, or overwrite them with --force"
+    "E-STO-090", "contains results of `{command}`; give another folder with --out, or move them to runs with --force"
 )
 FOLDER_OF_OTHER_SOURCES = Template(
     "E-STO-091",
-    "contains results of `{command}` from {sources}; give another folder with --out, or overwrite them with --force",
+    "contains results of `{command}` from {sources}; give another folder with --out, or move them to runs with --force",
 )
 FILE_FOR_EARLIER_RUNS = Template(
     "E-STO-092",

@@ -34,11 +34,13 @@ def command(
     from cosim.storage.folders import content_of, warnings_on
 
     folder, verb, record = Path(run), "", Path(run) / "manifest.json"
+    warnings: tuple[str, ...] = ()
     if found := named_entries(run, results or RESULTS):
         if len(found) > 1:
             names = some([f"{e.number} {e.name}" for e in found], MOST_NAMES)
             raise InputError.at(Path(run), messages.SEVERAL(count=len(found), names=names))
-        folder, verb, record = found[0].folder, found[0].verb, found[0].record
+        (entry,) = found
+        folder, verb, record, warnings = entry.folder, entry.verb, entry.record, entry.warnings
     page = folder / PAGE
     if not page.is_file():
         if folder_kind(folder) is None:
@@ -47,7 +49,7 @@ def command(
             raise InputError.at(folder, messages.NO_PAGE_OF_DAMAGED())
         cure = f"`cosim report {folder}` writes it" if verb in {"run", ""} else "run the command again with a report"
         raise InputError.at(folder, messages.NO_REPORT(cure=cure))
-    warn(*warnings_on(folder))
+    warn(*dict.fromkeys((*warnings_on(folder), *warnings)))
     say(f"report: {page}")
     if as_json:
         say_json({"report": str(page)})
