@@ -15,7 +15,6 @@ from cosim.base.messages import Template
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("cosim", "plant", "controller", "fmus")
-SEVERITY = {"E": "Errors", "W": "Warnings", "N": "Notes"}
 # Calls that take a message, and the number of the positional argument with it.
 SINKS = {
     "Fault": 3, "fault": 1, "_fault": 1, "note": 1, "note_cell": 3, "at": 1, "FmuError": 0, "SimulationError": 2,

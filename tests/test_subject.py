@@ -216,7 +216,7 @@ class Rail(Subject):
         return Rail({**self.values, **claims})
 
 
-def logged(path: Path, seed: int, seconds: float = 12.0) -> Path:
+def logged(path: Path, seed: int, seconds: float = 8.0) -> Path:
     """A run of a mass with dry friction, integrated by small Euler steps, pushed to and fro."""
     rng, fine = np.random.default_rng(seed), 200
     rows = round(seconds / STEP) + 1

@@ -24,7 +24,6 @@ from plant.powertrain import assembly_moment, ground_effect
 
 BENCH = Bench()
 STEP = 0.02  # [s], Fig 4.8
-GF = 1e3 / BENCH.gravity  # gf in a newton
 MODES = (30.52, 78.67)  # [Hz], modes 1 and 2 of Table 3.3
 PROPELLER = 6500.0  # [rpm], §3.3.2
 

@@ -58,16 +58,6 @@ class LinkFunction(Protocol):
         """Return the equivalent of this fault for the loop in C, which continues from the last point."""
 
 
-class Remembering(LinkFunction, Protocol):
-    """A function whose value depends on earlier values."""
-
-    def save(self, k: int) -> Any:
-        """Return the memory after point k in JSON types."""
-
-    def restore(self, memory: Any) -> None:
-        """Restore the memory of a stopped run."""
-
-
 @dataclass(frozen=True)
 class Scaling:
     """Conversion of a value v to v·factor + offset."""
