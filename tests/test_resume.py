@@ -16,6 +16,7 @@ import pytest
 import cosim
 from cosim.base.arrays import Array
 from cosim.base.errors import CosimError, InputError, Interrupted, SimulationError
+from cosim.base.messages import code_of
 from cosim.base.version import __version__
 from cosim.master import replay
 from cosim.master.observer import ObservedRun, Observer
@@ -23,7 +24,7 @@ from cosim.simulation.workflow import run
 from cosim.storage.state_file import BadState, pack, unpack
 from tests.conftest import ROOT
 from tests.instants import CONSTANT, instants_fmu
-from tests.walker import walker_scenario
+from tests.walker import walker_fmu, walker_scenario
 
 PAUSE = 3000.0  # wall time of a step [us], so that a run is stopped on its way
 
@@ -201,6 +202,72 @@ def test_runs_killed_by_the_system_go_on_to_the_same_bytes() -> None:
     assert done.returncode == 0, done.stdout + done.stderr
     counts = json.loads(done.stdout)
     assert (counts["kills"], counts["wrong"]) == (1, 0)
+
+
+BOUND = """name: bound
+duration: 0.5
+step: 0.01
+checkpoint: 10 min
+record: ["*.kicks"]
+components:
+  bound: {fmu: bound.fmu, start: {bound: 1}}
+  free: {fmu: bound.fmu}
+connections: [{from: free.y, to: bound.u}]
+"""
+
+
+def bound_scenario(folder: Path, version: str) -> Path:
+    """Return a scenario of two FMUs that save their state, of which one holds the end that it was told."""
+    walker_fmu(folder / "bound.fmu", saves=True, version=version)
+    path = folder / "bound.yaml"
+    path.write_text(BOUND)
+    return path
+
+
+@pytest.mark.parametrize("version", ["2", "3"])
+def test_an_fmu_whose_state_holds_the_end_is_replayed_in_a_longer_run(version: str, tmp_path: Path) -> None:
+    scenario = bound_scenario(tmp_path, version)
+    short = run(scenario, tmp_path / "short", report=False).folder
+    longer = run(scenario, tmp_path / "longer", ["duration=0.8"], report=False).folder
+    told: list[str] = []
+    run(short, until=0.7, report=False, tell=told.append)
+    run(short, until=0.8, report=False, tell=told.append)
+    check_equal(short, longer)
+    assert [code_of(text) for text in told] == ["N-SIM-088", "N-SIM-070"] * 2
+    assert all("bound" in text and "free" not in text for text in told)
+
+
+def test_an_fmu_of_a_stopped_run_whose_state_holds_the_end_is_replayed_beyond_it(tmp_path: Path) -> None:
+    scenario = bound_scenario(tmp_path, "2")
+    slow = ["components.free.start.pause=3000"]
+    part = stopped(scenario, tmp_path / "part", slow, after=0.2)
+    run(part, until=0.8, report=False)
+    check_equal(part, run(scenario, tmp_path / "whole", [*slow, "duration=0.8"], report=False).folder)
+
+
+@pytest.mark.parametrize("checkpoint", ["10 min", "null"])
+def test_a_longer_run_that_fails_leaves_the_finished_run_as_it_was(checkpoint: str, tmp_path: Path) -> None:
+    scenario = bound_scenario(tmp_path, "2")
+    settings = ["components.free.start.limit=0.6", f"checkpoint={checkpoint}"]
+    folder = run(scenario, tmp_path / "out", settings).folder
+    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    told: list[str] = []
+    with pytest.raises(SimulationError, match=r"free at t = 0\.6 s") as failed:
+        run(folder, until=0.8, report=False, tell=told.append)
+    left = failed.value.left
+    assert left == folder / "runs" / "0001"
+    assert code_of(told[-1]) == "N-SIM-089"
+    rows = (left / "results.csv").read_bytes()
+    assert rows.startswith(before[folder / "results.csv"])
+    assert len(rows.splitlines()) == 62
+    assert json.loads((left / "manifest.json").read_text())["status"].startswith("failed: free")
+    shutil.rmtree(folder / "runs")
+    assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
+    run(folder, until=0.6, report=False)  # It goes on to a time within the limit.
+    with pytest.raises(SimulationError):
+        run(folder, until=0.7, report=False)  # without a new row
+    assert not (folder / "runs").exists()
+    assert json.loads((folder / "manifest.json").read_text())["rows"] == 61
 
 
 # -- bad input ------------------------------------------------------------------------------------

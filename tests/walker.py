@@ -26,6 +26,10 @@ HEAD2 = """<?xml version="1.0" encoding="UTF-8"?>
     </ScalarVariable>
     <ScalarVariable name="kicks" valueReference="5" causality="local"><Real/></ScalarVariable>
     {mood}
+    <ScalarVariable name="limit" valueReference="7" causality="parameter" variability="fixed"><Real start="1e30"/>
+    </ScalarVariable>
+    <ScalarVariable name="bound" valueReference="8" causality="parameter" variability="fixed"><Real start="0"/>
+    </ScalarVariable>
   </ModelVariables>
   <ModelStructure><Outputs><Unknown index="2" dependencies="{feeds}"/>{unknown}</Outputs></ModelStructure>
 </fmiModelDescription>
@@ -43,6 +47,8 @@ HEAD3 = """<?xml version="1.0" encoding="UTF-8"?>
     <Float64 name="gain" valueReference="3" causality="parameter" variability="tunable" start="1"/>
     <Float64 name="pause" valueReference="4" causality="parameter" variability="fixed" start="0"/>
     <Float64 name="kicks" valueReference="5" causality="local"/>
+    <Float64 name="limit" valueReference="7" causality="parameter" variability="fixed" start="1e30"/>
+    <Float64 name="bound" valueReference="8" causality="parameter" variability="fixed" start="0"/>
   </ModelVariables>
   <ModelStructure><Output valueReference="2" dependencies=""/></ModelStructure>
 </fmiModelDescription>

@@ -78,6 +78,13 @@ REPLAY_ON_RESUME = Template(
     "{names} cannot save the state: a resumed run replays the recorded inputs from the start, which takes as long as "
     "these steps took",
 )
+STATE_ENDS = Template(
+    "N-SIM-088",
+    "{names}: the saved state does not go beyond t = {time:g} s, the end that the FMU was told; so its recorded inputs "
+    "are replayed",
+)
+FINISHED_RUN_KEPT = Template("N-SIM-089", "the longer run failed; the finished run in {folder} is as it was{rows}")
+FAILED_ROWS = Template("N-SIM-090", ", and the rows of the longer run are in {folder}")
 GETS_SLOWER = Template(
     "W-SIM-075", "{component} takes {factor:.2g} times longer for a step since t = {since:g} s than before"
 )

@@ -13,7 +13,7 @@ import math
 import os
 import shutil
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -64,6 +64,7 @@ class StoppedRun:
         rows_file: Name of the file of the rows.
         state: Content of the last checkpoint, if any.
         lasted: Wall time [s] of the steps so far, if known.
+        is_finished: Whether the results are those of a finished run, which a longer run extends.
     """
 
     folder: Path
@@ -72,6 +73,7 @@ class StoppedRun:
     rows_file: str
     state: bytes | None
     lasted: float
+    is_finished: bool = False
 
     def base(self, warnings: Sequence[str] | None) -> dict[str, Any]:
         """Return the manifest without timings and outcome.
@@ -134,6 +136,26 @@ class StoppedRun:
             text = " or ".join(f"{end:.12g} s" for end in ends)
             raise InputError.at(self.folder, messages.END_BETWEEN_STEPS(end=until, step=step, ends=text))
         return file
+
+    @cached_property
+    def end(self) -> int:
+        """Return the last communication point of the run so far."""
+        return ScenarioFile(self.source).scenario.steps
+
+    def protect(self) -> Callable[[], None]:
+        """Return a function that brings the folder of checkpoints back to its present content."""
+        kept = self.folder / FOLDER
+        record, state = ((kept / name).read_bytes() if (kept / name).is_file() else None for name in (RUN, STATE))
+        new = [name for name in (ROWS, BESIDE, IN_USE) if not (kept / name).is_file()]
+
+        def bring_back() -> None:
+            for name, content in ((STATE, state), (RUN, record)):
+                if content is not None:
+                    write_durable(kept / name, content)
+            for name in new:
+                (kept / name).unlink(missing_ok=True)
+
+        return bring_back
 
     @cached_property
     def results(self) -> Results:
@@ -253,7 +275,20 @@ def open_stopped(path: Path) -> StoppedRun:
         lasted = float(checkpoint["elapsed"])
     rows = rows_in(folder)
     rows_file = record.get(EXTRA, {}).get("rows", "results.csv" if rows is None else rows.name)
-    return StoppedRun(folder, source, record, rows_file, state, lasted)
+    return StoppedRun(folder, source, record, rows_file, state, lasted, _is_finished(folder, record))
+
+
+def _is_finished(folder: Path, record: Mapping[str, Any]) -> bool:
+    """Return whether a folder has the results of a finished run that a record repeats or extends."""
+    manifest = content_of(folder / MANIFEST)
+    if manifest.get("status") != "ok" or rows_in(folder) is None:
+        return False
+    one, other = (copy.deepcopy(each["scenario"]) for each in (manifest, record))
+    for scenario in (one, other):
+        scenario.pop("duration", None)
+        for component in scenario.get("components", {}).values():
+            component.pop("solver_step", None)  # Only --until adds it.
+    return bool(one == other)
 
 
 def _unpack(path: Path, state: bytes) -> Mapping[str, Any]:
@@ -337,9 +372,9 @@ def keep_state(rows: Path, record: Mapping[str, Any], warnings: Sequence[str], s
     write_durable(write_run(rows.parent, record, rows.name, warnings) / STATE, state)
 
 
-def replayed_names(system: System, checkpoint: Mapping[str, Any]) -> Sequence[str]:
+def replayed_names(system: System, start: Continuation) -> Sequence[str]:
     """Return the FMUs that are replayed."""
-    states = checkpoint.get("components", {})
+    states = {} if start.state is None else unpack(start.state).get("components", {})
     return [name for name in system.fmus if states.get(name) is None]
 
 

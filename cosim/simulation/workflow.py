@@ -13,12 +13,14 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.drafts import is_full
-from cosim.base.errors import DiskFull, SimulationError, Terminated, stop_error
+from cosim.base.errors import CosimError, DiskFull, Interrupted, Signalled, SimulationError, Terminated, stop_error
 from cosim.blocks.compiling import compiling, permission
 from cosim.isolation.component_times import RUN, Slower
+from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import allocate
 from cosim.master.checkpoint import Continuation, Keeping
+from cosim.master.end_trials import without_ended_states
 from cosim.master.inbox import Change, with_changes
 from cosim.master.input_functions import InputFunctions, NamedFunctions
 from cosim.master.observer import Observer, ProgressObserver
@@ -56,7 +58,7 @@ from cosim.storage.files import (
     write_json,
 )
 from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import check_run_folder, folder_named, keep_earlier
+from cosim.storage.folders import check_run_folder, folder_named, keep_earlier, new_earlier
 from cosim.storage.kinds import check_form
 from cosim.storage.results import Results, remove_rows, rows_name
 from cosim.system.real_time import real_time_of
@@ -97,6 +99,7 @@ class _Prepared:
         changes: Changes by observers before the run was stopped.
         start: Where a stopped run goes on; None for a new run.
         keep: Whether an earlier run in the folder moves to `runs`.
+        bring_back: Function that brings the checkpoint of a finished run back, which this one extends; None for others.
     """
 
     file: ScenarioFile
@@ -111,6 +114,7 @@ class _Prepared:
     start: Continuation | None = None
     record: dict[str, Any] | None = None
     changes: Sequence[Change] = ()
+    bring_back: Callable[[], None] | None = None
 
     @property
     def interval(self) -> float | None:
@@ -212,8 +216,14 @@ def run(
             functions.check(prepared.system)
             observers.append(functions)
         loaded = time.perf_counter()
-        stepped = _step(prepared, worker, observers, tell)
+        try:
+            stepped = _step(prepared, worker, observers, tell)
+        except CosimError:
+            if prepared.bring_back is not None:
+                prepared.bring_back()
+            raise
         stepping = time.perf_counter() - loaded
+        prepared = _apart_from_finished(prepared, stepped, tell)
         record, limits = prepared.base(), prepared.file.scenario.limits
         record["loop"] = stepped.results.loop
         speed = _simulated(prepared) / stepping
@@ -230,6 +240,31 @@ def run(
         failure.left = prepared.place
         raise failure
     return Outcome(stepped.results, record, files.rows)
+
+
+def _apart_from_finished(prepared: _Prepared, stepped: SteppedRun, tell: Callable[[str], None]) -> _Prepared:
+    """Return a run, among the earlier ones of its folder if it failed to extend a finished run, which stays as it was.
+
+    A run that was stopped on request stays in the folder, where it goes on.
+
+    Raises:
+        SimulationError: The run failed before its first new row, so that nothing is to be written.
+    """
+    failure, bring_back, before = stepped.failure, prepared.bring_back, prepared.start
+    if failure is None or bring_back is None:
+        return prepared
+    is_longer = before is None or len(stepped.results.time) > before.count
+    if is_longer and isinstance(failure, (Interrupted, Signalled)):
+        return prepared
+    bring_back()
+    if not is_longer:
+        failure.left = prepared.place
+        tell(messages.FINISHED_RUN_KEPT(folder=prepared.place, rows=""))
+        raise failure
+    place = new_earlier(prepared.place)
+    rows = messages.FAILED_ROWS(folder=place)
+    tell(messages.FINISHED_RUN_KEPT(folder=prepared.place, rows=rows))
+    return replace(prepared, place=place, bring_back=None)
 
 
 def _tell_size(prepared: _Prepared, tell: Callable[[str], None]) -> None:
@@ -294,6 +329,12 @@ def _prepare_stopped(
         system = build_system(file)
     system = with_feedthrough(file, {}, system, worker, tell)
     start = stopped.start(system, file.scenario)
+    if until is not None and start is not None:
+        grid, limits = (file.scenario.steps, file.scenario.step), file.scenario.limits or Limits()
+        start, ended = without_ended_states(system, grid, start, stopped.end, worker, limits)
+        if ended:
+            time_ = file.scenario.start_time + stopped.end * file.scenario.step
+            tell(messages.STATE_ENDS(names=", ".join(ended), time=time_))
     check_writable(stopped.folder, (stopped.rows_file, MANIFEST, "report.html"), file.files)
     if changes := stopped.changes:
         system = replace(system, events=with_changes(system.events, changes))
@@ -304,9 +345,8 @@ def _prepare_stopped(
         record["scenario"]["components"][name]["solver_step"] = longest
     tell(_how_it_goes_on(stopped, system, start, file.scenario))
     files, extra = stopped.rows_file, stopped.warnings
-    return _Prepared(
-        file, stopped.folder, system, {}, files, software, extra, start=start, record=record, changes=changes
-    )
+    prepared = _Prepared(file, stopped.folder, system, {}, files, software, extra, start=start, record=record)
+    return replace(prepared, changes=changes, bring_back=stopped.protect() if stopped.is_finished else None)
 
 
 def _how_it_goes_on(stopped: StoppedRun, system: System, start: Continuation | None, scenario: Scenario) -> str:
@@ -314,7 +354,7 @@ def _how_it_goes_on(stopped: StoppedRun, system: System, start: Continuation | N
     if start is None:
         return messages.BEGINS_AGAIN(time=scenario.start_time)
     time = scenario.start_time + (start.count - 1) * scenario.step
-    names = replayed_names(system, stopped.checkpoint)
+    names = replayed_names(system, start)
     most = stopped.lasted + REPLAYED_STEP * len(names) * start.count
     cost = messages.REPLAY_COST(names=", ".join(names), seconds=most) if names else ""
     return messages.GOES_ON(time=time, row=start.count, rows=scenario.steps + 1, replay=cost)
@@ -440,9 +480,11 @@ class _Files:
 
     def _write_rows(self) -> None:
         """Write a complete or failed run's rows and manifest."""
-        self.rows.with_name("report.html").unlink(missing_ok=True)  # An earlier report belongs to another run.
+        if self.prepared.bring_back is None:
+            self.rows.with_name("report.html").unlink(missing_ok=True)  # An earlier report belongs to another run.
         with delay_stops():  # A second stop signal must not destroy the rows.
             self.stepped.results.write(self.rows)
+            self.rows.with_name("report.html").unlink(missing_ok=True)
             remove_rows(self.rows.parent, self.rows.stem, besides=self.rows.name)  # They belong to another run.
             self.written.append(self.rows.name)
             self.record["rows"] = len(self.stepped.results.time)
@@ -466,6 +508,13 @@ class _Files:
 
     def _write_what_fits(self) -> DiskFull:
         """Write the rows and the manifest that fit on a full disk; return the failure to report."""
+        if (bring_back := self.prepared.bring_back) is not None and self.rows.name not in self.written:
+            bring_back()  # The rows of the finished run matter more than some more of them.
+            start, rows = self.prepared.start, self.prepared.rows
+            count = 0 if start is None else start.count
+            at = self.scenario.start_time + max(0, count - 1) * self.scenario.step
+            fields = {"count": count, "rows": rows, "file": self.rows.name, "missing": "", "before": ""}
+            return DiskFull("the run", at, messages.DISK_FULL(**fields))
         self.rows.with_name("report.html").unlink(missing_ok=True)
         failure, time, manifest = self.stepped.failure, self.stepped.results.time, self.rows.with_name(MANIFEST)
         count = len(time) if self.rows.name in self.written else self._rows_that_fit(2 * len(json.dumps(self.record)))

@@ -273,6 +273,16 @@ def _finish_move(folder: Path) -> Path | None:
     return place
 
 
+def new_earlier(folder: Path) -> Path:
+    """Return a new, empty folder among the earlier runs of a results folder."""
+    earlier = folder / EARLIER
+    earlier.mkdir(exist_ok=True)
+    place = earlier / f"{_next_number(earlier):04d}"
+    write_text(earlier / LAST, f"{int(place.name)}\n")
+    place.mkdir()
+    return place
+
+
 def _next_number(earlier: Path) -> int:
     """Return a number that no earlier run has or had."""
     last = ""
