@@ -80,6 +80,29 @@ def test_the_loop_of_omsimulator_808_is_solved_in_eight_iterations(
     assert loop["points"] == 5
 
 
+@pytest.mark.parametrize("order", ["ab", "ba"])
+@pytest.mark.parametrize("refused", [0.0, 3.0])
+def test_a_loop_is_measured_where_an_fmu_refuses_its_start_values_or_those_of_the_other(
+    order: str, refused: float, tmp_path: Path
+) -> None:
+    coupled_fmu(tmp_path / "a.fmu", LOOP_A, declares=False)  # its first outputs are outside the domain of b
+    coupled_fmu(tmp_path / "b.fmu", LOOP_B, declares=False)
+    starts: dict[str, dict[str, float]] = {"a": {}, "b": {"u0": refused}}
+    results, manifest = ran(tmp_path, {name: starts[name] for name in order}, LOOP_808)
+    a, b, c = results["a.y0"][-1], results["a.y1"][-1], results["b.y0"][-1]
+    assert abs(a * a + b * b + c * c - 5) < 1e-7
+    assert [*map(code_of, manifest["warnings"])] == ["N-SYS-102"]
+
+
+def test_a_refusal_in_initialization_names_the_possible_loop_and_the_cure(tmp_path: Path) -> None:
+    coupled_fmu(tmp_path / "a.fmu", LOOP_A, declares=False)
+    coupled_fmu(tmp_path / "b.fmu", LOOP_B, declares=False)
+    with pytest.raises(SimulationError, match=r"returned Discard\. .* algebraic loop.*loops: \{\} solves it"):
+        ran(tmp_path, {"a": {}, "b": {"u0": 1e6}}, LOOP_808)
+    results, _ = ran(tmp_path, {"a": {}, "b": {"u0": 1e6}}, LOOP_808, "loops: {}\n")
+    assert results["a.y1"][-1] == -1.8
+
+
 def test_anderson_acceleration_solves_where_a_fixed_point_diverges(tmp_path: Path) -> None:
     results, manifest = linear(tmp_path, 5.0, "loops: {method: anderson}\n")
     assert results["a.y0"] == pytest.approx(-0.25, rel=1e-7)

@@ -14,7 +14,7 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
-from cosim.base.errors import FmuError
+from cosim.base.errors import FmuError, SimulationError
 from cosim.blocks import messages
 from cosim.blocks.compiling import permission
 from cosim.blocks.component import ADVANCE, GET, PUT, Row, in_turn
@@ -250,10 +250,15 @@ class FmuBlock:
             calls.enter()
             # Some FMUs (20-sim) forget start values set before initialization.
             values.set({n: v for n, v in self.start_values.items() if self._is_set_again(n)})
-        if calls.readable_before_start:
-            for exchange in self._ports.inward:
+        try:
+            for exchange in self._ports.inward if calls.readable_before_start else ():
                 values.read_in(exchange)
-        else:
+            is_read = calls.readable_before_start
+        except SimulationError:  # It may refuse its start values, which other components replace.
+            if self.instance.fmu is None:
+                raise
+            is_read = False
+        if not is_read:
             values.show(self.start_values)
         values.watched = [] if isinstance(calls, ModelExchange2) and self._ports.fed else None
 

@@ -17,6 +17,7 @@ import numpy as np
 
 from cosim.base.arrays import Array, far_beyond
 from cosim.base.errors import SimulationError
+from cosim.blocks.component import EarlyEnd
 from cosim.blocks.event_mode import EventFmu
 from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
@@ -24,7 +25,7 @@ from cosim.isolation.process import Worker
 from cosim.isolation.rows import Rows
 from cosim.isolation.watch import Watch, fmi_calls
 from cosim.master.initialization import Initialization
-from cosim.master.loops import PROBES, Member, members_of, nominal_of
+from cosim.master.loops import PROBES, Member, is_lost, members_of, nominal_of
 from cosim.master.master import Master
 from cosim.master.own_process import in_own_processes
 from cosim.system.system import System
@@ -33,6 +34,7 @@ SWEEPS = 3  # exchanges of values before the measurement
 LEAST = 1e-7  # change of an output that counts, relative to its value
 NOISE = 10.0  # the same relative to differences between equal calls
 IRREGULAR = 0.37  # displacement of the second point, in sizes of an input
+OTHERS = -0.37, -0.9, 0.9  # displacements of further points, for a component that refuses the first two
 MOST_ITEMS = 4  # tried items of an enumeration
 
 Pair = tuple[str, str]  # output, input
@@ -46,7 +48,7 @@ class Feedthrough:
         pairs: Outputs that follow an input after initialization.
         at_start: Outputs that follow an input in initialization only.
         inputs: Inputs that were measured.
-        failure: Why nothing could be measured.
+        failure: Why something could not be measured.
     """
 
     pairs: tuple[Pair, ...] = ()
@@ -111,7 +113,7 @@ class _Measurement(Master):
         """Return the measured feedthrough."""
         try:
             self._open()
-            self._exchange()
+            failure = self._exchange()
             members = [m for loop in self.system.opened for m in members_of(loop, self.system, self.row)]
             undeclared = frozenset[str]().union(*undeclared_inputs(self.system).values())
             places = [[k for k in m.inputs if self.system.columns[k] in undeclared] for m in members]
@@ -121,7 +123,8 @@ class _Measurement(Master):
                 self.announce(component)
                 component.start()
             for component in self.components:
-                component.get()
+                with suppress(SimulationError):  # It may refuse the start values.
+                    component.get()
             later = self._measure(asked)
         finally:
             for component in self.components:
@@ -129,21 +132,25 @@ class _Measurement(Master):
                 component.close()
         inputs = first.inputs & later.inputs
         at_start = tuple(pair for pair in first.pairs if pair not in later.pairs and pair[1] in inputs)
-        return Feedthrough(later.pairs, at_start, inputs)
+        return Feedthrough(later.pairs, at_start, inputs, failure)
 
-    def _exchange(self) -> None:
-        """Exchange values a few times, as long as they are finite."""
+    def _exchange(self) -> str:
+        """Exchange values a few times, as long as all components accept them; return the first refusal.
+
+        A component of a loop may refuse the start values of the others. It is then measured at its own.
+        """
         data = self.system, self.components, self.row, self.beside, self.pulls, self.held
         exchange = Initialization(*data, self.doing)
         for sweep in range(SWEEPS):
             before = list(self.row)
             try:
                 exchange.sweep()
-            except SimulationError:
-                if not sweep:
+            except SimulationError as error:
+                if isinstance(error, EarlyEnd) or any(is_lost(component) for component in self.components):
                     raise
                 self.row[:] = before
-                return
+                return "" if sweep else f": {error}"
+        return ""
 
     def _measure(self, asked: Sequence[tuple[Member, list[int]]]) -> Feedthrough:
         """Return the outputs that follow inputs now."""
@@ -153,7 +160,10 @@ class _Measurement(Master):
         for member, places in asked:
             before = list(self.row)
             follows = np.zeros((len(member.outputs), len(places)), bool)
-            for share in (0.0, IRREGULAR):
+            accepts = np.zeros(len(places), bool)
+            for k, share in enumerate((0.0, IRREGULAR, *OTHERS)):
+                if k > 1 and accepts.any():
+                    break
                 for j, place in enumerate(places):
                     if not self.system.signals[names[place]].is_whole:
                         self.row[place] = before[place] + share * (1.0 + 0.1 * j) * self._size(member, place)
@@ -161,7 +171,8 @@ class _Measurement(Master):
                     member.evaluate(self.doing)
                     answers = self._follow(member, places)
                     follows |= answers[0]
-                    measured |= {names[places[j]] for j in np.flatnonzero(answers[1])}
+                    accepts |= answers[1]
+            measured |= {names[places[j]] for j in np.flatnonzero(accepts)}
             self.row[:] = before
             with suppress(SimulationError):
                 member.evaluate(self.doing)

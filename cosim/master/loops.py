@@ -249,8 +249,8 @@ class LoopSolver:
         except EarlyEnd:
             raise
         except SimulationError as error:
-            if any(isinstance(m.component, FmuBlock) and m.component.instance.fmu is None for m in self.members):
-                raise  # An FMU is lost after Fatal.
+            if any(is_lost(member.component) for member in self.members):
+                raise
             self._refusal = error
             return None
         copy_values(self.row, self._to_back, self._point)
@@ -367,6 +367,11 @@ class LoopSolver:
 def nominal_of(component: Any, variable: str) -> float:
     """Return the nominal value of a component's variable."""
     return component.nominal(variable) if isinstance(component, FmuBlock) else 1.0
+
+
+def is_lost(component: Any) -> bool:
+    """Return whether a component is an FMU that is lost after Fatal."""
+    return isinstance(component, FmuBlock) and component.instance.fmu is None
 
 
 def members_of(loop: Loop, system: System, row: Any) -> list[Member]:

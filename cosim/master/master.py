@@ -22,7 +22,7 @@ from cosim.base.errors import SimulationError, Terminated, stop_error
 from cosim.base.messages import code_of
 from cosim.blocks.component import EarlyEnd
 from cosim.blocks.event_mode import EventFmu
-from cosim.blocks.messages import VALUE_NOT_FINITE
+from cosim.blocks.messages import CALL_FAILED, CALL_FAILED_WITH_REASON, VALUE_NOT_FINITE
 from cosim.blocks.stepping import NEVER, NotCompiled
 from cosim.isolation.rows import CALLS, OTHER, Rows
 from cosim.master import messages
@@ -258,9 +258,15 @@ class Master:
         self.done = self.row_count[0] = k + 1
 
     def _explain(self, error: SimulationError) -> SimulationError:
-        """Return an error; of values that do not settle or grow without end, with the open loop of their component."""
+        """Return an error with the open loop of its component, if the loop may be its cause.
+
+        Values that do not settle or grow without end may come from such a loop, as may a call that an FMU refuses in
+        initialization.
+        """
         loop = next((loop for loop in self.system.opened if error.component.partition(".")[0] in loop.members), None)
-        if loop is None or code_of(error) not in (VALUE_NOT_FINITE.code, messages.NOT_SETTLED.code):
+        codes = [VALUE_NOT_FINITE.code, messages.NOT_SETTLED.code]
+        codes += [] if self.done else [CALL_FAILED.code, CALL_FAILED_WITH_REASON.code]
+        if loop is None or code_of(error) not in codes:
             return error
         message = messages.OPEN_LOOP.around(error.reason, left_open=loop.left_open)
         return SimulationError(error.component, error.time, message)

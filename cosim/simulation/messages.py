@@ -104,7 +104,7 @@ NOT_MEASURED = Template(
     "W-SIM-083",
     "{loop} may be an algebraic loop: whether outputs follow {inputs} at once is not declared, nor measured{reason}; "
     "cosim assumes that none does; feedthrough: [...] of the component names the inputs that an output follows, [] for "
-    "none; order: [...] states the order instead",
+    "none; loops: {{}} solves it; order: [...] states the order instead",
 )
 MEASURING = Template(
     "N-SIM-084",
