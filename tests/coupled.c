@@ -57,7 +57,7 @@ int fmi2SetReal(C c, const unsigned *r, size_t n, const double *v) {
 }
 int fmi2GetReal(C c, const unsigned *r, size_t n, double *v) {
     M *m = c;
-    int status = m->stepping && m->v[LATE] ? OK : outputs(m);
+    int status = m->v[LATE] > 1 || (m->stepping && m->v[LATE]) ? OK : outputs(m);  // late: 1 in steps, 2 from the start
     m->v[TRIES]++;
     for (size_t k = 0; k < n; k++) v[k] = m->v[r[k]];
     return status;

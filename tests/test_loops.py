@@ -109,6 +109,20 @@ def test_anderson_acceleration_solves_where_a_fixed_point_diverges(tmp_path: Pat
     assert manifest["loops"][0]["method"] == "anderson"
 
 
+@pytest.mark.parametrize("method", ["newton", "anderson"])
+@pytest.mark.parametrize("gain", [5.0, -0.99])
+@pytest.mark.parametrize("offset", [1e-9, 1e-300])
+def test_a_loop_of_tiny_signals_is_solved_relative_to_their_size(
+    method: str, gain: float, offset: float, tmp_path: Path
+) -> None:
+    for name in "ab":
+        coupled_fmu(tmp_path / f"{name}.fmu", LINEAR)
+    starts = {"a": {"p0": gain, "p1": offset}, "b": {"p0": 1.0}}
+    results, manifest = ran(tmp_path, starts, TWO, f"loops: {{method: {method}}}\n")
+    assert results["a.y0"] == pytest.approx(offset / (1.0 - gain), rel=1e-7, abs=0.0)
+    assert manifest["warnings"] == []
+
+
 def test_a_loop_with_states_has_values_of_the_same_time_at_every_point(tmp_path: Path) -> None:
     """y_a = 0.5·u + x_a, x_a' = u − x_a, y_b = −2·u: at each point u_a = y_b and u_b = y_a."""
     for name in "ab":
@@ -386,10 +400,17 @@ def test_a_loop_that_never_has_a_solution_fails_at_the_start(tmp_path: Path) -> 
         ran(tmp_path, {"a": {"p0": 1.0}, "b": {"p0": 1.0}}, TWO)
 
 
-def test_a_loop_of_gain_one_has_no_solution(tmp_path: Path) -> None:
-    with pytest.raises(SimulationError, match=r"does not converge: after .* returns \+1 more") as failure:
-        linear(tmp_path, 1.0)
-    assert "larger tolerance" not in str(failure.value)
+@pytest.mark.parametrize("offset", [1.0, 1e-9])
+@pytest.mark.parametrize("declares", [True, False])
+def test_a_loop_of_gain_one_has_no_solution_and_no_cure(offset: float, declares: bool, tmp_path: Path) -> None:
+    for name in "ab":
+        coupled_fmu(tmp_path / f"{name}.fmu", LINEAR, declares=declares)
+    with pytest.raises(
+        SimulationError, match=r"has no solution, or no unique one: its gain is 1.* is a\s+cure"
+    ) as failure:
+        ran(tmp_path, {"a": {"p0": 1.0, "p1": offset}, "b": {"p0": 1.0}}, TWO)
+    assert "more iterations" not in str(failure.value)
+    assert f"returns {offset:+.3g} more" in str(failure.value)
 
 
 def test_a_tolerance_below_rounding_is_named(tmp_path: Path) -> None:
@@ -406,12 +427,38 @@ def test_more_iterations_are_proposed_where_they_ran_out(tmp_path: Path, method:
         ran(tmp_path, {"a": {"p0": 0.2}, "b": {"p0": 1.0}}, TWO, more)
 
 
-def test_a_late_fmu_without_states_is_named(tmp_path: Path) -> None:
+def late(folder: Path, gain: float, more: str, late: float = 1.0, **options: Any) -> Any:
+    """Run y_a = gain·y_b + 1, which answers only after a step."""
     for name in "ab":
-        coupled_fmu(tmp_path / f"{name}.fmu", LINEAR, saves=False)
-    with pytest.raises(SimulationError, match=r"a at t = 0 s: a\.y0 follows a\.u0 only after a step") as failure:
-        ran(tmp_path, {"a": {"p0": 5.0, "p1": 1.0, "late": 1.0}, "b": {"p0": 1.0}}, TWO)
+        coupled_fmu(folder / f"{name}.fmu", LINEAR, **options)
+    return ran(folder, {"a": {"p0": gain, "p1": 1.0, "late": late}, "b": {"p0": 1.0}}, TWO, more)
+
+
+def test_a_late_fmu_without_states_is_named_with_a_cure_that_works(tmp_path: Path) -> None:
+    words = r"a at t = 0 s: a\.y0 follows a\.u0 only after a step.* order: .* leaves it open.* loop gain is 0\.5"
+    with pytest.raises(SimulationError, match=words) as failure:
+        late(tmp_path, 0.5, "", saves=False)
     assert failure.value.exit_code == 4
+    assert late(tmp_path, 0.5, "order: [a, b]\n", saves=False)[0]["a.y0"][-1] == pytest.approx(2.0)
+
+
+def test_a_late_fmu_without_states_in_a_growing_loop_has_no_circular_cures(tmp_path: Path) -> None:
+    with pytest.raises(SimulationError, match=r"order: .* is no cure.* needs an FMU that saves") as failure:
+        late(tmp_path, 5.0, "", saves=False)
+    with pytest.raises(SimulationError, match=r"loops: \{\} without order solves it, if .* a and b, which cannot save"):
+        late(tmp_path, 5.0, "order: [a, b]\n", saves=False)
+    assert failure.value.exit_code == 4
+    assert late(tmp_path, 5.0, "", saves=True)[0]["a.y0"][-1] == pytest.approx(-0.25)  # the named cure
+
+
+def test_an_undeclared_fmu_that_answers_no_input_is_named_and_stated_feedthrough_is_the_cure(tmp_path: Path) -> None:
+    _, manifest = late(tmp_path, 5.0, "loops: {}\n", late=2.0, declares=False)
+    assert code_of(manifest["warnings"][-1]) == "W-MAS-071"
+    assert "components.a.feedthrough: [u0]" in manifest["warnings"][-1]
+    stated = ["components.a.feedthrough=[u0]"]
+    outcome = run(tmp_path / "loop.yaml", tmp_path / "stated", stated, report=False, in_process=True)
+    assert outcome.results["a.y0"][-1] == pytest.approx(-0.25)
+    assert outcome.manifest["warnings"] == []
 
 
 @pytest.mark.parametrize(
@@ -452,6 +499,24 @@ def test_a_newton_step_that_leaves_the_domain_is_shortened() -> None:
     outcome = RootFinding(1e-10, 20, np.ones(1)).newton(g, np.array([0.999]), slopes)
     assert outcome.converged
     assert outcome.z[0] == pytest.approx(0.5 * math.sqrt(1.0 - outcome.z[0]), rel=1e-9)
+
+
+@pytest.mark.parametrize("method", ["newton", "anderson"])
+def test_tiny_unknowns_that_rounding_keeps_from_their_solution_are_rough(method: str) -> None:
+    rng = np.random.default_rng(1)
+
+    def g(z: Any) -> Any:  # with rounding errors of large inner values
+        return 0.5 * z + 1e-9 + rng.normal(scale=1e-10)
+
+    roots = RootFinding(1e-8, 20, np.ones(1), np.array([True]))
+    start = np.zeros(1)
+    outcome = roots.newton(g, start, lambda z, value, fresh: np.array([[0.5]])) if method == "newton" else None
+    outcome = outcome or roots.anderson(g, start)
+    assert outcome.converged
+    assert outcome.is_rough
+    assert abs(outcome.residual[0]) < 5e-10
+    declared = RootFinding(1e-8, 20, np.ones(1)).newton(g, start, lambda z, value, fresh: np.array([[0.5]]))
+    assert (declared.iterations, declared.is_rough) == (0, False)
 
 
 def test_wrong_derivatives_are_replaced_by_differences() -> None:

@@ -304,11 +304,11 @@ class FmuBlock:
     def _declares_slopes(self) -> bool:
         return declares_slopes(self.path, self._calls.way)
 
-    def nominal(self, name: str) -> float:
-        """Return the nominal value of a variable, by default 1."""
+    def nominal(self, name: str, default: float = 1.0) -> float:
+        """Return the nominal value of a variable."""
         variable = self._variables.get(name) or self._variables.get(name.rpartition("[")[0])
         own = getattr(variable, "nominal", None) or getattr(getattr(variable, "declaredType", None), "nominal", None)
-        return abs(float(own or 1.0))
+        return abs(float(own or default))
 
     def get(self) -> None:
         self._values.get()

@@ -37,6 +37,8 @@ REACTION = 1e-9  # smallest relative change of an output that counts
 ROUNDING = 1e-6  # share of a step
 ROUNDED = 1e-13  # residual of rounding, relative to the magnitude
 PROPOSED = 1e-8  # tolerance that a message proposes for a smaller one
+UNIT_GAIN = 1e-8  # smallest singular value of I − ∂g/∂z that counts
+UNIT_GAIN_POINTS = 0.0, 1.0, -0.37  # displacements in magnitudes of the unknowns
 RANGE = -3, 5  # exponents of 2 of other first points, where a component refuses the inputs
 MOST_DIFFERENCES = 50  # inputs of a loop without derivatives, beyond which Newton's method costs too much
 
@@ -137,7 +139,10 @@ class LoopSolver:
         self._one = {t.name: copying.of([t]) for t in loop.transfers}
         self.members = members_of(loop, system, row)
         scale = np.array([self._nominal(t.target) for t in self.back])
-        self._roots = RootFinding(self.settings.tolerance, self.settings.iterations, scale)
+        is_assumed = np.array([not self._is_declared(t.target) for t in self.back])
+        self._roots = RootFinding(self.settings.tolerance, self.settings.iterations, scale, is_assumed)
+        self._seen = dict.fromkeys((place for t in loop.transfers for place in (t.source, t.target)), 0.0)
+        self._rough: list[tuple[float, float, float, str]] = []  # time, residual, value and signal of rough solutions
         self._point, self._is_probed = 0, False
         self._iterations: list[int] = []
         self._at_start = 0
@@ -161,9 +166,10 @@ class LoopSolver:
         Raises:
             SimulationError: The steps of such a component cannot be repeated.
         """
+        gain = self._gain_at_start()
         self._roots.slopes = None
         members = [m for m in self.members if m.inputs and not getattr(m.component, "changes_by_events", False)]
-        return [warning for member in members for warning in self._find_repeats(member)]
+        return [warning for member in members for warning in self._find_repeats(member, gain)]
 
     def step(self, t: float, h: float, k: int) -> None:
         """Step to communication point k and solve the loop."""
@@ -192,6 +198,14 @@ class LoopSolver:
             "points": len(counts),
         }
 
+    def notes(self) -> list[str]:
+        """Return a warning of solutions that are rough beside their signals."""
+        if not self._rough:
+            return []
+        t, residual, value, signal = self._rough[0]
+        fields = {"count": len(self._rough), "time": t, "residual": abs(residual), "value": value, "signal": signal}
+        return [messages.ROUGH_SOLUTION(loop=self.name, tolerance=self.settings.tolerance, **fields)]
+
     @property
     def method(self) -> str:
         """Return the method of solution."""
@@ -208,12 +222,16 @@ class LoopSolver:
         Raises:
             SimulationError: The iterations do not converge.
         """
-        outcome = self._outcome(np.array([self.row[k] for k in self.unknowns]))
+        z = np.array([self.row[k] for k in self.unknowns])
+        outcome = self._outcome(z)
+        worst = int(np.argmax(np.abs(outcome.residual) / np.maximum(np.abs(outcome.z), self._roots.scale)))
         if outcome.converged:
             for place, value in zip(self.unknowns, outcome.z.tolist(), strict=True):
                 self.row[place] = value
+            if outcome.is_rough:
+                self._rough.append((t, outcome.residual[worst], outcome.z[worst], self.back[worst].name))
             return outcome.iterations
-        worst = int(np.argmax(np.abs(outcome.residual) / np.maximum(np.abs(outcome.z), self._roots.scale)))
+        signals = ", ".join(t.name for t in self._transfers)
         fields = {"signal": self.back[worst].name, "value": float(outcome.z[worst])}
         fields |= {"residual": float(outcome.residual[worst]), "loop": self.name, "count": outcome.iterations}
         gave_up = outcome.iterations < self.settings.iterations  # because no step leads nearer
@@ -221,9 +239,25 @@ class LoopSolver:
         least = ROUNDED * max(abs(outcome.z[worst]), self._roots.scale[worst])
         if abs(outcome.residual[worst]) <= least and self.settings.tolerance < PROPOSED:
             fields["more"] = messages.LARGER_TOLERANCE(tolerance=PROPOSED)
-        signals = ", ".join(t.name for t in self._transfers)
-        message = messages.LOOP_NOT_SOLVED(signals=signals, tolerance=self.settings.tolerance, **fields)
+        if self._has_unit_gain(z):
+            message = messages.NO_UNIQUE_SOLUTION(signals=signals, **fields)
+        else:
+            message = messages.LOOP_NOT_SOLVED(signals=signals, tolerance=self.settings.tolerance, **fields)
         raise SimulationError("algebraic loop", t, message)
+
+    def _has_unit_gain(self, z: Array) -> bool:
+        """Return whether I − ∂g/∂z is singular at several points about z, so that no solution is unique."""
+        if z.size > MOST_DIFFERENCES:
+            return False
+        for share in UNIT_GAIN_POINTS:
+            at = z + share * np.maximum(np.abs(z), self._roots.scale)
+            g = self._sweep(at)
+            if g is None:
+                return False
+            slopes = self._slopes(at, g, fresh=False)
+            if not np.isfinite(slopes).all() or np.linalg.svd(np.eye(z.size) - slopes)[1][-1] > UNIT_GAIN:
+                return False
+        return True
 
     def _outcome(self, z: Array) -> Outcome:
         """Return the end of the iterations from z."""
@@ -254,10 +288,18 @@ class LoopSolver:
             self._refusal = error
             return None
         copy_values(self.row, self._to_back, self._point)
+        self._note_sizes()
         returned = np.array([self.row[k] for k in self.unknowns])
         for place, value in zip(self.unknowns, z.tolist(), strict=True):
             self.row[place] = value
         return returned
+
+    def _note_sizes(self) -> None:
+        """Note the largest magnitude of each signal."""
+        for place, largest in self._seen.items():
+            if (size := abs(self.row[place])) > largest:
+                self._seen[place] = size
+        self._roots.largest = max(self._seen.values())
 
     def _slopes(self, z: Array, g: Array, *, fresh: bool) -> Array:
         """Return ∂g/∂z, chained from components and transfers."""
@@ -289,6 +331,8 @@ class LoopSolver:
         base, slopes = member.values(), np.zeros(shape)
         for j, place in enumerate(member.inputs):
             shift = SHIFT * max(abs(self.row[place]), self._nominal(place))
+            if fresh and not self._is_declared(place) and self._seen[place]:
+                shift = min(shift, SHIFT * self._seen[place])  # The signal may be tiny.
             for step in (shift, -shift):
                 values = member.try_at(self.doing, place, self.row[place] + step)
                 if values is not None:
@@ -312,6 +356,12 @@ class LoopSolver:
     def _nominal(self, place: int) -> float:
         name, _, variable = self._columns[place].partition(".")
         return nominal_of(next(m.component for m in self.members if m.component.name == name), variable)
+
+    def _is_declared(self, place: int) -> bool:
+        """Return whether the FMU of an input declares its nominal value."""
+        name, _, variable = self._columns[place].partition(".")
+        component = next(m.component for m in self.members if m.component.name == name)
+        return isinstance(component, FmuBlock) and component.nominal(variable, default=0.0) > 0.0
 
     # -- outputs that follow inputs only after a step ------------------------------------------------
 
@@ -345,8 +395,18 @@ class LoopSolver:
                     reacts[:, j] |= np.abs(values - base) > least
         return reacts
 
-    def _find_repeats(self, member: Member) -> list[str]:
-        """Note whether steps must be repeated; return warnings."""
+    def _gain_at_start(self) -> float:
+        """Return the loop gain in initialization: the largest growth of a deviation around the loop."""
+        z = np.array([self.row[k] for k in self.unknowns])
+        slopes = self._roots.slopes if self._roots.slopes is not None else self._slopes(z, z, fresh=False)
+        return float(np.max(np.abs(np.linalg.eigvals(slopes)), initial=0.0)) if np.isfinite(slopes).all() else math.inf
+
+    def _find_repeats(self, member: Member, gain: float) -> list[str]:
+        """Note whether steps must be repeated; return warnings.
+
+        Args:
+            gain: Loop gain in initialization.
+        """
         member.evaluate(self.doing)
         reacts = self._reactions(member)
         member.evaluate(self.doing)
@@ -355,13 +415,19 @@ class LoopSolver:
         is_silent = is_declared and not (member.reacts.any() or reacts.any())
         can_repeat = isinstance(member.component, FmuBlock) and member.component.instance.rolls_back
         member.repeats = can_repeat and bool(missing.any() or is_silent)
+        if not (is_declared or reacts.any() or member.reacts.any()):
+            names = ", ".join(self._columns[k].partition(".")[2] for k in member.inputs)
+            fields = {"component": member.component.name, "loop": self.name, "inputs": names}
+            return [messages.UNDECLARED_AND_SILENT(**fields)]
         if can_repeat or not (missing.any() or is_silent):
             return []
         if is_silent:
             return [messages.NO_REACTION(component=member.component.name, loop=self.name)]
         j, k = (int(each[0]) for each in np.nonzero(missing))
         ends = {"output": self._columns[member.outputs[j]], "input": self._columns[member.inputs[k]]}
-        raise SimulationError(member.component.name, self.start, messages.NO_WAY_BACK(loop=self.name, **ends))
+        cure = (messages.OPEN_SETTLES if gain < 1.0 else messages.OPEN_GROWS)(gain=gain)
+        message = messages.NO_WAY_BACK(loop=self.name, cure=cure, **ends)
+        raise SimulationError(member.component.name, self.start, message)
 
 
 def nominal_of(component: Any, variable: str) -> float:

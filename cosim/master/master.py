@@ -390,7 +390,8 @@ class Master:
     def _rows_so_far(self) -> Results:
         beside = self.beside_rows if isinstance(self.beside_rows, list) else []
         time, table = self.time[: self.done], self.table[: self.done]
-        notes = [*self.notes, *(() if self.pacer is None else self.pacer.notes(self.system.start))]
+        of_loops = [note for solver in self.solvers for note in solver.notes()]
+        notes = [*self.notes, *of_loops, *(() if self.pacer is None else self.pacer.notes(self.system.start))]
         if self.partners is not None:
             self.partners.finish(max(0, self.done - 1))
             notes += self.partners.notes()

@@ -40,6 +40,12 @@ LOOP_NOT_SOLVED = Template(
 LARGER_TOLERANCE = Template(
     "N-MAS-064", ", or a larger tolerance: this residual is rounding (loops: {{tolerance: {tolerance:g}}})"
 )
+ROUGH_SOLUTION = Template(
+    "W-MAS-067",
+    "the algebraic loop {loop} is solved less exactly than to {tolerance:g} of its signals at {count} points: first at "
+    "t = {time:.6g} s, where {signal} is {value:.3g} and the loop returns {residual:.2g} more or less, which no "
+    "iteration makes smaller. A nominal value of this input in its FMU states the size that counts",
+)
 MORE_ITERATIONS = Template("N-MAS-063", ", or more iterations (loops: {{iterations: {count}}})")
 TOLERANCE_NOT_MET = Template(
     "W-MAS-011",
@@ -59,12 +65,34 @@ NOTHING_JUDGED = Template(
 NO_WAY_BACK = Template(
     "E-MAS-009",
     "{output} follows {input} only after a step, which cannot be repeated, because the FMU saves no state; so the "
-    "algebraic loop {loop} cannot be solved. State the order of the components (order: [...]), or algorithm: jacobi",
+    "algebraic loop {loop} cannot be solved. {cure}",
+)
+OPEN_SETTLES = Template(
+    "N-MAS-068",
+    "order: [...] or algorithm: jacobi leaves it open, with values of the step before, which settle (the loop gain is "
+    "{gain:.3g})",
+)
+OPEN_GROWS = Template(
+    "N-MAS-069",
+    "order: [...] or algorithm: jacobi is no cure: with values of the step before, they grow (the loop gain is "
+    "{gain:.3g}). The loop needs an FMU that saves and restores its state, or one without direct feedthrough",
+)
+NO_UNIQUE_SOLUTION = Template(
+    "E-MAS-070",
+    "{loop} has no solution, or no unique one: its gain is 1, so that the loop returns {residual:+.3g} more than "
+    "{signal}, whatever its value. Signals of the loop: {signals}. No start value, tolerance, order or algorithm is a "
+    "cure; change its equations (a parameter of an FMU), or put an FMU without direct feedthrough into it",
 )
 NO_REACTION = Template(
     "W-MAS-010",
     "{component}: no output in the algebraic loop {loop} follows an input without a step, and its state cannot be "
     "saved; its outputs are those after a step with the inputs of the step's start",
+)
+UNDECLARED_AND_SILENT = Template(
+    "W-MAS-071",
+    "{component}: no output in the algebraic loop {loop} follows an input without a step, and none is declared to; its "
+    "outputs are those after a step with the inputs of the step's start. If a step shows feedthrough, state it "
+    "(components.{component}.feedthrough: [{inputs}])",
 )
 
 # Events and clocks

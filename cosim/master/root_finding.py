@@ -4,6 +4,9 @@ Newton: (I − G)·Δz = g(z) − z with G = ∂g/∂z, damped until the residua
 again when the residual decreases slowly. The end is reached when both the residual and the next Δz are small: near a
 singular I − G, a residual is small beside z without any solution near.
 
+Small means small beside the magnitude or the nominal value of an unknown. One without a declared nominal value may be
+tiny: beside 1, each point would then be a solution. Its own magnitude counts, unless no step decreases the residual.
+
 Anderson: H. F. Walker, P. Ni, Anderson Acceleration for Fixed-Point Iterations, SIAM J. Numer. Anal. 49 (2011),
 eq. (2.2): the combination of the last m + 1 iterates with the smallest combined residual.
 """
@@ -22,6 +25,7 @@ SLOW = 0.25  # ratio of successive residuals, above which the slopes are compute
 SHORTEST = 2.0**-10  # smallest share of a Newton step
 MOST_FAILURES = 1  # failures of current slopes; after the first, they are computed from differences
 DEPTH = 8  # earlier iterates used by Anderson acceleration
+ROUNDED = 1e-13  # residual of rounding, relative to the largest magnitude
 Map = Callable[[Array], "Array | None"]  # g, or None where it is not defined
 
 
@@ -34,12 +38,19 @@ class Slopes(Protocol):
 
 @dataclass(frozen=True)
 class Outcome:
-    """End of iterations: unknowns, their residual g(z) − z, iterations, and whether the residual is small enough."""
+    """End of iterations: unknowns, their residual g(z) − z, iterations, and whether the residual is small enough.
+
+    Attributes:
+        is_rough: Whether it is small beside 1, but not beside the magnitude of an unknown.
+        is_singular: Whether I − G is singular, so that the loop has no solution or many.
+    """
 
     z: Array
     residual: Array
     iterations: int
     converged: bool
+    is_rough: bool = False
+    is_singular: bool = False
 
 
 class NotDefined(Exception):
@@ -52,15 +63,31 @@ class RootFinding:
 
     Attributes:
         scale: Smallest magnitude of each unknown for relative tolerances.
+        is_assumed: Whether this magnitude of an unknown is assumed, not declared; by default none is.
         slopes: Last computed ∂g/∂z.
         computed: Number of computations of the slopes.
+        largest: Largest magnitude of all signals so far, for residuals of rounding.
     """
 
     tolerance: float
     most: int
     scale: Array
+    is_assumed: Array | bool = False
     slopes: Array | None = None
     computed: int = 0
+    largest: float = 0.0
+    _solved: Array | float = 0.0  # largest magnitude of each unknown in a solution
+
+    def is_fine(self, z: Array, residual: Array, direction: Array) -> bool:
+        """Return whether residual and next step are small beside the unknowns' own magnitudes."""
+        return max(self._own_size(z, residual, each) for each in (residual, direction)) <= self.tolerance
+
+    def _own_size(self, z: Array, residual: Array, change: Array) -> float:
+        """Return the largest change relative to the unknowns' own magnitudes, without those of rounding."""
+        seen = np.max([np.abs(z), np.abs(z + residual), np.abs(change), self._solved + 0.0 * z], axis=0)
+        scale = np.maximum(np.abs(z), np.where(self.is_assumed, np.minimum(self.scale, seen), self.scale))
+        counts = np.abs(change) > ROUNDED * max(self.largest, float(np.max(seen, initial=0.0)))
+        return float(np.max(np.abs(change[counts]) / scale[counts], initial=0.0))
 
     def size(self, z: Array, residual: Array) -> float:
         """Return the largest relative residual."""
@@ -76,7 +103,7 @@ class RootFinding:
         residual = value - z
         size = self.size(z, residual)
         is_current, failures = False, 0  # whether the slopes are of this call, and how often they were of no use
-        converged = False
+        converged = is_small = is_regular = False
         for iteration in range(self.most + 1):
             if not residual.any():
                 converged = True
@@ -86,11 +113,12 @@ class RootFinding:
                 self.computed += 1
                 if size <= self.tolerance:
                     g(z)  # Differences leave another point behind.
-            direction = _solve(np.eye(z.size) - self.slopes, residual)
-            converged = max(size, self.size(z, direction)) <= self.tolerance
+            direction, is_regular = _solve(np.eye(z.size) - self.slopes, residual)
+            is_small = max(size, self.size(z, direction)) <= self.tolerance
+            converged = is_small and self.is_fine(z, residual, direction)
             if converged or iteration == self.most or failures > MOST_FAILURES:
                 break
-            moved = self._damped(g, z, direction, size)
+            moved = self._improved(g, z, direction, residual) if is_small else self._damped(g, z, direction, size)
             if moved is None:
                 failures += is_current
                 self.slopes = None
@@ -100,7 +128,10 @@ class RootFinding:
             size = self.size(z, residual)
             if size > SLOW * before or share < 1.0:
                 self.slopes = None
-        return Outcome(z, residual, iteration, converged)
+        is_rough = not converged and is_small and is_regular
+        return self._end(
+            Outcome(z, residual, iteration, converged or is_rough, is_rough, not (converged or is_regular))
+        )
 
     def anderson(self, g: Map, z: Array) -> Outcome:
         """Solve by accelerated fixed-point iterations from z.
@@ -111,10 +142,15 @@ class RootFinding:
         points: list[Array] = []
         residuals: list[Array] = []
         value = self._first(g, z)
+        before, stalls = np.inf, 0
         for iteration in range(self.most + 1):
             residual = value - z
-            if self.size(z, residual) <= self.tolerance or iteration == self.most:
+            own = self._own_size(z, residual, residual)
+            is_small = self.size(z, residual) <= self.tolerance
+            stalls += own > SLOW * before
+            if iteration == self.most or (is_small and (own <= self.tolerance or stalls > z.size + 1)):
                 break
+            before = own
             points, residuals = [*points[-DEPTH:], z], [*residuals[-DEPTH:], residual]
             ahead = value
             if len(points) > 1:
@@ -125,7 +161,22 @@ class RootFinding:
             if moved is None:
                 break
             z, value, _ = moved
-        return Outcome(z, residual, iteration, self.size(z, residual) <= self.tolerance)
+        return self._end(Outcome(z, residual, iteration, is_small, is_small and own > self.tolerance))
+
+    def _end(self, outcome: Outcome) -> Outcome:
+        """Return an outcome, with its magnitudes noted."""
+        if outcome.converged:
+            self._solved = np.maximum(self._solved, np.abs(outcome.z))
+        return outcome
+
+    def _improved(self, g: Map, z: Array, direction: Array, residual: Array) -> tuple[Array, Array, float] | None:
+        """Return the point of a whole step, g there and its share, if the residual decreases much."""
+        ahead = z + direction
+        value = g(ahead)
+        if value is None:
+            return None
+        before, after = (self._own_size(at, r, r) for at, r in ((z, residual), (ahead, value - ahead)))
+        return (ahead, value, 1.0) if after <= SLOW * before else None
 
     def _first(self, g: Map, z: Array) -> Array:
         value = g(z)
@@ -145,9 +196,9 @@ class RootFinding:
         return None
 
 
-def _solve(matrix: Array, right: Array) -> Array:
-    """Return the smallest solution of a linear system."""
+def _solve(matrix: Array, right: Array) -> tuple[Array, bool]:
+    """Return the smallest solution of a linear system, and whether it is regular."""
     try:
-        return np.asarray(np.linalg.solve(matrix, right))
+        return np.asarray(np.linalg.solve(matrix, right)), True
     except np.linalg.LinAlgError:
-        return np.asarray(np.linalg.lstsq(matrix, right, rcond=None)[0])
+        return np.asarray(np.linalg.lstsq(matrix, right, rcond=None)[0]), False

@@ -99,7 +99,11 @@ FOLLOWS_AT_START = Template(
     "It is left open, so that some inputs may have the values of the step before; {cure}",
 )
 REPEATED_STEPS = Template("N-SIM-086", "loops: {{}} solves it by repeated steps")
-STATED_ORDER = Template("N-SIM-087", "order: [...] states that it is open")
+STATED_ORDER = Template(
+    "N-SIM-087",
+    "an FMU that saves and restores its state, or one without direct feedthrough, would be a cure; order: [...] states "
+    "that it is open, without this warning",
+)
 NOT_MEASURED = Template(
     "W-SIM-083",
     "{loop} may be an algebraic loop: whether outputs follow {inputs} at once is not declared, nor measured{reason}; "

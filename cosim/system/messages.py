@@ -94,13 +94,13 @@ OWN_STEP_IN_LOOP = Template(
 )
 EVENT_MODE_IN_LOOP = Template(
     "E-SYS-050",
-    "{component} is part of the algebraic loop {loop} and runs in event mode, in which it cannot be solved; state the "
-    "order of the components (order: [...]), or set event_mode: false",
+    "{component} is part of the algebraic loop {loop} and runs in event mode, in which it cannot be solved; set "
+    "event_mode: false, or state the order of the components (order: [...]), which leaves it open",
 )
 EXCHANGE_IN_LOOP = Template(
     "E-SYS-098",
     "{component} is part of the algebraic loop {loop} and uses model exchange, beside an FMU in event mode; choose "
-    "interface: co-simulation, or state the order of the components (order: [...])",
+    "interface: co-simulation, or state the order of the components (order: [...]), which leaves it open",
 )
 LOOP_OF_NO_REALS = Template(
     "E-SYS-049",
@@ -118,6 +118,12 @@ NO_LOOP_AT_START = Template(
     "at once later, {cure}",
 )
 LOOPS_SOLVES = Template("N-SYS-101", "loops: {{}} without {key} solves it, if it has a solution")
+LOOPS_NEED_STATES = Template(
+    "N-SYS-104",
+    "loops: {{}} without {key} solves it, if it has a solution and outputs of {names}, which cannot save a state, "
+    "follow inputs without a step",
+)
+LOOPS_REFUSED = Template("N-SYS-105", "loops: {{}} without {key} is refused: {fault}")
 LOOP_BY_FEEDTHROUGH = Template(
     "N-SYS-102",
     "{loop} is an algebraic loop that no FMU declares: outputs follow {inputs} at once, as measured before the run or "

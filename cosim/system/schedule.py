@@ -10,6 +10,7 @@ from cosim.base.text import join_names
 from cosim.blocks.component import Component, Signal
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.faults import steps_in
+from cosim.blocks.fmu import FmuBlock
 from cosim.coupling.algorithms import DEFAULT, WITHOUT_ORDER, Algorithm, algorithms
 from cosim.coupling.messages import ASSUMED_WITHOUT_FEEDTHROUGH
 from cosim.coupling.order import AlgebraicLoop, Plan
@@ -112,8 +113,22 @@ class _Graph:
         for loop in self.sort_transfers(plan)[2]:
             if loop.members not in solved:
                 fault = next((fault for _, fault in self.faults(loop)), None)
-                cure = join("; ", assumptions) or fault or messages.LOOPS_SOLVES(key=key)
+                cure = join("; ", assumptions) or self._cure(loop, key, fault)
                 yield replace(loop, left_open=note(loop=loop.name, by=key, cure=cure))
+
+    def _cure(self, loop: Loop, key: str, fault: Message | None) -> Message:
+        """Return how a loop that a key leaves open is solved.
+
+        Args:
+            fault: Why it cannot be solved.
+        """
+        if fault is not None:
+            return messages.LOOPS_REFUSED(key=key, fault=fault)
+        fmus = [c for c in map(self.components.get, loop.members) if isinstance(c, FmuBlock)]
+        names = [fmu.name for fmu in fmus if not (fmu.changes_by_events or fmu.instance.rolls_back)]
+        if names:
+            return messages.LOOPS_NEED_STATES(key=key, names=join_names(names))
+        return messages.LOOPS_SOLVES(key=key)
 
     def faults(self, loop: Loop) -> Iterator[tuple[Place, Message]]:
         """Yield faults of a loop that cannot be solved, with their places."""
