@@ -109,6 +109,16 @@ def test_interruptions_of_a_steady_run_are_no_change(seed: int) -> None:
     assert sampled(lengths, seed).slower() == []
 
 
+def test_a_call_that_does_not_return_is_no_slow_step() -> None:
+    warnings: list[Slower] = []
+    clock = [0.0]
+    times = ComponentTimes(["wheel", "road"], ROWS, lambda rows: 0.02 * rows, warnings.append, lambda: clock[0])
+    for k in range(1, 4601):
+        clock[0] += 0.005
+        times.read(min(k, 600), call(0, ADVANCE))  # from row 600 on, a server no longer answers
+    assert warnings == []
+
+
 def test_a_warning_comes_while_the_run_is_slow_and_only_once() -> None:
     warnings: list[Slower] = []
     sampled(lambda k: [(call(0, ADVANCE), 0.002 if k <= 500 else 0.03)], warn=warnings.append)

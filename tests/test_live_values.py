@@ -21,6 +21,7 @@ import cosim
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.master.observer import ObservedRun, Observer
+from cosim.verbs.check_verb import check
 from tests.deeds import deeds_fmu
 
 MOSQUITTO = shutil.which("mosquitto", path="/usr/sbin:/usr/bin:/usr/local/sbin:/opt/homebrew/sbin")
@@ -74,6 +75,18 @@ def repeated(folder: Path) -> Any:
     again = cosim.run(folder / "o" / "manifest.json", folder / "again", report=False)
     assert (folder / "again" / "results.csv").read_bytes() == (folder / "o" / "results.csv").read_bytes()
     return again
+
+
+def test_an_unknown_host_is_named_before_the_run_and_by_check(tmp_path: Path) -> None:
+    outputs = {"good.y0": {"udp": "nowhere.invalid:5000"}, "good.u0": {"udp": "127.0.0.1:5000"}}
+    file = tmp_path / "live.json"
+    file.write_text(json.dumps(scenario(tmp_path, {"outputs": outputs})))
+    for attempt in (lambda: cosim.run(file, tmp_path / "o"), lambda: check(file)):
+        with pytest.raises(InputError, match=r"cannot send to nowhere\.invalid:5000: .*correct the host") as refused:
+            attempt()
+        assert (refused.value.exit_code, refused.value.code) == (2, "E-PRT-004")
+        assert refused.value.faults[0].line > 0
+    assert not (tmp_path / "o").exists()
 
 
 @pytest.mark.parametrize("in_process", [False, True])

@@ -161,6 +161,10 @@ def test_steps_that_are_judged_when_they_are_over_are_told_without_blaming_the_m
     assert warning.endswith("Give a max below 0.02 s or a larger tolerance")
     assert manifest["steps"]["missed"] is None
     assert manifest["criteria"] == []
+    assert not manifest["steps"]["is_met"]
+    assert f"the largest is {manifest['steps']['largest_error']:.2g}" in warning
+    run(tmp_path / "truck.yaml", tmp_path / "reported", ["duration=1.5"])
+    assert "TOLERANCE NOT MET in" in (tmp_path / "reported" / "report.html").read_text()
 
 
 def test_no_step_is_shorter_than_the_minimum(tmp_path: Path) -> None:

@@ -83,6 +83,7 @@ class ComponentTimes:
         self._begin(self._last, 0)
         self._warned = np.ones(len(self.components) + 1)  # factors of the last warnings; the last one: of the run
         self._rests = np.zeros(len(self._bins))  # `rest` by parts
+        self._pending, self._done = np.zeros(len(self.components)), 0  # time of the step that is not over; steps
 
     def _begin(self, now: float, steps: int) -> None:
         """Start the measurement anew after a number of communication steps."""
@@ -110,7 +111,10 @@ class ComponentTimes:
         self._reached = max(self._reached, made)
         self._steps[min(len(self._bins) - 1, self._bin(made))] += steps - self._stepped
         self._stepped = steps
+        if (done := steps or made) != self._done:
+            self._pending[:], self._done = 0.0, done
         if 0 <= number < len(self.components):
+            self._pending[number] += elapsed if call < OTHER else 0.0
             self._bins[min(len(self._bins) - 1, self._bin(made)), number, call] += elapsed
             self.readings += 1
         elif made:  # Before the first row, the worker starts.
@@ -165,8 +169,11 @@ class ComponentTimes:
         return made * len(self._bins) // max(1, self.rows)
 
     def _mark(self, now: float, made: int, steps: int) -> None:
-        """Warn of components that have become much slower for a step."""
-        own = np.append(self._bins[:, :, :OTHER].sum(axis=(0, 2)), self.rest)
+        """Warn of components that have become much slower for a step.
+
+        A step that is not over does not count: a hang, or a machine that does not answer, is no slow step.
+        """
+        own = np.append(self._bins[:, :, :OTHER].sum(axis=(0, 2)) - self._pending, self.rest)
         self._marks.append((now, steps, own))
         self._rows_at[steps] = made
         begin = next((m for m in reversed(self._marks) if now - m[0] >= WINDOW), None)

@@ -11,13 +11,13 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
-from cosim.base.errors import InputError
+from cosim.base.errors import InputError, refuse
 from cosim.base.text import counted
 from cosim.master import messages
 from cosim.master.inbox import targets_of
-from cosim.partners.links import Broker, NoLink, UdpReceiver, UdpSender
+from cosim.partners.links import Broker, NoLink, UdpReceiver, UdpSender, resolved
 from cosim.scenario.start_values import Misfit
-from cosim.system.real_time import LivePlan, Port
+from cosim.system.real_time import LivePlan, Port, RealTime
 from cosim.system.system import System
 
 MOST_OUTAGES = 100  # of a partner in the record
@@ -60,6 +60,18 @@ class Output:
     sent: int = 0
     failed: int = 0
     reason: str = ""
+
+
+def check_hosts(real_time: RealTime | None) -> None:
+    """Raise InputError for hosts without address among the partners that receive datagrams."""
+    faults = []
+    outputs = () if real_time is None or real_time.live is None else real_time.live.outputs
+    for port in (port for port in outputs if not port.is_mqtt):
+        try:
+            resolved(port.address)
+        except NoLink as refusal:
+            faults.append(replace(port.place, message=refusal.args[0]))
+    refuse(faults)
 
 
 class LiveValues:

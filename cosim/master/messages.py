@@ -50,12 +50,14 @@ MORE_ITERATIONS = Template("N-MAS-063", ", or more iterations (loops: {{iteratio
 TOLERANCE_NOT_MET = Template(
     "W-MAS-011",
     "the error of {count} steps is above the tolerance {tolerance:g} although min allows no shorter ones, {step:g} s: "
-    "first at t = {time:.6g} s, {error:.2g} of {signal}. Give a shorter min or a larger tolerance",
+    "first at t = {time:.6g} s, {error:.2g} of {signal}; the largest is {worst:.2g}. Give a shorter min or a larger "
+    "tolerance",
 )
 TOLERANCE_EXCEEDED = Template(
     "W-MAS-065",
     "the error of {count} steps turned out above the tolerance {tolerance:g}; estimator: {estimator} does not repeat "
-    "steps: first at t = {time:.6g} s, {error:.2g} of {signal}. Give a max below {step:g} s or a larger tolerance",
+    "steps: first at t = {time:.6g} s, {error:.2g} of {signal}; the largest is {worst:.2g}. Give a max below {step:g} "
+    "s or a larger tolerance",
 )
 NOTHING_JUDGED = Template(
     "W-MAS-012",

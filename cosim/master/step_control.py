@@ -90,6 +90,7 @@ class StepCount:
         """Return the warning about steps above the tolerance."""
         t, error, name = self.first_missed if self.missed else self.first
         fields = {"signal": name, "time": t, "error": error * control.tolerance, "count": self.missed or self.failed}
+        fields |= {"worst": self.worst * control.tolerance}
         if self.missed:
             return messages.TOLERANCE_NOT_MET(step=control.shortest, tolerance=control.tolerance, **fields)
         limits = {"step": control.longest, "tolerance": control.tolerance}
@@ -109,6 +110,7 @@ class StepCount:
             "above_tolerance": self.failed,
             "missed": self._missed(control),
             "largest_error": self.worst * control.tolerance,
+            "is_met": not self.failed,
             "sizes": shares,
         }
 

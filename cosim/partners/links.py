@@ -26,6 +26,18 @@ def host_and_port(address: str) -> tuple[str, int]:
     return host.strip("[]"), int(port)
 
 
+def resolved(address: str) -> tuple[int, Any]:
+    """Return the family and the socket address of `host:port`; raise NoLink for an unknown host."""
+    host, port = host_and_port(address)
+    try:
+        found = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)
+    except (OSError, UnicodeError) as error:  # a label of a host name may be too long
+        reason = getattr(error, "strerror", None) or error
+        raise NoLink(messages.NO_HOST(address=address, reason=reason)) from None
+    family, _, _, _, place = min(found, key=lambda each: each[0] != socket.AF_INET)
+    return family, place
+
+
 class UdpReceiver:
     """Datagrams that arrive at a port of this machine."""
 
@@ -56,8 +68,7 @@ class UdpSender:
     """Datagrams to an address."""
 
     def __init__(self, address: str) -> None:
-        self._address = host_and_port(address)
-        family = socket.AF_INET6 if ":" in self._address[0] else socket.AF_INET
+        family, self._address = resolved(address)  # once, since each look-up may wait
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
 

@@ -23,6 +23,7 @@ from cosim.master.checkpoint import Continuation, Keeping
 from cosim.master.end_trials import without_ended_states
 from cosim.master.inbox import Change, with_changes
 from cosim.master.input_functions import InputFunctions, NamedFunctions
+from cosim.master.live_values import check_hosts
 from cosim.master.observer import Observer, ProgressObserver
 from cosim.master.remote import MODULES, SteppedRun, simulate_apart, simulate_here
 from cosim.scenario.controller_design import designed_apart
@@ -299,7 +300,9 @@ def _prepare_new(
     if not is_package:
         check_run_folder(place, file.scenario.name, force=force)
     check_writable(place, (rows_file, MANIFEST, "report.html"), file.files)
-    system = replace(with_feedthrough(file, designed, system, worker, tell), real_time=real_time_of(file))
+    real_time = real_time_of(file)
+    check_hosts(real_time)
+    system = replace(with_feedthrough(file, designed, system, worker, tell), real_time=real_time)
     ssp = path if is_package else None
     return _Prepared(file, place, system, designed, rows_file, software, warnings, ssp, keep=ssp is None)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 from cosim.base.text import amount
 from cosim.report.html_tables import Row
@@ -26,6 +26,7 @@ def step_rows(run: Run) -> Iterator[Row]:
     if steps:
         sizes = ", ".join(f"{share} {amount(number(size), 's')}" for share, size in mapping(steps.get("sizes")).items())
         lines += [
+            *_excess(steps),
             f"estimator {steps.get('estimator')}, tolerance {number(steps.get('tolerance')):g}, largest error "
             f"{number(steps.get('largest_error')):.2g}",
             f"{steps.get('accepted')} steps accepted, {steps.get('rejected')} taken back, "
@@ -33,6 +34,14 @@ def step_rows(run: Run) -> Iterator[Row]:
             f"sizes by share of steps that are shorter: {sizes}",
         ]
     yield Row("Communication step", "\n".join(lines), STEP)
+
+
+def _excess(steps: Mapping[str, object]) -> Iterator[str]:
+    """Yield a line if the error of a step is larger than the tolerance."""
+    error, tolerance = number(steps.get("largest_error")), number(steps.get("tolerance"))
+    if error > tolerance > 0.0:
+        count = f"{steps.get('above_tolerance')} of {steps.get('accepted')} steps"
+        yield f"TOLERANCE NOT MET in {count}: the largest error is {error / tolerance:.3g} times the tolerance"
 
 
 def loop_rows(run: Run) -> Iterator[Row]:
