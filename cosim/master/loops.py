@@ -138,10 +138,8 @@ class LoopSolver:
         self._to_back = copying.of(self.back)
         self._one = {t.name: copying.of([t]) for t in loop.transfers}
         self.members = members_of(loop, system, row)
-        scale = np.array([self._nominal(t.target) for t in self.back])
-        is_assumed = np.array([not self._is_declared(t.target) for t in self.back])
-        self._roots = RootFinding(self.settings.tolerance, self.settings.iterations, scale, is_assumed)
-        self._seen = dict.fromkeys((place for t in loop.transfers for place in (t.source, t.target)), 0.0)
+        self._roots = self._root_finding()
+        self._seen: dict[int, float] = {}  # place of a signal → its largest magnitude
         self._rough: list[tuple[float, float, float, str]] = []  # time, residual, value and signal of rough solutions
         self._point, self._is_probed = 0, False
         self._iterations: list[int] = []
@@ -215,6 +213,11 @@ class LoopSolver:
         return "anderson" if differences > MOST_DIFFERENCES else "newton"
 
     # -- internal -------------------------------------------------------------------------------
+
+    def _root_finding(self) -> RootFinding:
+        scale = np.array([self._nominal(t.target) for t in self.back])
+        is_assumed = np.array([not self._is_declared(t.target) for t in self.back])
+        return RootFinding(self.settings.tolerance, self.settings.iterations, scale, is_assumed)
 
     def _solve(self, t: float) -> int:
         """Solve the loop; return the number of iterations.
@@ -296,9 +299,9 @@ class LoopSolver:
 
     def _note_sizes(self) -> None:
         """Note the largest magnitude of each signal."""
-        for place, largest in self._seen.items():
-            if (size := abs(self.row[place])) > largest:
-                self._seen[place] = size
+        for transfer in self._transfers:
+            for place in (transfer.source, transfer.target):
+                self._seen[place] = max(self._seen.get(place, 0.0), abs(self.row[place]))
         self._roots.largest = max(self._seen.values())
 
     def _slopes(self, z: Array, g: Array, *, fresh: bool) -> Array:
@@ -330,9 +333,7 @@ class LoopSolver:
                 return np.array(promised).reshape(shape)
         base, slopes = member.values(), np.zeros(shape)
         for j, place in enumerate(member.inputs):
-            shift = SHIFT * max(abs(self.row[place]), self._nominal(place))
-            if fresh and not self._is_declared(place) and self._seen[place]:
-                shift = min(shift, SHIFT * self._seen[place])  # The signal may be tiny.
+            shift = self._shift(place, fresh=fresh)
             for step in (shift, -shift):
                 values = member.try_at(self.doing, place, self.row[place] + step)
                 if values is not None:
@@ -341,6 +342,13 @@ class LoopSolver:
         for place, value in zip(member.outputs, base.tolist(), strict=True):
             self.row[place] = value
         return slopes
+
+    def _shift(self, place: int, *, fresh: bool) -> float:
+        """Return the displacement of an input for differences."""
+        shift = SHIFT * max(abs(self.row[place]), self._nominal(place))
+        seen = self._seen.get(place, 0.0)
+        is_tiny = fresh and seen > 0.0 and not self._is_declared(place)
+        return float(min(shift, SHIFT * seen) if is_tiny else shift)
 
     def _gain(self, transfer: Transfer) -> float:
         """Return the slope of a transfer."""
@@ -416,18 +424,25 @@ class LoopSolver:
         can_repeat = isinstance(member.component, FmuBlock) and member.component.instance.rolls_back
         member.repeats = can_repeat and bool(missing.any() or is_silent)
         if not (is_declared or reacts.any() or member.reacts.any()):
-            names = ", ".join(self._columns[k].partition(".")[2] for k in member.inputs)
-            fields = {"component": member.component.name, "loop": self.name, "inputs": names}
-            return [messages.UNDECLARED_AND_SILENT(**fields)]
+            return [self._silent(member)]
         if can_repeat or not (missing.any() or is_silent):
             return []
         if is_silent:
             return [messages.NO_REACTION(component=member.component.name, loop=self.name)]
+        raise self._late(member, missing, gain)
+
+    def _silent(self, member: Member) -> str:
+        """Return the warning of a component without declared dependencies that answers no input."""
+        inputs = ", ".join(self._columns[k].partition(".")[2] for k in member.inputs)
+        return messages.UNDECLARED_AND_SILENT(component=member.component.name, loop=self.name, inputs=inputs)
+
+    def _late(self, member: Member, missing: Any, gain: float) -> SimulationError:
+        """Return the error of a component whose outputs follow inputs only after a step, which cannot be repeated."""
         j, k = (int(each[0]) for each in np.nonzero(missing))
         ends = {"output": self._columns[member.outputs[j]], "input": self._columns[member.inputs[k]]}
         cure = (messages.OPEN_SETTLES if gain < 1.0 else messages.OPEN_GROWS)(gain=gain)
         message = messages.NO_WAY_BACK(loop=self.name, cure=cure, **ends)
-        raise SimulationError(member.component.name, self.start, message)
+        return SimulationError(member.component.name, self.start, message)
 
 
 def nominal_of(component: Any, variable: str) -> float:

@@ -14,7 +14,7 @@ eq. (2.2): the combination of the last m + 1 iterates with the smallest combined
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -42,7 +42,6 @@ class Outcome:
 
     Attributes:
         is_rough: Whether it is small beside 1, but not beside the magnitude of an unknown.
-        is_singular: Whether I − G is singular, so that the loop has no solution or many.
     """
 
     z: Array
@@ -50,7 +49,6 @@ class Outcome:
     iterations: int
     converged: bool
     is_rough: bool = False
-    is_singular: bool = False
 
 
 class NotDefined(Exception):
@@ -128,10 +126,7 @@ class RootFinding:
             size = self.size(z, residual)
             if size > SLOW * before or share < 1.0:
                 self.slopes = None
-        is_rough = not converged and is_small and is_regular
-        return self._end(
-            Outcome(z, residual, iteration, converged or is_rough, is_rough, not (converged or is_regular))
-        )
+        return self._end(Outcome(z, residual, iteration, converged), is_small=is_small and is_regular)
 
     def anderson(self, g: Map, z: Array) -> Outcome:
         """Solve by accelerated fixed-point iterations from z.
@@ -161,10 +156,12 @@ class RootFinding:
             if moved is None:
                 break
             z, value, _ = moved
-        return self._end(Outcome(z, residual, iteration, is_small, is_small and own > self.tolerance))
+        return self._end(Outcome(z, residual, iteration, is_small and own <= self.tolerance), is_small=is_small)
 
-    def _end(self, outcome: Outcome) -> Outcome:
-        """Return an outcome, with its magnitudes noted."""
+    def _end(self, outcome: Outcome, *, is_small: bool) -> Outcome:
+        """Return an outcome, accepted as rough if its residual is only small beside 1; note its magnitudes."""
+        if is_small and not outcome.converged:
+            outcome = replace(outcome, converged=True, is_rough=True)
         if outcome.converged:
             self._solved = np.maximum(self._solved, np.abs(outcome.z))
         return outcome

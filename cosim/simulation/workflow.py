@@ -217,12 +217,7 @@ def run(
             functions.check(prepared.system)
             observers.append(functions)
         loaded = time.perf_counter()
-        try:
-            stepped = _step(prepared, worker, observers, tell)
-        except CosimError:
-            if prepared.bring_back is not None:
-                prepared.bring_back()
-            raise
+        stepped = _step(prepared, worker, observers, tell)
         stepping = time.perf_counter() - loaded
         prepared = _apart_from_finished(prepared, stepped, tell)
         record, limits = prepared.base(), prepared.file.scenario.limits
@@ -377,18 +372,23 @@ def _step(
     if keeping.folder is not None and prepared.start is None and (names := unsaved_names(system)):
         tell(messages.REPLAY_ON_RESUME(names=", ".join(names)))
     limits = scenario.limits
-    stepped = simulate_apart(
-        worker,
-        system,
-        scenario.steps,
-        scenario.step,
-        place,
-        limits,
-        observers=observers,
-        keeping=keeping,
-        warn=lambda slower: tell(_slower(slower)),
-        recording=system.recording,
-    )
+    try:
+        stepped = simulate_apart(
+            worker,
+            system,
+            scenario.steps,
+            scenario.step,
+            place,
+            limits,
+            observers=observers,
+            keeping=keeping,
+            warn=lambda slower: tell(_slower(slower)),
+            recording=system.recording,
+        )
+    except CosimError:
+        if prepared.bring_back is not None:
+            prepared.bring_back()
+        raise
     worker.finish()
     return stepped
 
