@@ -227,7 +227,8 @@ def _files_of(folder: Path, verb: str, also: Iterable[str]) -> list[Path]:
     declared = [a for a in artefacts() if a.verb and (a.verb == verb or a.is_left_in(folder))]
     paths = (path for artefact in declared for path in _files_by(artefact, folder))
     more = (path for pattern in also for path in sorted(folder.glob(pattern)))
-    return list(dict.fromkeys(p for p in (*paths, *more) if p.is_file()))
+    files = (p for p in (*paths, *more) if p.is_file() and not p.name.startswith("."))  # a lock is no result
+    return list(dict.fromkeys(files))
 
 
 def _files_by(artefact: Artefact, folder: Path) -> Iterator[Path]:
