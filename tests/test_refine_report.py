@@ -260,6 +260,9 @@ def test_the_second_sentence_says_what_the_record_says_of_sealed_runs(cart: Refi
     # three digits are printed: 0.5 % at most off
     assert [float(x) for x in shown_sizes] == pytest.approx([1000 * v for v in expected], rel=5e-3)
     assert "On sealed logs" in second_sentence(cart)
+    without = replace(cart, record=cart.record | {"noise_floors": {"validation": {}}})
+    assert second_sentence(without).endswith("mm.")
+    assert "noise floor" not in second_sentence(without)
 
 
 @pytest.mark.thorough

@@ -253,7 +253,9 @@ def leading_channel(r: Refinement) -> str:
 
 
 def _floor_text(after: str, floor: str, *, above: bool) -> str:
-    """Return the end of a sentence that compares an error with its noise floor."""
+    """Return the end of a sentence that compares an error with its noise floor, if there is one."""
+    if floor == MISSING:
+        return "."
     if floor == after:
         return f", which is the noise floor ({FLOOR})."
     return f", below the noise floor ({FLOOR}) of {floor}." if above else f"; the noise floor ({FLOOR}) is {floor}."
