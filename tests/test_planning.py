@@ -439,3 +439,10 @@ def test_saltelli_takes_the_largest_power_of_two_that_fits(runs: int, count: int
     assert drawn_rows(count, False, runs, "saltelli") == base * (count + 2) <= runs
     assert drawn_rows(0, True, runs, "saltelli") == runs
     assert drawn_rows(0, False, runs, "sobol") == 1
+
+
+def test_a_value_just_above_its_limit_does_not_look_like_it() -> None:
+    outcome = {"kind": "step_error", "of": "k.f", "unit": "", "max": 1e-4, "met": False}
+    assert sentence({**outcome, "value": 1.00001e-4}).endswith("is 0.000100001, at most 0.0001 allowed")
+    assert sentence({**outcome, "value": 0.123456}).endswith("is 0.1235, at most 0.0001 allowed")
+    assert sentence({**outcome, "value": None}).endswith("is never, at most 0.0001 allowed")

@@ -85,6 +85,16 @@ def walk(request: pytest.FixtureRequest) -> Walk:
     return loaded
 
 
+@pytest.mark.parametrize(("more", "names"), [((), "other"), (("interpolate=linear",), "saving, three, other")])
+def test_a_run_with_checkpoints_tells_beforehand_whose_steps_are_replayed(
+    in_c: Walk, more: tuple[str, ...], names: str, tmp_path: Path
+) -> None:
+    said: list[str] = []
+    run(in_c[0], tmp_path / "out", ["checkpoint=10 min", *more], report=False, tell=said.append)
+    (note,) = [text for text in said if "replays the recorded inputs" in text]
+    assert f"the state of {names}:" in note
+
+
 def test_a_run_stopped_from_the_keyboard_goes_on_to_the_same_bytes(walk: Walk, tmp_path: Path) -> None:
     _, whole, part = walk
     said: list[str] = []

@@ -152,6 +152,15 @@ def test_steps_at_their_minimum_with_too_large_an_error_are_told(tmp_path: Path)
         assert (tmp_path / "out" / "report.html").is_file()
 
 
+def test_signals_far_below_their_nominal_value_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    _, manifest = ran(truck(tmp_path), HALVING, seconds=1.2)
+    assert not [w for w in manifest["warnings"] if "nominal" in w]
+    monkeypatch.setitem(TRUCK[WHEEL], "p4", 1e-7)  # a bump of 0.1 µm
+    _, manifest = ran(tmp_path, HALVING, seconds=1.2)
+    (warning,) = [w for w in manifest["warnings"] if "nominal" in w]
+    assert "chassis.y1" in warning
+
+
 def test_steps_that_are_judged_when_they_are_over_are_told_without_blaming_the_minimum(tmp_path: Path) -> None:
     truck(tmp_path)
     coupled_fmu(tmp_path / "wheel.fmu", WHEEL, saves=False)

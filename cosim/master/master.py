@@ -293,8 +293,7 @@ class Master:
     @property
     def reruns(self) -> bool:
         """Return whether a resumed run repeats all steps."""
-        system = self.system
-        return self.has_events or bool(self.solvers) or system.control is not None or any(system.courses)
+        return self.system.reruns
 
     def look(self, k: int) -> None:
         """Make a due checkpoint after point k."""

@@ -59,6 +59,12 @@ TOLERANCE_EXCEEDED = Template(
     "steps: first at t = {time:.6g} s, {error:.2g} of {signal}; the largest is {worst:.2g}. Give a max below {step:g} "
     "s or a larger tolerance",
 )
+SMALL_SIGNALS = Template(
+    "W-MAS-072",
+    "{count} signals stay so far below their nominal value, 1 if the FMU states none, that a step within the tolerance "
+    "{tolerance:g} may err by up to {share:.2g} times the signal: {names}. State their nominal values in the FMUs, or "
+    "give a smaller tolerance",
+)
 NOTHING_JUDGED = Template(
     "W-MAS-012",
     "no input is extrapolated, so that estimator: residual judges nothing and steps grow to {step:g} s whatever their "

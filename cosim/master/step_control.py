@@ -42,6 +42,7 @@ from cosim.system.wiring import Transfer
 
 SAFETY, PROPORTIONAL, INTEGRAL = 0.9, 0.4, 0.7  # factor of a step; exponents times q of the last and the present error
 SMALLEST, LARGEST = 0.2, 4.0  # change of a step
+MUCH, MOST_NAMED = 0.01, 3  # allowed error of a step as a share of a signal that is named; number of names
 LEAST_ERROR = 1e-4  # smallest error that enters the controller
 ROUNDING = 1e-9  # relative
 Judged = tuple[float, str]  # error of a step relative to the tolerance, and the signal that has it
@@ -161,6 +162,7 @@ class ControlledSteps:
         self.received, self.sources = {target: k for k, target in enumerate(received)}, list(received.values())
         self.past = Polynomial(system.courses[0])
         self.scale, self.power = np.array(control.nominal), [b.nominal for b in control.bonds]
+        self.largest = np.zeros(len(control.nominal))  # magnitude of each judged signal
         self.count, self.p = StepCount(), 1 + min(system.courses)
         self.q = self.p + (control.estimator == "halving")
         self.wish, self.before = control.shortest, 1.0
@@ -195,10 +197,16 @@ class ControlledSteps:
             self.note()
 
     def note(self) -> None:
-        """Note steps above the tolerance, and an estimator without signals."""
-        notes = self.master.notes
+        """Note steps above the tolerance, signals far below their nominal value, and an estimator without signals."""
+        notes, control = self.master.notes, self.control
         if self.count.failed:
-            notes.append(self.count.warning(self.control))
+            notes.append(self.count.warning(control))
+        allowed = control.tolerance * np.array(control.nominal)
+        if (small := np.flatnonzero((self.largest > 0.0) & (allowed > MUCH * self.largest))).size:
+            names = ", ".join(self.master.system.columns[k] for k in small[:MOST_NAMED])
+            share = float(np.max(allowed[small] / self.largest[small]))
+            fields = {"tolerance": control.tolerance, "share": share, "count": small.size}
+            notes.append(messages.SMALL_SIGNALS(names=names, **fields))
         if self.control.estimator == "residual" and not self.sources:
             notes.append(messages.NOTHING_JUDGED(step=self.control.longest))
 
@@ -294,7 +302,8 @@ class ControlledSteps:
         if not len(places):
             return 0.0, ""
         values, index = self._values(places), np.array(places)
-        self.scale[index] = np.maximum(self.scale[index], np.abs(values))
+        for sizes in (self.scale, self.largest):
+            sizes[index] = np.maximum(sizes[index], np.abs(values))
         errors = np.abs(values - others) / (self.control.tolerance * self.scale[index])
         worst = int(np.argmax(errors))
         return float(errors[worst]), self.master.system.columns[places[worst]]

@@ -12,6 +12,8 @@ from cosim.scenario.scenario import Criterion, Scenario
 from cosim.simulation import metrics
 from cosim.storage.results import Results
 
+DIGITS, MOST_DIGITS = 4, 17  # of a value and its limit; more where they would look the same
+
 
 @far_beyond
 def evaluate(scenario: Scenario, results: Results) -> list[dict[str, Any]]:
@@ -58,9 +60,13 @@ def _evaluate(kind: str, criterion: Criterion, results: Results) -> dict[str, An
 
 def sentence(outcome: dict[str, Any]) -> str:
     """Return the sentence on a criterion for the terminal."""
-    value = "never" if outcome["value"] is None else f"{outcome['value']:.4g} {outcome['unit']}".rstrip()
     verdict = "met" if outcome["met"] else "MISSED"
-    limit = f"{outcome['max']:.4g} {outcome['unit']}".rstrip()
+    sizes = math.inf if outcome["value"] is None else outcome["value"], outcome["max"]
+    for digits in range(DIGITS, MOST_DIGITS):
+        value, limit = (f"{size:.{digits}g} {outcome['unit']}".rstrip() for size in sizes)
+        if value != limit:
+            break
+    value = "never" if outcome["value"] is None else value
     window = "".join(f" {word} {outcome[word]:g} s" for word in ("after", "until") if outcome.get(word))
     return (
         f"{verdict}: {outcome['kind'].replace('_', ' ')} of {outcome['of']}{window} is {value}, at most {limit} allowed"

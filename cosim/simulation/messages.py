@@ -75,8 +75,8 @@ MANY_ROWS = Template(
 GOES_ON = Template("N-SIM-070", "the run goes on from t = {time:g} s, row {row} of {rows}{replay}")
 REPLAY_ON_RESUME = Template(
     "N-SIM-071",
-    "{names} cannot save the state: a resumed run replays the recorded inputs from the start, which takes as long as "
-    "these steps took",
+    "no checkpoint has the state of {names}: a resumed run replays the recorded inputs from the start, which takes as "
+    "long as these steps took",
 )
 STATE_ENDS = Template(
     "N-SIM-088",

@@ -379,8 +379,10 @@ def replayed_names(system: System, start: Continuation) -> Sequence[str]:
 
 
 def unsaved_names(system: System) -> Sequence[str]:
-    """Return the components that cannot save their state."""
-    return [s.component.name for s in system.stages if not getattr(s.component, "saves", False)]
+    """Return the components whose state no checkpoint has."""
+    again = system.fmus if system.reruns else {}
+    components = [stage.component for stage in system.stages]
+    return [c.name for c in components if c.name in again or not getattr(c, "saves", False)]
 
 
 def _kept_rows(path: Path, rows: int, columns: int) -> Array:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.blocks.component import Component, Signal
+from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.remote_fmu import RemoteFmu
 from cosim.scenario.diagnosis import Diagnosis, Place
@@ -80,6 +81,12 @@ class System:
     def names(self) -> list[str]:
         """Return the names of the components in stepping order."""
         return [stage.component.name for stage in self.stages]
+
+    @property
+    def reruns(self) -> bool:
+        """Return whether a resumed run repeats all steps."""
+        has_events = any(isinstance(stage.component, EventFmu) for stage in self.stages)
+        return has_events or bool(self.loops) or self.control is not None or any(self.courses)
 
     @property
     def recorded(self) -> frozenset[str]:
