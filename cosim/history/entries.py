@@ -327,6 +327,8 @@ def _by_mark(about: tuple[Path, str, str], scanned: _Scanned, marks: _Marks) -> 
             content, warnings = sound_part(place / mark, content)
             outcome = _missing_rows(place, scanned.tables, content) if artefact.tables else ""
             outcome = outcome or _outcome_of(content, warnings)
+            if "no_report" in content and not (place / "report.html").is_file():
+                outcome += f", no report: {content['no_report']}"
             written = there[mark], outcome, place / mark, _other_version(content), warnings
             return _Recorded(label, of, place, verb, *written), content
     for mark, artefact in marks.unfinished.items():

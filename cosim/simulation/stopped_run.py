@@ -82,6 +82,7 @@ class StoppedRun:
             warnings: Warnings of the system; None for those of the record.
         """
         record = copy.deepcopy(self.record)
+        record.pop("no_report", None)
         codes = record.pop(EXTRA, {}).get("codes", ())
         pairs = zip_longest(record.get("warnings", ()), codes, fillvalue="")
         record["warnings"] = [Message(*pair) for pair in pairs] if warnings is None else [*warnings, *self.warnings]

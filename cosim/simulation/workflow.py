@@ -35,6 +35,7 @@ from cosim.simulation import messages
 from cosim.simulation.criteria import evaluate, missed_tolerance
 from cosim.simulation.manifest import add_changes, check_pinned, manifest, software_versions
 from cosim.simulation.packaged import is_ssp, lay_out
+from cosim.simulation.row_stops import RowStops
 from cosim.simulation.stopped_run import (
     MANIFEST,
     StoppedRun,
@@ -59,7 +60,7 @@ from cosim.storage.files import (
     write_json,
 )
 from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import check_run_folder, folder_named, keep_earlier, new_earlier
+from cosim.storage.folders import check_run_folder, folder_named, keep_earlier, new_earlier, rows_of_killed
 from cosim.storage.kinds import check_form
 from cosim.storage.results import Results, remove_rows, rows_name
 from cosim.system.real_time import real_time_of
@@ -230,7 +231,7 @@ def run(
             stepped = replace(stepped, results=part.thin(stepped.results))
         if worker is None and limits is not None:
             record["warnings"].append(messages.LIMITS_NOT_WATCHED())
-        files = _Files(prepared, stepped, record, is_kept=worker is not None and prepared.interval is not None)
+        files = _Files(prepared, stepped, record, tell, is_kept=worker is not None and prepared.interval is not None)
         failure = files.write(report=report, figures=figures)
     if failure is not None:
         failure.left = prepared.place
@@ -294,6 +295,8 @@ def _prepare_new(
     system = build_system(file, designed)
     if not is_package:
         check_run_folder(place, file.scenario.name, force=force)
+    if (rows := rows_of_killed(place, "results")) is not None:
+        tell(messages.ROWS_OF_KILLED_RUN(folder=place, size=rows.stat().st_size / 1e6))
     check_writable(place, (rows_file, MANIFEST, "report.html"), file.files)
     real_time = real_time_of(file)
     check_hosts(real_time)
@@ -444,6 +447,7 @@ class _Files:
     prepared: _Prepared
     stepped: SteppedRun
     record: dict[str, Any]
+    tell: Callable[[str], None]
     is_kept: bool
     written: list[str] = field(default_factory=list)
 
@@ -464,39 +468,66 @@ class _Files:
             The failure of the run or of the disk, if any.
         """
         failure, time = self.stepped.failure, self.stepped.results.time
+        hold_stops()  # also where no worker made the steps
         try:
             if self.prepared.keep:
                 keep_earlier(self.rows.parent, "cosim run", read=self.prepared.file.files)
-            self._write_rows()
+                record = {**self.prepared.base(), "status": f"failed: {messages.ROWS_NOT_COMPLETE()}"}
+                write_json(self.rows.with_name(MANIFEST), record)  # what is known if the command is killed
+            count = self._write_rows()
             release_stops()
-            self._draw(report=report, figures=figures)
+            if count == len(time):
+                self._draw(report=report, figures=figures)
         except OSError as error:
             if not is_full(error):
                 raise
             return self._write_what_fits()
         except (KeyboardInterrupt, Terminated) as stop:  # All files but the report are written.
-            end = float(time[-1]) if len(time) else self.scenario.start_time
-            return failure or stop_error(stop, end, "the report of the run")
+            hold_stops()
+            return failure or self._stopped(stop)
         finally:
             hold_stops()  # The end must still be reported.
         return failure
 
-    def _write_rows(self) -> None:
-        """Write a complete or failed run's rows and manifest."""
+    def _stopped(self, stop: BaseException) -> SimulationError:
+        """Return the error of a run stopped after its steps; say in the manifest that there is no report."""
+        time, count = self.stepped.results.time, self.record["rows"]
+        end = float(time[count - 1]) if count else self.scenario.start_time
+        if count < len(time):
+            return stop_error(stop, end, "the rows of the run")
+        error = stop_error(stop, end, "the report of the run")
+        self.record["no_report"] = error.reason
+        self.record["warnings"].append(messages.NO_REPORT(reason=error.reason, folder=self.rows.parent))
+        write_json(self.rows.with_name(MANIFEST), self.record)
+        return error
+
+    def _write_rows(self) -> int:
+        """Write a complete or failed run's rows and manifest; return the number of rows."""
         if self.prepared.bring_back is None:
             self.rows.with_name("report.html").unlink(missing_ok=True)  # An earlier report belongs to another run.
-        with delay_stops():  # A second stop signal must not destroy the rows.
-            self.stepped.results.write(self.rows)
+        results, failure = self.stepped.results, self.stepped.failure
+        stops = RowStops(results, self.rows, self.tell, can_end=self.prepared.start is None)
+        with delay_stops(stops.receive):  # A second stop signal must not destroy the rows.
+            if isinstance(failure, (Interrupted, Signalled)):
+                stops.receive()
+            results.write(self.rows, stops.go_on)
             self.rows.with_name("report.html").unlink(missing_ok=True)
             remove_rows(self.rows.parent, self.rows.stem, besides=self.rows.name)  # They belong to another run.
             self.written.append(self.rows.name)
-            self.record["rows"] = len(self.stepped.results.time)
+            self.record["rows"] = count = stops.count
+            is_whole = count == len(results.time)
+            if not is_whole:
+                before = "" if failure is None else f"{failure}; "
+                reason = messages.ROWS_ENDED(reason=before, count=count, rows=len(results.time), file=self.rows.name)
+                self.record |= {"status": f"failed: {reason}", "criteria": []}
             write_json(self.rows.with_name(MANIFEST), self.record)
             self.written.append(MANIFEST)
             is_part = self.prepared.system.recording is not None
-            end_keeping(self.rows.parent, is_kept=self.is_kept, keeps_rows=is_part)
-            if self.stepped.state is not None and self.stepped.failure is not None and not is_part:
+            if is_whole or not self.is_kept:  # otherwise the checkpoint has all rows
+                end_keeping(self.rows.parent, is_kept=self.is_kept, keeps_rows=is_part)
+            if self.stepped.state is not None and failure is not None and is_whole and not is_part:
                 keep_state(self.rows, self.prepared.base(), self.prepared.warnings, self.stepped.state)
+        return count
 
     def _draw(self, *, report: bool, figures: bool) -> None:
         """Draw report and figures of a written run."""

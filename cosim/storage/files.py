@@ -60,14 +60,26 @@ def check_text(names: Iterable[str]) -> None:
 
 
 @contextmanager
-def delay_stops() -> Iterator[None]:
-    """Delay stop signals to the end of the block."""
+def delay_stops(receive: Callable[[], None] | None = None) -> Iterator[None]:
+    """Delay stop signals to the end of the block.
+
+    Args:
+        receive: Function called at each signal, and first for one that the verb holds back.
+    """
     if threading.current_thread() is not threading.main_thread():  # Only the main thread receives signals.
         yield
         return
     signals: list[int] = []
-    handlers = {number: signal.signal(number, lambda n, frame: signals.append(n)) for number in STOPPING}
+
+    def delay(number: int, frame: FrameType | None) -> None:
+        signals.append(number)
+        if receive is not None:
+            receive()
+
+    handlers = {number: signal.signal(number, delay) for number in STOPPING}
     try:
+        if receive is not None and _stops and _stops[-1].signals:
+            receive()
         yield
     finally:
         for number, handler in handlers.items():

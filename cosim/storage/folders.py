@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import mmap
 import os
 import re
 import shutil
@@ -272,6 +273,34 @@ def _finish_move(folder: Path) -> Path | None:
     moving.rename(place)
     place.chmod(stat.S_IMODE(place.parent.stat().st_mode))
     return place
+
+
+def rows_of_killed(folder: Path, stem: str) -> Path | None:
+    """Give the rows that a killed command was writing as CSV a name, without a last line that is cut.
+
+    The caller must hold the folder's lock, as after `prepare_folder`.
+
+    Returns:
+        The file, which is among the earlier runs if the folder has such a file; None without rows.
+    """
+    if not take_folder(folder):
+        return None
+    name, found = f"{stem}.csv", None
+    for draft in sorted(folder.glob(f".{name}.*")):
+        if not (draft.suffix[1:].isdecimal() and is_own(draft, stat.S_ISREG)):
+            continue
+        with draft.open("rb+") as stream, suppress(ValueError):
+            size = os.fstat(stream.fileno()).st_size
+            content = mmap.mmap(stream.fileno(), 0)
+            end = content.rfind(b"\n") + 1
+            has_rows = 0 <= content.find(b"\n") + 1 < end
+            content.close()
+            if end < size:
+                stream.truncate(end)
+            if has_rows:
+                place = folder if not os.path.lexists(folder / name) else new_earlier(folder)
+                found = draft.replace(place / name)
+    return found
 
 
 def new_earlier(folder: Path) -> Path:

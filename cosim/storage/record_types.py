@@ -87,6 +87,7 @@ TYPES: Mapping[str, Mapping[str, Kind]] = {
         "versions": MAPPING,
         "timings": MAPPING,
         "loop": TEXT,
+        "no_report": TEXT,
     },
     "replay.json": {"log": TEXT, "fmu": TEXT, "units": Kind("a mapping", dict, TEXT), "start": MAPPING},
     "sweep.json": {"runs": WHOLE, "failed": WHOLE, "criteria": MAPPINGS},

@@ -8,7 +8,7 @@ import io
 import os
 import re
 from array import array
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -83,10 +83,14 @@ class Results:
     def _places(self) -> Mapping[str, int]:
         return {name: k for k, name in enumerate(self.columns)}
 
-    def write(self, path: Path) -> None:
-        """Write time and all columns in the format of the suffix."""
+    def write(self, path: Path, go_on: Callable[[int], bool] | None = None) -> None:
+        """Write time and all columns in the format of the suffix.
+
+        Args:
+            go_on: Function that returns whether CSV goes on after so many rows.
+        """
         if path.suffix == ".csv":
-            self.write_csv(path)
+            self.write_csv(path, go_on)
         else:
             source_named(path.suffix).write(path, self._source_columns(len(self.time)))
 
@@ -99,13 +103,13 @@ class Results:
             columns.append(SourceColumn(name, unit, values.astype(np.int64) if name in self.whole else values))
         return columns + [SourceColumn(n, self.units.get(n, ""), list(v[:rows])) for n, v in self.exact.items()]
 
-    def write_csv(self, path: Path) -> None:
-        """Write CSV with exactly reproducible numbers."""
+    def write_csv(self, path: Path, go_on: Callable[[int], bool] | None = None) -> None:
+        """Write CSV with exactly reproducible numbers, to the row after which `go_on` returns False."""
         header = ("time", *self.columns, *self.exact)
         if self.exact or self.whole:
-            write_table(path, header, self._typed_rows(), cell_text)
+            write_table(path, header, self._typed_rows(go_on), cell_text)
         else:
-            write_table(path, header, self._rows())
+            write_table(path, header, self._rows(go_on))
 
     def write_what_fits(self, path: Path) -> int:
         """Write the rows that fit on the disk and return their number; raise OSError if none fits."""
@@ -140,15 +144,17 @@ class Results:
                     raise
                 count = int(FEWER * count)
 
-    def _rows(self) -> Iterator[tuple[float, ...]]:
+    def _rows(self, go_on: Callable[[int], bool] | None = None) -> Iterator[tuple[float, ...]]:
         for first in range(0, len(self.time), CHUNK):  # Python floats need four times the memory.
+            if first and go_on is not None and not go_on(first):
+                return
             part = slice(first, first + CHUNK)
             for t, row in zip(self.time[part].tolist(), self.values[part].tolist(), strict=True):
                 yield t, *row
 
-    def _typed_rows(self) -> Iterator[tuple[Any, ...]]:
+    def _typed_rows(self, go_on: Callable[[int], bool] | None = None) -> Iterator[tuple[Any, ...]]:
         whole = [k for k, name in enumerate(self.columns, 1) if name in self.whole]
-        for number, row in enumerate(self._rows()):
+        for number, row in enumerate(self._rows(go_on)):
             typed: list[Any] = list(row)
             for k in whole:
                 typed[k] = int(row[k])
