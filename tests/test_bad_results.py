@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
+import cosim
 from cosim.base.errors import InputError
 from cosim.base.version import __version__
 from cosim.calibration import report
@@ -22,7 +23,7 @@ from cosim.simulation import run_files
 from cosim.storage.kinds import MANIFEST, kind_of
 from cosim.storage.results import read_results
 from cosim.verbs.cli import app
-from cosim.viewing import viewed_runs
+from cosim.viewing import stored_rows, viewed_runs
 from tests.test_first_steps import told
 
 ROWS = "time,a.x\n0.0,0.0\n0.5,0.25\n1.0,0.125\n"
@@ -51,10 +52,10 @@ def _invoke(*words: str) -> Any:
 def _removing(read: Callable[..., Any], name: str) -> Callable[..., Any]:
     """A function that reads, and before that loses the results of a name."""
 
-    def lose(path: Path, *more: Any) -> Any:
+    def lose(path: Path, *more: Any, **options: Any) -> Any:
         if path.parent.name == name:
             shutil.rmtree(path.parent, ignore_errors=True)
-        return read(path, *more)
+        return read(path, *more, **options)
 
     return lose
 
@@ -62,8 +63,8 @@ def _removing(read: Callable[..., Any], name: str) -> Callable[..., Any]:
 def _replacing(read: Callable[..., Any], name: str) -> Callable[..., Any]:
     """A function that reads, while another command writes the record of the results of a name anew."""
 
-    def replace(path: Path, *more: Any) -> Any:
-        found = read(path, *more)
+    def replace(path: Path, *more: Any, **options: Any) -> Any:
+        found = read(path, *more, **options)
         if path.parent.name == name:
             (path.parent / "manifest.json").unlink()
             _write(path.parent, seed=2)
@@ -102,10 +103,11 @@ def test_a_list_leaves_out_results_that_go_while_it_reads(root: Path, monkeypatc
     ("length", "says"),
     [
         (len(ROWS), []),
-        (len(ROWS) - 1, ["no line end"]),
-        (len(ROWS) - 3, ["no line end"]),
+        (len(ROWS) - 1, ["within a line: 2 of the 3 rows"]),
+        (len(ROWS) - 3, ["within a line: 2 of the 3 rows"]),
+        (ROWS.index("1.0") + 3, ["within a line: 2 of the 3 rows"]),  # a cell less than the header has
         (ROWS.index("1.0"), ["has 2 of the 3 rows"]),
-        (ROWS.index("0.25") + 3, ["has 2 of the 3 rows", "no line end"]),
+        (ROWS.index("0.25") + 3, ["within a line: 1 of the 3 rows"]),
     ],
 )
 def test_rows_that_were_cut_are_told(root: Path, length: int, says: list[str]) -> None:
@@ -114,6 +116,31 @@ def test_rows_that_were_cut_are_told(root: Path, length: int, says: list[str]) -
         told_lines = [line for line in _invoke(*words).stderr.splitlines() if line.startswith("warning")]
         assert len(told_lines) == len(says)
         assert all(part in line for part, line in zip(says, told_lines, strict=True))
+
+
+def test_a_large_table_that_ends_within_a_line_is_converted_without_this_line(
+    root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("pyarrow")
+    monkeypatch.setattr(stored_rows, "SMALL", 0)
+    file = root / "two" / "results.csv"
+    for length, rows in ((len(ROWS), 3), (len(ROWS) - 3, 2), (ROWS.index("1.0") + 2, 2)):
+        file.write_text(ROWS[:length])
+        (run,) = json.loads(_invoke("view", "two", "--prepare", "--json").stdout)["runs"]
+        assert run["rows"] == rows
+
+
+@pytest.mark.parametrize("length", [len(ROWS) - 3, ROWS.index("1.0") + 2])
+def test_rows_that_end_within_a_line_are_read_without_this_line(root: Path, length: int) -> None:
+    (root / "two" / "results.csv").write_text(ROWS[:length])
+    with pytest.warns(UserWarning, match="2 of the 3 rows"):
+        assert cosim.read(root / "two").results["a.x"].tolist() == [0.0, 0.25]
+
+
+def test_a_log_that_ends_without_a_line_end_keeps_its_last_row(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text(ROWS[:-1])
+    with pytest.warns(UserWarning, match="no line end"):
+        assert len(cosim.read(tmp_path / "log.csv").results.time) == 3
 
 
 def _outcomes() -> dict[str, str]:

@@ -192,6 +192,9 @@ def test_runs_are_compared_by_number(tmp_path: Path, monkeypatch: pytest.MonkeyP
     again = runner.invoke(app, ["compare", "1", "2"])  # run 2 has moved to an earlier run
     assert again.exit_code == 0, again.output
     assert Path("results/runs-1-2/runs/0001/comparison.json").is_file()
+    Path("results").rename("other")
+    done = runner.invoke(app, ["compare", "1", "2", "--results", "other", "--json", "--no-report"])
+    assert json.loads(done.output)["signals"][0]["largest"] == 2.0
 
 
 def test_a_path_that_is_not_there_is_told_as_a_path_beside_other_results(results: Path) -> None:

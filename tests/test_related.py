@@ -6,6 +6,7 @@ import math
 import posixpath
 import re
 import zipfile
+from hashlib import sha3_256, sha256
 from pathlib import Path
 from shutil import copyfile
 from types import SimpleNamespace
@@ -125,6 +126,8 @@ def test_a_manifest_of_the_alpha_version_without_its_description_is_read_with_a_
         ("<fmiReferences/>", "E-FMI-010"),
         (f'<fmiReferences {HEAD}><Related source="a.csv"/></fmiReferences>', "E-FMI-011"),
         (f'<fmiReferences {HEAD}><Related source="a.csv" role="toy"/></fmiReferences>', "E-FMI-013"),
+        (f'<fmiReferences {HEAD}><Related source="a.csv" role="result" foo="1"/></fmiReferences>', "E-FMI-020"),
+        (f"<fmiReferences {HEAD}><Toy/></fmiReferences>", "E-FMI-017"),
     ],
 )
 def test_a_wrong_manifest_is_a_fault_of_the_fmu(fmu: Path, tmp_path: Path, text: str, code: str) -> None:
@@ -142,6 +145,31 @@ def test_a_newer_version_and_files_that_are_not_there_are_warnings(fmu: Path, tm
     path = _with_manifest(fmu, tmp_path, f"<fmiReferences {head}>{files}</fmiReferences>")
     codes = [getattr(line, "code", "") for line in cosim.check(path, load=False)]
     assert codes[-5:] == ["W-FMI-018", "W-FMI-019", "W-REL-001", "W-REL-002", "N-REL-004"]
+
+
+def test_a_later_version_may_have_other_attributes(fmu: Path, tmp_path: Path) -> None:
+    head = HEAD.replace("1.0.0-alpha.1", "1.2.0")
+    manifest = read_manifest(
+        f'<fmiReferences {head}><Related source="a" role="other" foo="1"/></fmiReferences>'.encode()
+    )
+    assert [w.code for w in manifest.warnings][-1] == "W-FMI-021"
+
+
+@pytest.mark.parametrize(
+    ("checksum", "kind", "code"),
+    [
+        (sha3_256(b"model").hexdigest().upper(), "", ""),
+        (sha256(b"model").hexdigest(), "SHA-256", ""),
+        ("00ff", "SHA3-256", "W-REL-014"),
+        ("00ff", "MD5", "W-REL-015"),
+    ],
+)
+def test_a_checksum_is_checked_and_kept(fmu: Path, tmp_path: Path, checksum: str, kind: str, code: str) -> None:
+    file = RelatedFile("a.mo", "model", checksum=checksum, checksum_type=kind)
+    path = _with(fmu, tmp_path, (file, b"model"))
+    codes = [getattr(line, "code", "") for line in cosim.check(path, load=False)]
+    assert [c for c in codes if c.startswith("W-REL")] == ([code] if code else [])
+    assert read_manifest(manifest_text([file])).files == (file,)
 
 
 def test_expected_results_are_compared_with_the_default_experiment(fmu: Path, tmp_path: Path) -> None:

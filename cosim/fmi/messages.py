@@ -27,5 +27,9 @@ NO_NUMBER = Template("E-FMI-014", '{name}: {attribute} is "{value}"; give a numb
 UNKNOWN_TYPE = Template("E-FMI-015", "{name}: <{tag}> is of type {type}; only {needed} is read")
 NO_EXPERIMENT = Template("E-FMI-016", "{name} has no experiment")
 UNKNOWN_ELEMENT = Template("E-FMI-017", "{name}: FMI-LS-REF has no element <{tag}>")
+UNKNOWN_ATTRIBUTE = Template(
+    "E-FMI-020", "{name}: FMI-LS-REF has no attribute {attribute} of <{tag}>; known are {known}"
+)
+ADDED = Template("W-FMI-021", "{unknown}; it is left out")
 OTHER_VERSION = Template("W-FMI-018", "{name} has version {version}; {known} are known; read as {taken}")
 NO_DESCRIPTION = Template("W-FMI-019", "{name} has no fmi-ls-description, which FMI-LS-REF requires")

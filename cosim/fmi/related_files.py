@@ -6,11 +6,12 @@ beta.1 a specification of its own); written are manifests of beta.1. Source: htt
 
 from __future__ import annotations
 
+import hashlib
 import math
 import posixpath
 import re
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from urllib.parse import unquote, urlsplit
 from xml.etree.ElementTree import Element, SubElement, fromstring, indent, tostring
 
 from cosim.base.drafts import draft_of
-from cosim.base.messages import Message
+from cosim.base.messages import Message, join
 from cosim.fmi import messages
 from cosim.storage.archive import BadArchive, check_xml
 
@@ -30,12 +31,20 @@ READ_VERSIONS = ("1.0.0-alpha.1", VERSION)
 DESCRIPTION = "Layered Standard providing information on related files included in an FMU."
 NAMESPACE = "http://fmi-standard.org/fmi-ls-manifest"
 EXPERIMENTS = "application/x-ma-ls-experiments"  # of 1.0.0-alpha.1; x-ma-hs-experiments is another format
+BITS = (224, 256, 384, 512)  # of the checksums
 CSV, SSV, BINARY = "text/csv", "application/x-ssp-parameter-set", "application/octet-stream"
 ROLE = re.compile(
     r"document|requirement|specification|model|parameter|system|testcase"
     r"|experiment(/(smoke-test|validation|uncertainty-analysis))?|result|method|rationale|report|request|delivery"
     r"|configuration|signature|serialized-state(/.*)?|meta-data|other"
 )
+INSTANCE = "http://www.w3.org/2001/XMLSchema-instance"  # attributes of which every schema allows
+CHECKSUMS = {f"{family}{bits}": f"{of}{bits}" for family, of in (("SHA3-", "sha3_"), ("SHA-", "sha")) for bits in BITS}
+SCHEMA = {  # attributes and elements besides Annotations, which hold anything
+    "fmiReferences": ([f"{{{NAMESPACE}}}fmi-ls-{key}" for key in ("name", "version", "description")], ["Related"]),
+    "Related": (["type", "source", "role", "description", "checksum", "checksumType"], ["Label"]),
+    "Label": (["name", "description"], []),
+}
 FIXED_DATE = (1980, 1, 1, 0, 0, 0)  # equal content gives equal bytes
 ATTRIBUTES = {"stop": "stopTime", "start": "startTime", "tolerance": "tolerance", "step": "stepSize"}
 
@@ -49,6 +58,8 @@ class RelatedFile:
         role: Purpose of the file, for example `experiment/validation`.
         type: MIME type.
         labels: Name → description of labels.
+        checksum: Hexadecimal digest of the file, by a draft after 1.0.0-beta.1.
+        checksum_type: Algorithm of the digest, "" for SHA3-256.
     """
 
     source: str
@@ -56,11 +67,20 @@ class RelatedFile:
     type: str = BINARY
     description: str = ""
     labels: tuple[tuple[str, str], ...] = ()
+    checksum: str = ""
+    checksum_type: str = ""
 
     @property
     def member(self) -> str | None:
         """Return the name in the archive; None for an absolute URI or a path outside the archive."""
         return member_of(FOLDER, self.source)
+
+    def agrees(self, content: bytes) -> bool | None:
+        """Return whether a content has the checksum; None without one or with an unknown algorithm."""
+        algorithm = self.checksum_type or "SHA3-256"
+        if not self.checksum or algorithm not in CHECKSUMS:
+            return None
+        return hashlib.new(CHECKSUMS[algorithm], content).hexdigest() == self.checksum.strip().lower()
 
 
 @dataclass(frozen=True)
@@ -107,7 +127,8 @@ def read_manifest(text: bytes) -> RelatedManifest:
     """Return the content of a manifest.
 
     Raises:
-        BadArchive: The manifest is no manifest of this standard, or a file in it has no source or no known role.
+        BadArchive: The manifest is no manifest of this standard, or breaks its schema. What a later version may have
+            added is a warning.
     """
     root = _root_of(MANIFEST, text, "fmiReferences")
     warnings = []
@@ -123,18 +144,19 @@ def read_manifest(text: bytes) -> RelatedManifest:
         warnings.append(messages.OTHER_VERSION(name=MANIFEST, version=version, known=known, taken=VERSION))
     if description is None:
         warnings.append(messages.NO_DESCRIPTION(name=MANIFEST))
+    if unknown := [*_unknown(root)]:
+        if version in READ_VERSIONS:
+            raise BadArchive(join("; ", unknown))
+        warnings += [messages.ADDED(unknown=each) for each in unknown]
     files = []
-    for element in root:
-        if element.tag != "Related":
-            if element.tag != "Annotations":
-                warnings.append(messages.UNKNOWN_ELEMENT(name=MANIFEST, tag=element.tag))
-            continue
+    for element in root.findall("Related"):
         source, role = (_needed(MANIFEST, element, key) for key in ("source", "role"))
         if not ROLE.fullmatch(role):
             raise BadArchive(messages.UNKNOWN_ROLE(name=MANIFEST, source=source, role=role))
         labels = tuple((_needed(MANIFEST, e, "name"), e.get("description", "")) for e in element.findall("Label"))
         type_, about = element.get("type", BINARY), element.get("description", "")
-        files.append(RelatedFile(source, role, type_, about, labels))
+        checksum = element.get("checksum", ""), element.get("checksumType", "")
+        files.append(RelatedFile(source, role, type_, about, labels, *checksum))
     return RelatedManifest(version, tuple(files), tuple(warnings))
 
 
@@ -178,6 +200,7 @@ def manifest_text(files: Sequence[RelatedFile]) -> bytes:
     root = Element("fmiReferences", {"xmlns:fmi-ls": NAMESPACE, **attributes})
     for file in files:
         words = {"type": file.type, "source": file.source, "role": file.role, "description": file.description}
+        words |= {"checksum": file.checksum, "checksumType": file.checksum_type}
         element = SubElement(root, "Related", {key: word for key, word in words.items() if word})
         for name, description in file.labels:
             SubElement(element, "Label", {"name": name} | ({"description": description} if description else {}))
@@ -232,6 +255,20 @@ def _root_of(name: str, text: bytes, tag: str) -> Element:
     if root.tag != tag:
         raise BadArchive(messages.OTHER_ROOT(name=name, tag=root.tag, needed=tag))
     return root
+
+
+def _unknown(element: Element) -> Iterator[Message]:
+    """Yield messages on attributes and elements of a manifest that its schema does not have."""
+    attributes, elements = SCHEMA[element.tag]
+    for key in element.attrib:
+        if key not in attributes and not key.startswith(f"{{{INSTANCE}}}"):
+            known = ", ".join(name.rpartition("}")[2] for name in attributes)
+            yield messages.UNKNOWN_ATTRIBUTE(name=MANIFEST, attribute=key, tag=element.tag, known=known)
+    for each in element:
+        if each.tag in elements:
+            yield from _unknown(each)
+        elif each.tag != "Annotations":
+            yield messages.UNKNOWN_ELEMENT(name=MANIFEST, tag=each.tag)
 
 
 def _needed(name: str, element: Element, attribute: str) -> str:

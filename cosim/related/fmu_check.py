@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from cosim.base.errors import Fault, FmuError, InputError, refuse
 from cosim.base.scratch import temporary_folder
 from cosim.base.text import counted
-from cosim.fmi.related_files import CSV, EXPERIMENTS, MANIFEST, RelatedFile, read_experiments, read_manifest
+from cosim.fmi.related_files import CHECKSUMS, CSV, EXPERIMENTS, MANIFEST, RelatedFile, read_experiments, read_manifest
 from cosim.related import messages
 from cosim.related.experiments import Carried, labels_text, run_experiment, with_default
 from cosim.simulation.trial import check_loaded_fmu
@@ -58,11 +58,14 @@ def _read(path: Path, folder: Path) -> tuple[list[Carried], list[str]]:
         about = {"manifest": MANIFEST.rpartition("/")[2], "source": file.source, "role": file.role}
         if member is None:
             notes.append(messages.OUTSIDE(**about).after("warning: "))
-        elif not (folder / member).is_file():
+            continue
+        if not (folder / member).is_file():
             notes.append(messages.FILE_MISSING(**about).after("warning: "))
             if _is_expected(file):  # The experiment itself can be run.
                 carried.append(with_default(path, folder, "", _part(file, expected)))
-        elif _is_expected(file):
+            continue
+        notes += _checksum_warning(file, folder / member, about)
+        if _is_expected(file):
             carried.append(with_default(path, folder, file.source, _part(file, expected)))
         elif file.role.startswith("experiment") and file.type == EXPERIMENTS:
             base = member.rpartition("/")[0]
@@ -73,6 +76,15 @@ def _read(path: Path, folder: Path) -> tuple[list[Carried], list[str]]:
         else:
             notes.append(_listed(file))
     return carried, notes
+
+
+def _checksum_warning(file: RelatedFile, place: Path, about: Mapping[str, str]) -> list[str]:
+    """Return a warning if a file has another checksum than its manifest says, or one that cannot be checked."""
+    if not file.checksum or (agrees := file.agrees(place.read_bytes())):
+        return []
+    if agrees is None:
+        return [messages.UNCHECKED(**about, type=file.checksum_type, known=", ".join(CHECKSUMS)).after("warning: ")]
+    return [messages.OTHER_CHECKSUM(**about).after("warning: ")]
 
 
 def _is_expected(file: RelatedFile) -> bool:

@@ -20,3 +20,9 @@ BY_MODEL_EXCHANGE = Template(
     "{experiment} is run by model exchange: co-simulation would take {count:.0e} internal steps of {step:g} s",
 )
 NOT_IN_FMU = Template("W-REL-010", "{experiment}: the FMU has no {names}; {count} of the expected results not compared")
+OTHER_CHECKSUM = Template(
+    "W-REL-014", "{source} ({role}) has another checksum than {manifest} says: one of them was changed later"
+)
+UNCHECKED = Template(
+    "W-REL-015", '{source} ({role}) has a checksum of type "{type}", which is not checked; known are {known}'
+)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
 from cosim.simulation.run_signals import Signals
 from cosim.storage.folders import replay_record
-from cosim.storage.results import read_results, rows_in
+from cosim.storage.results import cut_rows, is_cut_in_line, read_results, rows_in
 
 
 @dataclass(frozen=True, repr=False)
@@ -38,6 +39,10 @@ def read_replay(folder: Path, *, kept: bool = True) -> Replay | None:
     record = replay_record(folder)
     units = record.get("units")
     texts = {n: str(u) for n, u in units.items()} if isinstance(units, dict) else {}
-    rows, missed = (read_results(file or folder / "results.csv", texts) for file in files)
+    places = [file or folder / "results.csv" for file in files]
+    rows, missed = (read_results(file, texts, ended=is_cut_in_line(file, record)) for file in places)
+    for file, read in zip(places, (rows, missed), strict=True):
+        for text in cut_rows(file, read.time.size, record):
+            warnings.warn(text, stacklevel=2)
     place = folder if kept else None
     return Replay("replay", rows, place, Signals("residual", missed, place), str(record.get("sentence", "")))

@@ -11,9 +11,9 @@ from cosim.base.errors import InputError
 from cosim.simulation import messages
 from cosim.storage import messages as storage_messages
 from cosim.storage.artefact import folder_kind
-from cosim.storage.folders import manifest_in, replay_record, warnings_on
+from cosim.storage.folders import manifest_in, record_of, replay_record, warnings_on
 from cosim.storage.kinds import LOG, check_given, refuse_folder
-from cosim.storage.results import Results, cut_rows, read_results, rows_in
+from cosim.storage.results import Results, cut_rows, is_cut_in_line, read_results, rows_in
 from cosim.storage.table_source import suffixes
 
 WANTED = "the folder of a run or a table of its rows"
@@ -49,8 +49,9 @@ def _read(path: Path) -> RecordedRun:
         raise InputError.at(path, messages.NO_RESULTS(kind=WANTED))
     if not path.is_dir():
         check_given(path, LOG)
-        results = read_results(path)
-        return RecordedRun(path, path.stem, results, warnings=cut_rows(path, results.time.size, {}))
+        record = record_of(path)
+        results = read_results(path, ended=is_cut_in_line(path, record))
+        return RecordedRun(path, path.stem, results, warnings=cut_rows(path, results.time.size, record))
     rows = rows_in(path)
     if rows is None:
         kind = folder_kind(path)
@@ -59,8 +60,8 @@ def _read(path: Path) -> RecordedRun:
         names = " or ".join(f"results{suffix}" for suffix in suffixes())
         raise InputError.at(path, messages.NO_ROWS(names=names, kind=WANTED))
     manifest = manifest_in(path)
-    units = manifest.get("units") or replay_record(path).get("units")
-    text = manifest.get("beside")
-    results = read_results(rows, units if isinstance(units, dict) else {}, text if isinstance(text, list) else ())
-    warnings = (*warnings_on(path), *cut_rows(rows, results.time.size, manifest))
+    record = record_of(rows)
+    units: Any = manifest.get("units") or replay_record(path).get("units") or {}
+    results = read_results(rows, units, manifest.get("beside", ()), ended=is_cut_in_line(rows, record))
+    warnings = (*warnings_on(path), *cut_rows(rows, results.time.size, record))
     return RecordedRun(path, path.resolve().name, results, manifest, warnings)

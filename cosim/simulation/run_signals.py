@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -200,4 +201,6 @@ def read_run(path: Path) -> Run | Signals:
     from cosim.simulation.run_files import read_ran
 
     ran = read_ran(path)
+    for text in ran.warnings:
+        warnings.warn(text, stacklevel=2)
     return run_of(ran.results, ran.manifest, path) if path.is_dir() else Signals(ran.name, ran.results)

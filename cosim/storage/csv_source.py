@@ -42,11 +42,18 @@ EMPTY_CELL = re.compile(rb",(?=[,\r\n]|\Z)")
 
 
 class Csv(Source):
-    """Comma-separated values in UTF-8, with a header line."""
+    """Comma-separated values in UTF-8, with a header line.
+
+    Args:
+        ended: Whether a frame leaves out a last line without an end, for rows that were cut.
+    """
 
     name = "CSV"
     suffixes = (".csv",)
     writes = True
+
+    def __init__(self, *, ended: bool = False) -> None:
+        self.ended = ended
 
     def table(self, faults: Faults, request: TableRequest) -> Table:
         """Read the requested columns and note the faults of all cells."""
@@ -64,7 +71,7 @@ class Csv(Source):
         frame = Frame()
         if _is_small_enough(faults, "leave out columns or rows"):
             with _open(path) as stream:
-                cells = _Cells(stream, faults)
+                cells = _Cells(stream, faults, ended=self.ended)
                 if cells.header:
                     frame = _frame_of(cells, names, text)
                 elif not faults.items:
@@ -86,7 +93,7 @@ class Csv(Source):
         write_table(path, [c.name for c in columns], zip(*values, strict=True), cell_text)
 
 
-CSV = Csv()
+CSV, ENDED_CSV = Csv(), Csv(ended=True)
 
 
 def read_heading(path: Path, names: Container[str] = ()) -> tuple[list[tuple[str, str]], int]:
@@ -121,11 +128,13 @@ def _open(path: Path) -> TextIO:
     return path.open(encoding="latin-1", newline="")
 
 
-def _lines(stream: TextIO) -> Iterator[str]:
-    """Yield the UTF-8 lines of a file opened by `_open`. A line may begin with a byte order mark."""
+def _lines(stream: TextIO, *, ended: bool) -> Iterator[str]:
+    """Yield the UTF-8 lines, all or those with an end, of a file from `_open`. A byte order mark is left out."""
     while line := stream.readline(LONGEST_LINE + 1):
         if len(line) > LONGEST_LINE:
             raise _BadLine(messages.LONG_LINE(limit=LONGEST_LINE / 1e6))
+        if ended and not line.endswith(("\n", "\r")):
+            return
         try:
             yield line.encode("latin-1").decode("utf-8-sig")
         except UnicodeDecodeError:
@@ -143,14 +152,15 @@ class _Cells:
         header: Cells of the first non-blank line; empty for an empty file or binary data.
         line: Line number of the header.
         plain: Whether commas separate cells.
+        ended: Whether a last line without an end is left out.
         whole: Whether all rows were read.
     """
 
-    def __init__(self, stream: TextIO, faults: Faults) -> None:
-        self.faults = faults
+    def __init__(self, stream: TextIO, faults: Faults, *, ended: bool = False) -> None:
+        self.faults, self.ended = faults, ended
         self.header: list[str] = []
         self.line, self.plain, self.whole = 1, True, False
-        self._text = _lines(stream)
+        self._text = _lines(stream, ended=ended)
         self._rows, self._above = csv.reader(self._text), 0  # rows, and the number of lines read by an earlier reader
         with self._noting_faults():
             self._read_header()
@@ -205,16 +215,15 @@ class _Cells:
 # -- all cells at once ----------------------------------------------------------------------------
 
 
-def _plain_numbers(path: Path, above: int, width: int) -> tuple[Array, Sequence[bytes]] | None:
+def _plain_numbers(cells: _Cells) -> tuple[Array, Sequence[bytes]] | None:
     """Return cells as numbers, and the text of the first row; None if any cell is not plainly a number.
 
     Empty cells become NaN.
-
-    Args:
-        above: Number of lines including the header.
     """
-    body = path.read_bytes()
-    for _ in range(above):
+    body, width = cells.faults.path.read_bytes(), len(cells.header)
+    if cells.ended:
+        body = body[: body.rfind(b"\n") + 1]
+    for _ in range(cells.line):
         body = body.partition(b"\n")[2]
     if not body.strip() or not body.isascii() or b'"' in body or body.count(b"\r") != body.count(b"\r\n"):
         return None
@@ -231,7 +240,7 @@ def _plain_numbers(path: Path, above: int, width: int) -> tuple[Array, Sequence[
 def _frame_of(cells: _Cells, names: Container[str], text: Collection[str]) -> Frame:
     """Return all columns below a header."""
     headings = [split_heading(cell, names) for cell in cells.header]
-    plain = _plain_numbers(cells.faults.path, cells.line, len(headings)) if cells.plain and not text else None
+    plain = _plain_numbers(cells) if cells.plain and not text else None
     if plain is not None and not _may_be_whole(*plain):
         columns = [SourceColumn(*pair, values) for pair, values in zip(headings, plain[0].T, strict=True)]
         return Frame(columns, range(cells.line + 1, cells.line + 1 + len(plain[0])))
@@ -280,7 +289,7 @@ def _read_table(cells: _Cells, request: TableRequest) -> Table:
     choose_columns(table, [Heading(cells.line, k, *pair) for k, pair in enumerate(headings, 1)], faults, request)
     if request.timed and "time" not in table.columns:
         return table
-    plain = _plain_numbers(faults.path, cells.line, len(headings)) if cells.plain else None
+    plain = _plain_numbers(cells) if cells.plain else None
     if plain is not None:
         numbers, _ = plain
         columns = [SourceColumn(*pair, values) for pair, values in zip(headings, numbers.T, strict=True)]

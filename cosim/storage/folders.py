@@ -116,6 +116,11 @@ def replay_record(folder: Path) -> dict[str, Any]:
     return sound_part(folder / REPLAY, content_of(folder / REPLAY))[0]
 
 
+def record_of(rows: Path) -> dict[str, Any]:
+    """Return the record of the rows of a run or a replay, empty for other tables."""
+    return (manifest_in(rows.parent) or replay_record(rows.parent)) if rows.stem == "results" else {}
+
+
 def check_run_folder(folder: Path, name: str = "", *, ssp: Path | None = None, force: bool = False) -> None:
     """Lock a folder; raise InputError if another scenario, SSP or command owns it."""
     prepare_folder(folder)

@@ -19,7 +19,7 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.drafts import draft_of, is_full
 from cosim.storage import messages
-from cosim.storage.csv_source import cell_text, write_table
+from cosim.storage.csv_source import CSV, ENDED_CSV, cell_text, write_table
 from cosim.storage.table import is_there
 from cosim.storage.table_columns import Faults, is_time, note_wrong_first, time_scale
 from cosim.storage.table_source import Frame, SourceColumn, as_text, source_named, source_of, suffixes
@@ -183,7 +183,9 @@ def is_rounded(values: Array) -> bool:
 # -- reading results ------------------------------------------------------------------------------------
 
 
-def read_results(path: Path, units: Mapping[str, str] | None = None, text: Collection[str] = ()) -> Results:
+def read_results(
+    path: Path, units: Mapping[str, str] | None = None, text: Collection[str] = (), *, ended: bool = False
+) -> Results:
     """Return written results, or any table with time first.
 
     Times in other units become seconds.
@@ -191,12 +193,16 @@ def read_results(path: Path, units: Mapping[str, str] | None = None, text: Colle
     Args:
         units: Units of columns without unit in the header.
         text: Columns of text; other columns are classified by their cells.
+        ended: Leave out the last line of a text without a line end; see `is_cut_in_line`.
 
     Raises:
         InputError: The file has faults; it lists all of them.
     """
     faults, units = Faults(path), units or {}
-    frame = source_of(path).frame(path, units, text) if is_there(faults) else Frame()
+    frame = Frame()
+    if is_there(faults):
+        source = source_of(path)
+        frame = (ENDED_CSV if ended and source is CSV else source).frame(path, units, text)
     faults.raise_any()
     time = _time_of(frame, faults)
     numbers: dict[str, Array] = {}
@@ -243,17 +249,35 @@ def _time_of(frame: Frame, faults: Faults) -> Array:
     return time
 
 
+def is_cut_in_line(path: Path, record: Mapping[str, Any]) -> bool:
+    """Return whether rows that a record describes end within a line: cosim ends each line, other tools may not."""
+    return bool(record) and not _has_last_end(path)
+
+
+def _has_last_end(path: Path) -> bool:
+    """Return whether the last line of a text has an end; True for other formats and empty files."""
+    if path.suffix != ".csv" or not path.is_file() or not path.stat().st_size:
+        return True
+    with path.open("rb") as stream:
+        stream.seek(-1, os.SEEK_END)
+        return stream.read(1) in b"\r\n"
+
+
 def cut_rows(path: Path, rows: int, record: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return warnings if a file has other rows than its record says, or ends within a line."""
-    announced, found = record.get("rows"), list[str]()
+    """Return a warning if the rows that were read are not those that the record says, or end within a line.
+
+    Args:
+        rows: Number of rows that were read, without a last line that `is_cut_in_line`.
+    """
+    announced = record.get("rows")
+    if not _has_last_end(path):
+        if not record:
+            return (messages.CUT_LINE(file=path),)
+        of = f" of the {announced}" if isinstance(announced, int) else ""
+        return (messages.CUT_IN_LINE(file=path, rows=rows, of=of),)
     if isinstance(announced, int) and announced != rows:
-        found.append(messages.OTHER_ROWS(file=path, rows=rows, announced=announced))
-    if path.suffix == ".csv":
-        with path.open("rb") as stream:
-            stream.seek(-1, os.SEEK_END)
-            if stream.read(1) not in b"\r\n":
-                found.append(messages.CUT_LINE(file=path))
-    return tuple(found)
+        return (messages.OTHER_ROWS(file=path, rows=rows, announced=announced),)
+    return ()
 
 
 def rows_name(stem: str, format_: str) -> str:

@@ -15,7 +15,7 @@ from cosim.base.messages import join
 from cosim.base.settings import Count, NotNegative, Runs
 from cosim.storage.files import FilePath
 from cosim.verbs import messages
-from cosim.verbs.options import Force, Json, Open, Report, out_option
+from cosim.verbs.options import Force, Json, Open, Report, ResultsFolder, out_option
 from cosim.verbs.terminal import colour, say, say_json, show, some, table, warn
 
 if TYPE_CHECKING:
@@ -79,20 +79,21 @@ def _is_result(side: Any) -> bool:
     return isinstance(side, Signals)
 
 
-def _sources(sides: Sequence[Any], baseline: Any = None) -> tuple[list[RunSource], int]:
+def _sources(sides: Sequence[Any], baseline: Any = None, results: Path | None = None) -> tuple[list[RunSource], int]:
     """Return the runs to compare, and the index of the baseline.
 
     Args:
         sides: Paths, numbers, names and patterns of runs, and results of functions.
+        results: Folder of results, by default `results`.
 
     Raises:
         InputError: Fewer than two runs, or a baseline that is not one run.
     """
     if not sides:
         raise InputError.at(Path("runs"), messages.NO_RUN())
-    sources, place = _runs_of(sides), 0
+    sources, place = _runs_of(sides, results), 0
     if baseline is not None:
-        base = _runs_of([baseline])
+        base = _runs_of([baseline], results)
         if len(base) != 1:
             raise InputError.at(Path(str(baseline)), messages.SEVERAL_BASELINES(count=len(base)))
         paths = [source.path.resolve() for source in sources]
@@ -106,11 +107,11 @@ def _sources(sides: Sequence[Any], baseline: Any = None) -> tuple[list[RunSource
     return sources, place
 
 
-def _runs_of(sides: Sequence[Any]) -> list[RunSource]:
+def _runs_of(sides: Sequence[Any], results: Path | None) -> list[RunSource]:
     """Return the runs of paths, numbers, names, patterns and results of functions, in this order."""
     from cosim.history.selection import select_groups
 
-    groups = iter(select_groups([str(side) for side in sides if not _is_result(side)]))
+    groups = iter(select_groups([str(side) for side in sides if not _is_result(side)], results))
     runs = ([_result_source(s)] if _is_result(s) else map(_named_source, _with_rows(next(groups))) for s in sides)
     return [run for each in runs for run in each]
 
@@ -180,6 +181,7 @@ def command(
     absolute: Annotated[
         float, typer.Option("--abs", help="Allowed difference in each signal's unit, added to --tol.")
     ] = 0.0,
+    results: ResultsFolder = None,
     out: Annotated[Path | None, out_option("results/A-and-B")] = None,
     report: Report = True,
     open_: Open = False,
@@ -195,7 +197,7 @@ def command(
     from cosim.comparison.workflow import compare as compare_two
     from cosim.comparison.workflow import compare_all
 
-    sources, place = _sources(runs, baseline)
+    sources, place = _sources(runs, baseline, results)
     if absolute and tolerance is None:
         tolerance = 0.0
     options: dict[str, Any] = {"tolerance": tolerance, "absolute": absolute, "report": report, "force": force}

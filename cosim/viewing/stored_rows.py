@@ -50,7 +50,7 @@ SMALL = 4_000_000  # size of a table that is read as a whole [bytes]
 GROUP_VALUES = 1 << 23  # values written at a time
 LEAST_GROUP, MOST_GROUP = FACTOR**3, 4 * FACTOR**3  # rows of a group
 MEMORY = 1 << 28  # of columns kept from files [bytes]
-BLOCK = 1 << 24  # of text read at a time [bytes]
+BLOCK, LAST = 1 << 24, 1 << 16  # of text read at a time, from its begin and from its end [bytes]
 WHOLE = f"^({INTEGER.pattern})$"
 Progress = Callable[[int, int], None] | None
 Batches = Iterator[tuple[list[Array], int]]  # columns, and how much of the file they end at
@@ -148,21 +148,24 @@ class StoredRecording(Recording):
         return chunks[name]
 
 
-def open_rows(path: Path, units: Mapping[str, str], text: Sequence[str], progress: Progress = None) -> Recording:
+def open_rows(
+    path: Path, units: Mapping[str, str], text: Sequence[str], progress: Progress = None, *, ended: bool = False
+) -> Recording:
     """Return the rows of a table; convert a large one first, unless its conversion is there.
 
     Args:
         units: Units of columns without unit in the header.
         text: Columns of text, even with numeric content.
         progress: Function of the converted and the whole size.
+        ended: Leave out the last line of a text without a line end.
 
     Raises:
         InputError: The table has faults, or no rows.
     """
     status = path.stat() if path.is_file() else None
     if status is None or status.st_size <= SMALL or not _has_pyarrow():
-        return _in_memory(read_results(path, units, text), path)
-    key = _key(status, units, text)
+        return _in_memory(read_results(path, units, text, ended=ended), path)
+    key = _key(status, units, text, ended)
     places = [
         path.parent / FOLDER / path.name,
         process_folder() / FOLDER / sha256(os.fsencode(path.resolve())).hexdigest(),
@@ -172,7 +175,7 @@ def open_rows(path: Path, units: Mapping[str, str], text: Sequence[str], progres
         if about.get("key") == key and not place.is_symlink() and not place.parent.is_symlink():
             return StoredRecording(place, about)
     place = places[0] if _is_writable(path.parent) else places[1]
-    return StoredRecording(place, _convert(path, place, units, text, progress))
+    return StoredRecording(place, _convert(path, place, units, text, progress, ended))
 
 
 def notes_on(path: Path) -> list[str]:
@@ -184,10 +187,11 @@ def notes_on(path: Path) -> list[str]:
     return [] if _is_writable(path.parent) else [messages.TEMPORARY(folder=path.parent)]
 
 
-def _key(status: os.stat_result, units: Mapping[str, str], text: Sequence[str]) -> dict[str, Any]:
+def _key(status: os.stat_result, units: Mapping[str, str], text: Sequence[str], ended: bool) -> dict[str, Any]:
     """Return a value that changes with a file and with what is known of its columns."""
     known = sha256(json.dumps([sorted(units.items()), sorted(text)]).encode()).hexdigest()
-    return {"version": VERSION, "size": status.st_size, "time": status.st_mtime_ns, "known": known}
+    key = {"version": VERSION, "size": status.st_size, "time": status.st_mtime_ns, "known": known}
+    return {**key, "ended": True} if ended else key
 
 
 def _has_pyarrow() -> bool:
@@ -212,7 +216,9 @@ def _in_memory(results: Results, path: Path) -> Recording:
 # -- conversion -------------------------------------------------------------------------------------------
 
 
-def _convert(path: Path, place: Path, units: Mapping[str, str], text: Sequence[str], progress: Progress) -> Any:
+def _convert(
+    path: Path, place: Path, units: Mapping[str, str], text: Sequence[str], progress: Progress, ended: bool
+) -> Any:
     """Write the files of a cache and return their description; the faults of a table are those of its reader."""
     import pyarrow
 
@@ -222,17 +228,17 @@ def _convert(path: Path, place: Path, units: Mapping[str, str], text: Sequence[s
     status = path.stat()
     try:
         try:
-            table = _table_of(path, units, text)
+            table = _table_of(path, units, text, ended)
             whole, rounded = _write_texts(draft / f"{TEXTS}.parquet", table)
             places = [*table.numbers, *whole]
             about = _write(draft, [table.heads[k] for k in places], table.batches(places), path, progress)
             about["texts"], about["rounded"] = ([table.heads[k][0] for k in some] for some in (table.texts, rounded))
         except (pyarrow.ArrowException, OSError, ValueError) as error:
-            results = read_results(path, units, text)  # which tells each fault by its place
+            results = read_results(path, units, text, ended=ended)  # which tells each fault by its place
             if not results.time.size:
                 raise InputError.at(path, messages.NO_ROW()) from None
             raise InputError.at(path, messages.UNREADABLE(reason=str(error).partition("\n")[0])) from None
-        (draft / ABOUT).write_text(json.dumps({"key": _key(status, units, text), **about}), encoding="utf-8")
+        (draft / ABOUT).write_text(json.dumps({"key": _key(status, units, text, ended), **about}), encoding="utf-8")
         shutil.rmtree(place, ignore_errors=True)
         with suppress(OSError):  # Another command was faster.
             draft.rename(place)
@@ -260,11 +266,11 @@ class _Table:
     text_batches: Callable[[Sequence[int]], Iterator[Sequence[Any]]]
 
 
-def _table_of(path: Path, units: Mapping[str, str], text: Sequence[str]) -> _Table:
+def _table_of(path: Path, units: Mapping[str, str], text: Sequence[str], ended: bool) -> _Table:
     """Return the columns of a table in any format."""
     source = source_of(path)
     if source is CSV:
-        return _csv_table(path, units, text)
+        return _csv_table(path, units, text, ended)
     if source is PARQUET:
         return _parquet_table(path, units, text)
     from pyarrow import array, string
@@ -283,19 +289,26 @@ def _table_of(path: Path, units: Mapping[str, str], text: Sequence[str]) -> _Tab
     return _Table(heads, range(last), range(last, len(values)), batches, text_batches)
 
 
-def _csv_table(path: Path, units: Mapping[str, str], text: Sequence[str]) -> _Table:
-    from pyarrow import csv, float64, string, types
+def _csv_table(path: Path, units: Mapping[str, str], text: Sequence[str], ended: bool) -> _Table:
+    from pyarrow import BufferReader, csv, float64, memory_map, string, types
+
+    def content() -> Any:
+        if not ended:
+            return path
+        with memory_map(str(path)) as file:
+            rows = file.read_buffer()
+        return BufferReader(rows.slice(0, _last_line_end(path)))
 
     heads, line = read_heading(path, units)
     reading = csv.ReadOptions(block_size=BLOCK, skip_rows=line, column_names=[str(k) for k in range(len(heads))])
-    with csv.open_csv(path, read_options=reading) as first:
+    with csv.open_csv(content(), read_options=reading) as first:
         kinds = first.schema.types
     numbers = [types.is_floating(kind) or types.is_integer(kind) or types.is_null(kind) for kind in kinds]
 
     def read(places: Sequence[int], kind: Any) -> Iterator[Any]:
         names = [str(k) for k in places]
         converting = csv.ConvertOptions(column_types=dict.fromkeys(names, kind), include_columns=names)
-        with csv.open_csv(path, read_options=reading, convert_options=converting) as reader:
+        with csv.open_csv(content(), read_options=reading, convert_options=converting) as reader:
             yield from reader
 
     def batches(places: Sequence[int]) -> Batches:
@@ -305,6 +318,18 @@ def _csv_table(path: Path, units: Mapping[str, str], text: Sequence[str]) -> _Ta
             yield [column.to_numpy(zero_copy_only=False) for column in batch.columns], done
 
     return _Table(heads, *_choose(heads, numbers, text), batches, lambda k: (b.columns for b in read(k, string())))
+
+
+def _last_line_end(path: Path) -> int:
+    """Return the size of a text down to the end of its last line with an end."""
+    with path.open("rb") as stream:
+        size = start = stream.seek(0, os.SEEK_END)
+        while start:
+            start = max(0, start - LAST)
+            stream.seek(start)
+            if (end := stream.read(LAST).rfind(b"\n")) >= 0:
+                return start + end + 1
+    return size
 
 
 def _parquet_table(path: Path, units: Mapping[str, str], text: Sequence[str]) -> _Table:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,9 +12,9 @@ from cosim.base.errors import Fault, InputError, refuse
 from cosim.history.entries import Entry, entries
 from cosim.history.selection import Selected, select_groups
 from cosim.storage import messages as storage_messages
-from cosim.storage.folders import manifest_in, replay_record, warnings_on
+from cosim.storage.folders import manifest_in, record_of, replay_record, warnings_on
 from cosim.storage.kinds import LOG, check_given, refuse_folder
-from cosim.storage.results import cut_rows, rows_in
+from cosim.storage.results import cut_rows, is_cut_in_line, rows_in
 from cosim.viewing import messages
 from cosim.viewing.pyramid import Recording
 from cosim.viewing.stored_rows import notes_on, open_rows
@@ -106,16 +106,16 @@ def open_runs(places: Iterable[RunPlace], bar: Bar) -> tuple[list[ViewedRun], li
     runs, notes, faults, named = list[ViewedRun](), list[str](), list[Fault](), list[Fault]()
     for place in places:
         folder = place.file.parent
-        manifest = manifest_in(folder)
-        units: Any = manifest.get("units") or replay_record(folder).get("units")
-        text: Any = manifest.get("beside")
+        manifest, record = manifest_in(folder), record_of(place.file)
+        units: Any = manifest.get("units") or replay_record(folder).get("units") or {}
         try:
             state = file_state(place.file)
             with bar(f"converting {place.label}") as progress:
-                rows = open_rows(place.file, _units(units), text if isinstance(text, list) else [], progress)
+                ended = is_cut_in_line(place.file, record)
+                rows = open_rows(place.file, units, manifest.get("beside", []), progress, ended=ended)
             if place.entry is not None:
                 place.entry.check_current()
-            about = (*warnings_on(folder), *cut_rows(place.file, rows.rows, manifest), *notes_on(place.file))
+            about = (*warnings_on(folder), *cut_rows(place.file, rows.rows, record), *notes_on(place.file))
             if rows.rounded:
                 about += (messages.ROUNDED(run=place.label, names=", ".join(rows.rounded[:MOST_NAMES])),)
             runs.append(ViewedRun(place, rows, state))
@@ -129,10 +129,6 @@ def open_runs(places: Iterable[RunPlace], bar: Bar) -> tuple[list[ViewedRun], li
             notes.append(messages.LEFT_OUT(run=place.label, reason=reason))
     refuse(named or (faults if not runs else ()))
     return runs, notes
-
-
-def _units(units: Any) -> Mapping[str, str]:
-    return {str(name): str(unit) for name, unit in units.items()} if isinstance(units, dict) else {}
 
 
 def _places_of(text: str, group: Sequence[Selected]) -> list[RunPlace]:
