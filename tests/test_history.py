@@ -205,7 +205,7 @@ def test_a_path_that_is_not_there_is_told_as_a_path_beside_other_results(results
     assert "tank" in str(several)
 
 
-@pytest.mark.parametrize("words", [["--version"], ["list"], ["list", "-h"]])
+@pytest.mark.parametrize("words", [["--version"], ["list"], ["list", "-h"], ["list", "tank*", "--results", "results"]])
 def test_a_command_that_lists_or_answers_imports_nothing_heavy(results: Path, words: list[str]) -> None:
     """A list of a thousand runs takes half a second only without the imports of commands that compute."""
     code = f"""

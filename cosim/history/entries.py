@@ -301,7 +301,7 @@ def _of_name(folder: Path, name: str, newest: _Scanned, marks: _Marks) -> Iterat
     earlier = folder / EARLIER
     names = _folders(earlier) if EARLIER in newest.folders else ()
     numbers = sorted((n for n in names if n.isdecimal()), key=int)
-    places = [(earlier / n, f"{name}/{n}", _scan(earlier / n, marks)) for n in numbers]
+    places = [(place := earlier / n, f"{name}/{n}", _scan(place, marks)) for n in numbers]
     for place, label, scanned in (*places, (folder, name, newest)):
         if scanned is None:
             continue
@@ -320,16 +320,17 @@ def _by_mark(about: tuple[Path, str, str], scanned: _Scanned, marks: _Marks) -> 
     (place, label, of), there = about, scanned.there
     for mark, artefact in marks.finished.items():
         if mark in there:
-            content = content_of(place / mark) if mark.endswith(".json") else {"status": ""}
-            if not content and not (place / mark).is_file():
+            record = place / mark
+            content = content_of(record) if mark.endswith(".json") else {"status": ""}
+            if not content and not record.is_file():
                 return None  # removed meanwhile
             verb = artefact.verb.removeprefix("cosim ")
-            content, warnings = sound_part(place / mark, content)
+            content, warnings = sound_part(record, content)
             outcome = _missing_rows(place, scanned.tables, content) if artefact.tables else ""
             outcome = outcome or _outcome_of(content, warnings)
             if "no_report" in content and not (place / "report.html").is_file():
                 outcome += f", no report: {content['no_report']}"
-            written = there[mark], outcome, place / mark, _other_version(content), warnings
+            written = there[mark], outcome, record, _other_version(content), warnings
             return _Recorded(label, of, place, verb, *written), content
     for mark, artefact in marks.unfinished.items():
         if (time := there.get(mark.partition("/")[0])) is not None and (place / mark).is_file():

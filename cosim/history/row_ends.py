@@ -32,9 +32,9 @@ def is_cut(rows: Path, record: Mapping[str, Any]) -> bool:
 
 
 def _last_bytes(path: Path, count: int) -> bytes:
-    with path.open("rb") as stream:
+    with path.open("rb", buffering=0) as stream:
         stream.seek(-min(count, os.fstat(stream.fileno()).st_size), os.SEEK_END)
-        return stream.read()
+        return stream.readall()
 
 
 def _is_cut_text(path: Path, record: Mapping[str, Any], count: int) -> bool:

@@ -102,7 +102,7 @@ def content_of(path: Path) -> dict[str, Any]:
         status = path.stat()
         if not stat.S_ISREG(status.st_mode) or status.st_size > MOST_BYTES:
             return {}
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(path.read_bytes().decode())  # faster than a text file
     except (OSError, ValueError, RecursionError):
         return {}
     return content if isinstance(content, dict) else {}

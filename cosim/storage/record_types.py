@@ -33,17 +33,20 @@ class Kind:
         """Return the first wrong value within a value of this name, if any."""
         if not self.has_class(value):
             return WrongValue(name, value, self.title)
-        if self.inner is None:
-            parts = ((k, value[n], f"{name}.{n}") for n, k in self.keys.items() if n in value)
-        else:
-            pairs, place = (value.items(), "{}.{}") if self.type is dict else (enumerate(value), "{}[{}]")
-            wrong = ((n, v) for n, v in pairs if self.inner.is_deep or not self.inner.has_class(v))
-            parts = ((self.inner, v, place.format(name, n)) for n, v in wrong)
-        return next(filter(None, (kind.fault(part, where) for kind, part, where in parts)), None)
+        place = "{}.{}" if self.type is dict else "{}[{}]"
+        for n, part in enumerate(value) if self.type is list else value.items():
+            kind = self.inner or self.keys.get(n)
+            if kind is not None and not kind.is_sound(part) and (fault := kind.fault(part, place.format(name, n))):
+                return fault
+        return None
 
     def has_class(self, value: Any) -> bool:
         """Return whether a value has the class of this type; true and false are no whole numbers."""
         return type(value) is self.type
+
+    def is_sound(self, value: Any) -> bool:
+        """Return whether the class of a value shows that it is right; most values are judged so, and fast."""
+        return type(value) is self.type and not self.is_deep
 
     @cached_property
     def is_deep(self) -> bool:
@@ -107,7 +110,13 @@ def _short(value: Any) -> str:
 def sound_part(file: Path, record: Mapping[str, Any]) -> tuple[dict[str, Any], tuple[str, ...]]:
     """Return a record without the keys that hold a value of another type, and a warning for each of them."""
     kinds = ALL.get(file.name, COMMON)
-    faults = {k: fault for k, v in record.items() if k in kinds and (fault := kinds[k].fault(v, k))}
+    faults = {
+        key: fault
+        for key, value in record.items()
+        if (kind := kinds.get(key)) and not kind.is_sound(value) and (fault := kind.fault(value, key))
+    }
+    if not faults:
+        return {**record}, ()
     warnings = (
         messages.WRONG_TYPE(file=file, field=fault.name, value=_short(fault.value), wanted=fault.wanted, key=key)
         for key, fault in faults.items()

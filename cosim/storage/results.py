@@ -22,7 +22,7 @@ from cosim.storage import messages
 from cosim.storage.csv_source import CSV, ENDED_CSV, cell_text, write_table
 from cosim.storage.table import is_there
 from cosim.storage.table_columns import Faults, is_time, note_wrong_first, time_scale
-from cosim.storage.table_source import Frame, SourceColumn, as_text, source_named, source_of, suffixes
+from cosim.storage.table_source import Frame, Source, SourceColumn, as_text, source_named, source_of, suffixes
 
 CHUNK = 1000  # rows
 EXACT = 2.0**53  # integers up to this size are doubles
@@ -199,10 +199,7 @@ def read_results(
         InputError: The file has faults; it lists all of them.
     """
     faults, units = Faults(path), units or {}
-    frame = Frame()
-    if is_there(faults):
-        source = source_of(path)
-        frame = (ENDED_CSV if ended and source is CSV else source).frame(path, units, text)
+    frame = _source_of(path, ended).frame(path, units, text) if is_there(faults) else Frame()
     faults.raise_any()
     time = _time_of(frame, faults)
     numbers: dict[str, Array] = {}
@@ -220,6 +217,11 @@ def read_results(
     own_units = {c.name: c.unit for c in frame.columns[1:] if c.unit}
     own_units |= {name: unit for name, unit in units.items() if name in numbers or name in exact}
     return Results(time, tuple(numbers), values, own_units, exact, frozenset(whole))
+
+
+def _source_of(path: Path, ended: bool) -> Source:
+    source = source_of(path)
+    return ENDED_CSV if ended and source is CSV else source
 
 
 def _time_of(frame: Frame, faults: Faults) -> Array:

@@ -4,12 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 
 WHOLE_WIDTH = 10_000  # columns: help is as wide as the terminal
+PLAIN: dict[Any, Callable[[Any], Any]] = {str: str, Path: Path, list[str]: list}  # types to convert without Typer
+CHECKS = (
+    "parser",
+    "click_type",
+    "exists",
+    "writable",
+    "resolve_path",
+    "allow_dash",
+    "path_type",
+)  # what Typer does more
 OTHERS = "Other packages"  # group of verbs that name none
 
 
@@ -18,6 +29,8 @@ class VerbHelp(TyperCommand):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse a command line without its omitted optional parameters."""
+        for parameter in self.params:
+            _convert_plainly(parameter)
         with _without_omitted(self, ctx, args, _stays_none):
             return super().parse_args(ctx, args)
 
@@ -95,6 +108,18 @@ def _without_omitted(
         yield
     finally:
         command.params, command.add_help_option = every, has_help
+
+
+def _convert_plainly(parameter: Any) -> None:
+    """Let a parameter convert texts and paths by itself: Typer imports pydantic for that."""
+    about = getattr(parameter, "type_descriptor", None)  # of later versions of Typer
+    convert = PLAIN.get(getattr(about, "annotation", None))
+    if convert is None or parameter.callback or "process_value" in vars(parameter):
+        return
+    if any(getattr(about.parameter_info, key, None) for key in CHECKS):  # type: ignore[union-attr]
+        return
+    typer_converts = parameter.process_value
+    parameter.process_value = lambda ctx, value: convert(value) if value else typer_converts(ctx, value)
 
 
 def _stays_none(parameter: Any) -> bool:
