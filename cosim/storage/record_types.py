@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -33,8 +33,11 @@ class Kind:
         """Return the first wrong value within a value of this name, if any."""
         if not self.has_class(value):
             return WrongValue(name, value, self.title)
+        if not self.is_deep:
+            return None
         place = "{}.{}" if self.type is dict else "{}[{}]"
-        for n, part in enumerate(value) if self.type is list else value.items():
+        pairs: Iterable[tuple[Any, Any]] = value.items() if self.type is dict else enumerate(value)
+        for n, part in pairs:
             kind = self.inner or self.keys.get(n)
             if kind is not None and not kind.is_sound(part) and (fault := kind.fault(part, place.format(name, n))):
                 return fault
