@@ -85,7 +85,7 @@ STATE_ENDS = Template(
 )
 FINISHED_RUN_KEPT = Template("N-SIM-089", "the longer run failed; the finished run in {folder} is as it was{rows}")
 ROWS_ARE_WRITTEN = Template("N-SIM-091", "the steps have ended; their {rows} rows are being written to {file}{end}")
-SECOND_STOP = Template("N-SIM-092", "; a second Ctrl-C ends that and keeps the rows written by then")
+NEXT_STOP = Template("N-SIM-092", "; Ctrl-C now ends that and keeps the rows written by then")
 ROWS_ENDED = Template("E-SIM-093", "{reason}only {count} of {rows} rows are in {file}, as the writing was stopped")
 NO_REPORT = Template("W-SIM-094", "there is no report: {reason}; `cosim report {folder}` makes it")
 ROWS_NOT_COMPLETE = Template("E-SIM-095", "its rows are not all written: it was killed meanwhile, or still writes them")

@@ -48,7 +48,7 @@ class RowStops:
             return
         if self.told is None:
             self.told = now
-            self.tell(messages.ROWS_ARE_WRITTEN(rows=rows, file=self.file, end=messages.SECOND_STOP() * self.can_end))
+            self.tell(messages.ROWS_ARE_WRITTEN(rows=rows, file=self.file, end=messages.NEXT_STOP() * self.can_end))
         elif self.can_end and now - self.told > SAME_PRESS:
             self.is_over = True
 
