@@ -94,16 +94,16 @@ def test_cells_read_at_once_are_those_read_one_by_one(tmp_path: Path, monkeypatc
             monkeypatch.setattr(csv_source, "_plain_numbers", way)
             faults = Faults(path)
             tables.append(read_table(faults, choose, "", ""))
-            results.append(read_results(path))
+            results.append([read_results(path, ended=ended) for ended in (False, True)])
             faults.raise_any()
-        used += plain(path, 1, 4) is not None
+        with csv_source._open(path) as stream:
+            used += plain(csv_source._Cells(stream, faults)) is not None
         fast, slow = tables
         assert {n: v.tobytes() for n, v in fast.values.items()} == {n: v.tobytes() for n, v in slow.values.items()}
         assert (fast.lines, fast.header, fast.first, fast.whole) == (slow.lines, slow.header, slow.first, slow.whole)
-        assert results[0].values.tobytes() == results[1].values.tobytes()
-        assert (results[0].columns, results[0].whole, results[0].units) == (
-            results[1].columns, results[1].whole, results[1].units,
-        )  # fmt: skip
+        for one, two in zip(*results, strict=True):
+            assert one.values.tobytes() == two.values.tobytes()
+            assert (one.columns, one.whole, one.units) == (two.columns, two.whole, two.units)
     assert used > 190  # the fast way is taken
 
 
