@@ -79,7 +79,7 @@ def _read(path: Path, folder: Path) -> tuple[list[Carried], list[str]]:
 
 
 def _checksum_warning(file: RelatedFile, place: Path, about: Mapping[str, str]) -> list[str]:
-    """Return a warning if a file has another checksum than its manifest says, or one that cannot be checked."""
+    """Return a warning if a checksum is wrong, or of an unknown algorithm."""
     if not file.checksum or (agrees := file.agrees(place.read_bytes())):
         return []
     if agrees is None:

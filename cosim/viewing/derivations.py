@@ -87,7 +87,7 @@ class Derivations:
         return []
 
     def _dependents(self, made: Signal) -> Iterator[Signal]:
-        """Yield the signals that depend on a signal, each after those that it depends on."""
+        """Yield the dependents of a signal in the order of their computation."""
         changed = {made}
         for signal in self._ordered():
             if signal not in changed and changed & {*self._definitions[signal].of.values()}:
@@ -95,7 +95,7 @@ class Derivations:
                 yield signal
 
     def _ordered(self) -> list[Signal]:
-        """Return all derived signals, each after those that it depends on."""
+        """Return all derived signals in the order of their computation."""
         ordered: dict[Signal, None] = {}
 
         def visit(signal: Signal) -> None:

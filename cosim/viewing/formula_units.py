@@ -107,7 +107,7 @@ def _weights_of_temperatures(parts: Sequence[Quantity], *, numbers: bool) -> lis
 
 
 def alike(function: Callable[..., Any], parts: Sequence[Quantity], text: str) -> Quantity:
-    """Return a function of values in one unit whose value has that unit: the smaller or larger one."""
+    """Return the smaller or the larger of values, converted to one unit."""
     for part in parts:
         check_result(part)
     weights = _weights_of_temperatures(parts, numbers=True)

@@ -381,7 +381,7 @@ def _choose(
 
 
 def _write_texts(path: Path, table: _Table) -> tuple[list[int], list[int]]:
-    """Write columns of texts; return the places of those that are integers, and of those that doubles round."""
+    """Write columns of texts; return the places of integer columns, and of columns with integers above 2^53."""
     if not table.texts:
         return [], []
     import pyarrow as pa

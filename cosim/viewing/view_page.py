@@ -153,7 +153,7 @@ class ViewPage(ServedPage):
         return json_answer([t for curve in curves for t in _unless_lost(curve[0], text, *curve, lost=[None])])
 
     def _derive(self, request: Request) -> Answer:
-        """Add a derived signal to the run of its first signal, or remove one; return it and those that depend on it."""
+        """Add, change or remove a derived signal; return the signals with new values."""
         content = _content(request)
         if "remove" in content:
             removed, signal = self._curve(content["remove"])

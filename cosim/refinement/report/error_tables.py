@@ -253,7 +253,7 @@ def leading_channel(r: Refinement) -> str:
 
 
 def _floor_text(after: str, floor: str, *, above: bool) -> str:
-    """Return the end of a sentence that compares an error with its noise floor, if there is one."""
+    """Return the end of a sentence: the noise floor beside the error, or a full stop without a floor."""
     if floor == MISSING:
         return "."
     if floor == after:
