@@ -28,6 +28,7 @@ from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.workflow import run
 from cosim.storage.results import Results
 from cosim.system.system import System, build_system
+from tests.bounce1 import bounce_fmu
 from tests.conftest import ROOT
 from tests.decay import DEEDS, decay_fmu
 from tests.instants import CONSTANT, instants_fmu, library
@@ -114,6 +115,22 @@ def test_an_event_is_located_as_the_solver_of_model_exchange_locates_it(folder: 
             [1 / 3, 2 / 3, 1], abs=1e-9
         )
     assert len(beside.events) > len(alone.events)
+
+
+def test_errors_of_location_do_not_add_up_over_chained_events(folder: Path) -> None:
+    """140 events that each begin where the last one ended, and a bouncing ball within its solver's tolerance."""
+    bounce_fmu(folder / "ball.fmu")
+    ball = {"fmu": "ball.fmu", "solver": "cvode", "tolerance": 1e-11}
+    rises = {"fmu": "states.fmu", "event_mode": True, "start": {"u": 7.0}}
+    results = simulated(folder, {"a": rises, "ball": ball}, duration=20)
+    times = [t for t, name, cause in results.events if (name, cause) == ("a", "event")]
+    assert times == pytest.approx([k / 7.0 for k in range(1, 141)], abs=1e-12)
+    fall, restitution, gravity = math.sqrt(2.0 / 9.81), 0.7, 9.81
+    speed = gravity * fall
+    bounces = [fall]
+    for k in range(3):
+        bounces.append(bounces[-1] + 2.0 * speed * restitution ** (k + 1) / gravity)
+    assert [t for t, name, _ in results.events if name == "ball"][:4] == pytest.approx(bounces, abs=1e-9)
 
 
 @pytest.mark.parametrize("kind", ["plain.fmu", "states.fmu"])

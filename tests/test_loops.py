@@ -80,6 +80,42 @@ def test_the_loop_of_omsimulator_808_is_solved_in_eight_iterations(
     assert loop["points"] == 5
 
 
+def test_the_loop_of_omsimulator_808_is_solved_in_eight_iterations_from_all_starts() -> None:
+    """The same loop as a function: c = sqrt(5 − a² − b²) with a = 1.8 − c and b = −1.8."""
+
+    def g(z: Any) -> Any:
+        rest = 1.76 - (1.8 - z[0]) ** 2
+        return None if rest < 0.0 else np.array([math.sqrt(rest)])
+
+    def slopes(z: Any, value: Any, *, fresh: bool) -> Any:
+        return np.array([[(1.8 - z[0]) / value[0]]])
+
+    counts = []
+    for start in np.linspace(-10.0, 10.0, 501):  # defined from 0.473 to 3.127
+        if g([start]) is not None:
+            outcome = RootFinding(1e-8, 20, np.ones(1)).newton(g, np.array([start]), slopes)
+            assert abs(g(outcome.z) - outcome.z) < 1e-8
+            counts.append(outcome.iterations)
+    assert len(counts) > 60
+    assert max(counts) <= 8
+
+
+def test_a_step_corrects_the_slopes_by_the_change_of_g() -> None:
+    """A curved map in two unknowns of different magnitude, with slopes computed once: 4 iterations instead of 7."""
+    asked = []
+
+    def slopes(z: Any, value: Any, *, fresh: bool) -> Any:
+        asked.append(z)
+        return np.array([[0.4 * z[0], 2e-4], [300.0, 0.1]])
+
+    def g(z: Any) -> Any:
+        return np.array([0.2 * z[0] ** 2 + 2e-4 * z[1] + 0.1, 300.0 * z[0] + 0.1 * z[1] + 10.0])
+
+    outcome = RootFinding(1e-10, 20, np.array([1.0, 1e3])).newton(g, np.array([0.0, 0.0]), slopes)
+    assert outcome.converged
+    assert (len(asked), outcome.iterations) == (1, 4)
+
+
 @pytest.mark.parametrize("order", ["ab", "ba"])
 @pytest.mark.parametrize("refused", [0.0, 3.0])
 def test_a_loop_is_measured_where_an_fmu_refuses_its_start_values_or_those_of_the_other(

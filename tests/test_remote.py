@@ -20,7 +20,7 @@ import pytest
 
 import cosim
 from cosim.base.errors import Crashed, InputError, SimulationError
-from cosim.blocks import wire
+from cosim.blocks import link, wire
 from cosim.blocks.channel import Broken, Channel
 from cosim.blocks.link import Control, Session
 from cosim.blocks.wire import LinkError, Operation
@@ -80,6 +80,14 @@ def small(folder: Path, at: str, fmu: str = "other.fmu", duration: float = 0.1, 
     path = folder / "small.yaml"
     path.write_text(json.dumps(content))
     return path
+
+
+def children_of(number: int) -> list[int]:
+    """Processes that a process started; skip the test without /proc."""
+    tasks = Path(f"/proc/{number}/task")
+    if not tasks.exists():
+        pytest.skip("no /proc")
+    return [int(child) for task in tasks.iterdir() for child in (task / "children").read_text().split()]
 
 
 def refusal(path: Path) -> InputError:
@@ -213,19 +221,44 @@ def test_a_server_that_disappears_leaves_the_rows(there: Path, tmp_path: Path) -
     assert len((tmp_path / "out/results.csv").read_text().splitlines()) > 20
 
 
+def test_a_server_that_stands_still_is_named_once_and_asked_nothing_more(
+    there: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two FMUs of one server that is stopped (SIGSTOP) with its processes: one wait, and the rows are kept."""
+    monkeypatch.setattr(link, "LIVENESS", 0.2)
+    monkeypatch.setattr(link.Control.ask, "__defaults__", (1.0, None))
+    asked: list[str] = []
+    monkeypatch.setattr(Control, "ask", lambda self, do, *a, _ask=Control.ask, **k: asked.append(do) or _ask(self, do, *a, **k))
+    with serving(there) as (at, process):
+        path = small(tmp_path, at, "saving.fmu", 600.0, start={"pause": 1000.0})
+        content = json.loads(path.read_text())
+        content["components"]["other"] = content["components"]["walker"]
+        path.write_text(json.dumps(content))
+
+        def stop(done: int, steps: int) -> None:
+            if done > 20:
+                for number in (process.pid, *children_of(process.pid)):
+                    os.kill(number, signal.SIGSTOP)
+
+        with pytest.raises(Crashed, match=rf"the server at {at} has not answered for 1 s") as caught:
+            cosim.run(path, tmp_path / "out", report=False, progress=stop, in_process=True)
+        for number in children_of(process.pid):
+            os.kill(number, signal.SIGKILL)
+    assert caught.value.exit_code == 4
+    assert str(caught.value).count(at) == 1
+    assert asked.count("status") == 1
+    assert len((tmp_path / "out/results.csv").read_text().splitlines()) > 20
+
+
 @pytest.mark.thorough
 def test_a_crash_there_is_reported_here(there: Path, tmp_path: Path) -> None:
-    children = Path("/proc/self/task")
-    if not children.exists():
-        pytest.skip("no /proc")
     with serving(there) as (at, process):
         path = small(tmp_path, at, "saving.fmu", 600.0, start={"pause": 1000.0})
 
         def crash(done: int, steps: int) -> None:
             if done > 20:
-                for task in Path(f"/proc/{process.pid}/task").iterdir():
-                    for child in (task / "children").read_text().split():
-                        os.kill(int(child), signal.SIGSEGV)
+                for child in children_of(process.pid):
+                    os.kill(child, signal.SIGSEGV)
 
         with pytest.raises(SimulationError, match="SIGSEGV") as caught:
             cosim.run(path, tmp_path / "out", report=False, progress=crash)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import socket
 import time
 from contextlib import suppress
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 from cosim.base.errors import Crashed, FmuError, SimulationError
 from cosim.base.messages import Message
@@ -29,6 +29,7 @@ from cosim.blocks.wire import (
 CONNECTING, ANSWERING, STARTING = 5.0, 5.0, 60.0  # times [s] for a handshake, an answer, a new process of the server
 ERROR = int(Operation.ERROR)
 LIVENESS = 1.0  # time [s] without answer after which the server is asked whether the session goes on
+GONE = messages.CONNECTION_LOST.code, messages.SERVER_SILENT.code
 
 
 def _connect(context: Any, at: str, keys: Keys | None) -> tuple[Any, Any]:
@@ -42,7 +43,8 @@ def _connect(context: Any, at: str, keys: Keys | None) -> tuple[Any, Any]:
 
     socket = context.socket(zmq.DEALER)
     socket.linger, socket.maxmsgsize, socket.connect_timeout = 0, MOST_VALUES, int(1000 * CONNECTING)
-    socket.heartbeat_ivl, socket.heartbeat_timeout = int(1000 * LIVENESS), int(1000 * ANSWERING)
+    # A silent server is noticed by its missing answer; the heartbeat ends connections on which nothing is asked.
+    socket.heartbeat_ivl, socket.heartbeat_timeout = int(1000 * LIVENESS), int(2000 * ANSWERING)
     if keys is not None:
         socket.curve_publickey, socket.curve_secretkey, socket.curve_serverkey = keys.public, keys.secret, keys.server
     watch = socket.get_monitor_socket()
@@ -56,6 +58,9 @@ def _connect(context: Any, at: str, keys: Keys | None) -> tuple[Any, Any]:
             connected = connected or event == zmq.EVENT_CONNECTED
             if event in (zmq.EVENT_CLOSED, zmq.EVENT_DISCONNECTED, *_failures(zmq)):
                 break
+        else:
+            if connected:
+                connected, failure = False, messages.SERVER_SILENT(at=at, wait=CONNECTING)
     except zmq.ZMQError as error:
         failure = messages.UNUSABLE_ADDRESS(at=at, reason=str(error))
     _close(socket, watch)
@@ -111,18 +116,22 @@ class Control:
         _close(self._socket, self._watch)
         self.context.term()
 
-    def ask(self, do: str, wait: float = ANSWERING, **content: Any) -> dict[str, Any]:
+    def ask(self, do: str, wait: float = ANSWERING, since: float | None = None, **content: Any) -> dict[str, Any]:
         """Return the server's answer.
+
+        Args:
+            wait: Longest time without an answer [s].
+            since: Beginning of this time, by the monotonic clock; None for now.
 
         Raises:
             LinkError: The server refuses, is silent, or has another version of the protocol.
         """
         self._socket.send(encode({"protocol": VERSION, "do": do, **content}))
-        end = time.monotonic() + wait
-        while not self._socket.poll(int(1000 * LIVENESS)):
+        end = (time.monotonic() if since is None else since) + wait
+        while not self._socket.poll(int(1000 * max(0.0, min(LIVENESS, end - time.monotonic())))):
             if self._has_ended():
-                raise LinkError(messages.CONNECTION_LOST(at=self.at, reason="the server has ended"))
-            if time.monotonic() > end:
+                raise LinkError(messages.CONNECTION_LOST(at=self.at, reason="the server has ended or is out of reach"))
+            if time.monotonic() >= end:
                 raise LinkError(messages.SERVER_SILENT(at=self.at, wait=wait))
         try:
             answer: dict[str, Any] = decode(self._socket.recv())
@@ -154,6 +163,8 @@ class Session:
         job: Content of the request to open it.
     """
 
+    _gone: ClassVar[set[str]] = set()  # addresses of servers that have ended or do not answer any more
+
     def __init__(self, at: str, name: str, job: dict[str, Any]) -> None:
         self.at, self.name, self.time = at, name, 0.0
         self._control = Control(at)
@@ -165,6 +176,7 @@ class Session:
         except BaseException:
             self._control.close()
             raise
+        self._gone.discard(at)
         self._channel.socket.settimeout(LIVENESS)
         self._send, self._receive = self._channel.send, self._channel.receive
 
@@ -176,12 +188,13 @@ class Session:
         """
         try:
             self._send(message)
+            sent = None
             while True:
                 try:
                     answer = self._receive()
                     break
                 except TimeoutError:
-                    self._check()
+                    sent = self._check(sent or time.monotonic() - LIVENESS)
         except Broken as end:
             raise self._end(str(end)) from None
         if len(answer) < HEAD.size or answer[0] != VERSION:
@@ -190,10 +203,18 @@ class Session:
             self._raise(decode(answer[HEAD.size :]))
         return answer
 
-    def _check(self) -> None:
-        """Raise Crashed unless the server says that the session goes on."""
-        if self._state()["state"] != "running" and not has_message(self._channel.socket):
+    def _check(self, since: float) -> float:
+        """Return the time at which the server said that the session goes on.
+
+        Args:
+            since: Time of its last message.
+
+        Raises:
+            Crashed: It does not say so.
+        """
+        if self._state(since)["state"] != "running" and not has_message(self._channel.socket):
             raise self._end("the server has ended the session")
+        return time.monotonic()
 
     def _end(self, reason: str) -> Crashed:
         """Return the error of a session that has ended; the server knows why its process has."""
@@ -205,11 +226,12 @@ class Session:
             return Crashed(self.name, self.time, message)
         return self._lost(reason)
 
-    def _state(self) -> dict[str, Any]:
+    def _state(self, since: float | None = None) -> dict[str, Any]:
         try:
-            return self._control.ask("status", session=self.number)
+            return self._control.ask("status", since=since, session=self.number)
         except LinkError as error:
-            if error.message.code == messages.CONNECTION_LOST.code:
+            if error.message.code in GONE:
+                self._gone.add(self.at)
                 raise Crashed(self.name, self.time, error.message) from None
             raise self._lost(str(error)) from None
 
@@ -224,6 +246,11 @@ class Session:
         if error["kind"] == "fmu":
             raise FmuError(message.after(f"{self.name} on {self.at}: "))
         raise SimulationError(self.name, error["time"], message)
+
+    @property
+    def is_gone(self) -> bool:
+        """Return whether the server has ended or does not answer any more, so that nothing is asked of it."""
+        return self.at in self._gone
 
     def close(self) -> None:
         """Close the connection; the server ends its process."""

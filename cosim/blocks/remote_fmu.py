@@ -208,7 +208,8 @@ class RemoteFmu(FmuBlock):
             return
         self.instance.initialized = False
         try:
-            self.log.extend(decode(session.call(pack(Operation.CLOSE))[HEAD.size :]))
+            if not session.is_gone:
+                self.log.extend(decode(session.call(pack(Operation.CLOSE))[HEAD.size :]))
         except SimulationError:  # It has failed before; that failure is reported.
             pass
         finally:

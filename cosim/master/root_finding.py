@@ -1,8 +1,9 @@
 """Solution of g(z) = z: Newton's method with damping, and fixed-point iterations with Anderson acceleration.
 
-Newton: (I − G)·Δz = g(z) − z with G = ∂g/∂z, damped until the residual decreases. G is kept between calls and computed
-again when the residual decreases slowly. The end is reached when both the residual and the next Δz are small: near a
-singular I − G, a residual is small beside z without any solution near.
+Newton: (I − G)·Δz = g(z) − z with G = ∂g/∂z, damped until the residual decreases. After each step, the change of g
+corrects G (C. G. Broyden, A class of methods for solving nonlinear simultaneous equations, Math. Comp. 19 (1965), method
+1). G is kept between calls, and computed again when the residual decreases slowly. The end is reached when both the
+residual and the next Δz are small: near a singular I − G, a residual is small beside z without any solution near.
 
 Small means small beside the magnitude or the nominal value of an unknown. One without a declared nominal value may be
 tiny: beside 1, each point would then be a solution. Its own magnitude counts, unless no step decreases the residual.
@@ -121,11 +122,13 @@ class RootFinding:
                 failures += is_current
                 self.slopes = None
                 continue
-            before, (z, value, share) = size, moved
+            before, was, (z, value, share) = size, (z, value), moved
             residual = value - z
             size = self.size(z, residual)
             if size > SLOW * before or share < 1.0:
                 self.slopes = None
+            elif size > self.tolerance:
+                self.slopes = self._updated(z, z - was[0], value - was[1])
         return self._end(Outcome(z, residual, iteration, converged), is_small=is_small and is_regular)
 
     def anderson(self, g: Map, z: Array) -> Outcome:
@@ -157,6 +160,16 @@ class RootFinding:
                 break
             z, value, _ = moved
         return self._end(Outcome(z, residual, iteration, is_small and own <= self.tolerance), is_small=is_small)
+
+    def _updated(self, z: Array, dz: Array, dg: Array) -> Array:
+        """Return slopes that explain a change of g, by Broyden's update in units of the unknowns."""
+        assert self.slopes is not None
+        units = np.maximum(np.abs(z), self.scale)
+        length = np.max(np.abs(dz / units))
+        if not length:
+            return self.slopes
+        along = dz / units / length  # without underflow
+        return np.asarray(self.slopes + np.outer((dg - self.slopes @ dz) / length, along / units) / (along @ along))
 
     def _end(self, outcome: Outcome, *, is_small: bool) -> Outcome:
         """Return an outcome, accepted as rough if its residual is only small beside 1; note its magnitudes."""
