@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cosim.isolation.component_times import RUN, ComponentTimes, Slower
-from cosim.isolation.rows import ADVANCE, CALLS, GET, NOTHING, OTHER, PUT
+from cosim.isolation.rows import ADVANCE, CALLS, GET, NOTHING, OTHER, PUT, WAITING
 from cosim.simulation.report.time_rows import time_sentence
 from cosim.simulation.workflow import run
 from tests.walker import walker_scenario
@@ -181,6 +181,17 @@ def test_time_outside_of_components_and_of_loading_is_told_apart() -> None:
     assert record["rest"] == pytest.approx(2.0, abs=0.2)
     assert record["components"]["road"]["other"] == pytest.approx(2.0, abs=0.2)
     assert record["slower"] == []
+
+
+def test_waiting_for_the_clock_is_told_apart_and_takes_no_share() -> None:
+    times = sampled(lambda k: [(call(0, ADVANCE), 0.002), (NOTHING, 0.001), (WAITING, 0.007)])
+    record = times.record()
+    assert record["waiting"] == pytest.approx(7.0, abs=0.3)
+    assert record["rest"] == pytest.approx(1.0, abs=0.2)
+    assert record["components"]["wheel"]["share"] == pytest.approx(2 / 3, abs=0.05)
+    assert record["readings"] == pytest.approx(600, abs=60)
+    assert "7.0 s of waiting" in time_sentence(record) or "6.9 s of waiting" in time_sentence(record)
+    assert "waiting" not in sampled(steady).record()
 
 
 def test_a_reading_counts_where_its_time_does() -> None:

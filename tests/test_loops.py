@@ -13,6 +13,7 @@ import pytest
 from cosim.base.errors import InputError, SimulationError
 from cosim.base.messages import code_of
 from cosim.coupling.strong_components import order_with_loops, strong_components
+from cosim.master.delayed_loop import DelayedLoop
 from cosim.master.root_finding import RootFinding
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation import undeclared
@@ -463,11 +464,11 @@ def test_more_iterations_are_proposed_where_they_ran_out(tmp_path: Path, method:
         ran(tmp_path, {"a": {"p0": 0.2}, "b": {"p0": 1.0}}, TWO, more)
 
 
-def late(folder: Path, gain: float, more: str, late: float = 1.0, **options: Any) -> Any:
+def late(folder: Path, gain: float, more: str, late: float = 1.0, steps: int = 5, **options: Any) -> Any:
     """Run y_a = gain·y_b + 1, which answers only after a step."""
     for name in "ab":
         coupled_fmu(folder / f"{name}.fmu", LINEAR, **options)
-    return ran(folder, {"a": {"p0": gain, "p1": 1.0, "late": late}, "b": {"p0": 1.0}}, TWO, more)
+    return ran(folder, {"a": {"p0": gain, "p1": 1.0, "late": late}, "b": {"p0": 1.0}}, TWO, more, steps)
 
 
 def test_a_late_fmu_without_states_is_named_with_a_cure_that_works(tmp_path: Path) -> None:
@@ -487,9 +488,54 @@ def test_a_late_fmu_without_states_in_a_growing_loop_has_no_circular_cures(tmp_p
     assert late(tmp_path, 5.0, "", saves=True)[0]["a.y0"][-1] == pytest.approx(-0.25)  # the named cure
 
 
+def test_a_silent_fmu_without_states_is_coupled_with_a_delay_and_its_residual_is_measured(tmp_path: Path) -> None:
+    """y_a = 0.5·y_b + 1 of the step before: from y = 0 on, the residual is 1 in the first step and halves in each."""
+    results, manifest = late(tmp_path, 0.5, "", late=2.0, saves=False)
+    assert results["a.y0"] == pytest.approx([0.0, 1.0, 1.5, 1.75, 1.875, 1.9375])
+    record = manifest["loops"][0]["not_solved"]
+    assert record["reason"] == "a answers only after a step and cannot save its state"
+    assert record["largest"] == {"signal": "a.u0", "time": pytest.approx(0.1), "value": 0.0, "residual": 1.0}
+    assert record["last"]["residual"] == pytest.approx(1 / 16)
+    assert record["relative"]["last"] == pytest.approx(1 / 31)
+    (warning,) = manifest["warnings"]
+    assert code_of(warning) == "W-MAS-075"
+    assert "is not solved: a answers only after a step" in warning
+    page = run(tmp_path / "loop.yaml", tmp_path / "page", in_process=True).folder / "report.html"
+    assert "NOT SOLVED: a answers only after a step" in page.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("gain", [5.0, -1.5, 1e30])
+def test_a_delayed_loop_that_grows_without_bound_ends_with_loop_residual_and_time(gain: float, tmp_path: Path) -> None:
+    with pytest.raises(SimulationError) as failure:
+        late(tmp_path, gain, "", late=2.0, saves=False, steps=100)
+    message = str(failure.value)
+    assert failure.value.exit_code == 4
+    assert 0.5 < failure.value.time < 7.0
+    for part in ("a → b → a", "a answers only after a step and cannot save its state", "a.u0", "more"):
+        assert part in message, message
+    assert len((tmp_path / "out" / "results.csv").read_text().splitlines()) == 1 + round(failure.value.time / 0.1)
+
+
+def test_growth_that_ends_or_slows_down_is_no_growth_without_bound() -> None:
+    def ends(sizes: Any) -> bool:
+        loop = DelayedLoop("", (0,), ("u",), (1.0,))
+        return any([loop.note(float(k), np.zeros(1), np.array([size])) for k, size in enumerate(sizes)])
+
+    k = np.arange(1.0, 3000.0)
+    assert ends(1.05**k)
+    assert ends((-3.0) ** np.arange(40))
+    assert ends(np.abs(np.cos(0.3 * k)) * 1.1**k)
+    assert not ends(1e3 * k**3)  # a polynomial
+    assert not ends(1e6 * k**6)
+    assert not ends(1e12 * (1.0 - np.exp(-0.01 * k)))  # values that settle
+    assert not ends(np.where(k < 100, 1e-9, 1e12))  # a jump
+    assert not ends(1e8 / (1e8 * np.exp(-0.1 * k) + 1.0))  # a growth to 1e8 nominal values
+
+
 def test_an_undeclared_fmu_that_answers_no_input_is_named_and_stated_feedthrough_is_the_cure(tmp_path: Path) -> None:
     _, manifest = late(tmp_path, 5.0, "loops: {}\n", late=2.0, declares=False)
     assert code_of(manifest["warnings"][-1]) == "W-MAS-071"
+    assert manifest["loops"][0]["not_solved"]["reason"].startswith("a answers no input without a step")
     assert "components.a.feedthrough: [u0]" in manifest["warnings"][-1]
     stated = ["components.a.feedthrough=[u0]"]
     outcome = run(tmp_path / "loop.yaml", tmp_path / "stated", stated, report=False, in_process=True)

@@ -10,7 +10,7 @@ import pytest
 
 import cosim
 from cosim.base.errors import InputError
-from cosim.isolation.rows import NOTHING
+from cosim.isolation.rows import WAITING
 from cosim.master.observer import ObservedRun, Observer
 from cosim.master.pacing import NAP, Pacer
 from tests.cases import some
@@ -44,7 +44,7 @@ def test_each_point_waits_for_its_time_counted_from_the_first() -> None:
         pacer.wait(k)
         wall.now += 1e-3  # the work of a step
     assert wall.now == pytest.approx(100.0 + 100 * 0.002, abs=2e-3)
-    assert wall.seen == {NOTHING}
+    assert wall.seen == {WAITING}
     assert wall.doing[0] == 7
     record = pacer.record(0.0)
     assert (record["pace"], record["points"], record["overruns"]) == (10.0, 100, {"count": 0})

@@ -228,7 +228,9 @@ def test_a_server_that_stands_still_is_named_once_and_asked_nothing_more(
     monkeypatch.setattr(link, "LIVENESS", 0.2)
     monkeypatch.setattr(link.Control.ask, "__defaults__", (1.0, None))
     asked: list[str] = []
-    monkeypatch.setattr(Control, "ask", lambda self, do, *a, _ask=Control.ask, **k: asked.append(do) or _ask(self, do, *a, **k))
+    monkeypatch.setattr(
+        Control, "ask", lambda self, do, *a, _ask=Control.ask, **k: asked.append(do) or _ask(self, do, *a, **k)
+    )
     with serving(there) as (at, process):
         path = small(tmp_path, at, "saving.fmu", 600.0, start={"pause": 1000.0})
         content = json.loads(path.read_text())

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.isolation.rows import ADVANCE, CALLS, GET, OTHER, PUT
+from cosim.isolation.rows import ADVANCE, CALLS, GET, OTHER, PUT, WAITING
 
 SHORTEST, LONGEST = 0.003, 0.007  # [s] between readings
 PERIOD = 0.5 * (SHORTEST + LONGEST)
@@ -72,6 +72,7 @@ class ComponentTimes:
     given: int = 0
     readings: int = 0  # whose time is counted
     rest: float = 0.0  # [s] between calls of components, as for a checkpoint
+    waiting: float = 0.0  # [s] for the clock of a paced run, or for the end of a pause; not in `readings`
     _random: random.Random = field(default_factory=lambda: random.Random(0))
 
     def __post_init__(self) -> None:
@@ -113,7 +114,9 @@ class ComponentTimes:
         self._stepped = steps
         if (done := steps or made) != self._done:
             self._pending[:], self._done = 0.0, done
-        if 0 <= number < len(self.components):
+        if doing == WAITING:
+            self.waiting += elapsed
+        elif 0 <= number < len(self.components):
             self._pending[number] += elapsed if call < OTHER else 0.0
             self._bins[min(len(self._bins) - 1, self._bin(made)), number, call] += elapsed
             self.readings += 1
@@ -134,7 +137,9 @@ class ComponentTimes:
             calls = {name: round(float(total[k, call]), 4) for call, name in NAMES.items()}
             components[self.components[k]] = {"share": round(float(total[k].sum()) / max(whole, 1e-9), 4), **calls}
         slower = [{"component": s.component, "factor": round(s.factor, 2), "since": s.since} for s in self.slower()]
-        return {"components": components, "rest": round(self.rest, 4), "readings": self.readings, "slower": slower}
+        waiting = {"waiting": round(self.waiting, 4)} if self.waiting else {}
+        rest = {"rest": round(self.rest, 4), **waiting}
+        return {"components": components, **rest, "readings": self.readings, "slower": slower}
 
     def slower(self) -> list[Slower]:
         """Return components that get slower than the rest, by extra time; otherwise the run, if it does."""

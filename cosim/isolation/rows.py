@@ -24,6 +24,7 @@ from cosim.base.arrays import Array
 CALLS = 4
 PUT, ADVANCE, GET, OTHER = range(CALLS)
 NOTHING = -1  # no call yet
+WAITING = NOTHING - CALLS  # for the clock, or for the end of a pause; like NOTHING, no call
 BLOCK = 1 << 20  # bytes per write on disks that cannot reserve space
 POPULATE_WRITE, AHEAD = 23, 2**26  # MADV_POPULATE_WRITE of Linux, and bytes of a table to map beforehand
 

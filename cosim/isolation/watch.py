@@ -13,7 +13,7 @@ from cosim.isolation import messages
 from cosim.isolation.component_times import ComponentTimes
 from cosim.isolation.limits import Limits
 from cosim.isolation.memory import resident
-from cosim.isolation.rows import CALLS, NOTHING, OTHER, Progress
+from cosim.isolation.rows import CALLS, NOTHING, OTHER, WAITING, Progress
 
 SIGNALS = {
     "SIGSEGV": "crashed: segmentation fault",
@@ -99,7 +99,7 @@ class Clock:
             self.rows = rows
             self.watch.progress(rows)
         loading, key = self._is_loading(), self._key()
-        waiting = self.progress.doing[0] == NOTHING  # also a pause between rows
+        waiting = self.progress.doing[0] in (NOTHING, WAITING)
         if key != self.key or waiting:
             self.key, self.since = key, now
         self.watch.spent[0] += 0.0 if loading or (waiting and rows) else now - self.last

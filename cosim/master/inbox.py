@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from cosim.base.errors import Fault, refuse
-from cosim.isolation.rows import NOTHING, Progress
+from cosim.isolation.rows import WAITING, Progress
 from cosim.scenario.start_values import Misfit
 from cosim.system.events import Targets, Variable
 from cosim.system.system import System
@@ -146,7 +146,7 @@ class FileChannel:
         if not counters.hold[0]:
             return 0.0
         since = time.perf_counter()
-        doing, counters.doing[0] = counters.doing[0], NOTHING
+        doing, counters.doing[0] = counters.doing[0], WAITING
         while counters.hold[0] and not counters.stop[0]:
             time.sleep(PAUSE)
         counters.doing[0] = doing

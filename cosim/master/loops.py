@@ -6,7 +6,8 @@ from those of the components: their directional derivatives, or differences.
 
 At a communication point the components have stepped with the inputs of the point before. They are then asked for
 outputs to other inputs without a step. An FMU that answers only after a step repeats the step from its saved state with
-each try, so that its input acts during the whole step.
+each try, so that its input acts during the whole step. If it cannot save its state, the loop is not solved, but
+coupled with a delay (`delayed_loop`).
 """
 
 from __future__ import annotations
@@ -19,12 +20,15 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import SimulationError
+from cosim.base.messages import code_of
 from cosim.blocks.component import EarlyEnd
 from cosim.blocks.fmu import FmuBlock
+from cosim.blocks.messages import VALUE_NOT_FINITE
 from cosim.coupling.strong_components import torn
 from cosim.isolation.rows import ADVANCE, CALLS, GET, OTHER, PUT
 from cosim.master import messages
 from cosim.master.copying import Copying, copy_values
+from cosim.master.delayed_loop import DelayedLoop
 from cosim.master.root_finding import NotDefined, Outcome, RootFinding
 from cosim.scenario.scenario import LoopSettings
 from cosim.system.schedule import Loop
@@ -48,6 +52,7 @@ class Member:
 
     Attributes:
         repeats: Whether its outputs follow its inputs only after a step, which is therefore repeated.
+        late: Why its inputs act only in the next step, "" if they do not.
         reacts: Whether an output (row) followed an input (column) in initialization.
         promised: Whether its last slopes were its own directional derivatives.
     """
@@ -55,7 +60,7 @@ class Member:
     def __init__(self, component: Any, number: int, inputs: Sequence[int], outputs: Sequence[int], row: Any) -> None:
         self.component, self.number, self.row = component, number, row
         self.inputs, self.outputs = tuple(inputs), tuple(outputs)
-        self.repeats, self.promised = False, False
+        self.repeats, self.promised, self.late = False, False, ""
         self.reacts = np.zeros((len(self.outputs), len(self.inputs)), bool)
         self._state: Any = None
         self._is_stepped = True
@@ -146,6 +151,8 @@ class LoopSolver:
         self._at_start = 0
         self._guesses: list[Array] = []
         self._refusal: SimulationError | None = None
+        self._delayed: DelayedLoop | None = None  # if the loop is not solved
+        self._is_warned = False  # of that, before the first step
 
     # -- solutions ----------------------------------------------------------------------------------
 
@@ -167,16 +174,48 @@ class LoopSolver:
         gain = self._gain_at_start()
         self._roots.slopes = None
         members = [m for m in self.members if m.inputs and not getattr(m.component, "changes_by_events", False)]
-        return [warning for member in members for warning in self._find_repeats(member, gain)]
+        warnings = [warning for member in members for warning in self._find_repeats(member, gain)]
+        if late := [member for member in self.members if member.late]:
+            places = sorted({place for member in late for place in member.inputs})
+            names, nominal = [self._columns[k] for k in places], [self._nominal(k) for k in places]
+            self._delayed = DelayedLoop("; ".join(member.late for member in late), places, names, nominal)
+        return warnings
 
     def step(self, t: float, h: float, k: int) -> None:
-        """Step to communication point k and solve the loop."""
+        """Step to communication point k and solve the loop.
+
+        Raises:
+            SimulationError: A component failed, the iterations do not converge, or values grow without bound.
+        """
         self._point = k
+        if self._delayed is None:
+            self._solved_step(t, h)
+            return
+        assumed = self._row_values(self._delayed.places)
+        try:
+            self._solved_step(t, h)
+        except SimulationError as error:
+            if code_of(error) != VALUE_NOT_FINITE.code or not self._delayed.last:
+                raise
+            message = messages.OPEN_LOOP.around(error.reason, left_open=self._last_residual(self._delayed))
+            raise SimulationError(error.component, error.time, message) from None
+        if self._delayed.note(t + h, assumed, self._row_values(self._delayed.places)):
+            grown = messages.LOOP_GROWS(loop=self.name, reason=self._delayed.reason, **self._delayed.last)
+            raise SimulationError("algebraic loop", t + h, grown)
+
+    def _solved_step(self, t: float, h: float) -> None:
         for member in self.members:
             member.begin_step(self.doing, t, h)
         self._iterations.append(self._solve(t + h))
         for member in self.members:
             member.end_step(self.doing)
+
+    def _row_values(self, places: Sequence[int]) -> Array:
+        return np.array([self.row[k] for k in places])
+
+    def _last_residual(self, delayed: DelayedLoop) -> str:
+        """Return the sentence of a loop that is not solved, with its last residual."""
+        return messages.LAST_RESIDUAL(loop=self.name, reason=delayed.reason, **delayed.last)
 
     def record(self) -> dict[str, Any]:
         """Return the entry of the loop in the manifest."""
@@ -194,10 +233,21 @@ class LoopSolver:
             "slopes_computed": self._roots.computed,
             "iterations": {"start": self._at_start, "most": max(counts, default=0), "total": sum(counts)},
             "points": len(counts),
+            **({} if self._delayed is None else {"not_solved": self._delayed.record()}),
         }
 
     def notes(self) -> list[str]:
-        """Return a warning of solutions that are rough beside their signals."""
+        """Return warnings of a loop that is not solved, and of solutions that are rough beside their signals."""
+        return [*self._not_solved(), *self._rough_solutions()]
+
+    def _not_solved(self) -> list[str]:
+        if self._delayed is None or not self._delayed.worst or self._is_warned:
+            return []
+        relative = self._delayed.record()["relative"]
+        fields = self._delayed.worst | {"median": relative["median"], "last": relative["last"]}
+        return [messages.LOOP_DELAYED(loop=self.name, reason=self._delayed.reason, **fields)]
+
+    def _rough_solutions(self) -> list[str]:
         if not self._rough:
             return []
         t, residual, value, signal = self._rough[0]
@@ -424,11 +474,13 @@ class LoopSolver:
         can_repeat = isinstance(member.component, FmuBlock) and member.component.instance.rolls_back
         member.repeats = can_repeat and bool(missing.any() or is_silent)
         if not (is_declared or reacts.any() or member.reacts.any()):
+            member.late, self._is_warned = messages.LATE_UNDECLARED(component=member.component.name), True
             return [self._silent(member)]
         if can_repeat or not (missing.any() or is_silent):
             return []
         if is_silent:
-            return [messages.NO_REACTION(component=member.component.name, loop=self.name)]
+            member.late = messages.LATE_WITHOUT_STATE(component=member.component.name)
+            return []
         raise self._late(member, missing, gain)
 
     def _silent(self, member: Member) -> str:

@@ -91,10 +91,25 @@ NO_UNIQUE_SOLUTION = Template(
     "{signal}, whatever its value. Signals of the loop: {signals}. No start value, tolerance, order or algorithm is a "
     "cure; change its equations (a parameter of an FMU), or put an FMU without direct feedthrough into it",
 )
-NO_REACTION = Template(
-    "W-MAS-010",
-    "{component}: no output in the algebraic loop {loop} follows an input without a step, and its state cannot be "
-    "saved; its outputs are those after a step with the inputs of the step's start",
+LATE_WITHOUT_STATE = Template("N-MAS-073", "{component} answers only after a step and cannot save its state")
+LATE_UNDECLARED = Template("N-MAS-074", "{component} answers no input without a step, and none is declared to act")
+LOOP_DELAYED = Template(
+    "W-MAS-075",
+    "the algebraic loop {loop} is not solved: {reason}. Each step has the inputs of its start; at its end the loop "
+    "returns others, by {median:.2g} of the signal at half of the points and {last:.2g} at the last; the largest "
+    "residual is {residual:+.3g} of {signal} at t = {time:.6g} s. A shorter step makes a residual of motion smaller",
+)
+LOOP_GROWS = Template(
+    "E-MAS-076",
+    "{loop} is not solved ({reason}) and grows without bound: {signal} is {value:.3g} in the last step, and the loop "
+    "returns {residual:+.3g} more, a residual that doubles in equal times. It needs an FMU that saves and restores its "
+    "state, or one without direct feedthrough; a shorter step if the growth is of motion; order: [...] runs it without "
+    "this judgement",
+)
+LAST_RESIDUAL = Template(
+    "N-MAS-077",
+    "{loop} is an algebraic loop that is not solved: {reason}; at t = {time:.6g} s {signal} was {value:.3g} and the "
+    "loop returned {residual:+.3g} more",
 )
 UNDECLARED_AND_SILENT = Template(
     "W-MAS-071",

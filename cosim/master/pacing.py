@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.isolation.rows import NOTHING
+from cosim.isolation.rows import WAITING
 from cosim.master import messages
 
 SPIN = 2e-4  # [s] before the time, from which on to look at the clock instead of sleeping
@@ -26,7 +26,7 @@ class Pacer:
     Args:
         pace: Simulated seconds per second.
         h: Communication step [s].
-        doing: Current call, as in `Rows`; none while waiting.
+        doing: Current call, as in `Rows`.
         progress: Function called with the point during long waits; it may raise.
     """
 
@@ -71,7 +71,7 @@ class Pacer:
     def _until(self, due: float, now: float, k: int) -> float:
         """Sleep, then look at the clock; return the time."""
         clock, doing = self._clock, self._doing
-        call, doing[0] = doing[0], NOTHING
+        call, doing[0] = doing[0], WAITING
         while (rest := due - now - SPIN) > 0.0:
             self._sleep(min(rest, NAP))
             if rest > NAP and self._progress is not None:

@@ -26,7 +26,7 @@ class TimeRow:
 
 
 def time_rows(run: Run) -> list[TimeRow]:
-    """Return the components with their times, if measured."""
+    """Return the components with their times, and the time of waiting, if measured."""
     timings = mapping(run.manifest.get("timings"))
     if not number(timings.get("readings")) >= MIN_READINGS:
         return []
@@ -36,6 +36,8 @@ def time_rows(run: Run) -> list[TimeRow]:
         if number(times.get("share")) >= MIN_SHARE:
             seconds = (f"{plain(number(times.get(call)), 2)} s" for call in ("step", "set", "get", "other"))
             rows.append(TimeRow(str(name), f"{number(times.get('share')):.0%}", *seconds))
+    if (waiting := number(timings.get("waiting"), 0.0)) > 0.0:
+        rows.append(TimeRow("waiting for the pace, or in a pause", "not counted", "", "", "", f"{plain(waiting, 2)} s"))
     return rows
 
 
@@ -55,4 +57,7 @@ def time_sentence(timings: Mapping[str, Any]) -> str:
         words = f"{plain(factor, 2)} times longer for a step after {since:g} s"
         name = str(slower.get("component")) or "every component"
         parts.setdefault(name, []).append(words)
-    return "; ".join(f"{name} takes {', and '.join(words)}" for name, words in parts.items()) + "." if parts else ""
+    sentences = [f"{name} takes {', and '.join(words)}" for name, words in parts.items()]
+    if parts and (waiting := number(timings.get("waiting"), 0.0)) > 0.0:
+        sentences.append(f"{plain(waiting, 2)} s of waiting for the pace or in a pause are not counted")
+    return "; ".join(sentences) + "." if parts else ""
