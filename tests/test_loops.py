@@ -519,7 +519,7 @@ def test_a_delayed_loop_that_grows_without_bound_ends_with_loop_residual_and_tim
 def test_growth_that_ends_or_slows_down_is_no_growth_without_bound() -> None:
     def ends(sizes: Any) -> bool:
         loop = DelayedLoop("", (0,), ("u",), (1.0,))
-        return any([loop.note(float(k), np.zeros(1), np.array([size])) for k, size in enumerate(sizes)])
+        return any(loop.note(float(k), np.zeros(1), np.array([size])) for k, size in enumerate(sizes))
 
     k = np.arange(1.0, 3000.0)
     assert ends(1.05**k)

@@ -1,9 +1,9 @@
 """Solution of g(z) = z: Newton's method with damping, and fixed-point iterations with Anderson acceleration.
 
 Newton: (I − G)·Δz = g(z) − z with G = ∂g/∂z, damped until the residual decreases. After each step, the change of g
-corrects G (C. G. Broyden, A class of methods for solving nonlinear simultaneous equations, Math. Comp. 19 (1965), method
-1). G is kept between calls, and computed again when the residual decreases slowly. The end is reached when both the
-residual and the next Δz are small: near a singular I − G, a residual is small beside z without any solution near.
+corrects G (C. G. Broyden, A class of methods for solving nonlinear simultaneous equations, Math. Comp. 19 (1965), first
+method). G is kept between calls, and computed again when the residual decreases slowly. The end is reached when both
+the residual and the next Δz are small: near a singular I − G, a residual is small beside z without any solution near.
 
 Small means small beside the magnitude or the nominal value of an unknown. One without a declared nominal value may be
 tiny: beside 1, each point would then be a solution. Its own magnitude counts, unless no step decreases the residual.

@@ -49,11 +49,12 @@ def loop_rows(run: Run) -> Iterator[Row]:
     for loop in mappings(run.manifest.get("loops")):
         counts, names = mapping(loop.get("iterations")), texts(loop.get("components"))
         repeated = ", ".join(texts(loop.get("repeated")))
+        others = " of its other parts" if "not_solved" in loop else ""
         lines = [
             *_not_solved(mapping(loop.get("not_solved"))),
             f"{str(loop.get('method', '')).title()}, relative tolerance {number(loop.get('tolerance')):g}, "
             f"unknowns {', '.join(texts(loop.get('unknowns')))}",
-            f"iterations{' of its other parts' if 'not_solved' in loop else ''}: {counts.get('start')} at the start, at most {counts.get('most')} at a communication point, "
+            f"iterations{others}: {counts.get('start')} at the start, at most {counts.get('most')} at a communication point, "
             f"{counts.get('total')} at {loop.get('points')} points",
             *([f"repeated steps: {repeated}"] if repeated else []),
         ]
@@ -66,12 +67,13 @@ def _not_solved(record: Mapping[str, object]) -> Iterator[str]:
         return
     yield f"NOT SOLVED: {record.get('reason')}"
     if worst := mapping(record.get("largest")):
-        relative, last = mapping(record.get("relative")), mapping(record.get("last"))
+        shares, last = mapping(record.get("relative")), mapping(record.get("last"))
         yield (
             f"residual at the end of a step: at most {number(worst.get('residual')):+.3g} of {worst.get('signal')} at "
-            f"t = {number(worst.get('time')):g} s, at last {number(last.get('residual')):+.3g}; relative to the signal "
-            f"{number(relative.get('median')):.2g} at half of the points, {number(relative.get('last')):.2g} at the last"
+            f"t = {number(worst.get('time')):g} s, at last {number(last.get('residual')):+.3g}"
         )
+        median, at_last = number(shares.get("median")), number(shares.get("last"))
+        yield f"relative to the signal: {median:.2g} at half of the points, {at_last:.2g} at the last"
 
 
 def pace_rows(run: Run) -> Iterator[Row]:
