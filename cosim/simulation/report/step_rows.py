@@ -54,8 +54,8 @@ def loop_rows(run: Run) -> Iterator[Row]:
             *_not_solved(mapping(loop.get("not_solved"))),
             f"{str(loop.get('method', '')).title()}, relative tolerance {number(loop.get('tolerance')):g}, "
             f"unknowns {', '.join(texts(loop.get('unknowns')))}",
-            f"iterations{others}: {counts.get('start')} at the start, at most {counts.get('most')} at a communication point, "
-            f"{counts.get('total')} at {loop.get('points')} points",
+            f"iterations{others}: {counts.get('start')} at the start, at most {counts.get('most')} at a communication "
+            f"point, {counts.get('total')} at {loop.get('points')} points",
             *([f"repeated steps: {repeated}"] if repeated else []),
         ]
         yield Row(f"Algebraic loop {' → '.join((*names, *names[:1]))}", "\n".join(lines))
