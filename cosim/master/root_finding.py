@@ -125,10 +125,8 @@ class RootFinding:
             before, was, (z, value, share) = size, (z, value), moved
             residual = value - z
             size = self.size(z, residual)
-            if size > SLOW * before or share < 1.0:
-                self.slopes = None
-            elif size > self.tolerance:
-                self.slopes = self._updated(z, z - was[0], value - was[1])
+            is_slow = size > SLOW * before or share < 1.0
+            self.slopes = None if is_slow else self._updated(z, z - was[0], value - was[1])
         return self._end(Outcome(z, residual, iteration, converged), is_small=is_small and is_regular)
 
     def anderson(self, g: Map, z: Array) -> Outcome:
@@ -166,7 +164,7 @@ class RootFinding:
         assert self.slopes is not None
         units = np.maximum(np.abs(z), self.scale)
         length = np.max(np.abs(dz / units))
-        if not length:
+        if length <= self.tolerance:  # a change of g in which rounding may count
             return self.slopes
         along = dz / units / length  # without underflow
         return np.asarray(self.slopes + np.outer((dg - self.slopes @ dz) / length, along / units) / (along @ along))
