@@ -33,7 +33,7 @@ GONE = messages.CONNECTION_LOST.code, messages.SERVER_SILENT.code
 
 
 def _connect(context: Any, at: str, keys: Keys | None) -> tuple[Any, Any]:
-    """Return a connected socket, and one that tells of its end.
+    """Return a connected socket and its monitor.
 
     Raises:
         LinkError: No server answers, or the keys do not match.
@@ -181,7 +181,7 @@ class Session:
         self._send, self._receive = self._channel.send, self._channel.receive
 
     def call(self, message: bytes) -> bytes:
-        """Send a message of a session and return its answer.
+        """Send a message; return its answer.
 
         Raises:
             SimulationError: The FMU failed, its process crashed, or the connection broke.
@@ -204,13 +204,13 @@ class Session:
         return answer
 
     def _check(self, since: float) -> float:
-        """Return the time at which the server said that the session goes on.
+        """Ask for a running session; return the time.
 
         Args:
             since: Time of its last message.
 
         Raises:
-            Crashed: It does not say so.
+            Crashed: The server does not say that it runs.
         """
         if self._state(since)["state"] != "running" and not has_message(self._channel.socket):
             raise self._end("the server has ended the session")
@@ -249,7 +249,7 @@ class Session:
 
     @property
     def is_gone(self) -> bool:
-        """Return whether the server has ended or does not answer any more, so that nothing is asked of it."""
+        """Return whether the server does not answer any more."""
         return self.at in self._gone
 
     def close(self) -> None:

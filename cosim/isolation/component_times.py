@@ -87,7 +87,7 @@ class ComponentTimes:
         self._pending, self._done = np.zeros(len(self.components)), 0  # time of the step that is not over; steps
 
     def _begin(self, now: float, steps: int) -> None:
-        """Start the measurement anew after a number of communication steps."""
+        """Start the measurement anew after some steps."""
         self._last, self._stepped = now, steps
         first = steps or self.given
         self._marks = [(now, first, np.zeros(len(self.components) + 1))]  # wall time, steps, time of each part
@@ -166,7 +166,7 @@ class ComponentTimes:
         return [slower for _, slower in sorted(found, key=lambda pair: -pair[0])]
 
     def _time_of(self, part: int) -> float:
-        """Return the simulated time [s] at which a part begins."""
+        """Return the simulated time [s] of a part's start."""
         return self.at(-(-(self._bin(self.given) + part) * self.rows // len(self._bins)))
 
     def _bin(self, made: int) -> int:
@@ -174,7 +174,7 @@ class ComponentTimes:
         return made * len(self._bins) // max(1, self.rows)
 
     def _mark(self, now: float, made: int, steps: int) -> None:
-        """Warn of components that have become much slower for a step.
+        """Warn of components with much slower steps.
 
         A step that is not over does not count: a hang, or a machine that does not answer, is no slow step.
         """

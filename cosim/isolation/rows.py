@@ -54,7 +54,7 @@ class ExactFile:
 
 
 def read_exact(path: Path, rows: int) -> list[tuple[Any, ...]]:
-    """Return the values of the first rows, as far as complete."""
+    """Return the values of the first complete rows."""
     values: list[tuple[Any, ...]] = []
     with suppress(FileNotFoundError, ValueError), path.open("rb") as stream:
         for line in itertools.islice(stream, rows):
@@ -99,7 +99,7 @@ class Rows:
 
 
 def allocate(path: Path, size: int) -> None:
-    """Make a file of `size` zeros with reserved disk space.
+    """Make a file of zeros with reserved space.
 
     Writing to a mapped page without space would crash. A full disk raises OSError.
     """
@@ -112,7 +112,7 @@ def allocate(path: Path, size: int) -> None:
 
 
 def mapped_table(path: Path, rows: int, columns: int) -> Array:
-    """Return the mapped table of a file made by `allocate`."""
+    """Return the mapped table of an allocated file."""
     if not rows * columns:
         return np.zeros((rows, columns))
     with path.open("r+b") as stream:

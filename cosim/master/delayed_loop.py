@@ -40,7 +40,7 @@ class DelayedLoop:
         self._doublings: list[tuple[int, float]] = []  # step and size at which the residual had doubled again
 
     def note(self, t: float, assumed: Array, returned: Array) -> bool:
-        """Note the residual of a step to t; return whether it grows without bound."""
+        """Note a residual; return whether it grows without bound."""
         residual = returned - assumed
         sizes = np.abs(residual) / self._nominal
         worst = int(np.argmax(sizes))
@@ -52,7 +52,7 @@ class DelayedLoop:
         return self._grows(size)
 
     def _grows(self, size: float) -> bool:
-        """Return whether a residual, in nominal values, ends a growth without bound."""
+        """Return whether a residual grows without bound."""
         if size <= 0.0 or (self._doublings and size < 2.0 * self._doublings[-1][1]):
             return False
         self._doublings.append((len(self._shares), size))

@@ -214,7 +214,7 @@ class LoopSolver:
         return np.array([self.row[k] for k in places])
 
     def _last_residual(self, delayed: DelayedLoop) -> str:
-        """Return the sentence of a loop that is not solved, with its last residual."""
+        """Return a sentence with the last residual."""
         return messages.LAST_RESIDUAL(loop=self.name, reason=delayed.reason, **delayed.last)
 
     def record(self) -> dict[str, Any]:
@@ -237,7 +237,7 @@ class LoopSolver:
         }
 
     def notes(self) -> list[str]:
-        """Return warnings of a loop that is not solved, and of solutions that are rough beside their signals."""
+        """Return warnings of unsolved loops and rough solutions."""
         return [*self._not_solved(), *self._rough_solutions()]
 
     def _not_solved(self) -> list[str]:
@@ -416,7 +416,7 @@ class LoopSolver:
         return nominal_of(next(m.component for m in self.members if m.component.name == name), variable)
 
     def _is_declared(self, place: int) -> bool:
-        """Return whether the FMU of an input declares its nominal value."""
+        """Return whether an input has a declared nominal value."""
         name, _, variable = self._columns[place].partition(".")
         component = next(m.component for m in self.members if m.component.name == name)
         return isinstance(component, FmuBlock) and component.nominal(variable, default=0.0) > 0.0

@@ -65,7 +65,7 @@ class Pacer:
         self._begin = self._clock()
 
     def shift(self, pause: float) -> None:
-        """Shift the times of all further points by a pause [s]."""
+        """Shift all further points by a pause [s]."""
         self._begin += pause
 
     def _until(self, due: float, now: float, k: int) -> float:
@@ -111,7 +111,7 @@ class Pacer:
         }
 
     def notes(self, start: float) -> Sequence[str]:
-        """Return a warning about points more than a step late."""
+        """Return a warning about late points."""
         record = self.record(start)
         overruns = record["overruns"]
         if not overruns.get("beyond_step"):

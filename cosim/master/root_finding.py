@@ -160,7 +160,7 @@ class RootFinding:
         return self._end(Outcome(z, residual, iteration, is_small and own <= self.tolerance), is_small=is_small)
 
     def _updated(self, z: Array, dz: Array, dg: Array) -> Array:
-        """Return slopes that explain a change of g, by Broyden's update in units of the unknowns."""
+        """Return the slopes after Broyden's update."""
         assert self.slopes is not None
         units = np.maximum(np.abs(z), self.scale)
         length = np.max(np.abs(dz / units))

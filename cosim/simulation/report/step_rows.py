@@ -62,7 +62,7 @@ def loop_rows(run: Run) -> Iterator[Row]:
 
 
 def _not_solved(record: Mapping[str, object]) -> Iterator[str]:
-    """Yield lines on a loop with a component that answers only after a step, and on its residual."""
+    """Yield lines on the residual of an unsolved loop."""
     if not record:
         return
     yield f"NOT SOLVED: {record.get('reason')}"
@@ -77,7 +77,7 @@ def _not_solved(record: Mapping[str, object]) -> Iterator[str]:
 
 
 def pace_rows(run: Run) -> Iterator[Row]:
-    """Yield a row with overruns and jitter of a paced run."""
+    """Yield a row on the pace of a run."""
     if not (pacing := mapping(run.manifest.get("pacing"))):
         return
     overruns, jitter, points = mapping(pacing.get("overruns")), mapping(pacing.get("jitter")), pacing.get("points")

@@ -26,7 +26,7 @@ class TimeRow:
 
 
 def time_rows(run: Run) -> list[TimeRow]:
-    """Return the components with their times, and the time of waiting, if measured."""
+    """Return the measured times of components, and of waiting."""
     timings = mapping(run.manifest.get("timings"))
     if not number(timings.get("readings")) >= MIN_READINGS:
         return []
