@@ -601,6 +601,13 @@ def test_tiny_unknowns_that_rounding_keeps_from_their_solution_are_rough(method:
     assert (declared.iterations, declared.is_rough) == (0, False)
 
 
+def test_a_residual_that_is_small_beside_a_huge_unknown_is_no_solution_where_slopes_are_singular() -> None:
+    """z = z + 1 with a slope of 1 − 1e-11: the first step leads to −1e11, where the corrected slope is 1."""
+    roots = RootFinding(1e-8, 20, np.ones(1))
+    outcome = roots.newton(lambda z: z + 1.0, np.zeros(1), lambda z, value, fresh: np.array([[1.0 - 1e-11]]))
+    assert not outcome.converged
+
+
 def test_wrong_derivatives_are_replaced_by_differences() -> None:
     asked: list[bool] = []
 

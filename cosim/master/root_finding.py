@@ -77,9 +77,14 @@ class RootFinding:
     largest: float = 0.0
     _solved: Array | float = 0.0  # largest magnitude of each unknown in a solution
 
-    def is_fine(self, z: Array, residual: Array, direction: Array) -> bool:
-        """Return whether residual and next step are small beside the unknowns' own magnitudes."""
-        return max(self._own_size(z, residual, each) for each in (residual, direction)) <= self.tolerance
+    def is_fine(self, z: Array, residual: Array, direction: Array, *, is_regular: bool = True) -> bool:
+        """Return whether residual and next step are small beside the unknowns' own magnitudes.
+
+        Args:
+            is_regular: Whether the next step is unique. Otherwise only a residual of rounding is small.
+        """
+        sizes = [self._own_size(z, residual, each) for each in (residual, direction)]
+        return sizes[0] == 0.0 if not is_regular else max(sizes) <= self.tolerance
 
     def _own_size(self, z: Array, residual: Array, change: Array) -> float:
         """Return the largest change relative to the unknowns' own magnitudes, without those of rounding."""
@@ -114,7 +119,7 @@ class RootFinding:
                     g(z)  # Differences leave another point behind.
             direction, is_regular = _solve(np.eye(z.size) - self.slopes, residual)
             is_small = max(size, self.size(z, direction)) <= self.tolerance
-            converged = is_small and self.is_fine(z, residual, direction)
+            converged = is_small and self.is_fine(z, residual, direction, is_regular=is_regular)
             if converged or iteration == self.most or failures > MOST_FAILURES:
                 break
             moved = self._improved(g, z, direction, residual) if is_small else self._damped(g, z, direction, size)
