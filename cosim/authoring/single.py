@@ -63,7 +63,8 @@ def simulate(
     place = folder_named(parts_of([path])[0].name) if folder is None else named_path(folder)
     csv = None if recorded is None else Path(recorded)
     scenario, notes = write_single(place, path, values, csv, stop=stop, step=step, record=record, force=force)
-    outcome = run(scenario, place, report=report, force=True, in_process=in_process, format_=format_, progress=progress)
+    settings: dict[str, Any] = {"in_process": in_process, "format_": format_, "progress": progress}
+    outcome = run(scenario, place, report=report, force=True, command="cosim simulate", **settings)
     return outcome, notes
 
 

@@ -42,7 +42,7 @@ from cosim.ssp.write import write_parameter_set
 from cosim.storage.artefact import Checking
 from cosim.storage.files import FilePath, check_writable, hold_stops, named_path, one_stop, write_json, write_text
 from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import check_overwritable, keep_earlier
+from cosim.storage.folders import begin_unrecorded, check_overwritable, keep_earlier
 
 UNIMPORTANT = {NO_PARAMETERS.code, NO_UNITS.code, EVENTS_ALWAYS.code, RESET_REFUSED.code}  # for a fit
 FILES = ("fit.json", "fitted.ssv", "fitted.fmu", "report.html")
@@ -80,6 +80,7 @@ def fit(
     read, chosen, given = _read(request)
     files = [*request.logs, path, *([request.yaml.path] if request.yaml else [])]
     check_writable(place, FILES, files)
+    begin_unrecorded(place, "cosim fit", files)
     progress("probing the FMU", 0.0)
     behaved = [] if in_process else find_misbehaviour(request, read[0], given)
     with ExitStack() as stack:

@@ -256,13 +256,20 @@ def _differ(count: int) -> str:
     return "differs" if count == 1 else "differ"
 
 
+def is_one_run(a: RecordedRun, b: RecordedRun) -> bool:
+    """Return whether two runs were read from one path."""
+    return a.path.exists() and a.path.resolve() == b.path.resolve()
+
+
 def sentence(c: Compared) -> str:
     """Return a summary of the comparison in a sentence."""
     count, different = len(c.differences), sum(d.largest > 0 for d in c.differences)
     of_both = " that both have" if c.only_a else ""
     every = f"All {counted(count, 'signal')}{of_both} are" if count > 1 else ""
     most = describe_largest(max(c.differences, key=lambda d: d.share))
-    if not different:
+    if not different and is_one_run(c.a, c.b):
+        text = f"This is one run, compared with itself: {every.lower() or 'its signal is'} equal."
+    elif not different:
         where = "in every row" if c.aligned else "at the times of a, and between them nowhere outside of it"
         text = f"{every or f'The signal{of_both} is'} equal {where}."
     elif not c.judged:

@@ -147,7 +147,7 @@ def _prepare(place: Path, paths: Sequence[Path], *, force: bool, numbered: bool)
 
     Args:
         paths: Folders and tables that are compared; they stay where they are.
-        numbered: Whether the folder is named by numbers, which mean other paths after a further run or `cosim gc`.
+        numbered: Whether the folder is named by numbers, whose paths change when a newest run moves to `runs`.
     """
     read = [p / "manifest.json" if p.is_dir() else p for p in paths]
     others = ", ".join(str(path) for path in paths[1:])

@@ -15,13 +15,24 @@ from cosim.base.suggestions import did_you_mean
 from cosim.base.version import __version__
 from cosim.history import messages
 from cosim.history.inputs import changes_between, input_text, input_tree, short_input
+from cosim.history.numbers import numbers_of, unknown_number
 from cosim.history.row_ends import is_cut
 from cosim.storage.artefact import Artefact, artefacts
-from cosim.storage.folders import EARLIER, RESULTS, SCHEMA_VERSION, content_of, version_of
+from cosim.storage.folders import (
+    EARLIER,
+    RESULTS,
+    SCHEMA_VERSION,
+    content_of,
+    has_results,
+    next_number,
+    version_of,
+)
 from cosim.storage.record_types import sound_part
+from cosim.storage.started import COMMAND, START, STARTED, is_running
 
 OUTCOMES = ("verdict", "status", "sentence")  # keys of a record whose text is an outcome
 UNFINISHED, DAMAGED, ROWS_ONLY = "unfinished", "damaged record", "rows without a record"
+RUNNING, UNKNOWN = "running", "running or killed"  # UNKNOWN: of another user, or on a disk without locks
 CUT, NO_ROWS = "cut", "rows are gone"  # fewer rows than the record says
 MOST_CHANGES = 3  # in a text
 ROWS = "results"  # name, without ending, of the rows of a run
@@ -33,17 +44,18 @@ class Entry:
     """Results of one command.
 
     Attributes:
-        number: Number by age, from 1 for the oldest.
+        number: Number for good: by age when results were first listed, the next one for new results.
         name: Name within the folder of results: `tank` or `sub/tank` for the newest, `tank/0001` for an earlier run.
         of: Name of the newest results, of which this is an earlier run or which this is.
         verb: Command that wrote the results, without `cosim`; "" if unknown.
         time: Time of writing [s] since 1970.
-        outcome: Outcome of criteria, verdict or status, `unfinished`, `damaged record`, `rows without a record`, `cut`,
-            `rows are gone`, or "".
+        outcome: Outcome of criteria, verdict or status, `unfinished`, `running`, `damaged record`,
+            `rows without a record`, `cut`, `rows are gone`, or "".
         changes: Input → value, where it differs from the run before of the same name; None for a removed input.
         record: File by which the results are known, whose time is `time`.
         version: Version of cosim that wrote the record, or its schema, if it is another one; otherwise "".
         warnings: Values of wrong types in the record.
+        lasting_name: Name for good: `tank/0003` also for the newest results `tank`, which will move to that number.
     """
 
     number: int
@@ -57,6 +69,7 @@ class Entry:
     record: Path
     version: str = ""
     warnings: tuple[str, ...] = ()
+    lasting_name: str = ""
 
     def check_current(self) -> None:
         """Raise InputError if the results were removed or replaced since they were listed."""
@@ -67,8 +80,8 @@ class Entry:
 
     @property
     def is_newest(self) -> bool:
-        """Return whether no later run of the same name exists."""
-        return self.name == self.of
+        """Return whether the results are not among the earlier runs: only a killed command may be later."""
+        return self.name == self.of or self.folder.name == STARTED
 
     @property
     def label(self) -> str:
@@ -113,9 +126,10 @@ def entries(results: Path | None = None) -> list[Entry]:
             every.append((recorded, {} if before is None or not inputs else changes_between(before, inputs)))
             before = inputs or before
     every.sort(key=lambda each: (each[0].time, each[0].name))
+    numbers = numbers_of([r.lasting_name for r, _ in every], root)
     return [
-        Entry(number, r.name, r.of, r.folder, r.verb, r.time, r.outcome, changes, r.record, r.version, r.warnings)
-        for number, (r, changes) in enumerate(every, 1)
+        Entry(number, *r[:6], changes, *r[6:])  # the fields have the same order
+        for number, (r, changes) in zip(numbers, every, strict=True)
     ]
 
 
@@ -133,7 +147,7 @@ def find_entries(texts: Sequence[str], results: Path | None = None) -> list[Entr
     for text in texts:
         matches = match_entries(text, every, root)
         if not matches and text.isdecimal():
-            raise InputError.at(Path(text), messages.UNKNOWN_NUMBER(number=text, last=len(every)))
+            raise InputError.at(Path(text), unknown_number(text, root))
         if not matches:
             raise InputError.at(Path(text), messages.NO_MATCH(hint=did_you_mean(text, [e.name for e in every])))
         found |= {entry.name: entry for entry in matches}
@@ -171,19 +185,18 @@ def warnings_of(found: Iterable[Entry]) -> list[str]:
 def match_entries(text: str, every: Sequence[Entry], root: Path = RESULTS) -> list[Entry]:
     """Return the entries of a name, a number, a pattern or a folder within the folder of results."""
     if text.isdecimal() and not any(e.name == text for e in every):
-        return [*every[int(text) - 1 : int(text)]] if int(text) > 0 else []
+        return [e for e in every if str(e.number) == text.lstrip("0")]
     if "/" in text and (folder := Path(text)).is_dir():
         place = folder.resolve()
         return [e for e in every if e.folder.resolve() == place]
     name = text.removeprefix(f"{root}/").rstrip("/").replace(f"/{EARLIER}/", "/")
-    return [e for e in every if e.name == name] or [e for e in every if fnmatch.fnmatchcase(e.name, name)]
+    same = [e for e in every if e.name == name] or [e for e in every if e.lasting_name == name]
+    return same or [e for e in every if fnmatch.fnmatchcase(e.name, name)]
 
 
 def hides_results(path: Path) -> bool:
     """Return whether a path is a folder without results, so that its name may rather mean results elsewhere."""
-    if not path.is_dir() or any(a.is_left_in(path, unfinished=True) for a in artefacts() if a.verb):
-        return False
-    return not any(path.glob(f"{ROWS}.*"))
+    return path.is_dir() and not has_results(path)
 
 
 def _folders(root: Path) -> Iterator[str]:
@@ -235,20 +248,21 @@ class _Recorded(NamedTuple):
     record: Path
     version: str = ""
     warnings: tuple[str, ...] = ()
+    lasting_name: str = ""
 
 
 def _marks() -> _Marks:
     finished: dict[str, Artefact] = {}
     unfinished: dict[str, Artefact] = {}
     rows: set[str] = set()
-    parts = {EARLIER}
+    parts = {EARLIER, STARTED}
     for artefact in artefacts():
         if artefact.verb:
             parts |= artefact.folders
             finished = {**dict.fromkeys(artefact.marks, artefact), **finished}
             unfinished = {**dict.fromkeys(artefact.unfinished, artefact), **unfinished}
             rows |= {*artefact.tables}
-    names = frozenset((*finished, *(path.partition("/")[0] for path in unfinished)))
+    names = frozenset((START, *finished, *(path.partition("/")[0] for path in unfinished)))
     return _Marks(finished, unfinished, names, frozenset(rows), frozenset(parts))
 
 
@@ -257,7 +271,7 @@ def _every_folder(root: Path, marks: _Marks) -> Iterator[tuple[str, Path, _Scann
     own = _scan(root, marks)
     if own is None:
         return
-    is_result = bool(own.there or own.tables)
+    is_result = bool(own.there or own.tables or STARTED in own.folders)
     if is_result:  # as named by --out
         yield root.resolve().name, root, own
     for name in sorted(own.folders):
@@ -297,18 +311,30 @@ def _scan(place: Path, marks: _Marks) -> _Scanned | None:
 
 
 def _of_name(folder: Path, name: str, newest: _Scanned, marks: _Marks) -> Iterator[tuple[_Recorded, Content]]:
-    """Yield the results of a name and the contents of their records, earlier runs first."""
-    earlier = folder / EARLIER
-    names = _folders(earlier) if EARLIER in newest.folders else ()
-    numbers = sorted((n for n in names if n.isdecimal()), key=int)
-    places = [(place := earlier / n, f"{name}/{n}", _scan(place, marks)) for n in numbers]
-    for place, label, scanned in (*places, (folder, name, newest)):
-        if scanned is None:
-            continue
-        about = place, label, name
-        recorded = _by_mark(about, scanned, marks) or (_by_rows(about) if scanned.tables else None)
-        if recorded is not None:
-            yield recorded
+    """Yield the results of a name and the contents of their records, by age; that of a killed command is the last."""
+    earlier, following = folder / EARLIER, 1
+    if EARLIER in newest.folders:
+        names = [*_folders(earlier)]
+        following = next_number(earlier, names)
+        for number in sorted((n for n in names if n.isdecimal()), key=int):
+            label = f"{name}/{number}"
+            if (scanned := _scan(earlier / number, marks)) is not None:
+                yield from _recorded((earlier / number, label, name), scanned, marks, label)
+    for each in _recorded((folder, name, name), newest, marks, f"{name}/{following:04d}"):
+        following += 1
+        yield each
+    if STARTED in newest.folders and (scanned := _scan(folder / STARTED, marks)) is not None:
+        label = f"{name}/{following:04d}"
+        yield from _recorded((folder / STARTED, label, name), scanned, marks, label)
+
+
+def _recorded(
+    about: tuple[Path, str, str], scanned: _Scanned, marks: _Marks, lasting_name: str
+) -> Iterator[tuple[_Recorded, Content]]:
+    """Yield the results of a command in a folder, if there are any, with the content of their record."""
+    found = _by_mark(about, scanned, marks) or (_by_rows(about) if scanned.tables else None)
+    if found is not None:
+        yield found[0]._replace(lasting_name=lasting_name), found[1]
 
 
 def _by_mark(about: tuple[Path, str, str], scanned: _Scanned, marks: _Marks) -> tuple[_Recorded, Content] | None:
@@ -324,9 +350,9 @@ def _by_mark(about: tuple[Path, str, str], scanned: _Scanned, marks: _Marks) -> 
             content = content_of(record) if mark.endswith(".json") else {"status": ""}
             if not content and not record.is_file():
                 return None  # removed meanwhile
-            verb = artefact.verb.removeprefix("cosim ")
             content, warnings = sound_part(record, content)
-            outcome = _missing_rows(place, scanned.tables, content) if artefact.tables else ""
+            verb = content.get(COMMAND, artefact.verb).removeprefix("cosim ")
+            outcome = _unended(place) or (_missing_rows(place, scanned.tables, content) if artefact.tables else "")
             outcome = outcome or _outcome_of(content, warnings)
             if "no_report" in content and not (place / "report.html").is_file():
                 outcome += f", no report: {content['no_report']}"
@@ -337,7 +363,18 @@ def _by_mark(about: tuple[Path, str, str], scanned: _Scanned, marks: _Marks) -> 
             content = content_of(place / mark) if mark.endswith(".json") else {}
             verb, record = artefact.verb.removeprefix("cosim "), place / mark.partition("/")[0]
             return _Recorded(label, of, place, verb, time, UNFINISHED, record, _other_version(content)), content
+    if START in there:
+        content, warnings = sound_part(place / START, content_of(place / START))
+        verb = content.get(COMMAND, "").removeprefix("cosim ")
+        outcome = _unended(place) or _outcome_of(content, warnings)
+        written = there[START], outcome, place / START, _other_version(content), warnings
+        return _Recorded(label, of, place, verb, *written), {}  # without inputs
     return None
+
+
+def _unended(place: Path) -> str:
+    """Return that the command of a record goes on, or may go on; "" if it has ended or was killed."""
+    return {True: RUNNING, False: "", None: UNKNOWN}[is_running(place)] if place.name == STARTED else ""
 
 
 def _outcome_of(content: Content, warnings: Sequence[str]) -> str:

@@ -10,6 +10,7 @@ from cosim.base.errors import Fault, refuse
 from cosim.base.suggestions import did_you_mean
 from cosim.history import messages
 from cosim.history.entries import Entry, entries, hides_results, match_entries
+from cosim.history.numbers import unknown_number
 from cosim.storage.folders import RESULTS
 
 PATTERN = ("*", "?", "[")  # characters that make a text a pattern
@@ -72,7 +73,7 @@ def select_groups(texts: Sequence[str], results: Path | None = None) -> list[lis
             group = [Selected(path, by_folder.get(path.resolve()))]
         else:
             if not matches:
-                faults.append(Fault(path, 0, 0, _no_match(text, every)))
+                faults.append(Fault(path, 0, 0, _no_match(text, every, root)))
             several = len(matches) > 1
             new = [e for e in matches if not (several and e.folder.resolve() in there)]
             group = [Selected(entry.folder, entry, several) for entry in new]
@@ -100,10 +101,10 @@ def _may_be_name(path: Path) -> bool:
     return not path.exists() or hides_results(path)
 
 
-def _no_match(text: str, every: Sequence[Entry]) -> str:
+def _no_match(text: str, every: Sequence[Entry], root: Path) -> str:
     """Return the message about a text that names no results."""
     if text.isdecimal() and every:
-        return messages.UNKNOWN_NUMBER(number=text, last=len(every))
+        return unknown_number(text, root)
     if is_pattern(text):
         return messages.NO_MATCH(hint="") if every else messages.NO_RESULTS()
     return messages.NO_PATH_OR_NAME(hint=did_you_mean(text, [entry.name for entry in every]))

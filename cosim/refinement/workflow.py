@@ -69,7 +69,7 @@ from cosim.storage.files import (
     write_json,
 )
 from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import check_overwritable, keep_earlier
+from cosim.storage.folders import begin_unrecorded, check_overwritable, keep_earlier
 from cosim.subject.candidates import Candidate
 from cosim.subject.interface import Subject, Workplace
 
@@ -114,6 +114,7 @@ def refine(
     limited = _within_limit(progress, study.content.limits, start)
     check_overwritable(folder, "cosim refine", *filter(None, [str(study.path or "")]), force=force)
     check_writable(folder, (*RESULTS, "report.html"), study.files)
+    begin_unrecorded(folder, "cosim refine", study.files)
     problem = _build_problem(study)
     refuse(_divergences(study, problem))
     study = _with_predictable_horizon(study, problem)

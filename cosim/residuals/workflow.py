@@ -46,9 +46,10 @@ from cosim.storage.files import (
     write_json,
     write_text,
 )
-from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import REPLAY, SCHEMA_VERSION, check_overwritable, keep_earlier
+from cosim.storage.folder_lock import folder_locks, release_early
+from cosim.storage.folders import REPLAY, SCHEMA_VERSION, begin, check_overwritable, keep_earlier
 from cosim.storage.results import Results, remove_rows, rows_name
+from cosim.storage.started import KILLED, STARTED, STATUS
 
 MEASURED = "log"  # component name of measurements, beside PLANT
 
@@ -158,6 +159,9 @@ def write_replay(
         check_writable(folder, (rows_file.name, residual_file.name, *written), (log.path, fmu))
         keep_earlier(folder, "cosim replay", read=(log.path, fmu))
         _remove_outdated(folder, written, rows_file)
+        sources = {"log": str(log.path), "fmu": "" if passing else str(fmu)}
+        chosen = {"start": dict(given)} if given else {}
+        begin(folder, "cosim replay", REPLAY, {"schema_version": SCHEMA_VERSION, **sources, **chosen, STATUS: KILLED})
         free = _free_run(drive, start, rows_file)
         try:
             release_stops()
@@ -166,8 +170,6 @@ def write_replay(
             errors = residuals(comparison)
             errors.write(residual_file)
             units = {**results(drive, comparison.replays[FREE_RUN].outputs).units, **errors.units}
-            sources = {"log": str(log.path), "fmu": "" if passing else str(fmu)}
-            chosen = {"start": dict(given)} if given else {}
             _record(folder, {**sources, **chosen, "sentence": verdict(comparison), "units": units})
             if proposed and lacks_something(comparison):
                 write_text(folder / NEXT_STUDY, proposed)
@@ -233,6 +235,7 @@ def _write_rows(rows: Results, file: Path) -> None:
     """Write the rows, with units in replay.json; raise DiskFull after a partial write."""
     try:
         _record(file.parent, {"status": "stopped", "units": dict(rows.units)})  # rewritten at the end
+        release_early(file.parent / STARTED)
         rows.write(file)
     except OSError as error:
         if not is_full(error):

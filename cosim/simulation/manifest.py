@@ -19,6 +19,7 @@ from cosim.scenario.scenario import FmuComponent, Scenario, resolve_defaults
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation import messages
 from cosim.storage.folders import SCHEMA_VERSION
+from cosim.storage.started import COMMAND
 from cosim.system.events import point_of, time_of
 from cosim.system.system import System
 
@@ -64,20 +65,18 @@ def manifest(
     file: ScenarioFile,
     designed: Mapping[str, Mapping[str, Any]],
     system: System,
-    timings: Mapping[str, float],
-    software: Mapping[str, Any],
-    loop: str = "",
+    command: str = "",
 ) -> dict[str, Any]:
-    """Return the manifest of a run before its outcome.
+    """Return the manifest of a run before its outcome, without `software_versions`.
 
     Args:
-        software: As returned by `software_versions`.
-        loop: As in `Results`.
+        command: Command that made the scenario, if it is not `cosim run`.
     """
     scenario, recorded = resolve_scenario(file, designed, system), system.recorded
     return {
         "schema_version": SCHEMA_VERSION,
         "cosim_version": __version__,
+        **({COMMAND: command} if command else {}),
         "status": "ok",
         "source": str(file.path.resolve()),
         "scenario": resolve_defaults(scenario),
@@ -100,9 +99,10 @@ def manifest(
             }
             for name, (path, description) in system.fmus.items()
         },
-        **software,
-        "loop": loop,
-        "timings": dict(timings),
+        "versions": {},
+        "git": None,
+        "loop": "",
+        "timings": {},
         "warnings": list(system.warnings),
         "criteria": [],
     }

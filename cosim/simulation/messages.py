@@ -12,7 +12,7 @@ FILE_OF_ANOTHER_RUN = Template(
 )
 NO_FMU_IN_SSP = Template("E-SIM-002", "it has no FMU, so there is nothing to run")
 NO_RESULTS = Template("E-SIM-003", "no such folder or file; give {kind}")
-NO_ROWS = Template("E-SIM-004", "holds no rows ({names}); give {kind}")
+NO_ROWS = Template("E-SIM-004", "holds no rows{status}: no {names}; give {kind}")
 NO_FMU = Template("E-SIM-005", "no such file; give an FMU")
 FAILED_TRIAL = Template("E-SIM-006", "does not run: {error}{cure}")
 NO_SPACE_FOR_TRIAL = Template("E-SIM-007", "cannot be tried: {error}; --no-load checks it without")

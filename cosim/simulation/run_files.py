@@ -11,7 +11,7 @@ from cosim.base.errors import InputError
 from cosim.simulation import messages
 from cosim.storage import messages as storage_messages
 from cosim.storage.artefact import folder_kind
-from cosim.storage.folders import manifest_in, record_of, replay_record, warnings_on
+from cosim.storage.folders import manifest_in, record_of, replay_record, status_in, warnings_on
 from cosim.storage.kinds import LOG, check_given, refuse_folder
 from cosim.storage.results import Results, cut_rows, is_cut_in_line, read_results, rows_in
 from cosim.storage.table_source import suffixes
@@ -58,7 +58,7 @@ def _read(path: Path) -> RecordedRun:
         if kind is None or "results" not in kind.tables:
             refuse_folder(path, WANTED)
         names = " or ".join(f"results{suffix}" for suffix in suffixes())
-        raise InputError.at(path, messages.NO_ROWS(names=names, kind=WANTED))
+        raise InputError.at(path, messages.NO_ROWS(names=names, status=status_in(path), kind=WANTED))
     manifest = manifest_in(path)
     record = record_of(rows)
     units: Any = manifest.get("units") or replay_record(path).get("units") or {}

@@ -59,10 +59,11 @@ from cosim.storage.files import (
     release_stops,
     write_json,
 )
-from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import check_run_folder, folder_named, keep_earlier, new_earlier, rows_of_killed
+from cosim.storage.folder_lock import folder_locks, release_early
+from cosim.storage.folders import begin, check_run_folder, folder_named, keep_earlier, new_earlier, rows_of_killed
 from cosim.storage.kinds import check_form
 from cosim.storage.results import Results, remove_rows, rows_name
+from cosim.storage.started import KILLED, STARTED, STATUS
 from cosim.system.real_time import real_time_of
 from cosim.system.recording import take_signals
 from cosim.system.system import System, build_system
@@ -102,6 +103,7 @@ class _Prepared:
         start: Where a stopped run goes on; None for a new run.
         keep: Whether an earlier run in the folder moves to `runs`.
         bring_back: Function that brings the checkpoint of a finished run back, which this one extends; None for others.
+        command: Command that made the scenario, if it is not `cosim run`.
     """
 
     file: ScenarioFile
@@ -117,6 +119,7 @@ class _Prepared:
     record: dict[str, Any] | None = None
     changes: Sequence[Change] = ()
     bring_back: Callable[[], None] | None = None
+    command: str = ""
 
     @property
     def interval(self) -> float | None:
@@ -132,13 +135,26 @@ class _Prepared:
     def base(self) -> dict[str, Any]:
         """Return the manifest without timings and outcome."""
         if self.record is None:
-            self.record = manifest(self.file, self.designed, self.system, {}, self.software.result())
-            if self.ssp is not None:
-                self.record["ssp"] = {"path": str(self.ssp.resolve()), "sha256": sha256(self.ssp)}
-            self.record["warnings"] += self.warnings
-            if permission.get():
-                self.record[COMPILED] = True
+            self.record = self._first_record()
+        if self.record.get("versions") == {}:
+            self.record |= self.software.result()
         return copy.deepcopy(self.record)
+
+    def _first_record(self) -> dict[str, Any]:
+        """Return the manifest without versions, which take a while."""
+        record = manifest(self.file, self.designed, self.system, self.command)
+        if self.ssp is not None:
+            record["ssp"] = {"path": str(self.ssp.resolve()), "sha256": sha256(self.ssp)}
+        record["warnings"] += self.warnings
+        if permission.get():
+            record[COMPILED] = True
+        return record
+
+    def begin(self) -> None:
+        """Write the record that remains if this command is killed, unless checkpoints remain."""
+        if self.interval is None and self.start is None:
+            self.record = self._first_record()
+            begin(self.place, "cosim run", MANIFEST, {**self.record, STATUS: KILLED}, read=self.file.files)
 
     def keeping(self) -> Keeping:
         """Return the settings of the checkpoints."""
@@ -172,6 +188,7 @@ def run(
     resume: bool = False,
     until: float | None = None,
     tell: Callable[[str], None] = lambda text: None,
+    command: str = "",
 ) -> Outcome:
     """Run a scenario or an SSP, repeat a manifest, or go on with a stopped run.
 
@@ -191,6 +208,7 @@ def run(
         resume: Whether to go on with the stopped run in a folder.
         until: End [s] of a longer run that goes on with the run in a folder.
         tell: Function that shows a note before the steps.
+        command: Command that made the scenario, if it is not `cosim run`.
 
     Raises:
         InputError: The input is faulty.
@@ -212,11 +230,13 @@ def run(
         else:
             options = force, nearest, rows_name("results", format_)
             prepared = _prepare_new(path, folder, overrides, options, software, worker, tell=tell)
+            prepared.command = command
             _tell_size(prepared, tell)
         if inputs:
             functions = InputFunctions(inputs)
             functions.check(prepared.system)
             observers.append(functions)
+        prepared.begin()
         loaded = time.perf_counter()
         stepped = _step(prepared, worker, observers, tell)
         stepping = time.perf_counter() - loaded
@@ -474,6 +494,7 @@ class _Files:
                 keep_earlier(self.rows.parent, "cosim run", read=self.prepared.file.files)
                 record = {**self.prepared.base(), "status": f"failed: {messages.ROWS_NOT_COMPLETE()}"}
                 write_json(self.rows.with_name(MANIFEST), record)  # what is known if the command is killed
+            release_early(self.rows.parent / STARTED)
             count = self._write_rows()
             release_stops()
             if count == len(time):

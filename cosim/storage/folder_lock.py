@@ -11,7 +11,7 @@ import errno
 import os
 import stat
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass, field
@@ -28,13 +28,17 @@ NO_LINK = getattr(os, "O_NOFOLLOW", 0)
 
 @dataclass
 class _Locks:
-    """Locks of the running verb: descriptors of locked folders, and folders made for locking."""
+    """Locks of the running verb: descriptors of locked folders, folders made for locking, and actions at the end."""
 
     descriptors: dict[Path, int] = field(default_factory=dict)
     new_folders: list[Path] = field(default_factory=list)
+    ends: dict[Path, Callable[[], None]] = field(default_factory=dict)
 
     def release(self) -> None:
-        """Remove lock files and empty new folders, then end the locks."""
+        """Do the actions of the end, remove lock files and empty new folders, then end the locks."""
+        for action in self.ends.values():
+            with suppress(OSError):
+                action()
         for folder, lock in self.descriptors.items():
             with suppress(OSError):
                 if os.name == "nt":  # Windows cannot remove an open file.
@@ -67,6 +71,25 @@ def folder_locks() -> Iterator[None]:
     finally:
         _locks.reset(outer)
         locks.release()
+
+
+def before_release(path: Path, action: Callable[[], None]) -> None:
+    """Do an action on a path at the end of the running verb, while its folders are still locked."""
+    if (locks := _locks.get()) is not None:
+        locks.ends[path.resolve()] = action
+
+
+def is_pending(path: Path) -> bool:
+    """Return whether the running verb has an action on a path at its end."""
+    locks = _locks.get()
+    return locks is not None and path.resolve() in locks.ends
+
+
+def release_early(path: Path) -> None:
+    """Do the action on a path now, if there is one."""
+    locks = _locks.get()
+    if locks is not None and (action := locks.ends.pop(path.resolve(), None)) is not None:
+        action()
 
 
 def take_folder(folder: Path) -> bool:

@@ -22,6 +22,7 @@ from cosim.storage.artefact import Artefact, artefacts
 from cosim.storage.files import delay_stops, write_text
 from cosim.storage.folder_lock import take_folder
 from cosim.storage.record_types import sound_part
+from cosim.storage.started import COMMAND, KILLED, START, STARTED, STATUS, bring_killed, is_killed, write_start
 
 RESULTS = Path("results")
 EARLIER = "runs"  # folder of earlier runs inside a results folder, 0001 and so on
@@ -106,6 +107,12 @@ def content_of(path: Path) -> dict[str, Any]:
     except (OSError, ValueError, RecursionError):
         return {}
     return content if isinstance(content, dict) else {}
+
+
+def status_in(folder: Path) -> str:
+    """Return the status of an incomplete command in a folder as a phrase for messages, "" if it is complete."""
+    status = (manifest_in(folder) or replay_record(folder) or content_of(folder / START)).get("status", "ok")
+    return "" if status == "ok" else f" (status: {status})"
 
 
 def replay_record(folder: Path) -> dict[str, Any]:
@@ -196,7 +203,7 @@ def prepare_folder(folder: Path, *, keep: bool = True) -> None:
 
 def refuse_links(folder: Path) -> None:
     """Raise InputError for links in place of folders in a results folder, and for a link of another user to it."""
-    inner = {EARLIER, *(part for a in artefacts() for part in a.folders)}
+    inner = {EARLIER, STARTED, *(part for a in artefacts() for part in a.folders)}
     links = [folder / name for name in sorted(inner) if (folder / name).is_symlink()]
     faults = [Fault(link, 0, 0, messages.LINK_IN_FOLDER()) for link in links]
     if hasattr(os, "geteuid"):
@@ -210,7 +217,7 @@ def keep_earlier(folder: Path, verb: str, also: Iterable[str] = (), *, read: Ite
     """Move an earlier run's files to the next of runs/0001, 0002.
 
     The files are those declared by the verb, `also`, and those of verbs whose marks are in the folder; user files stay.
-    The next verb to lock the folder finishes an interrupted move.
+    The next verb to lock the folder finishes an interrupted move. The record of a killed command is a run of its own.
 
     Args:
         read: Input files of the verb, and folders of them, which stay where they are.
@@ -218,6 +225,48 @@ def keep_earlier(folder: Path, verb: str, also: Iterable[str] = (), *, read: Ite
     Returns:
         The new folder; None without files to move.
     """
+    _bring_killed(folder, verb, also, read)
+    return _keep(folder, verb, also, read)
+
+
+def begin(folder: Path, verb: str, record: str, content: Mapping[str, Any], *, read: Iterable[Path] = ()) -> None:
+    """Write the record of a command that begins to compute, so that it is listed if it is killed.
+
+    Earlier results stay where they are. But if a command was killed after them, its record is now the newest.
+
+    Args:
+        record: Name of the record: manifest.json, replay.json or started.json.
+        read: Input files of the verb, which stay where they are.
+    """
+    with suppress(OSError):
+        _bring_killed(folder, verb, (), read)
+    write_start(folder, record, content)
+
+
+def begin_unrecorded(folder: Path, verb: str, read: Iterable[Path]) -> None:
+    """Write that a command begins whose own record is written at its end only; see `begin`."""
+    about = {"schema_version": SCHEMA_VERSION, "cosim_version": __version__, COMMAND: verb, STATUS: KILLED}
+    begin(folder, verb, START, about, read=read)
+
+
+def _bring_killed(folder: Path, verb: str, also: Iterable[str], read: Iterable[Path]) -> None:
+    """Make the record of a killed command the newest results; results before it move to `runs`."""
+    if not is_killed(folder):
+        return
+    with delay_stops():
+        if has_results(folder):
+            _keep(folder, verb, also, read)
+        bring_killed(folder)
+
+
+def has_results(folder: Path) -> bool:
+    """Return whether a folder has results of a command, stopped ones too, or rows."""
+    if any(a.is_left_in(folder, unfinished=True) for a in artefacts() if a.verb) or (folder / START).is_file():
+        return True
+    return any(folder.glob("results.*"))
+
+
+def _keep(folder: Path, verb: str, also: Iterable[str], read: Iterable[Path]) -> Path | None:
     inputs, moving = {path.resolve() for path in read}, folder / EARLIER / MOVING
     paths = [p for p in _files_of(folder, verb, also) if inputs.isdisjoint((p.resolve(), p.parent.resolve()))]
     if not paths:
@@ -233,7 +282,9 @@ def _files_of(folder: Path, verb: str, also: Iterable[str]) -> list[Path]:
     declared = [a for a in artefacts() if a.verb and (a.verb == verb or a.is_left_in(folder))]
     paths = (path for artefact in declared for path in _files_by(artefact, folder))
     more = (path for pattern in also for path in sorted(folder.glob(pattern)))
-    files = (p for p in (*paths, *more) if p.is_file() and not p.name.startswith("."))  # a lock is no result
+    files = (
+        p for p in (*paths, *more, folder / START) if p.is_file() and not p.name.startswith(".")
+    )  # a lock is no result
     return list(dict.fromkeys(files))
 
 
@@ -273,7 +324,7 @@ def _finish_move(folder: Path) -> Path | None:
     if not any(moving.iterdir()):
         moving.rmdir()
         return None
-    place = moving.parent / f"{_next_number(moving.parent):04d}"
+    place = moving.parent / f"{_following(moving.parent):04d}"
     write_text(moving.parent / LAST, f"{int(place.name)}\n")
     moving.rename(place)
     place.chmod(stat.S_IMODE(place.parent.stat().st_mode))
@@ -312,26 +363,33 @@ def new_earlier(folder: Path) -> Path:
     """Return a new, empty folder among the earlier runs of a results folder."""
     earlier = folder / EARLIER
     earlier.mkdir(exist_ok=True)
-    place = earlier / f"{_next_number(earlier):04d}"
+    place = earlier / f"{_following(earlier):04d}"
     write_text(earlier / LAST, f"{int(place.name)}\n")
     place.mkdir()
     return place
 
 
-def _next_number(earlier: Path) -> int:
-    """Return a number that no earlier run has or had."""
+def _following(earlier: Path) -> int:
+    return next_number(earlier, [path.name for path in earlier.iterdir()])
+
+
+def next_number(earlier: Path, there: Iterable[str]) -> int:
+    """Return the number of the next run that moves to a folder of earlier runs; no run has or had it.
+
+    Args:
+        there: Names in the folder.
+    """
     last = ""
     with suppress(OSError, ValueError):  # no file, as written by a version without it
         if stat.S_ISREG((earlier / LAST).lstat().st_mode):
             last = (earlier / LAST).read_text(encoding="ascii")[: MOST_DIGITS + 1].strip()
-    names = [last, *(path.name for path in earlier.iterdir())]
-    return max((int(name) for name in names if name.isdecimal() and len(name) <= MOST_DIGITS), default=0) + 1
+    return max((int(name) for name in (last, *there) if name.isdecimal() and len(name) <= MOST_DIGITS), default=0) + 1
 
 
 def note_last_number(earlier: Path) -> None:
     """Write the highest number of the earlier runs in a folder down, before runs are removed from it."""
     if earlier.is_dir() and not (earlier / LAST).is_file():
-        write_text(earlier / LAST, f"{_next_number(earlier) - 1}\n")
+        write_text(earlier / LAST, f"{_following(earlier) - 1}\n")
 
 
 def _is_inside(folder: Path, name: str) -> bool:

@@ -74,6 +74,7 @@ COMMON = {
     "schema_version": WHOLE,
     "cosim_version": TEXT,
     "version": TEXT,
+    "command": TEXT,
     "status": TEXT,
     "verdict": TEXT,
     "sentence": TEXT,

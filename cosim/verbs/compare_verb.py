@@ -151,12 +151,15 @@ def _result_source(side: Signals) -> RunSource:
 
 def _both(sources: Sequence[RunSource], baseline: int) -> tuple[RecordedRun, RecordedRun]:
     """Return the baseline and the other run, with names that differ."""
+    from cosim.comparison.differences import is_one_run
     from cosim.comparison.several import label_runs
 
     ordered = [sources[baseline], sources[1 - baseline]]
     runs = [source.read() for source in ordered]
     shorts = [source.short for source in ordered]
-    if shorts[0] == shorts[1] or shorts != [run.name for run in runs]:
+    if is_one_run(*runs):
+        runs = [replace(runs[0], name=shorts[0]), replace(runs[1], name="the same run")]
+    elif shorts[0] == shorts[1] or shorts != [run.name for run in runs]:
         labels, _ = label_runs(runs, shorts, [source.longer or source.short for source in ordered])
         runs = [replace(run, name=label) for run, label in zip(runs, labels, strict=True)]
     return runs[0], runs[1]

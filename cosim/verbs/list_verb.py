@@ -54,6 +54,7 @@ def _cut(text: str) -> str:
 
 def _as_json(entry: Entry) -> dict[str, Any]:
     when = datetime.fromtimestamp(entry.time).astimezone().isoformat(timespec="seconds")
-    content = {"number": entry.number, "name": entry.name, "folder": str(entry.folder), "command": entry.verb}
+    names = {"number": entry.number, "name": entry.name, "lasting_name": entry.lasting_name}
+    content = {**names, "folder": str(entry.folder), "command": entry.verb}
     about = {"outcome": entry.outcome, "changes": dict(entry.changes), "other_version": entry.version or None}
     return {**content, "time": when, **about, "warnings": [*entry.warnings]}

@@ -29,25 +29,35 @@ def command(
     Example: cosim open 3
     """
     from cosim.history import messages
-    from cosim.history.entries import named_entries
+    from cosim.history.entries import RUNNING, UNKNOWN, named_entries
     from cosim.storage.artefact import folder_kind
     from cosim.storage.folders import content_of, warnings_on
+    from cosim.storage.started import KILLED
 
-    folder, verb, record = Path(run), "", Path(run) / "manifest.json"
+    folder, verb, outcome, record = Path(run), "", "", Path(run) / "manifest.json"
     warnings: tuple[str, ...] = ()
     if found := named_entries(run, results or RESULTS):
         if len(found) > 1:
             names = some([f"{e.number} {e.name}" for e in found], MOST_NAMES)
             raise InputError.at(Path(run), messages.SEVERAL(count=len(found), names=names))
         (entry,) = found
-        folder, verb, record, warnings = entry.folder, entry.verb, entry.record, entry.warnings
+        folder, verb, outcome = entry.folder, entry.verb, entry.outcome
+        record, warnings = entry.record, entry.warnings
     page = folder / PAGE
     if not page.is_file():
+        if outcome == KILLED:
+            raise InputError.at(folder, messages.NO_PAGE_OF_KILLED())
+        if outcome in {RUNNING, UNKNOWN}:
+            raise InputError.at(folder, messages.NO_PAGE_YET())
         if folder_kind(folder) is None:
             raise InputError.at(folder, messages.NOT_RESULTS())
         if record.suffix == ".json" and record.is_file() and not content_of(record):
             raise InputError.at(folder, messages.NO_PAGE_OF_DAMAGED())
-        cure = f"`cosim report {folder}` writes it" if verb in {"run", ""} else "run the command again with a report"
+        cure = (
+            f"`cosim report {folder}` writes it"
+            if verb in {"run", "simulate", ""}
+            else "run the command again with a report"
+        )
         raise InputError.at(folder, messages.NO_REPORT(cure=cure))
     warn(*dict.fromkeys((*warnings_on(folder), *warnings)))
     say(f"report: {page}")

@@ -2,7 +2,9 @@
 
 from cosim.base.messages import Template
 
-NO_ROWS = Template("E-VIE-001", "has no rows to draw; give folders of runs, or tables with time in the first column")
+NO_ROWS = Template(
+    "E-VIE-001", "has no rows to draw{status}; give folders of runs, or tables with time in the first column"
+)
 NOTHING = Template("E-VIE-002", "holds no results with rows; run a scenario first, or name folders and tables")
 NO_ROW = Template("E-VIE-003", "has no row yet; wait for the end of the run, or run it again")
 LEFT_OUT = Template("W-VIE-004", "{run} is left out: {reason}")

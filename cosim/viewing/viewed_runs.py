@@ -12,7 +12,7 @@ from cosim.base.errors import Fault, InputError, refuse
 from cosim.history.entries import Entry, entries
 from cosim.history.selection import Selected, select_groups
 from cosim.storage import messages as storage_messages
-from cosim.storage.folders import manifest_in, record_of, replay_record, warnings_on
+from cosim.storage.folders import manifest_in, record_of, replay_record, status_in, warnings_on
 from cosim.storage.kinds import LOG, check_given, refuse_folder
 from cosim.storage.results import cut_rows, is_cut_in_line, rows_in
 from cosim.viewing import messages
@@ -146,9 +146,9 @@ def _places_of(text: str, group: Sequence[Selected]) -> list[RunPlace]:
             found.append(RunPlace(name, name, rows))
         elif not selected.by_pattern:
             refuse_folder(path, WANTED)
-            raise InputError.at(path, messages.NO_ROWS())
+            raise InputError.at(path, messages.NO_ROWS(status=status_in(path)))
     if group and not found:
-        raise InputError.at(Path(text), messages.NO_ROWS())
+        raise InputError.at(Path(text), messages.NO_ROWS(status=""))
     return found
 
 
