@@ -263,13 +263,17 @@ def is_one_run(a: RecordedRun, b: RecordedRun) -> bool:
 
 def sentence(c: Compared) -> str:
     """Return a summary of the comparison in a sentence."""
+    if is_one_run(c.a, c.b) and not any(d.largest for d in c.differences):
+        return f"This is one run, compared with itself: {counted(len(c.differences), 'signal')} equal."
+    return _sentence_of_two(c)
+
+
+def _sentence_of_two(c: Compared) -> str:
     count, different = len(c.differences), sum(d.largest > 0 for d in c.differences)
     of_both = " that both have" if c.only_a else ""
     every = f"All {counted(count, 'signal')}{of_both} are" if count > 1 else ""
     most = describe_largest(max(c.differences, key=lambda d: d.share))
-    if not different and is_one_run(c.a, c.b):
-        text = f"This is one run, compared with itself: {every.lower() or 'its signal is'} equal."
-    elif not different:
+    if not different:
         where = "in every row" if c.aligned else "at the times of a, and between them nowhere outside of it"
         text = f"{every or f'The signal{of_both} is'} equal {where}."
     elif not c.judged:

@@ -189,9 +189,13 @@ def match_entries(text: str, every: Sequence[Entry], root: Path = RESULTS) -> li
     if "/" in text and (folder := Path(text)).is_dir():
         place = folder.resolve()
         return [e for e in every if e.folder.resolve() == place]
-    name = text.removeprefix(f"{root}/").rstrip("/").replace(f"/{EARLIER}/", "/")
-    same = [e for e in every if e.name == name] or [e for e in every if e.lasting_name == name]
-    return same or [e for e in every if fnmatch.fnmatchcase(e.name, name)]
+    return _match_names(text.removeprefix(f"{root}/").rstrip("/").replace(f"/{EARLIER}/", "/"), every)
+
+
+def _match_names(name: str, every: Sequence[Entry]) -> list[Entry]:
+    """Return the entry of a name or of a lasting name, else the entries of a pattern of names."""
+    by_name = {**{e.lasting_name: e for e in every}, **{e.name: e for e in every}}
+    return [by_name[name]] if name in by_name else [e for e in every if fnmatch.fnmatchcase(e.name, name)]
 
 
 def hides_results(path: Path) -> bool:
@@ -343,33 +347,41 @@ def _by_mark(about: tuple[Path, str, str], scanned: _Scanned, marks: _Marks) -> 
     Args:
         about: Folder, name, and name of the newest results.
     """
-    (place, label, of), there = about, scanned.there
     for mark, artefact in marks.finished.items():
-        if mark in there:
-            record = place / mark
-            content = content_of(record) if mark.endswith(".json") else {"status": ""}
-            if not content and not record.is_file():
-                return None  # removed meanwhile
-            content, warnings = sound_part(record, content)
-            verb = content.get(COMMAND, artefact.verb).removeprefix("cosim ")
-            outcome = _unended(place) or (_missing_rows(place, scanned.tables, content) if artefact.tables else "")
-            outcome = outcome or _outcome_of(content, warnings)
-            if "no_report" in content and not (place / "report.html").is_file():
-                outcome += f", no report: {content['no_report']}"
-            written = there[mark], outcome, record, _other_version(content), warnings
-            return _Recorded(label, of, place, verb, *written), content
+        if mark in scanned.there:
+            return _by_record(about, scanned, mark, artefact)
     for mark, artefact in marks.unfinished.items():
-        if (time := there.get(mark.partition("/")[0])) is not None and (place / mark).is_file():
-            content = content_of(place / mark) if mark.endswith(".json") else {}
-            verb, record = artefact.verb.removeprefix("cosim "), place / mark.partition("/")[0]
-            return _Recorded(label, of, place, verb, time, UNFINISHED, record, _other_version(content)), content
-    if START in there:
-        content, warnings = sound_part(place / START, content_of(place / START))
-        verb = content.get(COMMAND, "").removeprefix("cosim ")
-        outcome = _unended(place) or _outcome_of(content, warnings)
-        written = there[START], outcome, place / START, _other_version(content), warnings
-        return _Recorded(label, of, place, verb, *written), {}  # without inputs
-    return None
+        name = mark.partition("/")[0]
+        if name in scanned.there and (about[0] / mark).is_file():
+            content = content_of(about[0] / mark) if mark.endswith(".json") else {}
+            verb, written = artefact.verb.removeprefix("cosim "), scanned.there[name]
+            about_record = about[0] / name, _other_version(content)
+            return _Recorded(about[1], about[2], about[0], verb, written, UNFINISHED, *about_record), content
+    return _by_record(about, scanned, START) if START in scanned.there else None
+
+
+def _by_record(
+    about: tuple[Path, str, str], scanned: _Scanned, mark: str, artefact: Artefact | None = None
+) -> tuple[_Recorded, Content] | None:
+    """Return results with the record of their command, or that of its start, whose inputs are not known.
+
+    Args:
+        artefact: Declaration of the record; None for that of a start.
+    """
+    place, label, of = about
+    record = place / mark
+    content = content_of(record) if mark.endswith(".json") else {"status": ""}
+    if not content and not record.is_file():
+        return None  # removed meanwhile
+    content, warnings = sound_part(record, content)
+    verb = content.get(COMMAND, artefact.verb if artefact else "").removeprefix("cosim ")
+    has_tables = artefact is not None and artefact.tables
+    outcome = _unended(place) or (_missing_rows(place, scanned.tables, content) if has_tables else "")
+    outcome = outcome or _outcome_of(content, warnings)
+    if "no_report" in content and not (place / "report.html").is_file():
+        outcome += f", no report: {content['no_report']}"
+    written = scanned.there[mark], outcome, record, _other_version(content), warnings
+    return _Recorded(label, of, place, verb, *written), content if artefact else {}
 
 
 def _unended(place: Path) -> str:
