@@ -9,6 +9,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -21,7 +22,7 @@ from cosim.history import entries as listing
 from cosim.history import row_ends
 from cosim.simulation import run_files
 from cosim.storage.kinds import MANIFEST, kind_of
-from cosim.storage.results import read_results
+from cosim.storage.results import Results, read_results
 from cosim.verbs.cli import app
 from cosim.viewing import stored_rows, viewed_runs
 from tests.test_first_steps import told
@@ -178,6 +179,35 @@ def test_a_long_table_is_cut_if_its_last_time_is_before_the_end_of_the_run(
     (root / "two" / "results.csv").write_text("time,a.x\n" + "".join(f"{t!r},0.123456789\n" for t in times))
     assert (root / "two" / "results.csv").stat().st_size > row_ends.LAST_BYTES
     assert _outcomes()["two"] == ("cut" if cut else status)
+
+
+@pytest.mark.parametrize("format_", ["h5", "mat"])
+def test_cut_files_of_hdf5_and_matlab_are_listed_as_cut(root: Path, format_: str) -> None:
+    pytest.importorskip("h5py")
+    (root / "two" / "results.csv").unlink()
+    _write(root / "one", status="ok")
+    _write(root / "two", status="ok", rows=3000)
+    file = root / "two" / f"results.{format_}"
+    rng = np.random.default_rng(1)
+    exact = {"a.text": ["word"] * 3000}
+    Results(np.arange(3000.0), ("a.x", "b.y"), rng.normal(size=(3000, 2)), exact=exact).write(file)
+    content = file.read_bytes()
+    for length, outcome in ((len(content), "ok"), (len(content) - 1, "cut"), (len(content) // 2, "cut"), (60, "cut")):
+        file.write_bytes(content[:length])
+        assert _outcomes()["two"] == outcome
+
+
+def test_the_report_of_a_cut_run_says_so(root: Path) -> None:
+    ref = {"block": "reference", "signals": {"x": {"start": 1.0}}}
+    scenario = {"name": "ref", "duration": 1.0, "step": 0.1, "components": {"ref": ref}}
+    cosim.run(scenario, root / "ref", in_process=True)
+    page = (root / "ref" / "report.html").read_bytes()
+    assert _invoke("report", "results/ref").stderr == ""
+    assert (root / "ref" / "report.html").read_bytes() == page
+    rows = (root / "ref" / "results.csv").read_text()
+    (root / "ref" / "results.csv").write_text(rows[:-3])
+    assert "10 of the 11 rows" in _invoke("report", "results/ref").stderr
+    assert "10 of the 11 rows" in (root / "ref" / "report.html").read_text()
 
 
 @pytest.mark.parametrize(("name", "end"), row_ends.ENDS.items())

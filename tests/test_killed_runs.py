@@ -189,6 +189,17 @@ def test_numbers_survive_a_damaged_file(here: Path, damage: str) -> None:
     assert not Path("results/elsewhere").exists()
 
 
+def test_rows_that_cannot_be_read_without_their_end_are_removed_with_a_note(here: Path) -> None:
+    here.mkdir(parents=True)
+    for name in (".results.parquet.123", ".results.csv.123"):
+        (here / name).write_bytes(b"PAR1")
+    told: list[str] = []
+    run("tank.yaml", None, report=False, in_process=True, tell=told.append)
+    assert len(told) == 1
+    assert "results.parquet" in told[0]
+    assert not [*here.glob(".results*")]
+
+
 def test_a_killed_command_and_the_next_of_another_verb(here: Path) -> None:
     _run(seed=1)
     _kill(2)

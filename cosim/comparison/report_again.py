@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 from cosim.base.errors import InputError
@@ -9,14 +10,19 @@ from cosim.comparison import messages
 from cosim.simulation.run_files import read_ran
 from cosim.storage.files import FilePath, check_writable
 from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import refuse_links
+from cosim.storage.folders import refuse_links, warnings_on
 from cosim.storage.kinds import check_given
 from cosim.storage.results import rows_in
 
 
 @folder_locks()
-def report_of(folder: FilePath, *, figures: bool = False) -> Path:
+def report_of(folder: FilePath, *, figures: bool = False, tell: Callable[..., None] = lambda *warnings: None) -> Path:
     """Write report.html of an earlier run again from its files.
+
+    The page of a run whose rows were cut says so.
+
+    Args:
+        tell: Function that shows warnings on the files.
 
     Raises:
         InputError: The folder has no run, or a run without rows.
@@ -38,7 +44,10 @@ def report_of(folder: FilePath, *, figures: bool = False) -> Path:
     check_writable(path, ("report.html",))
     from cosim.simulation.report import write_figures, write_report
 
-    write_report(path / "report.html", run.results, run.manifest)
+    tell(*run.warnings)
+    about_rows = [text for text in run.warnings if text not in warnings_on(path)]
+    manifest = {**run.manifest, "warnings": [*run.manifest.get("warnings", ()), *about_rows]}
+    write_report(path / "report.html", run.results, manifest)
     if figures:
-        write_figures(path / "figures", run.results, run.manifest)
+        write_figures(path / "figures", run.results, manifest)
     return path / "report.html"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import struct
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any
 LAST_BYTES = 2**16  # read first from the end of a table
 LONGEST_ROW = 2**22  # bytes
 ROUNDING = 1e-9  # share of the end time
+MAT_HEAD, COMPRESSED = 128, 15  # bytes before the first variable; kind of a compressed variable, which is not padded
 ENDS = {".parquet": b"PAR1", ".mcap": b"\x89MCAP0\r\n"}  # last bytes of a complete file
 
 
@@ -18,17 +20,50 @@ def is_cut(rows: Path, record: Mapping[str, Any]) -> bool:
     """Return whether rows end before the end of their run.
 
     A table of text is cut if its last line has no end, if a short one has fewer rows, or if the last time of a long one
-    is before that of the last row of the run. HDF5 and MAT files are not examined.
+    is before that of the last row of the run. HDF5 and MAT files are cut if they end before the place that they name.
     """
     count = record.get("rows")
     if not count:
         return False
-    with suppress(OSError, ValueError):
+    with suppress(OSError, ValueError, struct.error):
+        if (has_end := BY_LENGTH.get(rows.suffix)) is not None:
+            return not has_end(rows)
         if (end := ENDS.get(rows.suffix)) is not None:
             return not _last_bytes(rows, len(end)).endswith(end)
         if rows.suffix == ".csv" and type(count) is int:
             return _is_cut_text(rows, record, count)
     return False
+
+
+def _has_end_of_hdf5(path: Path) -> bool:
+    """Return whether a file has the length that its superblock names; raise struct.error for another form."""
+    with path.open("rb") as stream:
+        head = stream.read(64)
+    version = head[8] if len(head) > 8 else 0
+    if len(head) < 64:
+        return False
+    place, size = (24, head[13]) if version < 2 else (12, head[9])
+    if version == 1:
+        place += 4
+    if size != 8:  # bytes of an address; written by no known tool
+        return True
+    base, _, end = struct.unpack_from("<QQQ", head, place)
+    return path.stat().st_size >= int(base) + int(end)
+
+
+def _has_end_of_mat(path: Path) -> bool:
+    """Return whether the last variable of a file ends at its end."""
+    size, place = path.stat().st_size, MAT_HEAD
+    with path.open("rb") as stream:
+        order = "<" if stream.read(MAT_HEAD).endswith(b"IM") else ">"
+        while place + 8 <= size:
+            stream.seek(place)
+            kind, length = struct.unpack(f"{order}II", stream.read(8))
+            place += 8 + length + (-length % 8) * (kind != COMPRESSED)
+    return place == size
+
+
+BY_LENGTH = {".h5": _has_end_of_hdf5, ".hdf5": _has_end_of_hdf5, ".mat": _has_end_of_mat}
 
 
 def _last_bytes(path: Path, count: int) -> bytes:

@@ -94,6 +94,11 @@ ROWS_OF_KILLED_RUN = Template(
     "{folder}: a run was killed while it wrote its rows; those written ({size:.3g} MB) are kept, and `cosim list` "
     "names them",
 )
+DRAFT_OF_KILLED_RUN = Template(
+    "N-SIM-097",
+    "{file}: a run was killed while it wrote its rows; those written ({size:.3g} MB) cannot be read without the end of "
+    "the file, and are removed; rows in CSV are kept",
+)
 FAILED_ROWS = Template("N-SIM-090", ", and the rows of the longer run are in {folder}")
 GETS_SLOWER = Template(
     "W-SIM-075", "{component} takes {factor:.2g} times longer for a step since t = {since:g} s than before"

@@ -60,7 +60,15 @@ from cosim.storage.files import (
     write_json,
 )
 from cosim.storage.folder_lock import folder_locks, release_early
-from cosim.storage.folders import begin, check_run_folder, folder_named, keep_earlier, new_earlier, rows_of_killed
+from cosim.storage.folders import (
+    begin,
+    check_run_folder,
+    drafts_of_killed,
+    folder_named,
+    keep_earlier,
+    new_earlier,
+    rows_of_killed,
+)
 from cosim.storage.kinds import check_form
 from cosim.storage.results import Results, remove_rows, rows_name
 from cosim.storage.started import KILLED, STARTED, STATUS
@@ -317,6 +325,11 @@ def _prepare_new(
         check_run_folder(place, file.scenario.name, force=force)
     if (rows := rows_of_killed(place, "results")) is not None:
         tell(messages.ROWS_OF_KILLED_RUN(folder=place, size=rows.stat().st_size / 1e6))
+    for draft in drafts_of_killed(place, "results"):
+        if draft.stem.endswith(".csv"):
+            continue  # without a row
+        tell(messages.DRAFT_OF_KILLED_RUN(file=draft, size=draft.stat().st_size / 1e6))
+        draft.unlink()
     check_writable(place, (rows_file, MANIFEST, "report.html"), file.files)
     real_time = real_time_of(file)
     check_hosts(real_time)

@@ -339,12 +339,8 @@ def rows_of_killed(folder: Path, stem: str) -> Path | None:
     Returns:
         The file, which is among the earlier runs if the folder has such a file; None without rows.
     """
-    if not take_folder(folder):
-        return None
     name, found = f"{stem}.csv", None
-    for draft in sorted(folder.glob(f".{name}.*")):
-        if not (draft.suffix[1:].isdecimal() and is_own(draft, stat.S_ISREG)):
-            continue
+    for draft in drafts_of_killed(folder, name):
         with draft.open("rb+") as stream, suppress(ValueError):
             size = os.fstat(stream.fileno()).st_size
             content = mmap.mmap(stream.fileno(), 0)
@@ -357,6 +353,13 @@ def rows_of_killed(folder: Path, stem: str) -> Path | None:
                 place = folder if not os.path.lexists(folder / name) else new_earlier(folder)
                 found = draft.replace(place / name)
     return found
+
+
+def drafts_of_killed(folder: Path, start: str) -> list[Path]:
+    """Return the drafts of killed commands whose file names begin with `start`; the caller must hold the lock."""
+    if not take_folder(folder):
+        return []
+    return [p for p in sorted(folder.glob(f".{start}.*")) if p.suffix[1:].isdecimal() and is_own(p, stat.S_ISREG)]
 
 
 def new_earlier(folder: Path) -> Path:

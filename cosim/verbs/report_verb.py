@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from cosim.verbs.options import Json, Open
-from cosim.verbs.terminal import say, say_json, show
+from cosim.verbs.terminal import say, say_json, show, warn
 
 
 def command(
@@ -23,7 +23,7 @@ def command(
     """
     from cosim.comparison.report_again import report_of
 
-    page = report_of(folder, figures=figures)
+    page = report_of(folder, figures=figures, tell=warn)
     say(f"report:  {page}")
     if as_json:
         say_json({"report": str(page)})
