@@ -21,12 +21,13 @@ from hypothesis.extra import numpy as arrays
 from typer.testing import CliRunner
 
 from cosim.base.errors import InputError
+from cosim.history.entries import entries
 from cosim.storage.results import Results, read_results
 from cosim.verbs.cli import app
 from cosim.viewing import stored_rows, view_page
 from cosim.viewing.layouts import Layouts
 from cosim.viewing.pyramid import TIME, Recording, level_sizes
-from cosim.viewing.stored_rows import StoredRecording, open_rows
+from cosim.viewing.stored_rows import ColumnTypes, StoredRecording, open_rows
 from cosim.viewing.view_page import ViewPage
 from cosim.viewing.viewed_runs import RunPlace, ViewedRun, file_state, find_runs, open_runs
 
@@ -157,7 +158,7 @@ def test_a_converted_table_gives_what_memory_gives(tmp_path: Path, suffix: str) 
     if suffix != ".csv":
         results.write(path)
     seen: list[tuple[int, int]] = []
-    stored = open_rows(path, {}, [], lambda done, total: seen.append((done, total)))
+    stored = open_rows(path, ColumnTypes(), lambda done, total: seen.append((done, total)))
     assert isinstance(stored, StoredRecording)
     assert seen
     assert all(done <= total for done, total in seen)
@@ -173,7 +174,7 @@ def test_a_converted_table_gives_what_memory_gives(tmp_path: Path, suffix: str) 
             np.testing.assert_array_equal(ours.points(name), theirs.points(name))
     places = np.array([5, 29_000, 4097, 4096])
     np.testing.assert_array_equal(stored.take("rows", "a.x", places), results["a.x"][places])
-    again = open_rows(path, {}, [], lambda done, total: pytest.fail("converted twice"))
+    again = open_rows(path, ColumnTypes(), lambda done, total: pytest.fail("converted twice"))
     assert again.rows == stored.rows
 
 
@@ -183,16 +184,16 @@ def test_a_changed_table_is_converted_again_and_a_closed_folder_has_a_temporary_
 ) -> None:
     path = tmp_path / "run" / "results.csv"
     _table(path, 5000)
-    assert open_rows(path, {}, []).rows == 5000
+    assert open_rows(path, ColumnTypes()).rows == 5000
     assert (path.parent / ".view" / "results.csv" / "low.parquet").is_file()
     _table(path, 6000)
-    assert open_rows(path, {}, []).rows == 6000
+    assert open_rows(path, ColumnTypes()).rows == 6000
     assert [p.name for p in (path.parent / ".view").iterdir()] == ["results.csv"]
     shutil.rmtree(path.parent / ".view")
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     (path.parent / ".view").symlink_to(elsewhere)  # never followed
-    assert open_rows(path, {}, []).rows == 6000
+    assert open_rows(path, ColumnTypes()).rows == 6000
     assert list(elsewhere.iterdir()) == []
     assert stored_rows.notes_on(path)[0].code == "N-VIE-007"
 
@@ -214,7 +215,7 @@ def test_a_faulty_table_is_refused_with_the_place_and_leaves_nothing(tmp_path: P
     path = tmp_path / "results.csv"
     path.write_text(text)
     with pytest.raises(InputError, match=words):
-        open_rows(path, {}, [])
+        open_rows(path, ColumnTypes())
     assert [p.name for p in tmp_path.rglob("*") if p.is_file()] == ["results.csv"]
 
 
@@ -224,7 +225,7 @@ def test_without_pyarrow_a_table_is_read_as_a_whole_with_a_note(
     monkeypatch.setattr(stored_rows, "SMALL", 0)
     monkeypatch.setattr(stored_rows, "_has_pyarrow", lambda: False)
     _table(tmp_path / "results.csv", 200)
-    assert open_rows(tmp_path / "results.csv", {}, []).rows == 200
+    assert open_rows(tmp_path / "results.csv", ColumnTypes()).rows == 200
     assert "pip install" in stored_rows.notes_on(tmp_path / "results.csv")[0]
     assert not (tmp_path / ".view").exists()
 
@@ -264,7 +265,7 @@ def test_integers_of_64_bits_are_numbers_and_texts_and_texts_are_texts(tmp_path:
     if suffix == ".parquet":
         pytest.importorskip("pyarrow")
     results = _with_texts(path, 300)
-    _same_texts(open_rows(path, {}, [*results.exact]), results, 300)
+    _same_texts(open_rows(path, ColumnTypes(text=[*results.exact])), results, 300)
 
 
 @pytest.mark.usefixtures("always_stored")
@@ -277,9 +278,39 @@ def test_a_converted_table_keeps_texts_and_integers(
         pytest.importorskip("h5py")
     monkeypatch.setattr(stored_rows, "TEXT_ROWS", 64)  # several groups
     results = _with_texts(path, 300)
-    stored = open_rows(path, {}, [*results.exact])
+    stored = open_rows(path, ColumnTypes(text=[*results.exact]))
     assert isinstance(stored, StoredRecording)
     _same_texts(stored, results, 300)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".mcap"])
+@pytest.mark.parametrize("is_stored", [False, True])
+def test_texts_that_look_like_integers_are_texts_if_that_is_known(
+    tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch, *, is_stored: bool
+) -> None:
+    monkeypatch.setattr(stored_rows, "SMALL", 0 if is_stored else stored_rows.SMALL)
+    pytest.importorskip({".parquet": "pyarrow", ".mcap": "mcap"}.get(suffix, "pyarrow"))
+    path = tmp_path / f"results{suffix}"
+    exact = {"fmu.id": [LARGE[k % 2] for k in range(30)], "fmu.word": ["42"] * 30, "fmu.raw": [b"\x12"] * 30}
+    Results(np.arange(30.0), ("fmu.x",), np.ones((30, 1)), exact=exact).write(path)
+    known = frozenset({"fmu.word", "fmu.raw"}) if suffix == ".csv" else frozenset[str]()
+    recording = open_rows(path, ColumnTypes(text=[*exact], words=known))
+    assert {*recording.units} == {"fmu.x", "fmu.id"}
+    assert {*recording.texts} == {*exact}
+    assert recording.text("fmu.word", 3) == "42"
+
+
+@pytest.mark.parametrize("is_stored", [False, True])
+def test_large_integers_of_another_tool_are_told_to_be_inexact(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, is_stored: bool
+) -> None:
+    monkeypatch.setattr(stored_rows, "SMALL", 0 if is_stored else stored_rows.SMALL)
+    pytest.importorskip("pyarrow")
+    path = tmp_path / "foreign.csv"
+    path.write_text(f"time,id,count,x\n0,{2**53 + 1},1,1e20\n1,{2**53 + 3},2,2.5\n")
+    assert open_rows(path, ColumnTypes()).inexact == ["id"]
+    notes = CliRunner().invoke(app, ["view", str(path), "--prepare"]).stderr
+    assert "integers of id above 2^53 are read as the nearest double" in notes
 
 
 # -- runs ----------------------------------------------------------------------------------------------
@@ -321,7 +352,7 @@ def test_runs_without_names_are_all_that_can_be_read(folder: Path) -> None:
     ("words", "message"),
     [
         ("nothing", "no such folder or file"),
-        ("9", "no results with the number 9; `cosim list` shows 1 to"),
+        ("9", "no results with the number 9; `cosim list` shows the numbers, up to"),
         ("half", "results.csv:2"),
         (".", "has no rows to draw"),
         ("text.txt", "is a text"),
@@ -333,6 +364,7 @@ def test_runs_without_names_are_all_that_can_be_read(folder: Path) -> None:
 def test_bad_input_ends_with_code_2_and_the_reason(folder: Path, words: str, message: str) -> None:
     (folder / "text.txt").write_text("words\n")
     (folder / "wrong.json").write_text('{"layouts": []}')
+    entries()  # which gives the results their numbers
     before = sorted(folder.rglob("*"))
     done = CliRunner().invoke(app, ["view", *words.split(), "--no-browser", "--prepare"])
     assert message in (str(done.exception) if isinstance(done.exception, InputError) else done.output)
@@ -369,7 +401,7 @@ def page(tmp_path: Path) -> Iterator[tuple[ViewPage, Ask]]:
     for k in range(2):
         file = tmp_path / f"r{k}.csv"
         file.write_text(f"time,x [m],y\n0,{k},1\n1,{k + 1},\n1,{k + 2},3\n")
-        runs.append(ViewedRun(RunPlace(f"r{k}", f"run {k}", file), open_rows(file, {}, []), file_state(file)))
+        runs.append(ViewedRun(RunPlace(f"r{k}", f"run {k}", file), open_rows(file, ColumnTypes()), file_state(file)))
     with ViewPage("2 runs", runs, Layouts(tmp_path / "view.json")) as made:
         yield made, _asking(made)
 
@@ -511,7 +543,9 @@ def test_layouts_are_kept_in_a_file(page: tuple[ViewPage, Ask], tmp_path: Path) 
 def test_texts_come_at_the_cursor_and_in_exports(tmp_path: Path) -> None:
     file = tmp_path / "results.csv"
     results = _with_texts(file, 4)
-    run = ViewedRun(RunPlace("r0", "run 0", file), open_rows(file, {}, [*results.exact]), file_state(file))
+    run = ViewedRun(
+        RunPlace("r0", "run 0", file), open_rows(file, ColumnTypes(text=[*results.exact])), file_state(file)
+    )
     with ViewPage("run 0", [run], Layouts(tmp_path / "view.json")) as page:
         ask = _asking(page)
         assert ask("about")["sets"][0][2] == ["fmu.id", "fmu.count", "fmu.mode", "fmu.raw"]

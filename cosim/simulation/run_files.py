@@ -62,6 +62,7 @@ def _read(path: Path) -> RecordedRun:
     manifest = manifest_in(path)
     record = record_of(rows)
     units: Any = manifest.get("units") or replay_record(path).get("units") or {}
-    results = read_results(rows, units, manifest.get("beside", ()), ended=is_cut_in_line(rows, record))
+    ended, words = is_cut_in_line(rows, record), manifest.get("texts", ())
+    results = read_results(rows, units, manifest.get("beside", ()), ended=ended, words=words)
     warnings = (*warnings_on(path), *cut_rows(rows, results.time.size, record))
     return RecordedRun(path, path.resolve().name, results, manifest, warnings)

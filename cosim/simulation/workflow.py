@@ -248,6 +248,8 @@ def run(
         loaded = time.perf_counter()
         stepped = _step(prepared, worker, observers, tell)
         stepping = time.perf_counter() - loaded
+        words = prepared.system.texts & {*stepped.results.exact}
+        stepped = replace(stepped, results=replace(stepped.results, words=words))
         prepared = _apart_from_finished(prepared, stepped, tell)
         record, limits = prepared.base(), prepared.file.scenario.limits
         record["loop"] = stepped.results.loop

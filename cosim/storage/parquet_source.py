@@ -146,7 +146,8 @@ def _column(name: str, unit: str, column: Any, *, is_text: bool) -> SourceColumn
         column = column.cast(column.type.value_type)
     for tests, values in READERS:
         if any(getattr(types, f"is_{test}")(column.type) for test in tests.split()):
-            return SourceColumn(name, unit, _texts(column) if is_text and values is _integers else values(column))
+            read = _texts(column) if is_text and values is _integers else values(column)
+            return SourceColumn(name, unit, read, is_text=values not in {_doubles, _integers})
     return SourceColumn(name, unit, fault=_no_numbers(types, column.type))
 
 

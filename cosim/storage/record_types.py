@@ -90,6 +90,7 @@ TYPES: Mapping[str, Mapping[str, Kind]] = {
         "fmus": Kind("a mapping", dict, MAPPING),
         "order": TEXTS,
         "beside": TEXTS,
+        "texts": TEXTS,
         "warnings": TEXTS,
         "versions": MAPPING,
         "timings": MAPPING,

@@ -47,6 +47,7 @@ class Results:
         events: Handled events and ticks of a run with event mode: time [s], component, cause; the first ones.
         event_counts: Their numbers, by component and cause.
         details: Entries of the manifest about the steps.
+        words: Names in `exact` of text and binary data, which may look like integers; none if that is not known.
     """
 
     time: Array
@@ -60,6 +61,7 @@ class Results:
     events: tuple[tuple[float, str, str], ...] = ()
     event_counts: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
     details: Mapping[str, Any] = field(default_factory=dict)
+    words: frozenset[str] = frozenset()
 
     def __getitem__(self, name: str) -> Array:
         return self.values[:, self._places[name]]
@@ -69,7 +71,8 @@ class Results:
 
     def with_integers(self) -> Results:
         """Return results whose columns of 64-bit integers beside the doubles are numbers too, rounded to doubles."""
-        found = {name: whole for name, values in self.exact.items() if (whole := whole_numbers_of(values)) is not None}
+        integers = ((name, whole_numbers_of(values)) for name, values in self.exact.items() if name not in self.words)
+        found = {name: values for name, values in integers if values is not None}
         if not found:
             return self
         values = np.column_stack([self.values, *found.values()])
@@ -184,7 +187,12 @@ def is_rounded(values: Array) -> bool:
 
 
 def read_results(
-    path: Path, units: Mapping[str, str] | None = None, text: Collection[str] = (), *, ended: bool = False
+    path: Path,
+    units: Mapping[str, str] | None = None,
+    text: Collection[str] = (),
+    *,
+    ended: bool = False,
+    words: Collection[str] = (),
 ) -> Results:
     """Return written results, or any table with time first.
 
@@ -193,6 +201,7 @@ def read_results(
     Args:
         units: Units of columns without unit in the header.
         text: Columns of text; other columns are classified by their cells.
+        words: Columns of `text` that are no integers, also if they look like it.
         ended: Leave out the last line of a text without a line end; see `is_cut_in_line`.
 
     Raises:
@@ -216,7 +225,8 @@ def read_results(
     values = np.column_stack(list(numbers.values())) if numbers else np.empty((time.size, 0))
     own_units = {c.name: c.unit for c in frame.columns[1:] if c.unit}
     own_units |= {name: unit for name, unit in units.items() if name in numbers or name in exact}
-    return Results(time, tuple(numbers), values, own_units, exact, frozenset(whole))
+    words = frozenset(exact) & {*words, *(c.name for c in frame.columns[1:] if c.is_text)}
+    return Results(time, tuple(numbers), values, own_units, exact, frozenset(whole), words=words)
 
 
 def _source_of(path: Path, ended: bool) -> Source:

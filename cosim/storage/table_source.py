@@ -49,12 +49,14 @@ class SourceColumn:
         unit: Unit, "" if absent.
         values: Numbers, NaN if missing, whole numbers as integers; or a list of other values.
         fault: Reason for missing numbers, e.g. "holds timestamps; write seconds", or "".
+        is_text: Whether the file says that values are text or binary data, also if they look like numbers.
     """
 
     name: str
     unit: str
     values: Array | Sequence[Any] = ()
     fault: str = ""
+    is_text: bool = False
 
     @property
     def numeric(self) -> bool:

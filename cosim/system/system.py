@@ -89,6 +89,11 @@ class System:
         return has_events or bool(self.loops) or self.control is not None or any(self.courses)
 
     @property
+    def texts(self) -> frozenset[str]:
+        """Return the names of the columns of text and binary data."""
+        return frozenset(column for column in self.beside if self.signals[column].kind in {"String", "Binary"})
+
+    @property
     def recorded(self) -> frozenset[str]:
         """Return the names of all recorded signals."""
         if (part := self.recording) is None:

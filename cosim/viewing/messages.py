@@ -60,4 +60,5 @@ NEEDED = Template("E-VIE-030", "{others} is derived from {name}; remove that fir
 ROUNDED = Template(
     "N-VIE-028", "{run}: integers of {names} above 2^53 are drawn as the nearest double; the cursor shows all digits"
 )
+INEXACT = Template("N-VIE-031", "{run}: integers of {names} above 2^53 are read as the nearest double")
 WRONG_LAYOUT = Template("E-VIE-027", "{place}: {reason}; correct it, or save this layout again in the page")

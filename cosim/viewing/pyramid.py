@@ -102,7 +102,8 @@ class Recording:
         rows: Number of rows.
         added: Units of signals that were computed here.
         texts: Signals that doubles do not hold, each with all its texts; those of integers are numbers too.
-        rounded: Signals with integers that are rounded to doubles.
+        rounded: Signals with integers that are drawn as doubles, and of which all digits are there as texts.
+        inexact: Signals with integers that are read as doubles, without their last digits.
         needed: Signals that are read one after the other now, for a subclass that reads several at once.
     """
 
@@ -115,6 +116,7 @@ class Recording:
     ) -> None:
         self.units, self.rows, self.added, self.texts = dict(units), rows, dict[str, str](), texts
         self.rounded = [name for name in texts if name in columns and is_rounded(columns[name])]
+        self.inexact: list[str] = []
         self.needed: frozenset[str] = frozenset()
         self.sizes = level_sizes(rows)
         # Above the rows, all levels stand one behind the other in a column.

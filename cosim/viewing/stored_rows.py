@@ -11,9 +11,9 @@ import os
 import shutil
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from hashlib import sha256
 from importlib.util import find_spec
 from pathlib import Path
@@ -44,7 +44,7 @@ from cosim.viewing.pyramid import (
     make_levels,
 )
 
-FOLDER, ABOUT, VERSION = ".view", "about.json", 2
+FOLDER, ABOUT, VERSION = ".view", "about.json", 3
 TEXTS, TEXT_ROWS = "texts", 1 << 16  # file of texts, and the rows of a group in it
 SMALL = 4_000_000  # size of a table that is read as a whole [bytes]
 GROUP_VALUES = 1 << 23  # values written at a time
@@ -89,7 +89,7 @@ class StoredRecording(Recording):
 
     def __init__(self, folder: Path, about: Mapping[str, Any]) -> None:
         super().__init__({}, about["units"], int(about["rows"]), dict.fromkeys(about["texts"], ()))
-        self.rounded = list(about["rounded"])
+        self.rounded, self.inexact = list(about["rounded"]), list(about["inexact"])
         self._folder, self._group = folder, int(about["group"])
         self._ends = tuple(about["span"])
         self._files: dict[str, Any] = {}
@@ -148,14 +148,30 @@ class StoredRecording(Recording):
         return chunks[name]
 
 
-def open_rows(
-    path: Path, units: Mapping[str, str], text: Sequence[str], progress: Progress = None, *, ended: bool = False
-) -> Recording:
+@dataclass(frozen=True)
+class ColumnTypes:
+    """What is known of the columns of a table from elsewhere.
+
+    Attributes:
+        units: Units of columns without unit in the header.
+        text: Columns of text or of large integers, even with numeric content.
+        words: Columns of `text` that are no integers, also if they look like it.
+    """
+
+    units: Mapping[str, str] = field(default_factory=dict)
+    text: Sequence[str] = ()
+    words: frozenset[str] = frozenset()
+
+    def read(self, path: Path, *, ended: bool) -> Results:
+        """Return the rows of a table in memory; raise InputError if it has faults."""
+        return read_results(path, self.units, self.text, ended=ended, words=self.words)
+
+
+def open_rows(path: Path, columns: ColumnTypes, progress: Progress = None, *, ended: bool = False) -> Recording:
     """Return the rows of a table; convert a large one first, unless its conversion is there.
 
     Args:
-        units: Units of columns without unit in the header.
-        text: Columns of text, even with numeric content.
+        columns: What is known of the columns from elsewhere.
         progress: Function of the converted and the whole size.
         ended: Leave out the last line of a text without a line end.
 
@@ -164,8 +180,8 @@ def open_rows(
     """
     status = path.stat() if path.is_file() else None
     if status is None or status.st_size <= SMALL or not _has_pyarrow():
-        return _in_memory(read_results(path, units, text, ended=ended), path)
-    key = _key(status, units, text, ended)
+        return _in_memory(columns.read(path, ended=ended), path)
+    key = _key(status, columns, ended)
     places = [
         path.parent / FOLDER / path.name,
         process_folder() / FOLDER / sha256(os.fsencode(path.resolve())).hexdigest(),
@@ -175,7 +191,7 @@ def open_rows(
         if about.get("key") == key and not place.is_symlink() and not place.parent.is_symlink():
             return StoredRecording(place, about)
     place = places[0] if _is_writable(path.parent) else places[1]
-    return StoredRecording(place, _convert(path, place, units, text, progress, ended))
+    return StoredRecording(place, _convert(path, place, columns, progress, ended))
 
 
 def notes_on(path: Path) -> list[str]:
@@ -187,9 +203,10 @@ def notes_on(path: Path) -> list[str]:
     return [] if _is_writable(path.parent) else [messages.TEMPORARY(folder=path.parent)]
 
 
-def _key(status: os.stat_result, units: Mapping[str, str], text: Sequence[str], ended: bool) -> dict[str, Any]:
+def _key(status: os.stat_result, columns: ColumnTypes, ended: bool) -> dict[str, Any]:
     """Return a value that changes with a file and with what is known of its columns."""
-    known = sha256(json.dumps([sorted(units.items()), sorted(text)]).encode()).hexdigest()
+    content = [sorted(columns.units.items()), sorted(columns.text), sorted(columns.words)]
+    known = sha256(json.dumps(content).encode()).hexdigest()
     key = {"version": VERSION, "size": status.st_size, "time": status.st_mtime_ns, "known": known}
     return {**key, "ended": True} if ended else key
 
@@ -210,15 +227,19 @@ def _in_memory(results: Results, path: Path) -> Recording:
     shown = results.with_integers()
     columns = {TIME: shown.time, **{name: shown[name] for name in shown.columns}}
     units = {name: shown.units.get(name, "") for name in shown.columns}
-    return Recording(columns, units, shown.time.size, shown.texts())
+    recording = Recording(columns, units, shown.time.size, shown.texts())
+    recording.inexact = _inexact(results)
+    return recording
+
+
+def _inexact(results: Results) -> list[str]:
+    return [name for name in results.columns if name in results.whole and is_rounded(results[name])]
 
 
 # -- conversion -------------------------------------------------------------------------------------------
 
 
-def _convert(
-    path: Path, place: Path, units: Mapping[str, str], text: Sequence[str], progress: Progress, ended: bool
-) -> Any:
+def _convert(path: Path, place: Path, columns: ColumnTypes, progress: Progress, ended: bool) -> Any:
     """Write the files of a cache and return their description; the faults of a table are those of its reader."""
     import pyarrow
 
@@ -228,17 +249,18 @@ def _convert(
     status = path.stat()
     try:
         try:
-            table = _table_of(path, units, text, ended)
+            table = _table_of(path, columns, ended)
             whole, rounded = _write_texts(draft / f"{TEXTS}.parquet", table)
             places = [*table.numbers, *whole]
-            about = _write(draft, [table.heads[k] for k in places], table.batches(places), path, progress)
+            integers = {n for n, k in enumerate(places) if k in table.integers}
+            about = _write(draft, [table.heads[k] for k in places], table.batches(places), integers, (path, progress))
             about["texts"], about["rounded"] = ([table.heads[k][0] for k in some] for some in (table.texts, rounded))
         except (pyarrow.ArrowException, OSError, ValueError) as error:
-            results = read_results(path, units, text, ended=ended)  # which tells each fault by its place
+            results = columns.read(path, ended=ended)  # which tells each fault by its place
             if not results.time.size:
                 raise InputError.at(path, messages.NO_ROW()) from None
             raise InputError.at(path, messages.UNREADABLE(reason=str(error).partition("\n")[0])) from None
-        (draft / ABOUT).write_text(json.dumps({"key": _key(status, units, text, ended), **about}), encoding="utf-8")
+        (draft / ABOUT).write_text(json.dumps({"key": _key(status, columns, ended), **about}), encoding="utf-8")
         shutil.rmtree(place, ignore_errors=True)
         with suppress(OSError):  # Another command was faster.
             draft.rename(place)
@@ -254,7 +276,9 @@ class _Table:
     Attributes:
         heads: Names and units.
         numbers: Places of the columns of numbers, time first.
-        texts: Places of the columns of texts.
+        texts: Places of the columns of texts, and of integers that doubles do not hold.
+        words: Places of the columns of texts that are no integers, also if they look like it.
+        integers: Places of the columns of numbers that the file has as integers.
         batches: Function of places that returns their columns as numbers.
         text_batches: Function of places that returns their columns as arrays of pyarrow with texts.
     """
@@ -264,18 +288,20 @@ class _Table:
     texts: Sequence[int]
     batches: Callable[[Sequence[int]], Batches]
     text_batches: Callable[[Sequence[int]], Iterator[Sequence[Any]]]
+    words: Collection[int]
+    integers: Collection[int]
 
 
-def _table_of(path: Path, units: Mapping[str, str], text: Sequence[str], ended: bool) -> _Table:
+def _table_of(path: Path, columns: ColumnTypes, ended: bool) -> _Table:
     """Return the columns of a table in any format."""
     source = source_of(path)
     if source is CSV:
-        return _csv_table(path, units, text, ended)
+        return _csv_table(path, columns, ended)
     if source is PARQUET:
-        return _parquet_table(path, units, text)
+        return _parquet_table(path, columns)
     from pyarrow import array, string
 
-    results = read_results(path, units, text)
+    results = columns.read(path, ended=False)
     texts, last = results.texts(), len(results.columns) + 1
     values = [results.time, *results.values.T, *texts.values()]
     heads = [(TIME, "s"), *((name, results.units.get(name, "")) for name in (*results.columns, *texts))]
@@ -286,10 +312,11 @@ def _table_of(path: Path, units: Mapping[str, str], text: Sequence[str], ended: 
     def text_batches(places: Sequence[int]) -> Iterator[Sequence[Any]]:
         yield [array(values[k], string()) for k in places]
 
-    return _Table(heads, range(last), range(last, len(values)), batches, text_batches)
+    words, inexact = ({k for k, (name, _) in enumerate(heads) if name in s} for s in (results.words, results.whole))
+    return _Table(heads, range(last), range(last, len(values)), batches, text_batches, words, inexact)
 
 
-def _csv_table(path: Path, units: Mapping[str, str], text: Sequence[str], ended: bool) -> _Table:
+def _csv_table(path: Path, columns: ColumnTypes, ended: bool) -> _Table:
     from pyarrow import BufferReader, csv, float64, memory_map, string, types
 
     def content() -> Any:
@@ -299,7 +326,7 @@ def _csv_table(path: Path, units: Mapping[str, str], text: Sequence[str], ended:
             rows = file.read_buffer()
         return BufferReader(rows.slice(0, _last_line_end(path)))
 
-    heads, line = read_heading(path, units)
+    heads, line = read_heading(path, columns.units)
     reading = csv.ReadOptions(block_size=BLOCK, skip_rows=line, column_names=[str(k) for k in range(len(heads))])
     with csv.open_csv(content(), read_options=reading) as first:
         kinds = first.schema.types
@@ -317,7 +344,10 @@ def _csv_table(path: Path, units: Mapping[str, str], text: Sequence[str], ended:
             done = min(size, done + BLOCK)
             yield [column.to_numpy(zero_copy_only=False) for column in batch.columns], done
 
-    return _Table(heads, *_choose(heads, numbers, text), batches, lambda k: (b.columns for b in read(k, string())))
+    words = {k for k, (name, _) in enumerate(heads) if name in columns.words}
+    integers = {k for k, kind in enumerate(kinds) if types.is_integer(kind)}
+    chosen = _choose(heads, numbers, columns.text)
+    return _Table(heads, *chosen, batches, lambda k: (b.columns for b in read(k, string())), words, integers)
 
 
 def _last_line_end(path: Path) -> int:
@@ -332,15 +362,15 @@ def _last_line_end(path: Path) -> int:
     return size
 
 
-def _parquet_table(path: Path, units: Mapping[str, str], text: Sequence[str]) -> _Table:
+def _parquet_table(path: Path, columns: ColumnTypes) -> _Table:
     from pyarrow import array, parquet, string, types
 
     file = parquet.ParquetFile(path)
     heads, numbers, kinds = list[tuple[str, str]](), list[bool](), list[Any]()
-    for field in file.schema_arrow:
-        unit = (field.metadata or {}).get(UNIT)
-        heads.append(split_heading(field.name, units) if unit is None else (field.name, unit.decode()))
-        kind = field.type.value_type if types.is_dictionary(field.type) else field.type
+    for column in file.schema_arrow:
+        unit = (column.metadata or {}).get(UNIT)
+        heads.append(split_heading(column.name, columns.units) if unit is None else (column.name, unit.decode()))
+        kind = column.type.value_type if types.is_dictionary(column.type) else column.type
         kinds.append(kind)
         numbers.append(types.is_floating(kind) or types.is_integer(kind) or types.is_boolean(kind))
 
@@ -363,7 +393,9 @@ def _parquet_table(path: Path, units: Mapping[str, str], text: Sequence[str]) ->
         for batch in read():
             yield [texts_of(batch.column(k), kinds[k]) for k in places]
 
-    return _Table(heads, *_choose(heads, numbers, text), batches, text_batches)
+    words = {k for k, is_number in enumerate(numbers) if not is_number or heads[k][0] in columns.words}
+    integers = {k for k, kind in enumerate(kinds) if types.is_integer(kind)}
+    return _Table(heads, *_choose(heads, numbers, columns.text), batches, text_batches, words, integers)
 
 
 def _choose(
@@ -388,7 +420,7 @@ def _write_texts(path: Path, table: _Table) -> tuple[list[int], list[int]]:
     from pyarrow import compute, parquet
 
     schema = pa.schema([pa.field(table.heads[k][0], pa.string()) for k in table.texts])
-    whole, rounded, waiting = {*table.texts}, set[int](), schema.empty_table()
+    whole, rounded, waiting = {*table.texts} - {*table.words}, set[int](), schema.empty_table()
     with parquet.ParquetWriter(path, schema, compression="lz4", write_statistics=False) as file:
         for columns in table.text_batches(table.texts):
             for place, column in zip(table.texts, columns, strict=True):
@@ -414,8 +446,16 @@ def _further_levels(seconds: Sequence[tuple[Array, Array]], sizes: Sequence[int]
     return [(low, high), *make_levels(low, high, sizes[2:])]
 
 
-def _write(draft: Path, heads: list[tuple[str, str]], batches: Batches, path: Path, progress: Progress) -> Any:
-    """Write rows and extremes; return the description of a cache."""
+def _write(
+    draft: Path, heads: list[tuple[str, str]], batches: Batches, integers: set[int], about: tuple[Path, Progress]
+) -> Any:
+    """Write rows and extremes; return the description of a cache.
+
+    Args:
+        integers: Places of columns that the file has as integers.
+        about: File that is converted, and function of the converted and the whole size.
+    """
+    (path, progress), inexact = about, set[int]()
     units = dict(heads[1:])
     names, scale = [TIME, *units], factor(heads[0][1], "s") or 1.0
     group = max(LEAST_GROUP, min(MOST_GROUP, GROUP_VALUES // len(names) // LEAST_GROUP * LEAST_GROUP))
@@ -431,6 +471,7 @@ def _write(draft: Path, heads: list[tuple[str, str]], batches: Batches, path: Pa
             last, rows = float(time[-1]), rows + time.size
             ends = [*ends[:1], *([float(time[0])] if not ends else []), last]
             files[0].add(values)
+            inexact |= {k for k in integers - inexact if is_rounded(values[k])}
             values[~np.isfinite(values)] = np.nan
             first = join_blocks(values, values)
             for file, side in zip(files[1:], first, strict=True):
@@ -446,7 +487,8 @@ def _write(draft: Path, heads: list[tuple[str, str]], batches: Batches, path: Pa
     finally:
         for file in files:
             file.close()
-    return {"units": units, "rows": rows, "group": group, "span": ends}
+    names_of_inexact = [names[k] for k in sorted(inexact)]
+    return {"units": units, "rows": rows, "group": group, "span": ends, "inexact": names_of_inexact}
 
 
 def _regroup(batches: Batches, group: int) -> Iterator[tuple[Array, int]]:

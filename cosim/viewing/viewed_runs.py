@@ -17,7 +17,7 @@ from cosim.storage.kinds import LOG, check_given, refuse_folder
 from cosim.storage.results import cut_rows, is_cut_in_line, rows_in
 from cosim.viewing import messages
 from cosim.viewing.pyramid import Recording
-from cosim.viewing.stored_rows import notes_on, open_rows
+from cosim.viewing.stored_rows import ColumnTypes, notes_on, open_rows
 
 MOST_RUNS = 20  # shown without names
 MOST_NAMES = 5  # signals in a note
@@ -112,12 +112,15 @@ def open_runs(places: Iterable[RunPlace], bar: Bar) -> tuple[list[ViewedRun], li
             state = file_state(place.file)
             with bar(f"converting {place.label}") as progress:
                 ended = is_cut_in_line(place.file, record)
-                rows = open_rows(place.file, units, manifest.get("beside", []), progress, ended=ended)
+                columns = ColumnTypes(units, manifest.get("beside", ()), frozenset(manifest.get("texts", ())))
+                rows = open_rows(place.file, columns, progress, ended=ended)
             if place.entry is not None:
                 place.entry.check_current()
             about = (*warnings_on(folder), *cut_rows(place.file, rows.rows, record), *notes_on(place.file))
             if rows.rounded:
                 about += (messages.ROUNDED(run=place.label, names=", ".join(rows.rounded[:MOST_NAMES])),)
+            if rows.inexact:
+                about += (messages.INEXACT(run=place.label, names=", ".join(rows.inexact[:MOST_NAMES])),)
             runs.append(ViewedRun(place, rows, state))
             notes += [note for note in about if note not in notes]
         except (InputError, FileNotFoundError) as caught:
