@@ -17,7 +17,7 @@ from cosim.storage.results import rows_in
 
 @folder_locks()
 def report_of(folder: FilePath, *, figures: bool = False, tell: Callable[..., None] = lambda *warnings: None) -> Path:
-    """Write report.html of an earlier run again from its files.
+    """Write an earlier run's report.html again.
 
     The page of a run whose rows were cut says so.
 

@@ -80,12 +80,12 @@ class Entry:
 
     @property
     def is_newest(self) -> bool:
-        """Return whether the results are not among the earlier runs: only a killed command may be later."""
+        """Return whether the results are no earlier run."""
         return self.name == self.of or self.folder.name == STARTED
 
     @property
     def label(self) -> str:
-        """Return the number and the changed inputs: `run 3 (mass = 440)`."""
+        """Return number and changed inputs: `run 3 (mass = 440)`."""
         return f"{self.short} ({self.changed or self.name})"
 
     @property
@@ -193,13 +193,13 @@ def match_entries(text: str, every: Sequence[Entry], root: Path = RESULTS) -> li
 
 
 def _match_names(name: str, every: Sequence[Entry]) -> list[Entry]:
-    """Return the entry of a name or of a lasting name, else the entries of a pattern of names."""
+    """Return the entry of a name, or those matched."""
     by_name = {**{e.lasting_name: e for e in every}, **{e.name: e for e in every}}
     return [by_name[name]] if name in by_name else [e for e in every if fnmatch.fnmatchcase(e.name, name)]
 
 
 def hides_results(path: Path) -> bool:
-    """Return whether a path is a folder without results, so that its name may rather mean results elsewhere."""
+    """Return whether a path is a folder without results."""
     return path.is_dir() and not has_results(path)
 
 
@@ -315,7 +315,7 @@ def _scan(place: Path, marks: _Marks) -> _Scanned | None:
 
 
 def _of_name(folder: Path, name: str, newest: _Scanned, marks: _Marks) -> Iterator[tuple[_Recorded, Content]]:
-    """Yield the results of a name and the contents of their records, by age; that of a killed command is the last."""
+    """Yield the results of a name by age, with records."""
     earlier, following = folder / EARLIER, 1
     if EARLIER in newest.folders:
         names = [*_folders(earlier)]
@@ -335,7 +335,7 @@ def _of_name(folder: Path, name: str, newest: _Scanned, marks: _Marks) -> Iterat
 def _recorded(
     about: tuple[Path, str, str], scanned: _Scanned, marks: _Marks, lasting_name: str
 ) -> Iterator[tuple[_Recorded, Content]]:
-    """Yield the results of a command in a folder, if there are any, with the content of their record."""
+    """Yield the results in a folder, if there are any."""
     found = _by_mark(about, scanned, marks) or (_by_rows(about) if scanned.tables else None)
     if found is not None:
         yield found[0]._replace(lasting_name=lasting_name), found[1]
@@ -363,7 +363,7 @@ def _by_mark(about: tuple[Path, str, str], scanned: _Scanned, marks: _Marks) -> 
 def _by_record(
     about: tuple[Path, str, str], scanned: _Scanned, mark: str, artefact: Artefact | None = None
 ) -> tuple[_Recorded, Content] | None:
-    """Return results with the record of their command, or that of its start, whose inputs are not known.
+    """Return results with a record and its content.
 
     Args:
         artefact: Declaration of the record; None for that of a start.
@@ -385,17 +385,17 @@ def _by_record(
 
 
 def _unended(place: Path) -> str:
-    """Return that the command of a record goes on, or may go on; "" if it has ended or was killed."""
+    """Return the outcome of a running command, else ""."""
     return {True: RUNNING, False: "", None: UNKNOWN}[is_running(place)] if place.name == STARTED else ""
 
 
 def _outcome_of(content: Content, warnings: Sequence[str]) -> str:
-    """Return the outcome in the sound part of a record."""
+    """Return the outcome in a sound record."""
     return _outcome(content) or (DAMAGED if warnings or not content else "")
 
 
 def _missing_rows(place: Path, tables: Sequence[str], content: Content) -> str:
-    """Return `cut` or `rows are gone` if the rows are not those of the record, otherwise ""."""
+    """Return `cut` or `rows are gone` if so, else ""."""
     if not isinstance(content.get("rows"), int):
         return ""
     rows = [name for name in tables if name.startswith(f"{ROWS}.")]
@@ -405,7 +405,7 @@ def _missing_rows(place: Path, tables: Sequence[str], content: Content) -> str:
 
 
 def _other_version(content: Content) -> str:
-    """Return the version, or the version and the schema, of another cosim that wrote a record; "" for this one."""
+    """Return another version that wrote a record, else ""."""
     schema, by = content.get("schema_version", SCHEMA_VERSION), version_of(content)
     if schema != SCHEMA_VERSION:
         return f"{by or '?'} (schema {schema})"
@@ -413,7 +413,7 @@ def _other_version(content: Content) -> str:
 
 
 def _by_rows(about: tuple[Path, str, str]) -> tuple[_Recorded, Content] | None:
-    """Return results with rows and no record: the record was deleted, or another tool wrote the rows."""
+    """Return results with rows, but without a record."""
     from cosim.storage.results import rows_in  # with numpy, which a list seldom needs
 
     place, label, of = about

@@ -20,9 +20,10 @@ NO_LINK = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
 
 
 def numbers_of(names: Sequence[str], root: Path) -> list[int]:
-    """Return the number of each lasting name; names without a number get the next ones, in their order.
+    """Return the number of each lasting name.
 
-    Where the file cannot be written, new numbers are those that it would get.
+    Names without a number get the next ones, in their order. Where the file cannot be written, new numbers are those that
+    it would get.
     """
     lines = _lines(root)
     known = _by_name(lines)
@@ -39,7 +40,7 @@ def numbers_of(names: Sequence[str], root: Path) -> list[int]:
 
 
 def unknown_number(text: str, root: Path) -> Message:
-    """Return the message about a number that no results have now."""
+    """Return the message about an unused number."""
     lines = _lines(root)
     number = int(text) if len(text) <= len(str(len(lines))) else 0
     if 0 < number <= len(lines):
@@ -52,7 +53,7 @@ def _by_name(lines: Sequence[str]) -> dict[str, int]:
 
 
 def _lines(root: Path) -> list[str]:
-    """Return the lines of the file, none if it is no plain file or cannot be read."""
+    """Return the lines of the file, if readable."""
     try:
         stream = os.open(root / NUMBERS, os.O_RDONLY | NO_LINK)
     except OSError:
@@ -69,7 +70,7 @@ def _lines(root: Path) -> list[str]:
 
 
 def _add(names: Sequence[str], root: Path) -> None:
-    """Add names to the file in one write; a line that was cut off is ended first."""
+    """Add names in one write; end a cut line."""
     stream = os.open(root / NUMBERS, os.O_RDWR | os.O_APPEND | os.O_CREAT | NO_LINK, 0o666)
     try:
         status = os.fstat(stream)
@@ -85,7 +86,7 @@ def _add(names: Sequence[str], root: Path) -> None:
 
 
 def _line_of(name: str) -> str:
-    """Return a name as a line; no name of a file has a null character."""
+    """Return a name as a line."""
     return name.replace("\n", "\0")
 
 

@@ -17,7 +17,7 @@ ENDS = {".parquet": b"PAR1", ".mcap": b"\x89MCAP0\r\n"}  # last bytes of a compl
 
 
 def is_cut(rows: Path, record: Mapping[str, Any]) -> bool:
-    """Return whether rows end before the end of their run.
+    """Return whether rows end before their run did.
 
     A table of text is cut if its last line has no end, if a short one has fewer rows, or if the last time of a long one
     is before that of the last row of the run. HDF5 and MAT files are cut if they end before the place that they name.
@@ -36,7 +36,7 @@ def is_cut(rows: Path, record: Mapping[str, Any]) -> bool:
 
 
 def _has_end_of_hdf5(path: Path) -> bool:
-    """Return whether a file has the length that its superblock names; raise struct.error for another form."""
+    """Return whether a file has its superblock's length."""
     with path.open("rb") as stream:
         head = stream.read(64)
     version = head[8] if len(head) > 8 else 0
@@ -52,7 +52,7 @@ def _has_end_of_hdf5(path: Path) -> bool:
 
 
 def _has_end_of_mat(path: Path) -> bool:
-    """Return whether the last variable of a file ends at its end."""
+    """Return whether a file ends with a variable."""
     size, place = path.stat().st_size, MAT_HEAD
     with path.open("rb") as stream:
         order = "<" if stream.read(MAT_HEAD).endswith(b"IM") else ">"

@@ -159,7 +159,7 @@ class _Prepared:
         return record
 
     def begin(self) -> None:
-        """Write the record that remains if this command is killed, unless checkpoints remain."""
+        """Write the record of a run without checkpoints."""
         if self.interval is None and self.start is None:
             self.record = self._first_record()
             begin(self.place, "cosim run", MANIFEST, {**self.record, STATUS: KILLED}, read=self.file.files)

@@ -35,7 +35,7 @@ class _Locks:
     ends: dict[Path, Callable[[], None]] = field(default_factory=dict)
 
     def release(self) -> None:
-        """Do the actions of the end, remove lock files and empty new folders, then end the locks."""
+        """Do the final actions, tidy up and end the locks."""
         for action in self.ends.values():
             with suppress(OSError):
                 action()
@@ -74,28 +74,28 @@ def folder_locks() -> Iterator[None]:
 
 
 def before_release(path: Path, action: Callable[[], None]) -> None:
-    """Do an action on a path at the end of the running verb, while its folders are still locked."""
+    """Do an action before the verb's locks end."""
     if (locks := _locks.get()) is not None:
         locks.ends[path.resolve()] = action
 
 
 def is_pending(path: Path) -> bool:
-    """Return whether the running verb has an action on a path at its end."""
+    """Return whether the verb has an action for a path."""
     locks = _locks.get()
     return locks is not None and path.resolve() in locks.ends
 
 
 def release_early(path: Path) -> None:
-    """Do the action on a path now, if there is one."""
+    """Do the action on a path now, if any."""
     locks = _locks.get()
     if locks is not None and (action := locks.ends.pop(path.resolve(), None)) is not None:
         action()
 
 
 def take_folder(folder: Path) -> bool:
-    """Lock a folder for the running verb; make missing folders.
+    """Lock a folder for the running verb.
 
-    The caller reports a folder that cannot be made.
+    Missing folders are made. The caller reports a folder that cannot be made.
 
     Returns:
         Whether the folder is locked.
@@ -172,7 +172,7 @@ def _is_shared_with_writers(lock: int, folder: Path) -> bool:
 
 
 def _is_of(lock: int, folder: Path) -> bool:
-    """Return whether a lock still belongs to the folder; else close it."""
+    """Return whether a lock is the folder's; else close it."""
     path = folder / LOCK_FILE
     if path.exists() and os.path.samestat(os.fstat(lock), path.stat()):
         return True

@@ -68,12 +68,12 @@ def name_of(model: str) -> str:
 
 
 def manifest_in(folder: Path) -> dict[str, Any]:
-    """Return the manifest in a folder, without values of wrong types, empty if unreadable."""
+    """Return the sound part of the manifest in a folder."""
     return sound_part(folder / "manifest.json", content_of(folder / "manifest.json"))[0]
 
 
 def warnings_on(folder: Path) -> tuple[str, ...]:
-    """Return warnings and notes if the record in a folder is damaged, or of another version."""
+    """Return warnings and notes on the record in a folder."""
     file = next((path for name in ("manifest.json", REPLAY) if (path := folder / name).is_file()), None)
     if file is None:
         return ()
@@ -83,7 +83,7 @@ def warnings_on(folder: Path) -> tuple[str, ...]:
 
 
 def other_version(file: Path, record: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return a warning if a record has another form, or a note if another version of cosim wrote it."""
+    """Return a warning or note on another version's record."""
     schema, by = record.get("schema_version", SCHEMA_VERSION), version_of(record)
     if schema != SCHEMA_VERSION:
         by = by or "of an unknown version"
@@ -92,13 +92,13 @@ def other_version(file: Path, record: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def version_of(record: Mapping[str, Any]) -> str:
-    """Return the version of cosim that wrote a record; "" if the record does not name it."""
+    """Return the version that wrote a record; "" if unknown."""
     version = record.get("cosim_version", record.get("version"))
     return version if isinstance(version, str) else ""
 
 
 def content_of(path: Path) -> dict[str, Any]:
-    """Return a JSON mapping from a regular file, empty if unreadable."""
+    """Return a file's JSON mapping, empty if unreadable."""
     try:
         status = path.stat()
         if not stat.S_ISREG(status.st_mode) or status.st_size > MOST_BYTES:
@@ -110,7 +110,7 @@ def content_of(path: Path) -> dict[str, Any]:
 
 
 def status_in(folder: Path) -> str:
-    """Return the status of an incomplete command in a folder as a phrase for messages, "" if it is complete."""
+    """Return an incomplete command's status as a phrase, else ""."""
     status = (manifest_in(folder) or replay_record(folder) or content_of(folder / START)).get("status", "ok")
     return "" if status == "ok" else f" (status: {status})"
 
@@ -124,12 +124,12 @@ def replay_record(folder: Path) -> dict[str, Any]:
 
 
 def record_of(rows: Path) -> dict[str, Any]:
-    """Return the record of the rows of a run or a replay, empty for other tables."""
+    """Return the record of rows, empty for foreign tables."""
     return (manifest_in(rows.parent) or replay_record(rows.parent)) if rows.stem == "results" else {}
 
 
 def check_run_folder(folder: Path, name: str = "", *, ssp: Path | None = None, force: bool = False) -> None:
-    """Lock a folder; raise InputError if another scenario, SSP or command owns it."""
+    """Lock a folder; raise InputError for another owner."""
     prepare_folder(folder)
     if force or not folder.is_dir():
         return
@@ -144,7 +144,7 @@ def check_run_folder(folder: Path, name: str = "", *, ssp: Path | None = None, f
 
 
 def check_overwritable(folder: Path, by: str, *sources: str, force: bool = False) -> None:
-    """Lock a results folder; refuse results of another command or of other sources.
+    """Lock a results folder; refuse results of another origin.
 
     Raises:
         InputError: The folder belongs to another command, or to other sources.
@@ -165,7 +165,7 @@ def check_overwritable(folder: Path, by: str, *sources: str, force: bool = False
 
 
 def _source_text(value: Any) -> str:
-    """Return a source of earlier results, or several, as text."""
+    """Return one or several sources as text."""
     return ", ".join(map(str, value)) if isinstance(value, list) else str(value or "")
 
 
@@ -181,7 +181,7 @@ def _is_same(one: str, other: str) -> bool:
 
 
 def prepare_folder(folder: Path, *, keep: bool = True) -> None:
-    """Lock a results folder, and finish a move of earlier results that was interrupted.
+    """Lock a results folder; finish an interrupted move.
 
     Args:
         keep: Whether files of an earlier run will move to `runs` in the folder.
@@ -202,7 +202,7 @@ def prepare_folder(folder: Path, *, keep: bool = True) -> None:
 
 
 def refuse_links(folder: Path) -> None:
-    """Raise InputError for links in place of folders in a results folder, and for a link of another user to it."""
+    """Raise InputError for links in or to a folder."""
     inner = {EARLIER, STARTED, *(part for a in artefacts() for part in a.folders)}
     links = [folder / name for name in sorted(inner) if (folder / name).is_symlink()]
     faults = [Fault(link, 0, 0, messages.LINK_IN_FOLDER()) for link in links]
@@ -230,7 +230,7 @@ def keep_earlier(folder: Path, verb: str, also: Iterable[str] = (), *, read: Ite
 
 
 def begin(folder: Path, verb: str, record: str, content: Mapping[str, Any], *, read: Iterable[Path] = ()) -> None:
-    """Write the record of a command that begins to compute, so that it is listed if it is killed.
+    """Write the record by which a killed command is listed.
 
     Earlier results stay where they are. But if a command was killed after them, its record is now the newest.
 
@@ -244,13 +244,13 @@ def begin(folder: Path, verb: str, record: str, content: Mapping[str, Any], *, r
 
 
 def begin_unrecorded(folder: Path, verb: str, read: Iterable[Path]) -> None:
-    """Write that a command begins whose own record is written at its end only; see `begin`."""
+    """Begin a command without a record before its end."""
     about = {"schema_version": SCHEMA_VERSION, "cosim_version": __version__, COMMAND: verb, STATUS: KILLED}
     begin(folder, verb, START, about, read=read)
 
 
 def _bring_killed(folder: Path, verb: str, also: Iterable[str], read: Iterable[Path]) -> None:
-    """Make the record of a killed command the newest results; results before it move to `runs`."""
+    """Make a killed command's record the newest results."""
     if not is_killed(folder):
         return
     with delay_stops():
@@ -260,7 +260,7 @@ def _bring_killed(folder: Path, verb: str, also: Iterable[str], read: Iterable[P
 
 
 def has_results(folder: Path) -> bool:
-    """Return whether a folder has results of a command, stopped ones too, or rows."""
+    """Return whether a folder has results or rows."""
     if any(a.is_left_in(folder, unfinished=True) for a in artefacts() if a.verb) or (folder / START).is_file():
         return True
     return any(folder.glob("results.*"))
@@ -356,14 +356,14 @@ def rows_of_killed(folder: Path, stem: str) -> Path | None:
 
 
 def drafts_of_killed(folder: Path, start: str) -> list[Path]:
-    """Return the drafts of killed commands whose file names begin with `start`; the caller must hold the lock."""
+    """Return killed commands' drafts of names with this beginning."""
     if not take_folder(folder):
         return []
     return [p for p in sorted(folder.glob(f".{start}.*")) if p.suffix[1:].isdecimal() and is_own(p, stat.S_ISREG)]
 
 
 def new_earlier(folder: Path) -> Path:
-    """Return a new, empty folder among the earlier runs of a results folder."""
+    """Return a new, empty folder among earlier runs."""
     earlier = folder / EARLIER
     earlier.mkdir(exist_ok=True)
     place = earlier / f"{_following(earlier):04d}"
@@ -377,7 +377,7 @@ def _following(earlier: Path) -> int:
 
 
 def next_number(earlier: Path, there: Iterable[str]) -> int:
-    """Return the number of the next run that moves to a folder of earlier runs; no run has or had it.
+    """Return a number that no earlier run has or had.
 
     Args:
         there: Names in the folder.
@@ -390,7 +390,7 @@ def next_number(earlier: Path, there: Iterable[str]) -> int:
 
 
 def note_last_number(earlier: Path) -> None:
-    """Write the highest number of the earlier runs in a folder down, before runs are removed from it."""
+    """Note the highest number before runs are removed."""
     if earlier.is_dir() and not (earlier / LAST).is_file():
         write_text(earlier / LAST, f"{_following(earlier) - 1}\n")
 

@@ -39,7 +39,7 @@ class Mcap(Source):
         reader = optional("mcap.reader", lambda message: Fault(path, 0, 0, message))
         signals: dict[str, dict[float, Any]] = {}
         units: dict[str, str] = {}
-        words: set[str] = set()
+        types: dict[str, str] = {}
         properties: dict[int, dict[str, Any]] = {}
         try:
             with path.open("rb") as stream:
@@ -60,15 +60,14 @@ class Mcap(Source):
                         signals[full][t] = value
                         about = properties[channel.id].get(name, {})
                         units.setdefault(full, about.get("unit", ""))
-                        words |= {full} if about.get("type") == "string" else set()
+                        types.setdefault(full, about.get("type", ""))
         except Exception as error:  # mcap reports damage by errors of its own and of struct
             raise InputError.at(path, messages.BAD_TABLE(format="MCAP", reason=str(error)[:200])) from None
         times = sorted({t for values in signals.values() for t in values})
         columns = [SourceColumn("time", "s", np.array(times, dtype=np.float64))]
-        columns += [
-            SourceColumn(name, units[name], _values(by_time, times, is_text=name in text), is_text=name in words)
-            for name, by_time in signals.items()
-        ]
+        for name, by_time in signals.items():
+            values = _values(by_time, times, is_text=name in text)
+            columns.append(SourceColumn(name, units[name], values, is_text=types[name] == "string"))
         return Frame(columns if times else (), range(1, len(times) + 1))
 
     def check_writable(self) -> None:

@@ -225,8 +225,12 @@ def read_results(
     values = np.column_stack(list(numbers.values())) if numbers else np.empty((time.size, 0))
     own_units = {c.name: c.unit for c in frame.columns[1:] if c.unit}
     own_units |= {name: unit for name, unit in units.items() if name in numbers or name in exact}
-    words = frozenset(exact) & {*words, *(c.name for c in frame.columns[1:] if c.is_text)}
+    words = frozenset(exact) & {*words, *_texts_in(frame)}
     return Results(time, tuple(numbers), values, own_units, exact, frozenset(whole), words=words)
+
+
+def _texts_in(frame: Frame) -> set[str]:
+    return {column.name for column in frame.columns[1:] if column.is_text}
 
 
 def _source_of(path: Path, ended: bool) -> Source:

@@ -24,9 +24,10 @@ KILLED = "killed before its end"  # the status, as soon as nobody holds the lock
 
 
 def write_start(folder: Path, record: str, content: Mapping[str, Any]) -> None:
-    """Write the record of a command that begins; it is removed when the command ends, but not when it is killed.
+    """Write the record of a command that begins.
 
-    The command goes on without a record if the folder cannot be locked or written.
+    It is removed when the command ends, but not when it is killed. The command goes on without a record if the folder
+    cannot be locked or written.
 
     Args:
         record: One of RECORDS.
@@ -41,12 +42,12 @@ def write_start(folder: Path, record: str, content: Mapping[str, Any]) -> None:
 
 
 def is_killed(folder: Path) -> bool:
-    """Return whether a results folder, which the caller has locked, has the record of a killed command."""
+    """Return whether a locked folder has a killed command's record."""
     return not is_pending(folder / STARTED) and is_own(folder / STARTED, stat.S_ISDIR)
 
 
 def bring_killed(folder: Path) -> None:
-    """Make the record of a killed command the one of its results folder, which must have no results."""
+    """Move a killed command's record into its empty folder."""
     place = folder / STARTED
     for name in RECORDS:
         if is_own(place / name, stat.S_ISREG):
@@ -55,7 +56,7 @@ def bring_killed(folder: Path) -> None:
 
 
 def is_running(place: Path) -> bool | None:
-    """Return whether the command of a record in STARTED goes on; None if that cannot be known."""
+    """Return whether a command goes on; None if unknown."""
     try:
         lock = os.open(place / LOCK, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0))
     except OSError:

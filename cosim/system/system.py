@@ -90,7 +90,7 @@ class System:
 
     @property
     def texts(self) -> frozenset[str]:
-        """Return the names of the columns of text and binary data."""
+        """Return the names of text and binary columns."""
         return frozenset(column for column in self.beside if self.signals[column].kind in {"String", "Binary"})
 
     @property

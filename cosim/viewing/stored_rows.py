@@ -11,7 +11,7 @@ import os
 import shutil
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from hashlib import sha256
@@ -163,7 +163,7 @@ class ColumnTypes:
     words: frozenset[str] = frozenset()
 
     def read(self, path: Path, *, ended: bool) -> Results:
-        """Return the rows of a table in memory; raise InputError if it has faults."""
+        """Return the rows of a table in memory."""
         return read_results(path, self.units, self.text, ended=ended, words=self.words)
 
 
@@ -195,7 +195,7 @@ def open_rows(path: Path, columns: ColumnTypes, progress: Progress = None, *, en
 
 
 def notes_on(path: Path) -> list[str]:
-    """Return notes on rows that must be read or converted anew each time."""
+    """Return notes on rows that are converted each time."""
     if path.stat().st_size <= SMALL:
         return []
     if not _has_pyarrow():
@@ -204,7 +204,7 @@ def notes_on(path: Path) -> list[str]:
 
 
 def _key(status: os.stat_result, columns: ColumnTypes, ended: bool) -> dict[str, Any]:
-    """Return a value that changes with a file and with what is known of its columns."""
+    """Return a key of a file and its types."""
     content = [sorted(columns.units.items()), sorted(columns.text), sorted(columns.words)]
     known = sha256(json.dumps(content).encode()).hexdigest()
     key = {"version": VERSION, "size": status.st_size, "time": status.st_mtime_ns, "known": known}
@@ -449,7 +449,7 @@ def _further_levels(seconds: Sequence[tuple[Array, Array]], sizes: Sequence[int]
 def _write(
     draft: Path, heads: list[tuple[str, str]], batches: Batches, integers: set[int], about: tuple[Path, Progress]
 ) -> Any:
-    """Write rows and extremes; return the description of a cache.
+    """Write rows and extremes; return a cache's description.
 
     Args:
         integers: Places of columns that the file has as integers.
@@ -471,7 +471,7 @@ def _write(
             last, rows = float(time[-1]), rows + time.size
             ends = [*ends[:1], *([float(time[0])] if not ends else []), last]
             files[0].add(values)
-            inexact |= {k for k in integers - inexact if is_rounded(values[k])}
+            inexact |= _rounded_among(integers - inexact, values)
             values[~np.isfinite(values)] = np.nan
             first = join_blocks(values, values)
             for file, side in zip(files[1:], first, strict=True):
@@ -487,8 +487,12 @@ def _write(
     finally:
         for file in files:
             file.close()
-    names_of_inexact = [names[k] for k in sorted(inexact)]
-    return {"units": units, "rows": rows, "group": group, "span": ends, "inexact": names_of_inexact}
+    named = list(map(names.__getitem__, sorted(inexact)))
+    return {"units": units, "rows": rows, "group": group, "span": ends, "inexact": named}
+
+
+def _rounded_among(places: Iterable[int], values: Array) -> set[int]:
+    return {place for place in places if is_rounded(values[place])}
 
 
 def _regroup(batches: Batches, group: int) -> Iterator[tuple[Array, int]]:
