@@ -321,9 +321,9 @@ def _of_name(folder: Path, name: str, newest: _Scanned, marks: _Marks) -> Iterat
         names = [*_folders(earlier)]
         following = next_number(earlier, names)
         for number in sorted((n for n in names if n.isdecimal()), key=int):
-            label = f"{name}/{number}"
-            if (scanned := _scan(earlier / number, marks)) is not None:
-                yield from _recorded((earlier / number, label, name), scanned, marks, label)
+            label, place = f"{name}/{number}", earlier / number
+            if (scanned := _scan(place, marks)) is not None:
+                yield from _recorded((place, label, name), scanned, marks, label)
     for each in _recorded((folder, name, name), newest, marks, f"{name}/{following:04d}"):
         following += 1
         yield each

@@ -22,8 +22,8 @@ NO_LINK = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
 def numbers_of(names: Sequence[str], root: Path) -> list[int]:
     """Return the number of each lasting name.
 
-    Names without a number get the next ones, in their order. Where the file cannot be written, new numbers are those that
-    it would get.
+    Names without a number get the next ones, in their order. Where the file cannot be written, new numbers are those
+    that it would get.
     """
     lines = _lines(root)
     known = _by_name(lines)

@@ -33,6 +33,7 @@ REPLAY = "replay.json"  # stored with the rows of a replay
 SCHEMA_VERSION = 1  # of manifest.json, replay.json and sweep.json
 MOST_BYTES = 200_000_000  # size of a JSON or YAML file [bytes]
 MOST_LISTED, LONGEST_NAME = 10_000_000, 255  # size of the list of a move [bytes], length of a name
+READING = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)  # pipes are not waited for
 MOST_DIGITS = 15  # of the number of an earlier run
 
 
@@ -100,13 +101,21 @@ def version_of(record: Mapping[str, Any]) -> str:
 def content_of(path: Path) -> dict[str, Any]:
     """Return a file's JSON mapping, empty if unreadable."""
     try:
-        status = path.stat()
-        if not stat.S_ISREG(status.st_mode) or status.st_size > MOST_BYTES:
-            return {}
-        content = json.loads(path.read_bytes().decode())  # faster than a text file
+        content = json.loads(_plain_bytes(path).decode())
     except (OSError, ValueError, RecursionError):
         return {}
     return content if isinstance(content, dict) else {}
+
+
+def _plain_bytes(path: Path) -> bytes:
+    """Return the bytes of a regular file, none if large."""
+    stream = os.open(path, READING)  # faster than a file of Python, which `cosim list` notices
+    try:
+        status = os.fstat(stream)
+        is_small = stat.S_ISREG(status.st_mode) and status.st_size <= MOST_BYTES
+        return os.read(stream, status.st_size) if is_small else b""
+    finally:
+        os.close(stream)
 
 
 def status_in(folder: Path) -> str:

@@ -48,8 +48,12 @@ class Kind:
         return type(value) is self.type
 
     def is_sound(self, value: Any) -> bool:
-        """Return whether the class of a value shows that it is right; most values are judged so, and fast."""
-        return type(value) is self.type and not self.is_deep
+        """Return whether classes show that a value is right; most values are judged so, and fast."""
+        if type(value) is not self.type:
+            return False
+        if self.inner is None or self.keys or self.inner.is_deep:
+            return not self.is_deep
+        return {*map(type, value.values() if self.type is dict else value)} <= {self.inner.type}
 
     @cached_property
     def is_deep(self) -> bool:
@@ -117,8 +121,8 @@ def sound_part(file: Path, record: Mapping[str, Any]) -> tuple[dict[str, Any], t
     kinds = ALL.get(file.name, COMMON)
     faults = {
         key: fault
-        for key, value in record.items()
-        if (kind := kinds.get(key)) and not kind.is_sound(value) and (fault := kind.fault(value, key))
+        for key, kind in kinds.items()
+        if key in record and not kind.is_sound(value := record[key]) and (fault := kind.fault(value, key))
     }
     if not faults:
         return {**record}, ()
