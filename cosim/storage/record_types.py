@@ -53,7 +53,8 @@ class Kind:
             return False
         if self.inner is None or self.keys or self.inner.is_deep:
             return not self.is_deep
-        return {*map(type, value.values() if self.type is dict else value)} <= {self.inner.type}
+        values: Iterable[Any] = value.values() if isinstance(value, dict) else value
+        return {*map(type, values)} <= {self.inner.type}
 
     @cached_property
     def is_deep(self) -> bool:
