@@ -53,8 +53,8 @@ class Kind:
             return False
         if self.inner is None or self.keys or self.inner.is_deep:
             return not self.is_deep
-        values: Iterable[Any] = value.values() if isinstance(value, dict) else value
-        return {*map(type, values)} <= {self.inner.type}
+        parts: Any = value.values() if isinstance(value, dict) else value
+        return {*map(type, parts)} <= {self.inner.type}
 
     @cached_property
     def is_deep(self) -> bool:
