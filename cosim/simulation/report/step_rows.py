@@ -49,22 +49,21 @@ def loop_rows(run: Run) -> Iterator[Row]:
     for loop in mappings(run.manifest.get("loops")):
         counts, names = mapping(loop.get("iterations")), texts(loop.get("components"))
         repeated = ", ".join(texts(loop.get("repeated")))
-        others = " of its other parts" if "not_solved" in loop else ""
+        delayed = mapping(loop.get("not_solved"))
         lines = [
-            *_not_solved(mapping(loop.get("not_solved"))),
             f"{str(loop.get('method', '')).title()}, relative tolerance {number(loop.get('tolerance')):g}, "
             f"unknowns {', '.join(texts(loop.get('unknowns')))}",
-            f"iterations{others}: {counts.get('start')} at the start, at most {counts.get('most')} at a communication "
-            f"point, {counts.get('total')} at {loop.get('points')} points",
+            f"iterations: {counts.get('start')} at the start, at most {counts.get('most')} at a communication point, "
+            f"{counts.get('total')} at {loop.get('points')} points",
             *([f"repeated steps: {repeated}"] if repeated else []),
         ]
+        if delayed:
+            lines = [*_not_solved(delayed), *(lines if number(counts.get("most")) > 1 else [])]
         yield Row(f"Algebraic loop {' → '.join((*names, *names[:1]))}", "\n".join(lines))
 
 
 def _not_solved(record: Mapping[str, object]) -> Iterator[str]:
     """Yield lines on the residual of an unsolved loop."""
-    if not record:
-        return
     yield f"NOT SOLVED: {record.get('reason')}"
     if worst := mapping(record.get("largest")):
         shares, last = mapping(record.get("relative")), mapping(record.get("last"))
