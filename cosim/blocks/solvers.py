@@ -59,21 +59,36 @@ def cvode(fmu: Any, *, states: int, indicators: int, start: float, longest: floa
     """
     from fmpy.fmi1 import FMICallException
     from fmpy.sundials import CVodeSolver
-    from fmpy.sundials.nvector_serial import NV_DATA_S
+    from fmpy.sundials.nvector_serial import _N_VectorContent_Serial
+
+    set_time, set_states, get_derivatives = fmu.setTime, fmu.setContinuousStates, derivatives_of(fmu)
+    at, data = DOUBLES.from_address, _N_VectorContent_Serial.data.offset
 
     class Guarded(CVodeSolver):  # type: ignore[misc]
         failed: Exception | None = None
         refusals: list[Exception]  # errors of this step for which CVODE tries shorter steps
 
-        def f(self, t: float, y: Any, ydot: Any, *rest: Any) -> int:
-            status = self._call(super().f, (t, y, ydot, *rest))
-            if status == 0 and states and (derivative := _not_finite(NV_DATA_S(ydot)[:states])) is not None:
+        def f(self, t: float, y: Any, ydot: Any, rest: Any) -> int:
+            """Store the derivatives at a point, as FMPy's own function does with more conversions."""
+            try:
+                if not states:
+                    return int(super().f(t, y, ydot, rest))
+                set_time(t)
+                set_states(at(y.contents.content + data), states)
+                derivatives = at(ydot.contents.content + data)
+                get_derivatives(derivatives, states)
+            except FMICallException as error:
+                return self._refuse(error)
+            if (derivative := _not_finite(derivatives[:states])) is not None:
                 self.refusals.append(SolverFailed(FAILURES[-3], derivative))
                 return 1
-            return status
+            return 0
 
         def g(self, *arguments: Any) -> int:
-            return self._call(super().g, arguments)
+            try:
+                return int(super().g(*arguments))
+            except FMICallException as error:
+                return self._refuse(error)
 
         def step(self, t: float, target: float) -> Any:
             self.failed, self.refusals = None, []
@@ -86,14 +101,11 @@ def cvode(fmu: Any, *, states: int, indicators: int, start: float, longest: floa
                     raise self.refusals[-1] from None
                 raise SolverFailed(_failure(self.error_info)) from None
 
-        def _call(self, function: Any, arguments: Any) -> int:
-            try:
-                return int(function(*arguments))
-            except FMICallException as error:
-                if error.status == DISCARD:
-                    self.refusals.append(error)
-                    return 1
-                self.failed = error
+        def _refuse(self, error: FMICallException) -> int:
+            if error.status == DISCARD:
+                self.refusals.append(error)
+                return 1
+            self.failed = error
             return -1
 
     integrator = Guarded(

@@ -181,10 +181,12 @@ def _name_calls() -> None:
     if call is None:
         return
 
+    here, named = progress, progress.named
+
     def announce_and_call(self: Any, name: str, *arguments: Any) -> Any:
-        progress.call, progress.named[0] = name.encode()[:127], 1
+        here.call, named[0] = name.encode()[:127], 1
         answer = call(self, name, *arguments)
-        progress.named[0] = 0
+        named[0] = 0
         return answer
 
     _FMU._call = announce_and_call
