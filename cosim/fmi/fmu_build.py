@@ -131,13 +131,14 @@ def _pack(recipe: Recipe, folder: Path) -> Path:
     script.write_text(_script(recipe, package, class_name), encoding="utf-8")
     documentation = folder / "documentation"
     write_documentation(documentation, recipe.about, recipe.text, __version__, ASSETS / "license.txt")
-    path, modules = list(sys.path), set(sys.modules)
+    path, modules, keeps_none = list(sys.path), set(sys.modules), sys.dont_write_bytecode
+    sys.dont_write_bytecode = True  # the folder is temporary
     try:
         draft = folder / "draft.fmu"
         FmuBuilder.build_FMU(script, draft, [folder / package], documentation)
         return draft
     finally:
-        sys.path[:] = path
+        sys.path[:], sys.dont_write_bytecode = path, keeps_none
         for name in set(sys.modules) - modules:
             if name.startswith(package):
                 del sys.modules[name]

@@ -8,6 +8,7 @@ from __future__ import annotations
 import errno
 import hashlib
 import os
+import posixpath
 import re
 import shutil
 import stat
@@ -17,7 +18,7 @@ import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import BinaryIO, TypeVar
 from xml.parsers import expat
 
@@ -56,7 +57,7 @@ class Contents:
 
     def parses(self, name: str) -> bool:
         """Return whether a file of the archive is parsed."""
-        return name in self.parsed or PurePosixPath(name).suffix.lower() in self.parsed
+        return name in self.parsed or posixpath.splitext(name)[1].lower() in self.parsed
 
 
 FMU = Contents("FMI", DESCRIPTION, (DESCRIPTION, "sources/buildDescription.xml"))
