@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import binomtest
 
 from cosim.base.arrays import Array
 from cosim.base.extras import optional
 from cosim.sweeps.sampling import are_numbers
 
+QUANTILE_975 = 1.959963984540054  # of the normal distribution
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 MIN_RUNS, MAX_RUNS = 50, 2000  # for estimating a sensitivity
 RESAMPLES = 50
@@ -24,8 +25,10 @@ def share_interval(hits: int, of: int) -> tuple[float, float]:
     """Return the 95 % confidence interval (Wilson) of a share of runs, 0 … 1 without runs."""
     if not of:
         return 0.0, 1.0
-    interval = binomtest(hits, of).proportion_ci(method="wilson")
-    return float(interval.low), float(interval.high)
+    share, z = hits / of, QUANTILE_975
+    scale = 2 * (of + z**2)
+    middle, half = (2 * of * share + z**2) / scale, z / scale * math.sqrt(4 * of * share * (1 - share) + z**2)
+    return 0.0 if hits == 0 else middle - half, 1.0 if hits == of else middle + half
 
 
 def quantiles(values: Array) -> Array:
