@@ -6,6 +6,7 @@ import gc
 import os
 import shutil
 import sys
+import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from typing import Any
 import pytest
 
 from cosim.base.garbage import collect_seldom
-from cosim.fmi.fmu_build import build
+from cosim.fmi.fmu_build import Recipe, build
 from cosim.fmi.native import compiler as c_compiler
 from cosim.fmi.native.compiler import compiler
 from cosim.isolation import process
@@ -31,6 +32,18 @@ QUICK = tuple(option.replace("-O3", "-O1") for option in SHIPPED)
 # every command and worker would compile anew all that it imports
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 collect_seldom()  # as commands do
+MEMORY, ROOM = Path("/dev/shm"), 4e9  # a folder in memory, free bytes for all files of a session
+
+
+def _keep_files_in_memory() -> None:
+    """Put temporary files where no disk is waited for, if there is such a folder and the user has not chosen one."""
+    if "TMPDIR" not in os.environ and MEMORY.is_dir():
+        system = os.statvfs(MEMORY)
+        if system.f_bavail * system.f_frsize > ROOM and not system.f_flag & os.ST_NOEXEC:
+            os.environ["TMPDIR"] = tempfile.tempdir = str(MEMORY)
+
+
+_keep_files_in_memory()
 
 
 def pytest_collection_finish() -> None:
@@ -130,20 +143,22 @@ def _built_once(factory: pytest.TempPathFactory, name: str, fill: Callable[[Path
     return place
 
 
+def _python_fmu(name: str, recipe: Recipe, factory: pytest.TempPathFactory, forker: Any) -> Path:
+    """Return an FMU in Python, whose modules forked workers have."""
+    path = _built_once(factory, name, lambda folder: build(recipe, folder / f"{name}.fmu")) / f"{name}.fmu"
+    if forker is not None:
+        forker.know(path)
+    return path
+
+
 @pytest.fixture(scope="session")
-def plant_fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    def fill(folder: Path) -> None:
-        build(plant_recipe(), folder / "plant.fmu")
-
-    return _built_once(tmp_path_factory, "plant", fill) / "plant.fmu"
+def plant_fmu(tmp_path_factory: pytest.TempPathFactory, _forker: Any) -> Path:
+    return _python_fmu("plant", plant_recipe(), tmp_path_factory, _forker)
 
 
 @pytest.fixture(scope="session")
-def controller_fmu(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    def fill(folder: Path) -> None:
-        build(controller_recipe(), folder / "controller.fmu")
-
-    return _built_once(tmp_path_factory, "controller", fill) / "controller.fmu"
+def controller_fmu(tmp_path_factory: pytest.TempPathFactory, _forker: Any) -> Path:
+    return _python_fmu("controller", controller_recipe(), tmp_path_factory, _forker)
 
 
 @pytest.fixture(scope="session")

@@ -18,34 +18,50 @@ import tempfile
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from pkgutil import walk_packages
 from typing import Any, NoReturn
 
+import controller
 import cosim as cosim_package
+import fmus
+import plant
 from cosim.fmi.native import compiler
 from cosim.isolation import process
+from cosim.storage.archive import unpack
 
 ROOT = Path(__file__).resolve().parent.parent
 FOREIGN = (
-    "email.message", "filterpy.kalman", "fmpy.fmi2", "fmpy.logging", "fmpy.validation", "jinja2", "lxml.etree",
-    "pydantic.type_adapter",
+    "control", "email.message", "filterpy.kalman", "fmpy.fmi2", "fmpy.logging", "fmpy.validation", "jinja2",
+    "lxml.etree", "matplotlib.backends.backend_svg", "matplotlib.figure", "pandas",
+    "pydantic.type_adapter", "pythonfmu.builder", "rich.progress", "rich.table", "scipy.integrate", "scipy.io",
+    "scipy.linalg", "scipy.optimize", "scipy.signal", "scipy.sparse.csgraph", "scipy.special", "scipy.stats", "sympy",
+    "sympy.printing.c", "sympy.printing.pycode",
 )  # fmt: skip
+IN_WORKERS = (
+    "cosim.kernel.remote_kernel", "cosim.linearization.fmu_source", "cosim.probing", "cosim.residuals.remote_drive",
+    "cosim.serving.session", "cosim.sweeps.run_chunks", "fmpy.fmi1", "fmpy.fmi2", "fmpy.fmi3", "fmpy.logging",
+    "fmpy.sundials", "pythonfmu",
+)  # fmt: skip
+ROOMS = ("base", "blocks", "coupling", "isolation", "master", "scenario", "storage", "system", "wrapping")
 READ_AT_START = ("LD_", "PYTHON", "OMP_", "OPENBLAS_", "NUMBA_", "MALLOC_")  # variables that a fork comes too late for
 SPAWN = process._spawn  # what it does elsewhere
 
 
 @dataclass(frozen=True)
 class Job:
-    """A process to fork: a worker, or the command with the given words."""
+    """A process to fork: a worker, a server that forks workers, or the command with the given words."""
 
     environment: dict[str, str]
     folder: str
-    words: tuple[str, ...] | None = None
+    words: tuple[str, ...] = ()
+    serves: bool = False
     options: tuple[str, ...] = field(default_factory=lambda: compiler.OPTIONS)
+    fmus: tuple[Path, ...] = ()  # in Python, to import before
 
 
 class Forked:
@@ -81,19 +97,24 @@ class Forked:
 
 
 class Forker:
-    """The process that forks, as its caller sees it; started when it is needed, ended with its caller."""
+    """The processes that fork, as their caller sees them; started when they are needed, ended with their caller.
+
+    One has what workers import; the other, larger one has what commands import.
+    """
 
     def __init__(self, socket_to_it: socket.socket | None = None) -> None:
-        self._process: subprocess.Popen[bytes] | None = None
-        self._socket, self._fixed = socket_to_it, _read_at_start(os.environ)
+        self._processes: list[subprocess.Popen[bytes]] = []
+        self._sockets = {} if socket_to_it is None else {"workers": socket_to_it}
+        self._fixed = _read_at_start(os.environ)
+        self._fmus: list[Path] = []  # of which it has not been told yet
 
     def spawn(self) -> Any:
         """Return a forked worker as in `cosim.isolation.process`, or a fresh process if its environment was changed."""
-        self._start()
+        self._start("workers")
         if _read_at_start(os.environ) != self._fixed:
             return SPAWN()
         ours, theirs = zip(*(os.pipe()[::way] for way in (-1, 1, 1)), strict=True)
-        worker = self._fork(list(theirs), Job(dict(os.environ), os.getcwd()))
+        worker = self._fork("workers", list(theirs), Job(dict(os.environ), os.getcwd()))
         for number in theirs:
             os.close(number)
         worker.stdin = os.fdopen(ours[0], "wb")
@@ -104,47 +125,61 @@ class Forker:
         self, words: Sequence[str], folder: str, environment: Mapping[str, str], timeout: float
     ) -> subprocess.CompletedProcess[str] | None:
         """Run `cosim WORDS` in a folder to its end; return None if it needs another environment from its start."""
-        self._start()
+        for kind in ("workers", "commands"):
+            self._start(kind)
         if _read_at_start(environment) != self._fixed:
             return None
+        job = Job(dict(environment), folder)
         with open(os.devnull) as nothing, tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as err:
             streams = [nothing, out, err]
-            job = Job(dict(environment), folder, tuple(words))
-            command = self._fork([stream.fileno() for stream in streams], job)
+            numbers = [stream.fileno() for stream in streams]
+            ours, theirs = socket.socketpair()
+            with ours, theirs:  # between the command and the process that forks its workers
+                server = self._fork("workers", [*numbers, theirs.fileno()], replace(job, serves=True))
+                command = self._fork("commands", [*numbers, ours.fileno()], replace(job, words=tuple(words)))
             try:
                 code = command.wait(timeout)
             finally:
                 command.kill()
+                server.wait()
             for stream in streams:
                 stream.seek(0)
             return subprocess.CompletedProcess(["cosim", *words], code, out.read(), err.read())
 
-    def _start(self) -> None:
-        if self._socket is None:
+    def know(self, fmu: Path) -> None:
+        """Let the modules of an FMU in Python be there in all workers that are forked from now on."""
+        self._fmus.append(fmu)
+
+    def _start(self, kind: str) -> None:
+        if kind not in self._sockets:
             self._fixed = _read_at_start(os.environ)
-            self._socket, other = socket.socketpair()
-            command = [sys.executable, "-m", __name__, str(other.fileno())]
-            self._process = subprocess.Popen(
-                command, cwd=ROOT, pass_fds=[other.fileno()], stdin=subprocess.DEVNULL, start_new_session=True
+            self._sockets[kind], other = socket.socketpair()
+            command = [sys.executable, "-m", __name__, str(other.fileno()), kind]
+            self._processes.append(
+                subprocess.Popen(
+                    command, cwd=ROOT, pass_fds=[other.fileno()], stdin=subprocess.DEVNULL, start_new_session=True
+                )
             )
             other.close()
 
-    def _fork(self, streams: list[int], job: Job) -> Forked:
-        assert self._socket is not None
+    def _fork(self, kind: str, streams: list[int], job: Job) -> Forked:
         status, told = os.pipe()
+        if kind == "workers":
+            job = replace(job, fmus=tuple(self._fmus))
+            self._fmus.clear()
         content = pickle.dumps(job)
-        socket.send_fds(self._socket, [len(content).to_bytes(8, "big")], [*streams, told])
-        self._socket.sendall(content)
-        pid = int.from_bytes(self._socket.recv(8, socket.MSG_WAITALL), "big")
+        socket.send_fds(self._sockets[kind], [len(content).to_bytes(8, "big")], [told, *streams])
+        self._sockets[kind].sendall(content)
+        pid = int.from_bytes(self._sockets[kind].recv(8, socket.MSG_WAITALL), "big")
         os.close(told)
         return Forked(pid, status)
 
     def end(self) -> None:
-        """End the forker."""
-        if self._socket is not None:
-            self._socket.close()
-        if self._process is not None:
-            self._process.wait()
+        """End the processes that fork."""
+        for socket_to_it in self._sockets.values():
+            socket_to_it.close()
+        for process_ in self._processes:
+            process_.wait()
 
 
 def cosim(
@@ -171,20 +206,41 @@ def _read_at_start(environment: Mapping[str, str]) -> dict[str, str]:
     }
 
 
-# -- the process that forks -------------------------------------------------------------------------
+# -- the processes that fork ------------------------------------------------------------------------
 
 
 def import_all() -> None:
-    """Import the framework and what it imports late, for processes that are forked from this one."""
-    own = (module.name for module in walk_packages(cosim_package.__path__, "cosim."))
+    """Import the framework, its example and what both import late, for commands."""
+    packages = (cosim_package, controller, fmus, plant)
+    own = (module.name for p in packages for module in walk_packages(p.__path__, f"{p.__name__}."))
     for name in (*FOREIGN, *own):
         if find_spec(name.partition(".")[0]) and not name.endswith("__main__"):
             import_module(name)
 
 
+def import_rooms() -> None:
+    """Import what runs in workers."""
+    for name in (*IN_WORKERS, *(f"cosim.{room}" for room in ROOMS)):
+        module = import_module(name)
+        for part in walk_packages(getattr(module, "__path__", ()), f"{name}."):
+            if not part.name.endswith("__main__"):
+                import_module(part.name)
+
+
+def import_modules_of(fmu: Path) -> None:
+    """Import the package that an FMU in Python carries; its name has a hash of its content."""
+    with tempfile.TemporaryDirectory() as folder:
+        unpack(fmu, Path(folder))
+        resources = Path(folder, "resources")
+        sys.path.insert(0, str(resources))
+        (package,) = (path.name.removesuffix("_slave.py") for path in resources.glob("*_slave.py"))
+        for module in walk_packages([str(resources / package)], f"{package}."):
+            import_module(module.name)
+        sys.path.remove(str(resources))
+
+
 def serve(asked: socket.socket) -> None:
-    """Fork a worker for each message, and tell how each has ended, until the caller ends."""
-    import_all()
+    """Fork a process for each message, and tell how each has ended, until the caller ends."""
     woken, wake = os.pipe()
     for number in (woken, wake):
         os.set_blocking(number, False)
@@ -198,16 +254,18 @@ def serve(asked: socket.socket) -> None:
                 os.read(woken, 4096)
             _tell(told)
         if asked in ready:
-            head, numbers, _, _ = socket.recv_fds(asked, 8, 4)
+            head, numbers, _, _ = socket.recv_fds(asked, 8, 5)
             if not head:
                 return
-            job = asked.recv(int.from_bytes(head, "big"), socket.MSG_WAITALL)
+            job: Job = pickle.loads(asked.recv(int.from_bytes(head, "big"), socket.MSG_WAITALL))
+            for fmu in job.fmus:
+                import_modules_of(fmu)
             pid = os.fork()
             if pid == 0:
-                _work(numbers, pickle.loads(job))
-            for number in numbers[:3]:
+                _work(numbers[1:], job)
+            for number in numbers[1:]:
                 os.close(number)
-            told[pid] = numbers[3]
+            told[pid] = numbers[0]
             asked.sendall(pid.to_bytes(8, "big"))
 
 
@@ -222,52 +280,48 @@ def _tell(told: dict[int, int]) -> None:
 
 
 def _work(numbers: list[int], job: Job) -> NoReturn:
-    """Run as a worker or as a command, as after a start by Python."""
+    """Run as a worker, as a server of workers or as a command, as after a start by Python."""
     code = 1
     try:
         signal.set_wakeup_fd(-1)
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)
         os.setsid()
-        for place, number in enumerate(numbers[:3]):
-            os.dup2(number, place)
-        os.closerange(3, 1024)
+        for place, number in enumerate(numbers):  # the last one, if any, to or from the server of workers
+            os.dup2(number, place, inheritable=place < 3)
+        os.closerange(len(numbers), 1024)
         os.environ.clear()
         os.environ.update(job.environment)
         os.chdir(job.folder)
         compiler.OPTIONS = job.options
-        _main(job.words)()
+        _main(job)()
     except SystemExit as ended:
         code = ended.code if isinstance(ended.code, int) else 0 if ended.code is None else 1
     except BaseException:
         traceback.print_exc()
     finally:
-        if job.words is not None:
+        if job.words:
             atexit._run_exitfuncs()
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(code)
 
 
-def _main(words: tuple[str, ...] | None) -> Callable[[], object]:
-    """Return what the process does: a worker's work, or that of a command, whose workers are forked too."""
-    if words is None:
+def _main(job: Job) -> Callable[[], object]:
+    """Return what the process does."""
+    if job.serves:
+        return partial(serve, socket.socket(fileno=3))
+    if not job.words:
         from cosim.isolation.worker import main
 
         return main
     from cosim.__main__ import main as command
 
-    ours, theirs = socket.socketpair()
-    if os.fork() == 0:
-        ours.close()
-        with suppress(BaseException):
-            serve(theirs)
-        os._exit(0)
-    theirs.close()
-    process._spawn = Forker(ours).spawn
-    sys.argv = ["cosim", *words]
+    process._spawn = Forker(socket.socket(fileno=3)).spawn
+    sys.argv = ["cosim", *job.words]
     return command
 
 
 if __name__ == "__main__":
     sys.modules["tests.warm"] = sys.modules["__main__"]  # where the class of a job is looked for
+    import_rooms() if sys.argv[2] == "workers" else import_all()
     serve(socket.socket(fileno=int(sys.argv[1])))
