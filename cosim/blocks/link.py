@@ -188,13 +188,12 @@ class Session:
         """
         try:
             self._send(message)
-            sent = None
             while True:
                 try:
                     answer = self._receive()
                     break
                 except TimeoutError:
-                    sent = self._check(sent or time.monotonic() - LIVENESS)
+                    self._check()
         except Broken as end:
             raise self._end(str(end)) from None
         if len(answer) < HEAD.size or answer[0] != VERSION:
@@ -203,18 +202,11 @@ class Session:
             self._raise(decode(answer[HEAD.size :]))
         return answer
 
-    def _check(self, since: float) -> float:
-        """Ask for a running session; return the time.
-
-        Args:
-            since: Time of its last message.
-
-        Raises:
-            Crashed: The server does not say that it runs.
-        """
-        if self._state(since)["state"] != "running" and not has_message(self._channel.socket):
+    def _check(self) -> None:
+        """Raise Crashed unless the server says that the session goes on."""
+        silent_since = time.monotonic() - LIVENESS
+        if self._state(silent_since)["state"] != "running" and not has_message(self._channel.socket):
             raise self._end("the server has ended the session")
-        return time.monotonic()
 
     def _end(self, reason: str) -> Crashed:
         """Return the error of a session that has ended; the server knows why its process has."""
