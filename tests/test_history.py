@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -92,12 +94,13 @@ def test_removal_takes_earlier_runs_and_never_the_newest(results: Path) -> None:
     plan = plan_removal(every)
     assert [e.name for e in plan.entries] == ["tank/0001", "tank/0002"]
     assert plan.size == sum(p.stat().st_size for e in plan.entries for p in e.folder.iterdir())
-    assert not remove(plan.entries)
+    assert remove(plan.entries) == plan
     assert [e.name for e in entries(results)] == ["study", "tank"]
     assert (results / "tank" / "runs" / ".last").read_text() == "2\n"  # no later run is called 2
     assert (results / "mine" / "notes.txt").exists()
-    (gone, _) = remove(plan.entries)
-    assert "is gone already" in gone
+    again = remove(plan.entries)
+    assert not again.entries
+    assert "is gone already" in again.warnings[0]
 
 
 def test_the_commands_list_open_and_remove(results: Path) -> None:
@@ -132,7 +135,7 @@ def test_the_folder_named_as_out_is_listed_with_its_earlier_runs(results: Path) 
     listed = entries(results / "tank")
     assert [(e.name, e.is_newest) for e in listed] == [("tank/0001", False), ("tank/0002", False), ("tank", True)]
     assert [e.name for e in find_entries(["tank/*"], results / "tank")] == ["tank/0001", "tank/0002"]
-    assert not remove(plan_removal(listed).entries)
+    assert len(remove(plan_removal(listed).entries).entries) == 2
     assert [e.name for e in entries(results / "tank")] == ["tank"]
 
 
@@ -242,3 +245,18 @@ def test_changes_are_inputs_of_unequal_branches_only() -> None:
         "a.c.d": 5, "rows[1].x": 3, "new": 0, "kind": "plain", "gone.e": None, "kind.f": None,
     }  # fmt: skip
     assert changes_between(after, after) == {}
+
+
+def test_runs_that_cannot_be_removed_are_named_and_not_counted(results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = shutil.rmtree
+
+    def refuse(folder: Path) -> None:
+        if folder.name == "0001":
+            raise OSError(errno.EROFS, "Read-only file system")
+        real(folder)
+
+    monkeypatch.setattr(shutil, "rmtree", refuse)
+    done = CliRunner().invoke(app, ["gc", "--yes", "--json"])
+    assert json.loads(done.stdout)["removed"] == ["tank/0002"]
+    assert isinstance(done.exception, InputError)
+    assert "runs/0001: cannot be removed: Read-only file system" in str(done.exception)

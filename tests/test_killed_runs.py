@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
+import shutil
 import signal
 from pathlib import Path
 from typing import Any
@@ -198,6 +200,22 @@ def test_rows_that_cannot_be_read_without_their_end_are_removed_with_a_note(here
     assert len(told) == 1
     assert "results.parquet" in told[0]
     assert not [*here.glob(".results*")]
+
+
+def test_an_earlier_run_that_a_full_disk_keeps_from_moving_stays(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    _run(seed=1)
+    kept = {path.name: path.read_bytes() for path in here.iterdir() if path.is_file()}
+
+    def full(*_: Any, **__: Any) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(workflow, "keep_earlier", full)
+    told: list[str] = []
+    done = run("tank.yaml", None, ["seed=2"], report=False, in_process=True, tell=told.append)
+    assert {path.name: path.read_bytes() for path in here.iterdir() if path.is_file()} == kept
+    assert json.loads((done.folder / "manifest.json").read_text())["seed"] == 2
+    assert str(done.folder) in told[0]
+    shutil.rmtree(done.folder)
 
 
 def test_a_killed_command_and_the_next_of_another_verb(here: Path) -> None:

@@ -10,6 +10,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from cosim.base.errors import Fault
 from cosim.history import messages
 from cosim.history.entries import Entry
 from cosim.storage.folder_lock import folder_locks, take_folder
@@ -20,10 +21,17 @@ DAY = 86_400.0  # [s]
 
 @dataclass(frozen=True)
 class Removal:
-    """Earlier runs to remove, and their size in bytes."""
+    """Earlier runs to remove, or removed, and their size in bytes.
+
+    Attributes:
+        warnings: Warnings about runs that were gone already.
+        faults: Reasons why runs cannot be removed.
+    """
 
     entries: tuple[Entry, ...]
     size: int
+    warnings: tuple[str, ...] = ()
+    faults: tuple[Fault, ...] = ()
 
 
 def plan_removal(
@@ -49,20 +57,23 @@ def plan_removal(
 
 
 @folder_locks()
-def remove(entries: Iterable[Entry]) -> list[str]:
-    """Remove earlier runs while no command writes to their results; return warnings."""
-    warnings: list[str] = []
+def remove(entries: Iterable[Entry]) -> Removal:
+    """Remove earlier runs while no command writes to their results."""
+    removed, size, warnings, faults = list[Entry](), 0, list[str](), list[Fault]()
     for entry in entries:
         if not entry.folder.is_dir():
             warnings.append(messages.REMOVED_BEFORE(folder=entry.folder))
             continue
         take_folder(entry.folder.parent.parent)
         try:
+            taken = _size(entry.folder)
             note_last_number(entry.folder.parent)
             shutil.rmtree(entry.folder)
+            removed.append(entry)
+            size += taken
         except OSError as error:
-            warnings.append(messages.NOT_REMOVED(folder=entry.folder, reason=error.strerror or error))
-    return warnings
+            faults.append(Fault(entry.folder, 0, 0, messages.NOT_REMOVED(reason=error.strerror or error)))
+    return Removal(tuple(removed), size, tuple(warnings), tuple(faults))
 
 
 def _size(folder: Path) -> int:

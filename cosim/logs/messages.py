@@ -23,7 +23,11 @@ MISSING_INPUT = Template(
     'input "{name}" is missing; a {kind} holds every input of the model: {inputs}; for a column of another name say '
     "--column COLUMN={name}, or `columns` in a study",
 )
-NO_OUTPUT = Template("E-LOG-007", "holds no output of the model{cure}; at least one of {outputs} is measured")
+NO_OUTPUT = Template(
+    "E-LOG-007",
+    "holds no output of the model{cure}; at least one of {outputs} is measured; where columns have other names, "
+    "--column COLUMN=VARIABLE, or `columns` of a study, says which is which",
+)
 TIME_NOT_FIRST = Template("E-LOG-008", '"{column}" is to be the time, which is the first column, "{first}"')
 UNKNOWN_VARIABLE = Template(
     "E-LOG-009", '"{column}" is to be {name}, which the model does not have{cure} (it has {names})'

@@ -99,6 +99,10 @@ DRAFT_OF_KILLED_RUN = Template(
     "{file}: a run was killed while it wrote its rows; those written ({size:.3g} MB) cannot be read without the end of "
     "the file, and are removed; rows in CSV are kept",
 )
+NO_ROOM_BESIDE_EARLIER = Template(
+    "W-SIM-098",
+    "the disk is too full to move the earlier run in {folder} to runs: it stays, and this run is in {place}",
+)
 FAILED_ROWS = Template("N-SIM-090", ", and the rows of the longer run are in {folder}")
 GETS_SLOWER = Template(
     "W-SIM-075", "{component} takes {factor:.2g} times longer for a step since t = {since:g} s than before"

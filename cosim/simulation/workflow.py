@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
+import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -264,7 +265,7 @@ def run(
         files = _Files(prepared, stepped, record, tell, is_kept=worker is not None and prepared.interval is not None)
         failure = files.write(report=report, figures=figures)
     if failure is not None:
-        failure.left = prepared.place
+        failure.left = files.prepared.place
         raise failure
     return Outcome(stepped.results, record, files.rows)
 
@@ -503,13 +504,14 @@ class _Files:
             The failure of the run or of the disk, if any.
         """
         failure, time = self.stepped.failure, self.stepped.results.time
+        started = self.prepared.place / STARTED
         hold_stops()  # also where no worker made the steps
         try:
             if self.prepared.keep:
-                keep_earlier(self.rows.parent, "cosim run", read=self.prepared.file.files)
+                self._keep_earlier()
                 record = {**self.prepared.base(), "status": f"failed: {messages.ROWS_NOT_COMPLETE()}"}
                 write_json(self.rows.with_name(MANIFEST), record)  # what is known if the command is killed
-            release_early(self.rows.parent / STARTED)
+            release_early(started)
             count = self._write_rows()
             release_stops()
             if count == len(time):
@@ -524,6 +526,18 @@ class _Files:
         finally:
             hold_stops()  # The end must still be reported.
         return failure
+
+    def _keep_earlier(self) -> None:
+        """Move an earlier run to `runs`; if the disk is too full for that, take another folder for this run."""
+        folder = self.prepared.place
+        try:
+            keep_earlier(folder, "cosim run", read=self.prepared.file.files)
+        except OSError as error:
+            if not is_full(error):
+                raise
+            place = Path(tempfile.mkdtemp(prefix=f"{folder.resolve().name}-"))
+            self.prepared = replace(self.prepared, place=place)
+            self.tell(messages.NO_ROOM_BESIDE_EARLIER(folder=folder, place=place))
 
     def _stopped(self, stop: BaseException) -> SimulationError:
         """Return the error of a run stopped after its steps; say in the manifest that there is no report."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cosim.base.errors import InputError
+from cosim.base.errors import InputError, refuse
 from cosim.base.text import counted
 from cosim.storage.folders import RESULTS
 from cosim.verbs.options import Json, ResultsFolder, Texts
@@ -17,6 +17,7 @@ from cosim.verbs.terminal import say, say_json, some, warn
 
 if TYPE_CHECKING:
     from cosim.history.entries import Entry
+    from cosim.history.removal import Removal
 
 MOST_NAMES = 10
 UNITS = ("B", "kB", "MB", "GB", "TB")
@@ -40,27 +41,31 @@ def command(
     """
     from cosim.history import messages
     from cosim.history.entries import entries, listed_entries, warnings_of
-    from cosim.history.removal import plan_removal, remove
+    from cosim.history.removal import Removal, plan_removal, remove
 
     root = results or RESULTS
     chosen = listed_entries(names, root)
     plan = plan_removal(entries(root), keep=keep, older=older, chosen=chosen)
     warn(*warnings_of(chosen))
-    amount = f"{counted(len(plan.entries), 'earlier run')}, {_size(plan.size)}"
-    removed = [entry.name for entry in plan.entries]
-    if removed:
-        say(f"to remove: {amount}: {some(removed, MOST_NAMES)}")
+    planned = [entry.name for entry in plan.entries]
+    if planned:
+        say(f"to remove: {_amount(plan)}: {some(planned, MOST_NAMES)}")
         if not yes:
             if as_json or not sys.stdin.isatty():
                 raise InputError.at(root, messages.NOT_CONFIRMED())
             if not typer.confirm("Remove?"):
-                removed = []
-    warnings = remove(plan.entries) if removed else []
-    warn(*warnings)
+                planned = []
+    done = remove(plan.entries) if planned else Removal((), 0)
+    warn(*done.warnings)
     nothing = "nothing is removed" if plan.entries else f"nothing is removed: {_reason(chosen, named=bool(names))}"
-    say(f"removed: {amount}" if removed else nothing)
+    say(f"removed: {_amount(done)}" if done.entries else nothing)
     if as_json:
-        say_json({"removed": removed, "bytes": plan.size if removed else 0})
+        say_json({"removed": [entry.name for entry in done.entries], "bytes": done.size})
+    refuse(done.faults)
+
+
+def _amount(removal: Removal) -> str:
+    return f"{counted(len(removal.entries), 'earlier run')}, {_size(removal.size)}"
 
 
 def _reason(chosen: Sequence[Entry], *, named: bool) -> str:
