@@ -31,6 +31,7 @@ from cosim.residuals.workflow import replay
 from cosim.simulation.coupling import coupling_error
 from cosim.simulation.workflow import run
 from cosim.storage.folder_lock import LOCK_FILE
+from cosim.storage.started import STARTED
 from cosim.storage.table import read_columns
 from cosim.verbs.check_verb import check as check_files
 from tests.cases import some
@@ -38,7 +39,6 @@ from tests.conftest import ROOT
 from tests.deeds import deeds_fmu, deeds_scenario
 from tests.logs import write_log
 
-pytestmark = pytest.mark.fresh
 LIMITS = "{step: 300 ms, load: 2 s, memory: 500 MB}"
 LINUX = sys.platform.startswith("linux")
 COMMAND = [sys.executable, "-m", "cosim", "run"]
@@ -53,6 +53,7 @@ def rows_in(folder: Path) -> int:
     return read_columns(folder / "results.csv").rows
 
 
+@pytest.mark.fresh
 @pytest.mark.thorough
 @pytest.mark.parametrize(
     ("call", "deed", "words", "rows"),
@@ -122,6 +123,7 @@ def test_all_together_may_not_take_longer_than_the_total(tmp_path: Path) -> None
     assert rows_in(tmp_path / "out") > 1
 
 
+@pytest.mark.fresh
 @pytest.mark.skipif(not LINUX, reason="resident sizes differ")
 def test_memory_without_end_stops_at_its_limit(tmp_path: Path) -> None:
     path = deeds_scenario(tmp_path, "DoStep", "memory", at=5, limits="{memory: 300 MB}")
@@ -302,7 +304,7 @@ def test_no_worker_outlives_a_caller_that_is_killed_nor_does_what_it_unpacked(tm
     process.kill()
     process.communicate()
     waited_for(lambda: not any(map(runs, [worker, *grandchildren])))
-    assert {p.name for p in (tmp_path / "out").iterdir()} <= {LOCK_FILE}
+    assert {p.name for p in (tmp_path / "out").iterdir()} <= {LOCK_FILE, STARTED}
     assert not [p for p in workers_left() if (p / LOCK).exists() and str(worker) in p.name]
 
 
@@ -537,6 +539,7 @@ def test_what_no_double_holds_is_read_back_as_far_as_it_is_whole(tmp_path: Path)
 # -- the worker itself ----------------------------------------------------------------------------
 
 
+@pytest.mark.fresh
 def test_a_worker_answers_fails_as_the_function_does_and_is_there_again_after_a_crash() -> None:
     with Worker() as worker:
         assert worker.call(divmod, 7, 2) == (3, 1)
