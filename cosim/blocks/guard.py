@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,8 @@ from cosim.storage.archive import BadArchive, check_archive, check_identifier
 WRAPPED = re.compile(r"Fatal py exception encountered: \[\w+\] \w+ (?P<kind>\w+)\((?P<text>.*?),?\)$")
 EXPERIMENT, BOUNDS = ("startTime", "stopTime", "stepSize", "tolerance"), ("min", "max")
 CONVERSION = (*SI, "factor", "offset")
+_WORD = r"[A-Za-z_][A-Za-z_0-9]*(\[[0-9]+(,[0-9]+)*\])?"
+PLAIN_NAME = re.compile(rf"{_WORD}(\.{_WORD})*")  # which every naming convention allows
 PLAIN = ("RuntimeError", "ValueError", "ArithmeticError", "Exception")
 
 
@@ -89,8 +92,13 @@ def validation(path: Path) -> list[str]:
     import fmpy
     from fmpy.model_description import ValidationError
 
+    are_plain = False
+    with suppress(Exception):  # The second reading tells the reason.
+        variables = fmpy.read_model_description(str(path), validate=False).modelVariables
+        are_plain = all(PLAIN_NAME.fullmatch(v.name) for v in variables)
     try:
-        fmpy.read_model_description(str(path), validate_variable_names=True, validate_model_structure=True)
+        # FMPy's parser needs some milliseconds for a name.
+        fmpy.read_model_description(str(path), validate_variable_names=not are_plain, validate_model_structure=True)
     except ValidationError as error:
         return [" ".join(str(problem).split()) for problem in error.problems]
     except Exception as error:  # as in `read_description`
