@@ -18,6 +18,7 @@ import pytest
 
 import cosim
 from cosim.base.arrays import Array
+from cosim.base.errors import InputError
 from cosim.base.notebook import ProgressLine, shows_progress
 from cosim.calibration.fitted import Fitted
 from cosim.comparison.differences import compare_runs
@@ -257,3 +258,10 @@ def test_the_charts_in_a_cell_follow_the_pointer(tmp_path: Path) -> None:
             frame.evaluate("parent.document.title")
         browser.close()
     assert faults == []
+
+
+def test_a_faulty_input_is_a_message_in_a_notebook_without_the_frames_of_the_package() -> None:
+    with pytest.raises(InputError) as caught:
+        cosim.run("nothing.yaml")
+    shown = caught.value._render_traceback_()  # IPython shows these lines in place of the frames
+    assert shown == ["InputError: nothing.yaml: no such file; give a scenario or a manifest"]

@@ -42,8 +42,15 @@ class CosimError(Exception):
         return code_of(self)
 
 
+def _message_only(error: CosimError) -> list[str]:
+    """Return what a notebook shows: IPython leaves out the frames of this package then."""
+    return [f"{type(error).__name__}: {error}"]
+
+
 class InputError(CosimError):
     """Error with all faults of the user's input, sorted by file and place."""
+
+    _render_traceback_ = _message_only
 
     def __init__(self, faults: Sequence[Fault]) -> None:
         self.faults = tuple(sorted(set(faults)))
@@ -84,6 +91,8 @@ class NotExecuted(CosimError):
 
 class FmuError(CosimError):
     """An unreadable or invalid FMU, or a failure to load one."""
+
+    _render_traceback_ = _message_only
 
     exit_code = 3
 
