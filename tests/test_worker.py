@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import errno
+import io
 import os
 import pickle
+import queue
 import shutil
 import signal
 import subprocess
@@ -319,3 +321,27 @@ def test_progress_of_a_job_is_told_and_begins_anew_with_each() -> None:
         assert told == [4]
         own.call(time.sleep, 0.2, watch=Watch(progress=told.append))
     assert told == [4]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no process groups")
+def test_a_worker_whose_caller_has_ended_writes_nothing_more_while_it_removes_its_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The next command on the folder of checkpoints may have begun."""
+    seen: list[str] = []
+    monkeypatch.setattr(worker, "abandoned", threading.Event())
+    monkeypatch.setattr(worker, "remove", lambda path: seen.append(f"removal, held: {worker.abandoned.is_set()}"))
+    monkeypatch.setattr(os, "getpgid", lambda number: -1)
+    monkeypatch.setattr(os, "_exit", lambda code: seen.append("end"))
+    worker._read(io.BytesIO(), queue.SimpleQueue(), tmp_path)  # the stream has ended
+    assert seen == ["removal, held: True", "end"]
+    waits: list[float] = []
+
+    def wait(seconds: float) -> None:
+        waits.append(seconds)
+        worker.abandoned.clear()
+
+    monkeypatch.setattr(worker.time, "sleep", wait)
+    worker.hold_if_abandoned()
+    worker.hold_if_abandoned()
+    assert len(waits) == 1

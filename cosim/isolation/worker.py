@@ -15,6 +15,7 @@ import struct
 import sys
 import tempfile
 import threading
+import time
 import traceback
 from collections import deque
 from dataclasses import dataclass
@@ -49,6 +50,7 @@ class Begin:
 
 
 progress: Progress  # shared with the caller
+abandoned = threading.Event()  # set when the caller has ended
 
 
 class SharedLog(deque[str]):
@@ -104,6 +106,12 @@ def main() -> None:
     _end()
 
 
+def hold_if_abandoned() -> None:
+    """Wait for the end of this process if its caller has ended."""
+    while abandoned.is_set():
+        time.sleep(1.0)
+
+
 def _end() -> None:
     """End the process at once, without unloading its modules.
 
@@ -141,6 +149,7 @@ def _read(requests: BinaryIO, jobs: queue.SimpleQueue[bytes], scratch: Path) -> 
     """
     while (content := receive(requests)) is not None:
         jobs.put(content)
+    abandoned.set()  # The removal takes a while, in which another command may use the same folders.
     for path in (*_registered_folders(scratch), scratch):
         remove(path)
     if sys.platform != "win32" and os.getpgid(0) == os.getpid():

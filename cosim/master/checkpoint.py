@@ -106,6 +106,7 @@ class Keeper:
         interval: Wall time [s] between two checkpoints; None if only a stop makes one.
         start: Where the run goes on, if it does.
         exact: Function that returns the values beside the first rows.
+        check_caller: Function called before a write; does not return if the command of this process has ended.
         elapsed: Wall time [s] that the run took before.
     """
 
@@ -115,6 +116,7 @@ class Keeper:
     interval: float | None = None
     start: Continuation | None = None
     exact: Callable[[int], Sequence[tuple[Any, ...]]] = lambda count: ()
+    check_caller: Callable[[], None] = lambda: None
     elapsed: float = 0.0
     hash: RowsHash = field(default_factory=RowsHash)
     _over: threading.Event = field(default_factory=threading.Event)
@@ -179,6 +181,7 @@ class Keeper:
             ],
             "elapsed": self.elapsed + time.monotonic() - self._begin,
         }
+        self.check_caller()
         write_durable(self.place / STATE, pack(content))
         self._last = time.monotonic()
 

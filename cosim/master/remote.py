@@ -206,6 +206,7 @@ class WorkerEnd:
 
 def simulate_rows(system: System, steps: int, h: float, job: RowsJob) -> WorkerEnd:
     """Simulate into a table file."""
+    here.hold_if_abandoned()
     table = job.table
 
     def obey(done: int) -> None:
@@ -251,7 +252,7 @@ def _keeper(job: RowsJob, mapped: Array) -> Keeper:
         content = state.read_bytes() if state.is_file() else None
         start = Continuation(mapped[: job.given].copy(), exact, content)
     exact_rows = partial(read_exact, place / BESIDE)
-    return Keeper(place, progress.asked, progress.ending, job.interval, start, exact_rows)
+    return Keeper(place, progress.asked, progress.ending, job.interval, start, exact_rows, here.hold_if_abandoned)
 
 
 def _store_loop(loop: str) -> None:
