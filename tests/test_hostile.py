@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from cosim.base.errors import InputError
+from cosim.blocks.guard import validation
 from cosim.storage import yaml_parsers
 from cosim.storage.archive import FMU, SSP, BadArchive, Contents, check_archive, unpack
 from cosim.storage.yaml_nodes import Document, NotYaml
@@ -195,6 +196,18 @@ def test_what_breaks_a_rule_and_keeps_no_host_from_running_it_is_a_warning(tmp_p
     without = unlisted.replace('<Outputs><Unknown index="1"/></Outputs>', "")
     assert any(
         "ModelStructure/Outputs" in line for line in check_files(archive(tmp_path / "n.fmu", without), load=False)
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "is_legal"), [("a.b_2[1,2].c", True), ("der(y)", True), ("'9 y'", True), ("9y", False), ("y.", False)]
+)
+def test_a_variable_with_an_illegal_name_is_told(tmp_path: Path, name: str, is_legal: bool) -> None:
+    named = DESCRIPTION.replace('name="y"', f'name="{name}"')
+    named = named.replace('modelName="m"', 'modelName="m" variableNamingConvention="structured"')
+    said = validation(archive(tmp_path / "m.fmu", named))
+    assert [f'"{name}"' in line and "not a legal variable name" in line for line in said] == (
+        [] if is_legal else [True]
     )
 
 
