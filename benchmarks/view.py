@@ -184,6 +184,8 @@ class Firefox:
 
 def cpu_seconds() -> float:
     """Return the processor time of this process and its descendants; 0 without /proc."""
+    if sys.platform == "win32":
+        return 0.0
     parents, times = dict[int, int](), dict[int, float]()
     for stat in Path("/proc").glob("[0-9]*/stat"):
         try:
