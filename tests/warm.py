@@ -24,6 +24,7 @@ from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from pkgutil import walk_packages
+from types import ModuleType
 from typing import Any, NoReturn
 
 import controller
@@ -43,11 +44,9 @@ FOREIGN = (
     "sympy.printing.c", "sympy.printing.pycode",
 )  # fmt: skip
 IN_WORKERS = (
-    "cosim.kernel.remote_kernel", "cosim.linearization.fmu_source", "cosim.probing", "cosim.residuals.remote_drive",
-    "cosim.serving.session", "cosim.sweeps.run_chunks", "fmpy.fmi1", "fmpy.fmi2", "fmpy.fmi3", "fmpy.logging",
-    "fmpy.sundials", "pythonfmu",
+    "email.message", "filterpy.kalman", "fmpy.fmi1", "fmpy.fmi2", "fmpy.fmi3", "fmpy.logging", "fmpy.sundials",
+    "fmpy.validation", "jinja2", "lxml.etree", "pydantic.type_adapter",
 )  # fmt: skip
-ROOMS = ("base", "blocks", "coupling", "isolation", "master", "scenario", "storage", "system", "wrapping")
 READ_AT_START = ("LD_", "PYTHON", "OMP_", "OPENBLAS_", "NUMBA_", "MALLOC_")  # variables that a fork comes too late for
 SPAWN = process._spawn  # what it does elsewhere
 
@@ -209,22 +208,14 @@ def _read_at_start(environment: Mapping[str, str]) -> dict[str, str]:
 # -- the processes that fork ------------------------------------------------------------------------
 
 
-def import_all() -> None:
-    """Import the framework, its example and what both import late, for commands."""
-    packages = (cosim_package, controller, fmus, plant)
+def import_all(
+    foreign: Sequence[str] = FOREIGN, packages: Sequence[ModuleType] = (cosim_package, controller, fmus, plant)
+) -> None:
+    """Import packages and what they import late, for processes that are forked from this one."""
     own = (module.name for p in packages for module in walk_packages(p.__path__, f"{p.__name__}."))
-    for name in (*FOREIGN, *own):
+    for name in (*foreign, *own):
         if find_spec(name.partition(".")[0]) and not name.endswith("__main__"):
             import_module(name)
-
-
-def import_rooms() -> None:
-    """Import what runs in workers."""
-    for name in (*IN_WORKERS, *(f"cosim.{room}" for room in ROOMS)):
-        module = import_module(name)
-        for part in walk_packages(getattr(module, "__path__", ()), f"{name}."):
-            if not part.name.endswith("__main__"):
-                import_module(part.name)
 
 
 def import_modules_of(fmu: Path) -> None:
@@ -323,5 +314,8 @@ def _main(job: Job) -> Callable[[], object]:
 
 if __name__ == "__main__":
     sys.modules["tests.warm"] = sys.modules["__main__"]  # where the class of a job is looked for
-    import_rooms() if sys.argv[2] == "workers" else import_all()
+    if sys.argv[2] == "workers":
+        import_all(IN_WORKERS, (cosim_package,))
+    else:
+        import_all()
     serve(socket.socket(fileno=int(sys.argv[1])))
