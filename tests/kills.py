@@ -156,7 +156,8 @@ class Killed:
         manifests = [json.loads((folder / "manifest.json").read_text()) for folder in (part, whole)]
         for manifest in manifests:
             del manifest["timings"]
-        found += [] if manifests[0] == manifests[1] else ["manifest.json differs"]
+        keys = [key for key in {**manifests[0], **manifests[1]} if manifests[0].get(key) != manifests[1].get(key)]
+        found += [f"manifest.json differs in {', '.join(keys)}"] if keys else []
         names = sorted(path.relative_to(part).as_posix() for path in part.rglob("*") if path.is_file())
         names = [name for name in names if not name.startswith("runs/")]  # runs killed before their first checkpoint
         if names != ["checkpoint/run.json", "checkpoint/state", "manifest.json", "results.csv"]:
