@@ -23,7 +23,7 @@ from cosim.kernel import backend
 from cosim.kernel.backend import kernel
 from cosim.kernel.c_filter import CompiledKernel
 from cosim.kernel.generate import Generated, generate
-from cosim.kernel.kernel import MEMORY, Data, Filtered, Layout, Simulated
+from cosim.kernel.kernel import MEMORY, Data, Filtered, Layout, Simulated, single_steps, steps_one_by_one
 from cosim.kernel.settling import settling
 from cosim.loading.file import own_model
 from cosim.model import Equations, Model, Namespace, Stepper
@@ -163,6 +163,21 @@ def test_two_compilers_agree_to_rounding(
         both = [k.simulate(seen, p, run.states[first], run.memory[first], pushed, first=first) for k in kernels]
         assert_same(*both)
         assert np.isfinite(both[0].outputs[first:]).all()
+
+
+@NEEDS_C
+def test_single_steps_in_one_call_equal_simulations_one_by_one(craft: Generated, seen: Data) -> None:
+    made = CompiledKernel(craft)
+    p = parameters(Hovercraft(), craft.layout, **AWAKE)
+    run, rows = filtered(made, replace(seen, start=0.3), p), np.array([0, 1, 5, 80, len(seen.u) - 2])
+    states = run.states[rows]
+    states[3, 0] = np.inf  # diverges
+    points = rows, states, run.memory[rows]
+    data = replace(seen, start=0.3, interpolated=frozenset({"tilt_left"}))
+    steps = single_steps(made, data, p, points, 5)
+    for one, other in zip(steps, steps_one_by_one(made, data, p, points, 5), strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert np.isfinite(steps[0]).all(axis=1).tolist() == [True, True, True, False, True]
 
 
 @NEEDS_C

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 import cosim.fmi.native
-from cosim.base.arrays import Array
+from cosim.base.arrays import Array, Rows
 from cosim.fmi.native.compiler import load_library
 from cosim.kernel.generate import Generated
 from cosim.kernel.kernel import MEMORY, Data, Filtered, Layout, Simulated
@@ -38,6 +38,10 @@ class CompiledKernel:
         self._library = load_library(_source(generated), NATIVE / "rk4.h", NATIVE / "stiff.h")
         self._library.filter.argtypes = [ctypes.POINTER(_Log), *[ctypes.c_void_p] * 10]
         self._library.simulate.argtypes = [ctypes.POINTER(_Log), ctypes.c_int, *[ctypes.c_void_p] * 7]
+        self._library.single_steps.argtypes = [
+            *(ctypes.POINTER(_Log), ctypes.c_int, ctypes.c_void_p, ctypes.c_int),
+            *[ctypes.c_void_p] * 7,
+        ]
 
     def run(self, data: Data, p: Array, x0: Array, P0: Array, q: Array, r: Array, *, states: bool = False) -> Filtered:
         """Filter one log, as `Kernel.run`."""
@@ -68,6 +72,17 @@ class CompiledKernel:
         arrays = [_address(a) for a in (*inputs, outputs, states, memories)]
         self._library.simulate(ctypes.byref(_log(data, u, nothing, ramps, nothing, nothing)), first, *arrays)
         return Simulated(outputs, states, memories)
+
+    def step(self, data: Data, p: Array, points: tuple[Rows, Array, Array], back: int) -> tuple[Array, Array]:
+        """Return single steps from rows of a log, as `single_steps`."""
+        rows, (nx, ny) = np.ascontiguousarray(points[0], np.int32), (len(self.layout.states), len(self.layout.outputs))
+        outputs, following = np.empty((len(rows), ny)), np.empty((len(rows), nx))
+        u, ramps, nothing = _contiguous(data.u), self._ramps(data), np.empty(0)
+        arrays = [_contiguous(a) for a in (p, *points[1:])]
+        arrays += [np.empty((back + 2, ny)), np.empty((back + 2, nx)), outputs, following]
+        log = _log(data, u, nothing, ramps, nothing, nothing)
+        self._library.single_steps(ctypes.byref(log), len(rows), rows.ctypes.data, back, *map(_address, arrays))
+        return following, outputs
 
     def _ramps(self, data: Data) -> Array:
         """Return the flags of interpolated inputs for C."""

@@ -209,12 +209,23 @@ def simulate_all(kernel: Kernel, begins: Sequence[Begin]) -> Sequence[Simulated]
 def single_steps(
     kernel: Kernel, data: Data, p: Array, points: tuple[Rows, Array, Array], back: int
 ) -> tuple[Array, Array]:
-    """Return the state at the next row and the outputs at each row, from given states.
+    """Return the state at the next row and the outputs at each row, in one call if the kernel offers it.
 
     Args:
-        points: Rows of the log, with the states and memories there.
+        points: Rows of the log but the last, with the states and memories there.
         back: Rows of commands before a step that a delay may reach back to.
     """
+    together = getattr(kernel, "step", None)
+    if together is None:
+        return steps_one_by_one(kernel, data, p, points, back)
+    stepped: tuple[Array, Array] = together(data, p, points, back)
+    return stepped
+
+
+def steps_one_by_one(
+    kernel: Kernel, data: Data, p: Array, points: tuple[Rows, Array, Array], back: int
+) -> tuple[Array, Array]:
+    """Return single steps, as `single_steps`, with a simulation for each."""
     rows, states, memories = points
     following, outputs = np.empty((len(rows), states.shape[1])), np.empty((len(rows), len(kernel.layout.outputs)))
     for k, row in enumerate(rows.tolist()):

@@ -23,7 +23,7 @@ from cosim.blocks.fmu import FmuBlock
 from cosim.isolation.limits import Limits
 from cosim.kernel.c_filter import CompiledKernel
 from cosim.kernel.generate import Generated
-from cosim.kernel.kernel import MEMORY, Begin, Data, Filtered, Inputs, Simulated, single_steps
+from cosim.kernel.kernel import MEMORY, Begin, Data, Filtered, Inputs, Simulated, steps_one_by_one
 
 NAME = "model"  # component name in messages
 RUNS = 16  # kept free runs
@@ -170,7 +170,7 @@ class LibraryKernel(CompiledKernel):
 
     def step(self, data: Data, p: Array, points: tuple[Rows, Array, Array], back: int) -> tuple[Array, Array]:
         """Return single steps from rows of a log, as `single_steps`."""
-        return single_steps(self, data, p, points, back)
+        return steps_one_by_one(self, data, p, points, back)
 
     def _free_run(self, data: Data, p: Array, x0: Array) -> Simulated:
         """Return the free run at parameter values; the last ones are kept, since noise levels change more often."""

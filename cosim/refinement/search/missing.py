@@ -24,7 +24,6 @@ from cosim.estimation.fit import DIFFERENCE, Fit
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.problem import Problem
 from cosim.kernel.kernel import Data, Filtered, single_steps
-from cosim.kernel.remote_kernel import RemoteLibraryKernel
 
 MOST_ROWS = 3000  # largest number of smoothed rows of a log
 LOGS = 2  # number of smoothed logs, from the first
@@ -67,8 +66,6 @@ class Steps:
 
     def step(self, rows: Rows, states: Array, memories: Array) -> tuple[Array, Array]:
         """Return the state at the next row and the outputs at each row."""
-        if isinstance(self.kernel, RemoteLibraryKernel):  # a call of a process is dear
-            return self.kernel.step(self.data, self.p, (rows, states, memories), self.back)
         return single_steps(self.kernel, self.data, self.p, (rows, states, memories), self.back)
 
     def outputs_along(self, run: Filtered, count: int) -> Array:
