@@ -216,7 +216,7 @@ def test_what_is_no_run_is_told_by_compare_and_report(tmp_path: Path) -> None:
     (tmp_path / "hole.csv").write_text("time,x\n0,0\n,1\n1,2\n")
     fmu = typed_fmu(tmp_path)
     for given, words in (
-        (tmp_path / "empty", "empty: holds no rows (results.csv or results.parquet or results.mat or"),
+        (tmp_path / "empty", "empty: holds no rows: no results.csv or results.parquet or results.mat or"),
         (tmp_path / "empty.csv", "is empty"),
         (tmp_path / "none", "none: no such folder or file; give the folder of a run"),
         (tmp_path / "ragged.csv", "ragged.csv:3:1: has 1 cell, the header 2"),

@@ -114,7 +114,7 @@ def test_no_name_of_a_signal_becomes_code() -> None:
 def test_a_comparison_and_estimates_show_themselves(tmp_path: Path) -> None:
     def ran(name: str, values: Array) -> RecordedRun:
         results = Results(np.arange(9.0), ("x",), values[:, np.newaxis], {"x": "m"})
-        return RecordedRun(name, Path(name), results, {})
+        return RecordedRun(Path(name), name, results, {})
 
     compared = compare_runs(ran("a", np.arange(9.0)), ran("b", np.arange(9.0) ** 2))
     (frame,) = frames(compared._repr_html_())

@@ -535,7 +535,7 @@ class _Files:
         except OSError as error:
             if not is_full(error):
                 raise
-            place = Path(tempfile.mkdtemp(prefix=f"{folder.resolve().name}-"))
+            place = Path(tempfile.mkdtemp(prefix=f"{folder.resolve().name}-", dir=tempfile.gettempdir()))
             self.prepared = replace(self.prepared, place=place)
             self.tell(messages.NO_ROOM_BESIDE_EARLIER(folder=folder, place=place))
 
