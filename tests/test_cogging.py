@@ -75,9 +75,29 @@ def test_a_period_far_below_the_travel_is_a_line_of_the_innovations(cycles: floa
         + rng.standard_normal((3000, 2))
         for q in positions
     ]
-    lines = [*periods._lines(positions, answers, 1e-3 * travel, 0.5 * travel)]
+    at_once = np.zeros((periods.LASTING, 2))
+    at_once[0, 0] = 1.0
+    lines = [*periods._lines(positions, answers, at_once, 1e-3 * travel, 0.5 * travel)]
     assert len(lines) == periods.LINES
     assert min(abs(travel / line - cycles) for line in lines) < 0.5
+
+
+def test_a_line_shows_through_slow_answers_of_several_sensors() -> None:
+    """A force of 13.5 periods, which the innovations answer over tens of rows, far below their noise in each row."""
+    rng, rows, true = np.random.default_rng(7), 1500, 6.0 / 13.5
+    position = 3.0 + 3.0 * np.sin(0.011 * np.arange(rows)) * np.cos(0.0037 * np.arange(rows))
+    decays = np.exp(-np.arange(rows)[:, None] / np.array([6.0, 15.0])) * [0.2, -0.1]
+
+    def answered(period: float) -> Any:
+        force = np.sin(2.0 * math.pi * position / period)
+        return np.stack([np.convolve(force, decay)[:rows] for decay in decays.T], axis=1)
+
+    probes = [0.05, 0.2, 0.8]
+    response = periods._response([position], probes, [[answered(period)] for period in probes])
+    np.testing.assert_allclose(response[:20], decays[:20], atol=0.02)
+    answers = 0.4 * answered(true) + rng.standard_normal((rows, 2))
+    best = next(periods._lines([position], [answers], response, 2e-3, 2.0))
+    assert abs(6.0 / best - 13.5) < 0.5
 
 
 @pytest.mark.parametrize(("amplitude", "varied"), [(0.3, False), (3.0, True)])
@@ -87,6 +107,7 @@ def test_a_period_is_varied_only_if_the_term_may_be_fitted(
     """The truth lies between two usual periods, half a cycle over the travel from one, and no line shows it."""
     q, true = np.linspace(0.0, 1.0, 2000), 1.0 / 6.5
     monkeypatch.setattr(periods, "_along", lambda test, along: ([q], [np.zeros((q.size, 1))]))
+    monkeypatch.setattr(periods, "_by_row", lambda test, numbers: [numbers[:, None]])
     names, asked = ("cogging.sine", "cogging.cosine", "cogging.period"), set[float]()
     residual = amplitude * np.sin(2.0 * math.pi * q / true) / math.sqrt(q.size) * 5.0
 

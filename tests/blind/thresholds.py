@@ -48,6 +48,8 @@ ORIGIN = {  # by module and name; what is not here was set by hand, and nobody w
     "refinement.decision.judgement.REFUTED": "normal distribution: chance of 1 % to refute a true hypothesis",
     "refinement.decision.judgement.WORSE": "convention: three times its own scatter",
     "refinement.decision.evidence.BY_CHANCE": "convention: one false alarm in a hundred",
+    "refinement.search.periods.LASTING": "as the least rows of a block of evidence; 40 show the same lines",
+    "refinement.search.periods.DRAWS": "by hand: a mean of 16 spectra is within a quarter of its expectation",
     "refinement.search.periods.OFF": "sinc²(½), the power of a line half a cycle off",
     "refinement.proof.prediction_windows.OVERLAP": "convention: Welch 1967, half of a window; more takes longer",
     "refinement.proof.prediction_windows.PARTS": "thirds of two logs",

@@ -1,8 +1,10 @@
 """Likely periods of forces that repeat along a position, before a score test.
 
-A force that repeats hundreds of times over the travel promises nothing at another period, and no fit finds its own from
-there. The innovations of the base fit, ordered by position, show it as a line of their spectrum (a periodogram at
-unequal distances). A score test of the strongest lines and of the usual periods decides, and climbs from the best if
+A force that repeats many times over the travel promises nothing at another period, and no fit finds its own from there.
+A matched filter (North 1943) turns the innovations of the base fit into estimates of the force in each row; its
+coefficients are the response of the innovations to forces that repeat fast. The estimates, ordered by position, show
+the period as a line of their spectrum (a periodogram at unequal distances), relative to the spectrum of white noise
+after the same filter. A score test of the strongest lines and of the usual periods decides, and climbs from the best if
 that can lead to a fit.
 """
 
@@ -15,15 +17,19 @@ from dataclasses import replace
 import numpy as np
 
 from cosim.base.arrays import Array
+from cosim.base.linear_algebra import least_squares
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.screen import SHARE, ScoreTest
 from cosim.kernel.kernel import DEVIATION
 from cosim.subject.candidates import Candidate, Free
 
 LINES = 3  # strongest lines that a score test compares
-LASTING = 5  # rows over which the innovations answer a force
+LASTING = 100  # rows over which the innovations answer a force
+PROBES = (4.0, 12.0, 36.0)  # periods of the forces that show the response, in distances from row to row
+DRAWS = 16  # white noises whose mean spectrum is the background of a line
+SEED = 0  # seed of these noises
 FINE = 4  # cells of the shortest period, and points of the spectrum for each cycle over the travel
-AROUND = 50  # cycles over the travel on each side, whose mean power is the background of a line
+AROUND = 2  # cycles over the travel on each side, over which the background is smoothed
 MOST_CELLS = 2**18
 FARTHEST, NEAREST, MOST_STEPS = 2.0, 0.5, 12  # cycles over the travel by which a period is then varied; and how often
 OFF = 0.4  # least share of the gain within half a cycle over the travel, from the next line or cycle: sinc²(½)
@@ -46,17 +52,23 @@ def with_likely_periods(
 def _with_period(test: ScoreTest, c: Candidate, required: Callable[[Candidate], float]) -> Candidate:
     name, along = c.repeats
     (period,) = (f for f in c.free if f.name == name)
+    sizes = [f for f in c.free if f.neutral is not None]
     positions, answers = _along(test, along)
     travel = float(np.ptp(np.concatenate(positions)))
     if not (travel > 0.0 and math.isfinite(travel)):
         return c
+
+    def row(value: float, f: Free) -> Array:
+        return test.row({name: value - test.values[name], f.name: SHARE * f.size})
+
+    probes = _probes(positions, period)
+    responses = in_parallel(lambda value: _by_row(test, row(value, sizes[0])), probes)
+    response = _response(positions, probes, responses)
     usual = [start[name] for start in c.starts]
-    tried = dict.fromkeys([*usual, *_lines(positions, answers, period.low, period.high)])
-    sizes = [f for f in c.free if f.neutral is not None]
+    tried = dict.fromkeys([*usual, *_lines(positions, answers, response, period.low, period.high)])
 
     def gain(value: float) -> float:
-        apart = value - test.values[name]
-        return test.gain([test.row({name: apart, f.name: SHARE * f.size}) for f in sizes])[0]
+        return test.gain([row(value, f) for f in sizes])[0]
 
     among = max(1, round(travel / period.low))  # periods apart by a cycle over the travel
     best, most = _best(gain, [*tried])
@@ -93,43 +105,68 @@ def _along(test: ScoreTest, name: str) -> tuple[list[Array], list[Array]]:
     """Return the positions in the middle of the rows of each log, and the normalised innovations at their ends."""
     problem, states = test.problem, test.problem.layout.states
     places = [states.index(n) for n in (name, DEVIATION + name) if n in states]
-    positions, answers = [], []
-    for index in range(len(problem.logs)):
-        run = problem.run(test.values, test.noise, index, states=True)
-        at = run.states[:, places].sum(axis=1)
-        middle = 0.5 * (at[:-1] + at[1:])
-        with np.errstate(invalid="ignore"):
-            answer = np.nan_to_num(run.errors / np.sqrt(run.variances), posinf=0.0, neginf=0.0)[1:]
-        answer[~test.problem.readings[index].scored[1:]] = 0.0
-        moves = np.isfinite(middle)
-        positions.append(middle[moves])
-        answers.append(answer[moves])
-    return positions, answers
+    runs = [problem.run(test.values, test.noise, k, states=True) for k in range(len(problem.logs))]
+    at = [run.states[:, places].sum(axis=1) for run in runs]
+    return [0.5 * (q[:-1] + q[1:]) for q in at], _by_row(test, test.residual)
 
 
-def _lines(positions: Sequence[Array], answers: Sequence[Array], low: float, high: float) -> Iterator[float]:
-    """Yield the periods of the strongest lines in the spectrum of the innovations along the position."""
+def _by_row(test: ScoreTest, numbers: Array) -> list[Array]:
+    """Return numbers of the scored readings of each log, shape (rows − 1, outputs); 0 for others and the first row."""
+    parts = test.scored.of_each_log(numbers[: len(test.scored.errors)])
+    tables = [np.zeros(log.y.shape) for log in test.problem.logs]
+    for table, part, readings in zip(tables, parts, test.problem.readings, strict=True):
+        table.put(readings.places, part)
+    return [table[1:] for table in tables]
+
+
+def _probes(positions: Sequence[Array], period: Free) -> list[float]:
+    """Return periods of forces that change fast from row to row."""
+    apart = float(np.median(np.abs(np.concatenate([np.diff(q) for q in positions]))))
+    return [min(max(times * apart, period.low), period.high) for times in PROBES]
+
+
+def _response(positions: Sequence[Array], periods: Sequence[float], answers: Sequence[Sequence[Array]]) -> Array:
+    """Return the response of the innovations to a force in a row, shape (LASTING, outputs), by least squares.
+
+    Args:
+        periods: Periods of sines along the position.
+        answers: For each period, the innovations of each log.
+    """
+    products, against = np.zeros((LASTING, LASTING)), np.zeros((LASTING, answers[0][0].shape[1]))
+    for period, of_logs in zip(periods, answers, strict=True):
+        for q, answer in zip(positions, of_logs, strict=True):
+            force = np.sin(2.0 * math.pi * q / period)
+            late = np.stack([np.pad(force, (k, 0))[: len(force)] for k in range(LASTING)])
+            products += late @ late.T
+            against += late @ answer
+    return least_squares(products, against, rcond=1e-6)
+
+
+def _lines(
+    positions: Sequence[Array], answers: Sequence[Array], response: Array, low: float, high: float
+) -> Iterator[float]:
+    """Yield the periods of the strongest lines in the spectrum of the forces that the innovations show."""
     first = min(float(p.min()) for p in positions)
     travel = max(float(p.max()) for p in positions) - first
     width = max(low / FINE, travel / MOST_CELLS)
     count = int(travel / width) + 1
     points = 2 ** math.ceil(math.log2(FINE * count))
-    power = np.zeros(points // 2 + 1)
-    for j in range(answers[0].shape[1]):
-        for late in range(LASTING):
-            cells = np.zeros(count)
-            for at, answer in zip(positions, answers, strict=True):
-                places = ((at[: len(at) - late] - first) / width).astype(np.intp)
-                cells += np.bincount(places, answer[late:, j], count)
-            power += np.abs(np.fft.rfft(cells, points)) ** 2 / max(
-                1e-300, sum(float(a[:, j] @ a[:, j]) for a in answers)
-            )
-    frequency = np.arange(len(power)) / (points * width)
-    reach = max(1, round(AROUND * points * width / travel))
-    total = np.concatenate([[0.0], np.cumsum(power)])
-    ends = np.arange(len(power))
-    left, right = np.maximum(ends - reach, 0), np.minimum(ends + reach + 1, len(power))
-    height = power / np.maximum((total[right] - total[left]) / (right - left), 1e-300)
+
+    def spectrum(tables: Sequence[Array]) -> Array:
+        cells = np.zeros(count)
+        for at, table in zip(positions, tables, strict=True):
+            late = np.pad(table, ((0, LASTING), (0, 0)))
+            force = sum(late[k : k + len(at)] @ response[k] for k in range(LASTING))
+            cells += np.bincount(((at - first) / width).astype(np.intp), force, count)
+        return np.abs(np.fft.rfft(cells, points)) ** 2
+
+    from scipy.ndimage import uniform_filter1d
+
+    random = np.random.default_rng(SEED)
+    draws = (spectrum([np.where(a, random.standard_normal(a.shape), 0.0) for a in answers]) for _ in range(DRAWS))
+    background = uniform_filter1d(sum(draws) / DRAWS, 1 + 2 * round(AROUND * points * width / travel), mode="nearest")
+    height = spectrum(answers) / np.maximum(background, 1e-300)
+    frequency = np.arange(len(height)) / (points * width)
     height[(frequency * low > 1.0) | (frequency * high < 1.0)] = 0.0
     beside = max(1, round(2.0 * points * width / travel))
     for _ in range(LINES):
