@@ -405,7 +405,7 @@ def _missing_rows(place: Path, tables: Sequence[str], content: Content) -> str:
 
 
 def _other_version(content: Content) -> str:
-    """Return another version that wrote a record, else ""."""
+    """Return the version that wrote a record, "" if it is this one."""
     schema, by = content.get("schema_version", SCHEMA_VERSION), version_of(content)
     if schema != SCHEMA_VERSION:
         return f"{by or '?'} (schema {schema})"

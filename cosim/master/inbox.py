@@ -170,7 +170,7 @@ class Partners(Protocol):
 
     @property
     def sends(self) -> bool:
-        """Whether values are sent."""
+        """Return True if the run sends values to partners."""
 
     def receive(self, k: int) -> Values:
         """Return the values that are new at point k."""
@@ -289,7 +289,7 @@ class Control:
 
     @property
     def paused(self) -> bool:
-        """Whether the run waits, or is to wait, at a communication point."""
+        """Return True if the run waits at a communication point, or will wait at the next one."""
         return self._channel.paused
 
     @paused.setter

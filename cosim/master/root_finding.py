@@ -198,7 +198,7 @@ class RootFinding:
         return value
 
     def _damped(self, g: Map, z: Array, direction: Array, size: float) -> tuple[Array, Array, float] | None:
-        """Return a better point, g there, and its share."""
+        """Return a point with a smaller residual, the value of g at it, and the share of the step that leads to it."""
         share = 1.0
         while share >= SHORTEST and np.isfinite(direction).all():
             ahead = z + share * direction

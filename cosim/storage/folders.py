@@ -291,10 +291,8 @@ def _files_of(folder: Path, verb: str, also: Iterable[str]) -> list[Path]:
     declared = [a for a in artefacts() if a.verb and (a.verb == verb or a.is_left_in(folder))]
     paths = (path for artefact in declared for path in _files_by(artefact, folder))
     more = (path for pattern in also for path in sorted(folder.glob(pattern)))
-    files = (
-        p for p in (*paths, *more, folder / START) if p.is_file() and not p.name.startswith(".")
-    )  # a lock is no result
-    return list(dict.fromkeys(files))
+    every = dict.fromkeys((*paths, *more, folder / START))
+    return [p for p in every if p.is_file() and not p.name.startswith(".")]  # a lock is no result
 
 
 def _files_by(artefact: Artefact, folder: Path) -> Iterator[Path]:
@@ -382,6 +380,7 @@ def new_earlier(folder: Path) -> Path:
 
 
 def _following(earlier: Path) -> int:
+    """Return the number of the next earlier run."""
     return next_number(earlier, [path.name for path in earlier.iterdir()])
 
 

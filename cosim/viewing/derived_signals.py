@@ -70,7 +70,7 @@ def over_rows_with_values(function: Callable[..., Array], time: Array, values: A
 
 
 PLAIN: dict[str, tuple[int, Callable[..., Array], Rule]] = {  # number of arguments, function, rule of units
-    "abs": (1, np.abs, formula_units.kept),
+    "abs": (1, np.abs, formula_units.same_unit),
     "sqrt": (1, np.sqrt, formula_units.root),
     "sin": (1, np.sin, formula_units.ratio),
     "cos": (1, np.cos, formula_units.ratio),

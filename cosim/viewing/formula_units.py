@@ -127,7 +127,7 @@ def direction(function: Callable[..., Any], parts: Sequence[Quantity], text: str
     return replace(length(function, parts, text), unit="rad")
 
 
-def kept(function: Callable[..., Any], parts: Sequence[Quantity], text: str) -> Quantity:
+def same_unit(function: Callable[..., Any], parts: Sequence[Quantity], text: str) -> Quantity:
     """Return a value in the unit of the argument."""
     (part,) = map(absolute, parts)
     return Quantity(function(part.values), part.unit, text)

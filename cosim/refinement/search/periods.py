@@ -96,7 +96,7 @@ def _climbed(gain: Callable[[float], float], best: float, most: float, period: F
 
 
 def _best(gain: Callable[[float], float], periods: Sequence[float]) -> tuple[float, float]:
-    """Return the period that gains most, and its gain."""
+    """Return the period with the largest predicted gain, and this gain."""
     gains = in_parallel(gain, periods)
     return max(zip(periods, gains, strict=True), key=lambda pair: pair[1])
 
