@@ -53,6 +53,7 @@ WAYS = {
     "model-exchange": "model exchange: a filter over the states of the FMU",
     "co-simulation": "co-simulation: free runs of the FMU, with estimated deviations of the outputs",
 }
+NO_ACCESS = "Effects inside the FMU, away from its inputs and outputs, could not be tried in co-simulation."
 
 
 class FmuSubject(ModelSubject):
@@ -75,6 +76,7 @@ class FmuSubject(ModelSubject):
         self.ssp: Path | None = None
         self.structure, self.limits = structure, limits
         self.is_stepped = structure.way == "co-simulation"
+        self.untried = NO_ACCESS if self.is_stepped else ""
         self.source = f"{structure.fmu}, {WAYS[structure.way]}"
         self._description = read_description(structure.fmu)
         names = (kind.name for kind in (*self.model.catalogue, *self.model.sensors))

@@ -110,6 +110,7 @@ class Subject(Protocol):
         source: Origin, for the provenance.
         undelivered: Reason why `write` writes nothing although it should.
         missing_platforms: Platforms of an FMU that the delivered FMU lacks.
+        untried: Sentence on effects that cannot be candidates, to follow a claim.
     """
 
     title: str
@@ -136,6 +137,7 @@ class Subject(Protocol):
     source: str = "an object of Python"
     undelivered: str = ""
     missing_platforms: Sequence[str] = ()
+    untried: str = ""
 
     # -- required members ------------------------------------------------------------------------
 

@@ -88,7 +88,7 @@ class RateLimit(RememberingTerm):
     equation = "u follows with at most 1/i per second"
     memory = (Quantity("value", "1", "input after the limit"), BEGUN)
 
-    inverse_rate: float = scaled("s/u", neutral=0.0, typical=0.5, low=0.0, high=100.0, doc="inverse i of the rate")
+    inverse_rate: float = scaled("T/u", neutral=0.0, typical=1.0, low=0.0, high=1000.0, doc="inverse i of the rate")
 
     def advance(self, m: Namespace, h: Number, value: Number, memory: Values) -> tuple[Number, Values]:
         """Return the mean over the substep, and the value at its end; exact for an input held over the substep."""

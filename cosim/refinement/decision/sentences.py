@@ -107,6 +107,8 @@ def _remark_texts(c: Claims, subject: Subject) -> Iterator[str]:
     if c.left_of is not None and c.claimed is not None and c.left_share is None:
         output, signal = c.left_of
         yield f"A part of {output} remains unexplained; it {dependence_text(signal)}."
+    if c.claimed is not None and subject.untried:
+        yield subject.untried
     if c.nearest is not None:
         file = subject.main_file("nearest") if c.written else "The nearest object"
         same = c.claimed is None and c.nearest.names == c.rivals and c.name == "unexplained"
