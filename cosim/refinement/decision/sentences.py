@@ -42,7 +42,9 @@ def sentence(c: Claims, subject: Subject) -> str:
     )  # a reader must know it before the answer
     names = c.claimed.names if c.claimed is not None else ()
     opening = rise or improvement_text(c.remaining, c.baseline, names)
-    return " ".join(filter(None, (opening, _answer_text(c, subject), *_share_texts(c), *_remark_texts(c, subject))))
+    untried = subject.untried if c.claimed is not None else ""
+    texts = (opening, _answer_text(c, subject), *_share_texts(c), untried, *_remark_texts(c, subject))
+    return " ".join(filter(None, texts))
 
 
 def improvement_text(remaining: Mapping[str, float], beside: str, names: Sequence[str] = ()) -> str:
@@ -107,8 +109,6 @@ def _remark_texts(c: Claims, subject: Subject) -> Iterator[str]:
     if c.left_of is not None and c.claimed is not None and c.left_share is None:
         output, signal = c.left_of
         yield f"A part of {output} remains unexplained; it {dependence_text(signal)}."
-    if c.claimed is not None and subject.untried:
-        yield subject.untried
     if c.nearest is not None:
         file = subject.main_file("nearest") if c.written else "The nearest object"
         same = c.claimed is None and c.nearest.names == c.rivals and c.name == "unexplained"
