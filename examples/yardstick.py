@@ -11,7 +11,8 @@ import csv
 import json
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,8 @@ Parameters = Mapping[str, float]
 PASSES = 3  # fits; each weights an output by the inverse error of the pass before
 START_PASSES = 3  # Gauss-Newton steps for the state at the start of a window
 STEP = 1e-6  # of a state, for the differences of these steps
+PARTS = 3  # of each log, to choose terms
+CHOICE_TOLERANCE = 1e-4  # of the sum of squares, to choose terms
 
 
 @dataclass(frozen=True)
@@ -50,6 +53,7 @@ class Rig:
         interpolated: Whether inputs change linearly between rows; otherwise they hold.
         delay: Name of the parameter that delays all inputs, "" without one.
         biases: Output → name of the parameter that its reading has in addition.
+        least: Parameter → its least value.
     """
 
     derivative: Callable[[Parameters, tuple[Array, ...], tuple[Array, ...]], tuple[Array, ...]]
@@ -63,15 +67,17 @@ class Rig:
     interpolated: bool = False
     delay: str = ""
     biases: Mapping[str, str] = field(default_factory=dict)
+    least: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Log:
-    """Columns of a log as arrays: time, inputs and outputs, a row each."""
+    """Columns of a log as arrays: time, inputs and outputs, a row each; first rows of its windows, None for all."""
 
     time: Array
     inputs: Array
     outputs: Array
+    begins: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -134,27 +140,33 @@ def _starts(rig: Rig, log: Log, p: Parameters, begin: Array, readings: Array) ->
     x = np.zeros((rig.states, len(begin)))
     x[: len(rig.channels)] = readings[:, 0]
     rows = readings.shape[1] - 1
+    moves = STEP * np.eye(rig.states, 1 + rig.states, 1)[:, :, None]  # of no state, then of each
     for _ in range(START_PASSES if rows else 0):
-        predicted = _run(rig, log, p, begin, rows, tuple(x))
-        slopes = []
-        for j in range(rig.states):
-            moved = x.copy()
-            moved[j] += STEP
-            slopes.append((_run(rig, log, p, begin, rows, tuple(moved)) - predicted) / STEP)
-        jacobian = np.moveaxis(np.array(slopes), -1, 0).reshape(len(begin), rig.states, -1)
+        moved = (x[:, None] + moves).reshape(rig.states, -1)
+        runs = _run(rig, log, p, np.tile(begin, 1 + rig.states), rows, tuple(moved))
+        runs = runs.reshape(len(rig.channels), rows + 1, 1 + rig.states, len(begin))
+        predicted = runs[:, :, 0]
+        slopes = (runs[:, :, 1:] - runs[:, :, :1]) / STEP
+        jacobian = np.moveaxis(slopes, (3, 2), (0, 1)).reshape(len(begin), rig.states, -1)
         misfit = np.moveaxis(readings - predicted, -1, 0).reshape(len(begin), -1)
         normal = jacobian @ np.swapaxes(jacobian, 1, 2)
         x = x + np.linalg.solve(normal, (jacobian @ misfit[:, :, None]))[:, :, 0].T
     return tuple(x)
 
 
+def _windows(rig: Rig, log: Log) -> tuple[Array, int, int]:
+    """Return the first rows of the windows, and the rows of the past and of the prediction."""
+    step = float(np.median(np.diff(log.time)))
+    past, ahead = round(rig.past / step), round(rig.horizon / step)
+    begins = np.arange(0, len(log.time) - past - ahead, rig.every) if log.begins is None else log.begins
+    return begins, past, ahead
+
+
 def errors(rig: Rig, log: Log, p: Parameters) -> list[Array]:
     """Return measured − predicted of each output, over all rows of all windows."""
     bias = np.array([p[rig.biases[c.name]] if c.name in rig.biases else 0.0 for c in rig.channels])
     outputs = log.outputs - bias[:, None]
-    step = float(np.median(np.diff(log.time)))
-    past, ahead = round(rig.past / step), round(rig.horizon / step)
-    begin = np.arange(0, len(log.time) - past - ahead, rig.every)
+    begin, past, ahead = _windows(rig, log)
     readings = outputs[:, begin + np.arange(past + 1)[:, None]]
     x = _starts(rig, log, p, begin, readings)
     predicted = _run(rig, log, p, begin, past + ahead, x)
@@ -171,7 +183,9 @@ def _by_channel(rig: Rig, logs: Sequence[Log], p: Parameters) -> list[list[Array
     return [list(parts) for parts in zip(*(errors(rig, log, p) for log in logs), strict=True)]
 
 
-def fit(rig: Rig, logs: Sequence[Log], given: Parameters, variant: Variant) -> dict[str, float]:
+def fit(
+    rig: Rig, logs: Sequence[Log], given: Parameters, variant: Variant, tolerance: float = 1e-8
+) -> dict[str, float]:
     """Return the parameters of least squares; those that are not free keep their value."""
     names = list(variant.free)
     p = {**given, **variant.free}
@@ -185,9 +199,59 @@ def fit(rig: Rig, logs: Sequence[Log], given: Parameters, variant: Variant) -> d
 
         begin = [p[name] for name in names]
         scale = [max(abs(given[name]), abs(variant.free[name])) for name in names]
-        solution = least_squares(residuals, begin, x_scale=scale, diff_step=1e-4)
+        least = [rig.least.get(name, -np.inf) for name in names]
+        how = {"x_scale": scale, "diff_step": 1e-4, "ftol": tolerance}
+        solution = least_squares(residuals, begin, bounds=(least, np.inf), **how)
         p = {**given, **dict(zip(names, map(float, solution.x), strict=True))}
     return p
+
+
+# -- terms chosen by parts left out -------------------------------------------------------------
+
+
+def left_out(rig: Rig, logs: Sequence[Log], given: Parameters, variant: Variant) -> Array:
+    """Return the RMS error of each output over parts of the logs, each left out of the fit in turn."""
+    misses = []
+    for k, log in enumerate(logs):
+        begin, past, ahead = _windows(rig, log)
+        edges = np.linspace(0, len(log.time), PARTS + 1).astype(int)
+        for first, end in pairwise(edges):
+            within = (begin >= first) & (begin + past + ahead < end)
+            apart = (begin + past + ahead < first) | (begin >= end)
+            others = [*logs[:k], replace(log, begins=begin[apart]), *logs[k + 1 :]]
+            p = fit(rig, others, given, variant, CHOICE_TOLERANCE)
+            misses.append(errors(rig, replace(log, begins=begin[within]), p))
+    return np.array([np.sqrt(np.mean(np.square(np.concatenate(parts)))) for parts in zip(*misses, strict=True)])
+
+
+def choose(rig: Rig, logs: Sequence[Log], given: Parameters, base: Variant, terms: Mapping[str, float]) -> list[str]:
+    """Print how terms are added to the base, each time the one that predicts parts left out best; return them.
+
+    The choice ends if no term reduces the error of the parts left out; of several outputs, the mean square of the
+    errors relative to the base.
+    """
+    chosen: list[str] = []
+    free = dict(base.free)
+    unit = left_out(rig, logs, given, base)
+    best = 1.0
+    while len(chosen) < len(terms):
+        free = {name: fit(rig, logs, given, Variant("", free))[name] for name in free}
+        shares = {
+            name: float(
+                np.sqrt(np.mean(np.square(left_out(rig, logs, given, Variant("", {**free, name: start})) / unit)))
+            )
+            for name, start in terms.items()
+            if name not in chosen
+        }
+        print(", ".join(f"{name} {share:.1%}" for name, share in sorted(shares.items(), key=lambda item: item[1])))
+        name = min(shares, key=lambda name: shares[name])
+        if not shares[name] < best:
+            break
+        best = shares[name]
+        chosen.append(name)
+        free[name] = terms[name]
+    print(f"chosen: {', '.join(chosen) or 'none'}")
+    return chosen
 
 
 # -- models that refine delivers ----------------------------------------------------------------
@@ -251,14 +315,26 @@ def compare_logs(rig: Rig, given: Parameters, variant: Variant, folder: Path) ->
     return "\n".join(lines)
 
 
-def main(description: str, rig: Rig, given: Parameters, variants: Sequence[Variant]) -> int:
-    """Print the table for the folder of logs in the arguments; return the exit code."""
+def main(
+    description: str, rig: Rig, given: Parameters, variants: Sequence[Variant], terms: Mapping[str, float] | None = None
+) -> int:
+    """Print the table for the folder of logs in the arguments; return the exit code.
+
+    terms: parameters and their starts from which `--choose` chooses.
+    """
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("logs", type=Path, help="folder that make_logs.py wrote")
     parser.add_argument("--refined", type=Path, help="folder that `cosim refine` wrote")
     parser.add_argument("--each", action="store_true", help="fit the last model to each log alone, too")
+    if terms:
+        parser.add_argument("--choose", action="store_true", help="only choose terms, by parts of e1 and e2 left out")
     options = parser.parse_args()
     try:
+        if terms and options.choose:
+            choose(
+                rig, [read_log(rig, options.logs / name) for name in ("e1.csv", "e2.csv")], given, variants[0], terms
+            )
+            return 0
         print(compare(rig, given, variants, options.logs, options.refined))
         if options.each:
             print(compare_logs(rig, given, variants[-1], options.logs))
