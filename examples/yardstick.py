@@ -24,6 +24,7 @@ Parameters = Mapping[str, float]
 PASSES = 3  # fits; each weights an output by the inverse error of the pass before
 START_PASSES = 3  # Gauss-Newton steps for the state at the start of a window
 STEP = 1e-6  # of a state, for the differences of these steps
+LEAST_SCALE = 1e-3  # of a parameter whose start is 0
 PARTS = 3  # of each log, to choose terms
 CHOICE_TOLERANCE = 1e-4  # of the sum of squares, to choose terms
 
@@ -127,7 +128,7 @@ def _row(rig: Rig, log: Log, p: Parameters, at: Array, x: tuple[Array, ...]) -> 
 
 
 def _run(rig: Rig, log: Log, p: Parameters, begin: Array, rows: int, x: tuple[Array, ...]) -> Array:
-    """Return the outputs at the start of each window and at the rows after it: output, row, window."""
+    """Return the outputs at the start of each window and at the rows after it: output, row, axes of the states."""
     outputs = [x]
     for k in range(rows):
         x = _row(rig, log, p, begin + k, x)
@@ -135,23 +136,22 @@ def _run(rig: Rig, log: Log, p: Parameters, begin: Array, rows: int, x: tuple[Ar
     return np.array([[state[j] for state in outputs] for j in range(len(rig.channels))])
 
 
-def _starts(rig: Rig, log: Log, p: Parameters, begin: Array, readings: Array) -> tuple[Array, ...]:
-    """Return the states that fit the readings (output, row, window), by least squares; a single row is the state."""
-    x = np.zeros((rig.states, len(begin)))
+def _starts(rig: Rig, log: Log, p: Parameters, begin: Array, readings: Array) -> Array:
+    """Return the states (state, set, window) that fit the readings (output, row, set, window), by least squares.
+
+    A single row is the state.
+    """
+    x = np.zeros((rig.states, *readings.shape[2:]))
     x[: len(rig.channels)] = readings[:, 0]
     rows = readings.shape[1] - 1
-    moves = STEP * np.eye(rig.states, 1 + rig.states, 1)[:, :, None]  # of no state, then of each
+    moves = STEP * np.eye(rig.states, 1 + rig.states, 1)[:, :, None, None]  # of no state, then of each
     for _ in range(START_PASSES if rows else 0):
-        moved = (x[:, None] + moves).reshape(rig.states, -1)
-        runs = _run(rig, log, p, np.tile(begin, 1 + rig.states), rows, tuple(moved))
-        runs = runs.reshape(len(rig.channels), rows + 1, 1 + rig.states, len(begin))
-        predicted = runs[:, :, 0]
-        slopes = (runs[:, :, 1:] - runs[:, :, :1]) / STEP
-        jacobian = np.moveaxis(slopes, (3, 2), (0, 1)).reshape(len(begin), rig.states, -1)
-        misfit = np.moveaxis(readings - predicted, -1, 0).reshape(len(begin), -1)
-        normal = jacobian @ np.swapaxes(jacobian, 1, 2)
-        x = x + np.linalg.solve(normal, (jacobian @ misfit[:, :, None]))[:, :, 0].T
-    return tuple(x)
+        runs = _run(rig, log, p, begin, rows, tuple(x[:, None] + moves))
+        slopes = np.moveaxis((runs[:, :, 1:] - runs[:, :, :1]) / STEP, (3, 4, 2), (0, 1, 2))
+        jacobian = slopes.reshape(*slopes.shape[:3], -1)
+        misfit = np.moveaxis(readings - runs[:, :, 0], (2, 3), (0, 1)).reshape(*slopes.shape[:2], -1, 1)
+        x = x + np.moveaxis(np.linalg.solve(jacobian @ np.swapaxes(jacobian, 2, 3), jacobian @ misfit)[..., 0], 2, 0)
+    return x
 
 
 def _windows(rig: Rig, log: Log) -> tuple[Array, int, int]:
@@ -162,16 +162,20 @@ def _windows(rig: Rig, log: Log) -> tuple[Array, int, int]:
     return begins, past, ahead
 
 
+def _misses(rig: Rig, log: Log, sets: Sequence[Parameters]) -> Array:
+    """Return measured − predicted: output, row of the prediction, set of parameters, window."""
+    p = {name: np.array([[q[name]] for q in sets]) for name in sets[0]}
+    bias = np.array([[q[rig.biases[c.name]] if c.name in rig.biases else 0.0 for q in sets] for c in rig.channels])
+    begin, past, ahead = _windows(rig, log)
+    measured = log.outputs[:, begin + np.arange(past + ahead + 1)[:, None]][:, :, None] - bias[:, None, :, None]
+    x = _starts(rig, log, p, begin, measured[:, : past + 1])
+    predicted = _run(rig, log, p, begin, past + ahead, tuple(x))
+    return (measured - predicted)[:, past + 1 :]
+
+
 def errors(rig: Rig, log: Log, p: Parameters) -> list[Array]:
     """Return measured − predicted of each output, over all rows of all windows."""
-    bias = np.array([p[rig.biases[c.name]] if c.name in rig.biases else 0.0 for c in rig.channels])
-    outputs = log.outputs - bias[:, None]
-    begin, past, ahead = _windows(rig, log)
-    readings = outputs[:, begin + np.arange(past + 1)[:, None]]
-    x = _starts(rig, log, p, begin, readings)
-    predicted = _run(rig, log, p, begin, past + ahead, x)
-    measured = outputs[:, begin + np.arange(past + ahead + 1)[:, None]]
-    return [row.ravel() for row in (measured - predicted)[:, past + 1 :]]
+    return [row.ravel() for row in _misses(rig, log, [p])]
 
 
 def rms(rig: Rig, logs: Sequence[Log], p: Parameters) -> Array:
@@ -189,19 +193,23 @@ def fit(
     """Return the parameters of least squares; those that are not free keep their value."""
     names = list(variant.free)
     p = {**given, **variant.free}
+    scale = np.array([max(abs(given[name]), abs(variant.free[name]), LEAST_SCALE) for name in names])
+    moves = 1e-4 * scale
     for _ in range(PASSES if len(rig.channels) > 1 else 1):
         weights = 1.0 / rms(rig, logs, p)
 
-        def residuals(values: Array, weights: Array = weights) -> Array:
-            q = {**given, **dict(zip(names, values, strict=True))}
-            parts = _by_channel(rig, logs, q)
-            return np.concatenate([w * part for w, row in zip(weights, parts, strict=True) for part in row])
+        def residuals(sets: Sequence[Array], weights: Array = weights) -> Array:
+            q = [{**given, **dict(zip(names, values, strict=True))} for values in sets]
+            parts = [np.moveaxis(_misses(rig, log, q), 2, 0) * weights[:, None, None] for log in logs]
+            return np.concatenate([part.reshape(len(sets), -1) for part in parts], axis=1)
 
-        begin = [p[name] for name in names]
-        scale = [max(abs(given[name]), abs(variant.free[name])) for name in names]
+        def jacobian(values: Array) -> Array:
+            moved = residuals([values, *(values + np.diag(moves))])
+            return ((moved[1:] - moved[0]) / moves[:, None]).T
+
         least = [rig.least.get(name, -np.inf) for name in names]
-        how = {"x_scale": scale, "diff_step": 1e-4, "ftol": tolerance}
-        solution = least_squares(residuals, begin, bounds=(least, np.inf), **how)
+        how = {"x_scale": scale, "bounds": (least, np.inf), "ftol": tolerance}
+        solution = least_squares(lambda values: residuals([values])[0], [p[name] for name in names], jacobian, **how)
         p = {**given, **dict(zip(names, map(float, solution.x), strict=True))}
     return p
 
@@ -235,7 +243,8 @@ def choose(rig: Rig, logs: Sequence[Log], given: Parameters, base: Variant, term
     unit = left_out(rig, logs, given, base)
     best = 1.0
     while len(chosen) < len(terms):
-        free = {name: fit(rig, logs, given, Variant("", free))[name] for name in free}
+        fitted = fit(rig, logs, given, Variant("", free))
+        free = {name: fitted[name] for name in free}
         shares = {
             name: float(
                 np.sqrt(np.mean(np.square(left_out(rig, logs, given, Variant("", {**free, name: start})) / unit)))

@@ -64,6 +64,7 @@ PARSED: Mapping[str, tuple[str, str]] = {
     **{
         f"examples/{name}/README.md": (LONG, f"tests/{test}.py")
         for name, test in {
+            "actuator": "test_examples_data",
             "ballbeam": "test_examples_data",
             "bench/overshoot": "test_overshoot",
             "coupled_drives": "test_measured_fmus",

@@ -32,9 +32,10 @@ MODELS = {
     "tclab": "Board",
     "ur10e": "Elbow",
     "ballbeam": "BallBeam",
+    "actuator": "Actuator",
 }
 FILES = {"ur10e": "elbow"}  # others bear the name of the example
-YARDSTICKS = ("ur10e", "ballbeam")  # examples with a least_squares.py
+YARDSTICKS = ("ur10e", "ballbeam", "actuator")  # examples with a least_squares.py
 FOLDERS = {"propeller": ("propeller", "uiuc_apcsf"), "drive": ("drive", "emps")}  # others bear the name of the example
 
 
@@ -123,7 +124,7 @@ def test_the_model_of_an_example_is_without_fault(example: str) -> None:
     assert all(p.tolerance for p in model.parameters if p.name in model.calibrated)
 
 
-@pytest.mark.parametrize("example", ["silverbox", "pendulum", "tclab", "ur10e", "ballbeam"])
+@pytest.mark.parametrize("example", ["silverbox", "pendulum", "tclab", "ur10e", "ballbeam", "actuator"])
 def test_an_effect_at_its_typical_size_is_felt_and_at_its_neutral_size_is_not(example: str) -> None:
     model = model_of(example)
     n = len(model.base_states)
@@ -155,12 +156,12 @@ def test_a_yardstick_has_the_equations_and_values_of_its_model(example: str) -> 
     assert yardstick.derivative(values, state, command) == pytest.approx(expected, rel=1e-12)
 
 
-def test_a_yardstick_finds_the_parameters_of_a_simulated_rig() -> None:
-    yardstick = _loaded(EXAMPLES / "yardstick.py")
+def simulated(yardstick: ModuleType, truth: dict[str, float]) -> tuple[Any, Any]:
+    """A rig, and a log of it with these parameters."""
     time = 0.1 * np.arange(120.0)
     angle = 0.02 * np.sin(1.3 * time) + 0.01 * np.sin(0.4 * time)
     rig = yardstick.Rig(
-        lambda p, x, u: (x[1], p["gain"] * u[0] - p["damping"] * x[1]),
+        lambda p, x, u: (x[1], p["gain"] * u[0] - p["damping"] * x[1] + p["bend"] * x[0]),
         states=2,
         inputs=("angle",),
         channels=(yardstick.Channel("position", "m", 1.0),),
@@ -170,18 +171,34 @@ def test_a_yardstick_finds_the_parameters_of_a_simulated_rig() -> None:
         interpolated=True,
         delay="delay",
     )
-    truth = {"gain": 5.0, "damping": 0.3, "delay": 0.15}
     x, positions = (np.zeros(1), np.zeros(1)), []
     log = yardstick.Log(time, angle[None], np.zeros((1, len(time))))
     for k in range(len(time) - 1):
         positions.append(x[0][0])
         x = yardstick._row(rig, log, truth, np.array([k]), x)
-    log = yardstick.Log(time, angle[None], np.array([[*positions, x[0][0]]]))
-    given = {"gain": 7.0, "damping": 0.0, "delay": 0.0}
-    fitted = yardstick.fit(rig, [log], given, yardstick.Variant("all", {**given, "damping": 0.1, "delay": 0.1}))
+    return rig, yardstick.Log(time, angle[None], np.array([[*positions, x[0][0]]]))
+
+
+def test_a_yardstick_finds_the_parameters_of_a_simulated_rig() -> None:
+    yardstick = _loaded(EXAMPLES / "yardstick.py")
+    truth = {"gain": 5.0, "damping": 0.3, "delay": 0.15, "bend": 0.0}
+    rig, log = simulated(yardstick, truth)
+    given = {"gain": 7.0, "damping": 0.0, "delay": 0.0, "bend": 0.0}
+    free = {"gain": 7.0, "damping": 0.1, "delay": 0.1}
+    fitted = yardstick.fit(rig, [log], given, yardstick.Variant("all", free))
     assert fitted == pytest.approx(truth, rel=1e-4)
     assert yardstick.rms(rig, [log], fitted) == pytest.approx(0.0, abs=1e-7)
     assert yardstick.rms(rig, [log], given) > 0.01
+
+
+def test_a_yardstick_chooses_the_terms_that_predict_parts_left_out() -> None:
+    yardstick = _loaded(EXAMPLES / "yardstick.py")
+    rig, log = simulated(yardstick, {"gain": 5.0, "damping": 0.3, "delay": 0.0, "bend": 0.0})
+    noise = 1e-3 * np.random.default_rng(1).standard_normal(log.outputs.shape)
+    given = {"gain": 7.0, "damping": 0.0, "delay": 0.0, "bend": 0.0}
+    base = yardstick.Variant("base", {"gain": 7.0})
+    noisy = yardstick.replace(log, outputs=log.outputs + noise)
+    assert yardstick.choose(rig, [noisy], given, base, {"bend": 0.1, "damping": 0.1}) == ["damping"]
 
 
 def test_a_yardstick_reads_what_refine_delivers_and_refuses_what_it_lacks(tmp_path: Path) -> None:

@@ -10,12 +10,18 @@ from cosim.model import Delay, Effect, Equations, Model, Namespace, Number, Quan
 
 CREEP = 0.05  # [s] speed below which dry friction is smoothed
 LEAST_DROP = 0.01  # of the pressure drop over the valve, relative to the supply pressure
+LARGE = 1e3  # beyond all signals
 SEPARATION = {
     frozenset({"valve_offset", "load"}): "valve movements inside and outside its overlap, and steady motion both ways",
     frozenset({"flow_limit", "pressure_drop"}): "equal valve openings under different loads",
     frozenset({"leakage", "pressure_drop"}): "oscillations with a closed and with an open valve",
     frozenset({"valve_delay", "dead_band"}): "fast and slow valve movements through the middle",
 }
+
+
+def magnitude(m: Namespace, x: Number) -> Number:
+    """Return |x|, by a limit instead of a branch: a branch within a condition takes the symbolic model long."""
+    return 2.0 * m.clip(x, 0.0, LARGE) - x
 
 
 class ActuatorEffect(Effect):
@@ -73,7 +79,7 @@ class DeadBand(ActuatorEffect):
 
     def opening(self, m: Namespace, opening: Number) -> Number:
         """u − clip(u, ±w)."""
-        return opening - m.minimum(m.maximum(opening, -self.width), self.width)
+        return opening - m.clip(opening, -self.width, self.width)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,7 +93,7 @@ class Asymmetry(ActuatorEffect):
 
     def opening(self, m: Namespace, opening: Number) -> Number:
         """u + a·|u|."""
-        return opening + self.ratio * m.where(opening >= 0.0, opening, -opening)
+        return opening + self.ratio * magnitude(m, opening)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,7 +107,7 @@ class FlowLimit(ActuatorEffect):
 
     def opening(self, m: Namespace, opening: Number) -> Number:
         """u/(1 + c·|u|)."""
-        return opening / (1.0 + self.coefficient * m.where(opening >= 0.0, opening, -opening))
+        return opening / (1.0 + self.coefficient * magnitude(m, opening))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,7 +125,7 @@ class PressureDrop(ActuatorEffect):
     def flow(self, m: Namespace, opening: Number, pressure: Number) -> Number:
         """√(1 + s·p·sign u)."""
         drop = 1.0 + self.inverse_supply * m.where(opening >= 0.0, pressure, -pressure)
-        return m.sqrt(m.maximum(drop, LEAST_DROP))
+        return m.sqrt(m.clip(drop, LEAST_DROP, LARGE))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -161,7 +167,7 @@ class LineDrag(ActuatorEffect):
 
     def acceleration(self, m: Namespace, speed: Number) -> Number:
         """−q·|v|·v."""
-        return -self.coefficient * m.where(speed >= 0.0, speed, -speed) * speed
+        return -self.coefficient * magnitude(m, speed) * speed
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -57,6 +57,7 @@ RIG = Rig(
     horizon=2.5,
     every=2,
     past=1.0,
+    substeps=1,
     interpolated=True,
     delay="valve_delay.time",
     least=dict.fromkeys([*BOUNDED, "stiffness", "damping"], 0.0),
