@@ -28,7 +28,11 @@ CANDIDATES = {
 }
 BOUNDED = [name for name in CANDIDATES if name not in {"valve_offset.value", "asymmetry.ratio", "load.pressure"}]
 GIVEN = {**BASE, **dict.fromkeys(CANDIDATES, 0.0)}
-VARIANTS = (Variant("base", BASE),)
+CHOSEN = ("asymmetry.ratio", "valve_delay.time", "pressure_drop.inverse_supply", "leakage.rate")  # --choose prints them
+VARIANTS = (
+    Variant("base", BASE),
+    Variant("terms chosen by parts left out", {**BASE, **{name: CANDIDATES[name] for name in CHOSEN}}),
+)
 
 
 def derivative(p: Parameters, state: tuple[Array, ...], valve: tuple[Array, ...]) -> tuple[Array, ...]:
