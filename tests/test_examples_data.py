@@ -168,6 +168,7 @@ def simulated(yardstick: ModuleType, truth: dict[str, float]) -> tuple[Any, Any]
         horizon=2.0,
         every=2,
         past=1.0,
+        substeps=1,
         interpolated=True,
         delay="delay",
     )
@@ -315,3 +316,15 @@ def test_the_heaters_need_exchange_of_heat_and_a_lag_of_the_sensors(tmp_path: Pa
     both = {"sensor_lag.time": 13.2, "heat_exchange.conductance": 0.00351}
     coupled = model.with_values({"loss": 0.00993, "power_1": 0.6699, "power_2": 0.3564, **both})
     assert np.all(rmse(coupled, log, {}) < 0.65 * rmse(apart, log, {}))
+
+
+def test_the_actuator_needs_a_delay_and_an_asymmetric_flow(tmp_path: Path) -> None:
+    folder, script = logs_of("actuator", tmp_path).parent, _loaded(EXAMPLES / "actuator" / "least_squares.py")
+    yardstick = sys.modules["yardstick"]
+    sealed = [yardstick.read_log(script.RIG, folder / "v1.csv")]
+    assert len(sealed[0].time) == 512
+    # fitted by least squares to the estimation logs
+    base = {**script.GIVEN, "gain": -6.923, "stiffness": 5.831, "damping": 1.220}
+    both = {"gain": -13.23, "stiffness": 7.402, "damping": 1.075, "asymmetry.ratio": 0.3485, "valve_delay.time": 0.3936}
+    assert yardstick.rms(script.RIG, sealed, base)[0] == pytest.approx(0.972, abs=0.002)
+    assert yardstick.rms(script.RIG, sealed, {**base, **both})[0] == pytest.approx(0.645, abs=0.002)

@@ -9,7 +9,7 @@ import numpy as np
 
 from cosim.base.arrays import Array, Flags
 from cosim.base.messages import Message
-from cosim.base.text import join_names, plain
+from cosim.base.text import join_names, plain, written
 from cosim.estimation import messages
 from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
@@ -79,7 +79,7 @@ def erring_stamps(problem: Problem, at: Fit) -> Flags:
 
 def noise_warnings(problem: Problem, noise: Noise, subject: Subject) -> tuple[Message, ...]:
     """Return warnings about estimated noise that differs from the stated noise or is not stated."""
-    stated, units = np.sqrt(problem.r).tolist(), {q.name: q.unit for q in subject.outputs}
+    stated, units = np.sqrt(problem.r).tolist(), {q.name: written(q.unit) for q in subject.outputs}
     levels = zip(problem.layout.outputs, np.exp(0.5 * noise.sensors).tolist(), stated, problem.stated, strict=True)
     different, unstated, comparisons = {}, {}, []
     for name, level, expected, is_stated in levels:
@@ -87,7 +87,7 @@ def noise_warnings(problem: Problem, noise: Noise, subject: Subject) -> tuple[Me
             unstated[name] = level
         elif not expected / OFF <= level <= OFF * expected:
             different[name] = level
-            comparisons.append(f"{name} {plain(level, 2)}, not {plain(expected, 2)} {units[name]}")
+            comparisons.append(f"{name} {plain(level, 2)}, not {plain(expected, 2)} {units[name]}".rstrip())
     warnings = []
     if different:
         warnings.append(messages.DIFFERENT_NOISE(levels="; ".join(comparisons), line=_line(different)))
@@ -98,9 +98,10 @@ def noise_warnings(problem: Problem, noise: Noise, subject: Subject) -> tuple[Me
 
 def cell_warnings(problem: Problem, subject: Subject) -> tuple[Message, ...]:
     """Return a warning about sensors that read in cells."""
-    finest, units = np.max([r.resolution for r in problem.readings], axis=0), {q.name: q.unit for q in subject.outputs}
+    finest = np.max([r.resolution for r in problem.readings], axis=0)
+    units = {q.name: written(q.unit) for q in subject.outputs}
     pairs = zip(problem.layout.outputs, finest.tolist(), strict=True)
-    cells = [f"{name} reads in cells of {plain(cell, 3)} {units[name]}" for name, cell in pairs if cell > 0.0]
+    cells = [f"{name} reads in cells of {plain(cell, 3)} {units[name]}".rstrip() for name, cell in pairs if cell > 0.0]
     return (messages.CELLS(cells=join_names(cells)),) if cells else ()
 
 

@@ -28,10 +28,10 @@ CANDIDATES = {
 }
 BOUNDED = [name for name in CANDIDATES if name not in {"valve_offset.value", "asymmetry.ratio", "load.pressure"}]
 GIVEN = {**BASE, **dict.fromkeys(CANDIDATES, 0.0)}
-CHOSEN = ("asymmetry.ratio", "valve_delay.time", "pressure_drop.inverse_supply", "leakage.rate")  # --choose prints them
+CHOSEN = ("asymmetry.ratio", "valve_delay.time", "pressure_drop.inverse_supply", "leakage.rate")  # as --choose prints
 VARIANTS = (
     Variant("base", BASE),
-    Variant("terms chosen by parts left out", {**BASE, **{name: CANDIDATES[name] for name in CHOSEN}}),
+    *(Variant(f"{n} chosen terms", {**BASE, **{name: CANDIDATES[name] for name in CHOSEN[:n]}}) for n in (2, 4)),
 )
 
 
