@@ -167,6 +167,7 @@ def test_a_parameter_of_the_fmu_changes_the_filter(study: Study) -> None:
 def test_the_way_is_part_of_the_origin(study: Study, way: str) -> None:
     words = {"model_exchange": "a filter over the states", "co_simulation": "free runs of the FMU"}
     assert words[way] in study.subject.source
+    assert bool(study.subject.untried) is (way == "co_simulation")
 
 
 def test_terms_stand_at_inputs_pairs_storages_and_outputs(study: Study, way: str) -> None:

@@ -115,6 +115,11 @@ def test_play_and_rate_limit_begin_at_the_first_input() -> None:
     assert (value, memory[0]) == (pytest.approx(2.1), pytest.approx(2.2))  # mean and end at two per second
 
 
+def test_a_limit_of_the_rate_is_tried_at_one_row_for_a_usual_change() -> None:
+    (inverse,) = parameters_of(bind(RateLimit, INPUT))
+    assert (inverse.unit, inverse.typical) == ("s/V", pytest.approx(INPUT.sizes["T"] / INPUT.sizes["u"]))
+
+
 def test_friction_that_is_larger_at_rest_falls_to_its_level() -> None:
     term = bind(Stribeck, PAIR)(level=1.0, breakaway=2.0, speed=0.5, softness=0.02)
     assert -term.force(SCALAR, 0.0, 0.1) == pytest.approx(1.0 + math.exp(-0.04), rel=1e-3)
