@@ -169,7 +169,7 @@ def _fuller_certain(search: Search, refused: Hypothesis, rest: Hypothesis) -> Hy
         if any(c.kind == "parameter" for c in new) or _parameters_at_limit(h, new, search.problem.values):
             continue
         h = with_intervals(search, h)
-        if any(may_be_chance(h, c, search.on_trial) for c in h.candidates):
+        if any(may_be_chance(search, h, c) for c in h.candidates):
             continue
         joint = _support(search, h, rest)
         is_chance = joint.steady < chance_limit(search.problem, h.fit, search.on_trial)
@@ -225,32 +225,33 @@ def _with_certain_parts(search: Search, best: Hypothesis, dropped: dict[str, str
     """Return a hypothesis with intervals, without parts that may have no effect.
 
     One candidate of many often corrects another one, or something outside the catalogue, at a value that differs
-    between the logs. A part is certain if it stands further from neutral than the best of all candidates by chance.
+    between the logs. A part is certain if it stands further from the model's value than the best of all candidates by
+    chance.
 
     Args:
         dropped: Name of a dropped part → reason, to add to.
     """
     best = with_intervals(search, best)
-    weak = [c for c in best.candidates if may_be_chance(best, c, search.on_trial)]
+    weak = [c for c in best.candidates if may_be_chance(search, best, c)]
     if not weak:
         return best
     least = deviations_by_chance(search.on_trial * weak[0].among)
-    dropped[weak[0].name] = f"its value is less than {least:.1f} standard deviations from that without effect"
+    dropped[weak[0].name] = f"its value is less than {least:.1f} standard deviations from that of the model"
     others = tuple(c for c in best.candidates if c is not weak[0])
     rest = search.tried.get(key_of(others)) or search.hypothesis(others, best.fit)
     search.tried[rest.names] = rest
     return _with_certain_parts(search, rest, dropped) if others else rest
 
 
-def may_be_chance(h: Hypothesis, c: Candidate, on_trial: int) -> bool:
-    """Return True if a part is no further from neutral than the best of all candidates and shapes on trial by chance.
+def may_be_chance(search: Search, h: Hypothesis, c: Candidate) -> bool:
+    """Return True if a part is as near to the model's value as the best of all candidates and shapes by chance.
 
     Where the likelihood is flat at the estimate, as for a lag shorter than the time between rows, the interval holds
     values that explain the logs alike; its width is no standard deviation and says nothing here.
     """
     distances = [f.name for f in c.free if f.neutral is not None]
     is_judged = bool(distances) and c.kind != "parameter" and not any(map(h.fit.is_flat, distances))
-    return is_judged and not h.is_away(c, deviations_by_chance(on_trial * c.among))
+    return is_judged and not h.is_away(c, deviations_by_chance(search.on_trial * c.among), search.problem.values)
 
 
 def _gain_together(search: Search, fuller: Hypothesis, rest: Hypothesis) -> bool:

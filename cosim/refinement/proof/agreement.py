@@ -44,7 +44,7 @@ def compare_with_predictions(search: Search, a: Attribution, claims: Claims) -> 
         return replace(claims, claimed=both)
     moved = _moved_parts(claims, h.fit, refit) if is_better and not a.halves_error else set()
     predicted = replace(h, fit=replace(h.fit, values=refit.values))
-    small = {c.name for c in h.candidates if may_be_chance(predicted, c, search.on_trial)} - moved
+    small = {c.name for c in h.candidates if may_be_chance(search, predicted, c)} - moved
     return _without(search, a, claims, moved, small) if moved | small else replace(claims, claimed=both)
 
 

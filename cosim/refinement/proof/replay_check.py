@@ -229,7 +229,11 @@ def _is_only_error(search: Search, h: Hypothesis) -> bool:
     (c,) = h.candidates
     if beyond_tolerance(h.fit):
         return False
-    return is_outside_tolerance(search, h, c) if c.kind == "parameter" else h.is_away(c, SIGNIFICANT)
+    return (
+        is_outside_tolerance(search, h, c)
+        if c.kind == "parameter"
+        else h.is_away(c, SIGNIFICANT, search.problem.values)
+    )
 
 
 def moved_beyond_tolerance(f: Fit) -> tuple[MovedParameter, ...]:

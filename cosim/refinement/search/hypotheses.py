@@ -46,13 +46,17 @@ class Hypothesis:
         names, others = set(self.names), set(other.names)
         return not (names <= others or names >= others)
 
-    def is_away(self, c: Candidate, times: float) -> bool:
-        """Return True if a parameter is more than `times` standard deviations from neutral.
+    def is_away(self, c: Candidate, times: float, given: Mapping[str, float] | None = None) -> bool:
+        """Return True if a parameter is more than `times` standard deviations from the given value, or from neutral.
 
         The shape of a term, all its parameters without neutral value, is held: without effect it is undetermined.
+
+        Args:
+            given: Values of the model, which may have an effect already; None for neutral ones.
         """
         shape = [f.name for f in c.free if f.neutral is None] if c.kind == "effect" else []
-        distances = {f.name: abs(self.fit.values[f.name] - f.neutral) for f in c.free if f.neutral is not None}
+        start = {f.name: f.neutral if given is None else given[f.name] for f in c.free if f.neutral is not None}
+        distances = {name: abs(self.fit.values[name] - value) for name, value in start.items()}
         return any(distance > times * self.fit.sigma(name, shape) for name, distance in distances.items())
 
 
