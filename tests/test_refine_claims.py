@@ -133,7 +133,7 @@ def test_a_part_that_differs_between_logs_is_judged_beside_one_that_may_be_missi
     rest = known_to(fitted(DAMPING, score=-198.0), 0.01)
     fuller = known_to(fitted(FRICTION, DRAG, DAMPING, score=score), sigma)
     tried = {h.names: h for h in (best, rest, fuller)}
-    search: Any = SimpleNamespace(problem=SimpleNamespace(values={}), tried=tried, on_trial=20)
+    search: Any = SimpleNamespace(problem=SimpleNamespace(values=CRAFT.values), tried=tried, on_trial=20)
     monkeypatch.setattr(judgement, "with_intervals", lambda search, h: h)
     monkeypatch.setattr(judgement, "_drop_unsupported", lambda search, h: judgement._Remainder(h))
     monkeypatch.setattr(judgement, "_parameters_at_limit", lambda h, parts, neutral: [])
@@ -157,7 +157,7 @@ def test_a_part_whose_gain_nearly_pays_its_cost_is_named_beside_the_claim(
 ) -> None:
     best = replace(fitted(FRICTION), ended=True)
     fuller = replace(fitted(FRICTION, DAMPING, score=score), ended=True)
-    search: Any = SimpleNamespace(problem=None, tried={h.names: h for h in (best, fuller)}, on_trial=20)
+    search: Any = SimpleNamespace(problem=SimpleNamespace(values=CRAFT.values), tried={h.names: h for h in (best, fuller)}, on_trial=20)
     monkeypatch.setattr(judgement, "_support", lambda search, better, worse: support)
     monkeypatch.setattr(judgement, "chance_limit", lambda problem, f, tried: 2.4)
     rest = judgement._with_nearly_paid(search, judgement._Remainder(best))
@@ -217,7 +217,7 @@ def test_beside_an_unknown_input_fits_to_predictions_show_whether_the_error_is_h
 ) -> None:
     ratios = {False: by_filter, True: (0.2, 0.4)}
     monkeypatch.setattr(judgement, "error_ratios", lambda *fits, to_predictions: ratios[to_predictions])
-    search = cast(Search, SimpleNamespace(subject=CRAFT, problem=SimpleNamespace(logs=[1, 2], table=False, own=())))
+    search = cast(Search, SimpleNamespace(subject=CRAFT, problem=SimpleNamespace(logs=[1, 2], table=False, own=(), values=CRAFT.values)))
     assert judgement._error_ratios(search, fitted(FRICTION), fitted(), (noise,)) == expected
 
 
@@ -285,7 +285,7 @@ def test_a_part_on_which_filter_and_predictions_disagree_is_not_claimed(
     monkeypatch.setattr(agreement, "_predicts_better", lambda search, h: True)
     monkeypatch.setattr(agreement, "with_intervals", lambda search, h: h)
     a = attribution(best, ratios=ratios)
-    problem = SimpleNamespace(logs=[1, 2], table=False, own=())
+    problem = SimpleNamespace(logs=[1, 2], table=False, own=(), values=CRAFT.values)
     search = cast(Search, SimpleNamespace(subject=CRAFT, problem=problem, on_trial=1))
     after = compare_with_predictions(search, a, Claims("effect_found", best, grade="claimed"))
     names = after.claimed.names if after.claimed else None
@@ -303,7 +303,7 @@ def test_intervals_of_a_part_include_the_value_of_predictions(
     refit = replace(best.fit, values={n: v + 0.02 for n, v in best.fit.values.items()})
     monkeypatch.setattr(agreement, "fit_to_predictions", lambda *arguments: refit)
     monkeypatch.setattr(agreement, "_predicts_better", lambda search, h: False)
-    problem = SimpleNamespace(logs=[1, 2], table=False, own=())
+    problem = SimpleNamespace(logs=[1, 2], table=False, own=(), values=CRAFT.values)
     search = cast(Search, SimpleNamespace(subject=CRAFT, problem=problem, on_trial=1))
     after = compare_with_predictions(search, attribution(best), Claims("effect_found", best, grade=grade)).claimed
     assert after is not None

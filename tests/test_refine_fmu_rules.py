@@ -44,7 +44,8 @@ def test_a_part_of_a_claim_is_further_from_neutral_than_the_best_of_all_by_chanc
 ) -> None:
     monkeypatch.setattr(judgement, "with_intervals", lambda search, h: h)
     alone = hypothesis({"late": (2.6, 0.1)})
-    search: Any = SimpleNamespace(tried={("late",): alone}, on_trial=50)
+    problem = SimpleNamespace(values={"lag.value": 0.0, "late.value": 0.0})
+    search: Any = SimpleNamespace(problem=problem, tried={("late",): alone}, on_trial=50)
     dropped: dict[str, str] = {}
     both = hypothesis({"lag": (1.0, np.inf if is_flat else 0.3), "late": (2.4, 0.3)})
     best = judgement._with_certain_parts(search, both, dropped)
@@ -65,6 +66,8 @@ def test_the_size_of_an_effect_is_certain_at_its_fitted_shape() -> None:
     h = Hypothesis((Candidate("lag", "effect", free, ({},)),), fit, 0.0)
     assert fit.sigma("lag.time") > 5.0
     assert h.is_away(h.candidates[0], 3.7)
+    given = {"lag.time": 0.6, "lag.damping": 0.6}  # of a model that has the effect already
+    assert not h.is_away(h.candidates[0], 3.7, given)
     assert not h.is_away(h.candidates[0], 60.0)
 
 
