@@ -157,7 +157,9 @@ def test_a_part_whose_gain_nearly_pays_its_cost_is_named_beside_the_claim(
 ) -> None:
     best = replace(fitted(FRICTION), ended=True)
     fuller = replace(fitted(FRICTION, DAMPING, score=score), ended=True)
-    search: Any = SimpleNamespace(problem=SimpleNamespace(values=CRAFT.values), tried={h.names: h for h in (best, fuller)}, on_trial=20)
+    search: Any = SimpleNamespace(
+        problem=SimpleNamespace(values=CRAFT.values), tried={h.names: h for h in (best, fuller)}, on_trial=20
+    )
     monkeypatch.setattr(judgement, "_support", lambda search, better, worse: support)
     monkeypatch.setattr(judgement, "chance_limit", lambda problem, f, tried: 2.4)
     rest = judgement._with_nearly_paid(search, judgement._Remainder(best))
@@ -217,7 +219,10 @@ def test_beside_an_unknown_input_fits_to_predictions_show_whether_the_error_is_h
 ) -> None:
     ratios = {False: by_filter, True: (0.2, 0.4)}
     monkeypatch.setattr(judgement, "error_ratios", lambda *fits, to_predictions: ratios[to_predictions])
-    search = cast(Search, SimpleNamespace(subject=CRAFT, problem=SimpleNamespace(logs=[1, 2], table=False, own=(), values=CRAFT.values)))
+    search = cast(
+        Search,
+        SimpleNamespace(subject=CRAFT, problem=SimpleNamespace(logs=[1, 2], table=False, own=(), values=CRAFT.values)),
+    )
     assert judgement._error_ratios(search, fitted(FRICTION), fitted(), (noise,)) == expected
 
 
