@@ -89,14 +89,14 @@ def _private_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 
 @pytest.fixture(scope="session")
-def _forker() -> Iterator[Any]:
+def _forker(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     """Fork workers if the system supports it."""
     if not sys.platform.startswith("linux"):
         yield None
         return
     from tests.warm import Forker
 
-    forker = Forker()
+    forker = Forker(_session(tmp_path_factory))
     yield forker
     forker.end()
 

@@ -68,7 +68,7 @@ def _spawn_worker() -> Any:
     ours, theirs = zip(*(os.pipe()[::way] for way in (-1, 1, 1)), strict=True)
     pid = os.fork()
     if pid == 0:
-        warm._work([*theirs, 0], warm.Job(dict(os.environ), os.getcwd()))
+        warm._work([*theirs], warm.Job(dict(os.environ), os.getcwd()))
     for number in theirs:
         os.close(number)
     return Fork(pid, (os.fdopen(ours[0], "wb"), os.fdopen(ours[1], "rb"), os.fdopen(ours[2], "rb")))

@@ -19,7 +19,6 @@ import traceback
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -31,6 +30,7 @@ import controller
 import cosim as cosim_package
 import fmus
 import plant
+from cosim.base.registry import names
 from cosim.fmi.native import compiler
 from cosim.isolation import process
 from cosim.storage.archive import unpack
@@ -53,12 +53,12 @@ SPAWN = process._spawn  # what it does elsewhere
 
 @dataclass(frozen=True)
 class Job:
-    """A process to fork: a worker, a server that forks workers, or the command with the given words."""
+    """A process to fork: a worker, or the command with the given words, whose workers are forked too."""
 
     environment: dict[str, str]
     folder: str
     words: tuple[str, ...] = ()
-    serves: bool = False
+    forker: Path | None = None  # the folder of the processes that fork, for a command
     options: tuple[str, ...] = field(default_factory=lambda: compiler.OPTIONS)
     fmus: tuple[Path, ...] = ()  # in Python, to import before
 
@@ -96,14 +96,16 @@ class Forked:
 
 
 class Forker:
-    """The processes that fork, as their caller sees them; started when they are needed, ended with their caller.
+    """The processes that fork, as one of their callers sees them: started by the first, ended with the last.
 
-    One has what workers import; the other, larger one has what commands import.
+    One has what workers import; the other, larger one has what commands import. Their sockets are in a folder.
     """
 
-    def __init__(self, socket_to_it: socket.socket | None = None) -> None:
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
         self._processes: list[subprocess.Popen[bytes]] = []
-        self._sockets = {} if socket_to_it is None else {"workers": socket_to_it}
+        self._sockets: dict[str, socket.socket] = {}
+        self._environment = dict(os.environ)
         self._fixed = _read_at_start(os.environ)
         self._fmus: list[Path] = []  # of which it has not been told yet
 
@@ -128,19 +130,14 @@ class Forker:
             self._start(kind)
         if _read_at_start(environment) != self._fixed:
             return None
-        job = Job(dict(environment), folder)
+        job = Job(dict(environment), folder, tuple(words), self._folder)
         with open(os.devnull) as nothing, tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as err:
             streams = [nothing, out, err]
-            numbers = [stream.fileno() for stream in streams]
-            ours, theirs = socket.socketpair()
-            with ours, theirs:  # between the command and the process that forks its workers
-                server = self._fork("workers", [*numbers, theirs.fileno()], replace(job, serves=True))
-                command = self._fork("commands", [*numbers, ours.fileno()], replace(job, words=tuple(words)))
+            command = self._fork("commands", [stream.fileno() for stream in streams], job)
             try:
                 code = command.wait(timeout)
             finally:
                 command.kill()
-                server.wait()
             for stream in streams:
                 stream.seek(0)
             return subprocess.CompletedProcess(["cosim", *words], code, out.read(), err.read())
@@ -150,16 +147,32 @@ class Forker:
         self._fmus.append(fmu)
 
     def _start(self, kind: str) -> None:
-        if kind not in self._sockets:
-            self._fixed = _read_at_start(os.environ)
-            self._sockets[kind], other = socket.socketpair()
-            command = [sys.executable, "-m", __name__, str(other.fileno()), kind]
-            self._processes.append(
-                subprocess.Popen(
-                    command, cwd=ROOT, pass_fds=[other.fileno()], stdin=subprocess.DEVNULL, start_new_session=True
-                )
-            )
-            other.close()
+        """Connect to a process that forks; start it if no other caller has."""
+        if kind in self._sockets:
+            return
+        import fcntl  # of POSIX, as all that forks
+
+        folder = os.open(self._folder, os.O_RDONLY)
+        address = f"/proc/self/fd/{folder}/{kind}"  # the path of a socket has a limit of 108 bytes
+        asked = self._sockets[kind] = socket.socket(socket.AF_UNIX)
+        with (self._folder / f"{kind}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)  # until it is closed
+            try:
+                asked.connect(address)
+            except (FileNotFoundError, ConnectionRefusedError):
+                (self._folder / kind).unlink(missing_ok=True)
+                with socket.socket(socket.AF_UNIX) as listening:
+                    listening.bind(address)
+                    listening.listen(64)
+                    command = [sys.executable, "-m", __name__, str(listening.fileno()), kind]
+                    self._processes.append(
+                        subprocess.Popen(
+                            command, cwd=ROOT, env=self._environment, pass_fds=[listening.fileno()],
+                            stdin=subprocess.DEVNULL, start_new_session=True,
+                        )
+                    )  # fmt: skip
+                    asked.connect(address)
+        os.close(folder)
 
     def _fork(self, kind: str, streams: list[int], job: Job) -> Forked:
         status, told = os.pipe()
@@ -230,34 +243,49 @@ def import_modules_of(fmu: Path) -> None:
         sys.path.remove(str(resources))
 
 
-def serve(asked: socket.socket) -> None:
-    """Fork a process for each message, and tell how each has ended, until the caller ends."""
+def serve(listening: socket.socket) -> None:
+    """Fork a process for each message, and tell how each has ended, until the last caller ends."""
     woken, wake = os.pipe()
     for number in (woken, wake):
         os.set_blocking(number, False)
     signal.set_wakeup_fd(wake, warn_on_full_buffer=False)
     signal.signal(signal.SIGCHLD, lambda *_: None)
     told: dict[int, int] = {}  # process → where its caller reads how it ended
-    while True:
-        ready = select.select([asked, woken], [], [])[0]
+    callers = [listening.accept()[0]]
+    while callers:
+        ready = select.select([listening, woken, *callers], [], [])[0]
         if woken in ready:
             with suppress(BlockingIOError):
                 os.read(woken, 4096)
             _tell(told)
-        if asked in ready:
-            head, numbers, _, _ = socket.recv_fds(asked, 8, 5)
-            if not head:
-                return
-            job: Job = pickle.loads(asked.recv(int.from_bytes(head, "big"), socket.MSG_WAITALL))
-            for fmu in job.fmus:
-                import_modules_of(fmu)
-            pid = os.fork()
-            if pid == 0:
-                _work(numbers[1:], job)
-            for number in numbers[1:]:
-                os.close(number)
-            told[pid] = numbers[0]
-            asked.sendall(pid.to_bytes(8, "big"))
+        for asked in (caller for caller in callers.copy() if caller in ready):
+            try:
+                lives = _answer(asked, told)
+            except (ConnectionError, EOFError, pickle.UnpicklingError):  # killed while it asked
+                lives = False
+            if not lives:
+                callers.remove(asked)
+                asked.close()
+        if listening in ready:
+            callers.append(listening.accept()[0])
+
+
+def _answer(asked: socket.socket, told: dict[int, int]) -> bool:
+    """Fork what a caller asks for; return False if the caller has ended."""
+    head, numbers, _, _ = socket.recv_fds(asked, 8, 5)
+    if not head:
+        return False
+    job: Job = pickle.loads(asked.recv(int.from_bytes(head, "big"), socket.MSG_WAITALL))
+    for fmu in job.fmus:
+        import_modules_of(fmu)
+    pid = os.fork()
+    if pid == 0:
+        _work(numbers[1:], job)
+    for number in numbers[1:]:
+        os.close(number)
+    told[pid] = numbers[0]
+    asked.sendall(pid.to_bytes(8, "big"))
+    return True
 
 
 def _tell(told: dict[int, int]) -> None:
@@ -277,8 +305,8 @@ def _work(numbers: list[int], job: Job) -> NoReturn:
         signal.set_wakeup_fd(-1)
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)
         os.setsid()
-        for place, number in enumerate(numbers):  # the last one, if any, to or from the server of workers
-            os.dup2(number, place, inheritable=place < 3)
+        for place, number in enumerate(numbers):
+            os.dup2(number, place)
         os.closerange(len(numbers), 1024)
         os.environ.clear()
         os.environ.update(job.environment)
@@ -299,15 +327,14 @@ def _work(numbers: list[int], job: Job) -> NoReturn:
 
 def _main(job: Job) -> Callable[[], object]:
     """Return what the process does."""
-    if job.serves:
-        return partial(serve, socket.socket(fileno=3))
     if not job.words:
         from cosim.isolation.worker import main
 
         return main
     from cosim.__main__ import main as command
 
-    process._spawn = Forker(socket.socket(fileno=3)).spawn
+    assert job.forker is not None
+    process._spawn = Forker(job.forker).spawn
     sys.argv = ["cosim", *job.words]
     return command
 
@@ -318,4 +345,6 @@ if __name__ == "__main__":
         import_all(IN_WORKERS, (cosim_package,))
     else:
         import_all()
+        names("cosim.verbs")  # reads what all packages register
     serve(socket.socket(fileno=int(sys.argv[1])))
+    os._exit(0)  # nothing is left to tidy up but what was imported

@@ -11,7 +11,7 @@ import pkgutil
 import warnings
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, version
+from importlib.metadata import EntryPoint, EntryPoints, PackageNotFoundError, entry_points, version
 from pathlib import Path
 from typing import Any
 
@@ -185,9 +185,14 @@ def attempt(name: str, place: str) -> Any:
 
 
 @functools.cache
+def _all_points() -> EntryPoints:
+    return entry_points()  # reads a file of every installed package
+
+
+@functools.cache
 def _points_of_group(group: str) -> dict[str, tuple[EntryPoint, ...]]:
     by_name: dict[str, list[EntryPoint]] = {}
-    for point in entry_points(group=group):
+    for point in _all_points().select(group=group):
         by_name.setdefault(point.name, []).append(point)
     return {name: tuple(_without_repeats(points)) for name, points in by_name.items()}
 
