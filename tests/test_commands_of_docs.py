@@ -281,7 +281,7 @@ SHORT = {
 }  # fmt: skip
 LONGER = [pytest.mark.thorough]
 PREPARED = [
-    ("docs/logs.md", _of_the_craft, ()),
+    ("docs/logs.md", _of_the_craft, LONGER),
     ("docs/related.md", lambda folder: decay_fmu(folder / "BouncingBall.fmu"), ()),
     ("docs/times.md", lambda folder: None, ()),
     ("examples/clocks/README.md", _clocks, [NEEDS_COMPILER]),

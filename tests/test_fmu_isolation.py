@@ -190,6 +190,7 @@ print(json.dumps([
 """
 
 
+@pytest.mark.thorough  # by cosim: below
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the library of Linux alone has this fault")
 def test_what_pythonfmu_releases_twice_is_kept_in_balance(
     plant_fmu: Path, controller_fmu: Path, tmp_path: Path

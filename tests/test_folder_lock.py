@@ -103,6 +103,7 @@ def test_native_fmus_are_not_built_where_another_command_writes(held: Path) -> N
         build_native(held)
 
 
+@pytest.mark.thorough  # every verb is refused above; after a kill: test_row_stops
 @pytest.mark.fresh
 def test_of_two_commands_one_writes_and_one_is_refused_and_a_kill_leaves_no_lock(tmp_path: Path) -> None:
     slow = deeds_scenario(tmp_path, "DoStep", "slow", 0, duration=1000.0)

@@ -54,8 +54,14 @@ def _listed(name: str) -> list[Entry]:
             {"components.tank.start.area": 0.7},
             marks=pytest.mark.thorough,
         ),
-        ("e1", ["replay", "e1.csv", "--plant", "tank.fmu"], ["--start", "area=0.7"], {"start.area": 0.7}),
-        ("areas", ["sweep", "sweep.yaml", "--workers", "1"], ["--force"], {}),
+        pytest.param(
+            "e1",
+            ["replay", "e1.csv", "--plant", "tank.fmu"],
+            ["--start", "area=0.7"],
+            {"start.area": 0.7},
+            marks=pytest.mark.thorough,
+        ),
+        pytest.param("areas", ["sweep", "sweep.yaml", "--workers", "1"], ["--force"], {}, marks=pytest.mark.thorough),
         ("e1-and-v1", ["compare", "e1.csv", "v1.csv"], ["--tol", "9"], {"tolerance": 9.0}),
     ],
 )

@@ -303,6 +303,7 @@ def test_a_model_without_the_signals_of_the_log_is_refused(log: Log, tmp_path: P
 # -- the answer -------------------------------------------------------------------------------
 
 
+@pytest.mark.thorough  # a recorded log is replayed and reported below
 def test_the_plant_explains_its_own_flight(log: Log, tmp_path: Path, plant_fmu: Path) -> None:
     comparison = write_replay(tmp_path / "out", log, plant_fmu)
     assert "nothing that the model lacks" in verdict(comparison)

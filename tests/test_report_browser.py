@@ -119,6 +119,7 @@ def test_dragging_across_one_chart_zooms_all_and_a_double_click_takes_it_back(pa
     assert shapes(page) == before
 
 
+@pytest.mark.thorough  # keys move the cursor in test_report_charts
 def test_a_chart_takes_keys_when_it_has_the_focus_and_the_page_scrolls_as_any(page: Page) -> None:
     page.keyboard.press("Space")
     page.wait_for_function("scrollY > 100")

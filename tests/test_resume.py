@@ -180,6 +180,7 @@ def test_a_run_is_stopped_again_and_again(walk: Walk, tmp_path: Path) -> None:
     assert (part / "results.csv").read_bytes() == (whole / "results.csv").read_bytes()
 
 
+@pytest.mark.thorough  # small FMUs that save their state go on above
 def test_the_example_is_stopped_goes_on_and_gets_longer(project: Path) -> None:
     scenario = project / "scenarios" / "endurance.yaml"
     whole = run(scenario, project / "whole", ["duration=20"], report=False).folder
@@ -205,6 +206,7 @@ def test_a_component_in_its_own_process_goes_on(tmp_path: Path) -> None:
     check_equal(part, whole)
 
 
+@pytest.mark.thorough  # runs stopped again and again go on above; rows of killed ones stay: test_row_stops
 def test_runs_killed_by_the_system_go_on_to_the_same_bytes() -> None:
     done = subprocess.run(
         [sys.executable, "-m", "tests.kills", "1"], cwd=ROOT, capture_output=True, text=True, timeout=300

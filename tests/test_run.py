@@ -140,6 +140,7 @@ def test_check_finds_nothing_wrong_with_what_we_ship(project: Path) -> None:
     assert (done.returncode, done.stderr) == (0, "")
 
 
+@pytest.mark.thorough  # the command builds in test_verbs, the fixtures build the FMUs
 def test_build_makes_every_fmu_the_scenarios_name(tmp_path: Path) -> None:
     done = cosim("build", "--out", "fmus", cwd=tmp_path)
     assert done.returncode == 0, done.stderr

@@ -87,6 +87,7 @@ def test_a_link_to_a_folder_is_not_swept(tmp_path: Path) -> None:
     assert (mine / LOCK).exists()
 
 
+@pytest.mark.thorough  # without processes: test_misbehaving
 def test_the_folder_of_a_process_is_swept_after_it_was_killed(tmp_path: Path) -> None:
     path = deeds_scenario(tmp_path, "DoStep", "slow", 0, duration=1000.0)
     temporary = tmp_path / "temporary"

@@ -189,6 +189,7 @@ def test_zoom_cursor_files_and_layouts(browser: Browser, page_of_runs: ViewPage,
     assert faults == []
 
 
+@pytest.mark.thorough  # layouts and cursor: above; the signals: test_derived_signals
 def test_derived_signals_of_a_layout_stand_in_any_order_and_texts_are_read_at_the_cursor(
     browser: Browser, tmp_path: Path
 ) -> None:
