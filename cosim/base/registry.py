@@ -11,7 +11,7 @@ import pkgutil
 import warnings
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib.metadata import EntryPoint, EntryPoints, PackageNotFoundError, entry_points, version
+from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, version
 from pathlib import Path
 from typing import Any
 
@@ -185,7 +185,7 @@ def attempt(name: str, place: str) -> Any:
 
 
 @functools.cache
-def _all_points() -> EntryPoints:
+def _all_points() -> Any:
     return entry_points()  # reads a file of every installed package
 
 
