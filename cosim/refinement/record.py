@@ -246,9 +246,9 @@ class Record(_Entry):
     verdict: Name
     sentence: str = Field(description="the verdict in plain words")
     grade: Grade = Field(
-        description="`claimed`; `part`: a claim that leaves more than 10 % of the excess error, or an unknown input "
-        "of more than 2 % of the derivative of its state; `nearest`: nothing is claimed for sure; the nearest model "
-        "predicts best"
+        description="`claimed`; `part`: a claim that leaves more than 10 % of the excess error, or half of it on a "
+        "channel of the sealed logs, or an unknown input of more than 2 % of the derivative of its state; `nearest`: "
+        "nothing is claimed for sure; the nearest model predicts best"
     )
     effects: list[EffectEntry] = Field(
         description="what is claimed, most important first; where the verdict is `ambiguous`, what all rivals contain, "

@@ -46,7 +46,7 @@ from cosim.refinement.proof.nearest import ladder, nearest
 from cosim.refinement.proof.prediction_search import search_nearest
 from cosim.refinement.proof.proof_replays import LogSets, Proof, warnings_of
 from cosim.refinement.proof.refined_models import Variant, log_noise, refined_subject, variant_of, variants_of
-from cosim.refinement.proof.replay_check import check_with_replays, moved_beyond_tolerance
+from cosim.refinement.proof.replay_check import check_on_sealed_logs, check_with_replays, moved_beyond_tolerance
 from cosim.refinement.proof.sealed import find_rises, repeated_motion
 from cosim.refinement.proof.table_errors import add_dependence, errors_on_held_out_rows
 from cosim.refinement.record import Floors, Measurements, Part, Replayed, keep_finite, record
@@ -144,6 +144,10 @@ def refine(
         floors: Floors = {part: noise_floor(quiet, problem, logs, rng) for part, logs in sets.items()}
         remaining = _remaining(claims, played, subject)
         claims = replace(claims, risen=_rises(claims, played, subject), remaining=remaining, written=bool(files))
+        if remaining and (checked := _checked_on_sealed_logs(claims, played, floors, subject)) is not claims:
+            claims, variants["nearest"] = checked, variants["after"]
+            played = {**played, "nearest": played["after"]}
+            files += variants["nearest"].subject.write(scratch, folder, "nearest")
         ends = final_log_parameters(variants["after"], problem, sealed)
         hold_stops()  # From here, a result exists that must not be lost.
         warnings += [*failure_warnings(problem), *_delivery_warnings(variants)]
@@ -360,6 +364,15 @@ def _remaining(claims: Claims, played: Replayed, subject: Subject) -> Mapping[st
     if sum(before[name] > given[name] for name in before if name in given) > 0.5 * len(before):
         return {}  # recalibration alone made the model worse, so it is no reference
     return {name: (after[name] / size) ** 2 for name, size in before.items() if size > 0.0 and name in after}
+
+
+def _checked_on_sealed_logs(claims: Claims, played: Replayed, floors: Floors, subject: Subject) -> Claims:
+    """Return the claims, graded by the replays of sealed logs."""
+    names = {"before", claims.baseline, "after"}
+    error = {name: keep_finite(rmse(played[name]["validation"][subject.horizon])) for name in names}
+    common = set.intersection(*map(set, error.values()))
+    floor = {name: size for name, size in floors["validation"].level.items() if name in common}
+    return check_on_sealed_logs(claims, error, floor)
 
 
 def _floor_warnings(floors: Floors, played: Replayed, subject: Subject) -> Iterator[str]:

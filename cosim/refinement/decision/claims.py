@@ -64,10 +64,14 @@ class Part:
     """The share of a channel's excess error that remains in replays with a claim.
 
     Excess is the mean square error above the noise floor.
+
+    Attributes:
+        sealed: True if the replays are those of sealed logs.
     """
 
     channel: str
     share: float
+    sealed: bool = False
 
 
 @dataclass(frozen=True)

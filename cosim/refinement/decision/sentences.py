@@ -25,6 +25,7 @@ from cosim.subject.interface import Subject
 
 LITTLE = 0.05  # of what is missing, below which a term is no account of it
 MOST_WORDS = 25  # of a sentence
+NEARLY_ALL = 0.95  # share from which the exact number says nothing more, as it may exceed 1
 NOTHING = "Nothing is missing: the model, within its tolerances, explains these logs down to the sensors' noise."
 DISTURBED = "Nothing is missing: what the model does not explain is a disturbance that follows no signal."
 NO_HYPOTHESIS = "No hypothesis holds on logs it was not fitted on."
@@ -89,7 +90,10 @@ def _share_texts(c: Claims) -> Iterator[str]:
     if c.left_share is not None and c.left_of is not None:
         of = f"of the mean square error of {c.left_of[0]} after recalibration"
         yield part_text(c.residual, f"{percent(c.left_share)} {of} remain")
-    if c.part is not None:
+    if c.part is not None and c.part.sealed:
+        kept = "nearly all" if c.part.share >= NEARLY_ALL else percent(c.part.share)
+        yield f"{IN_PART}: on sealed logs replays keep {kept} of the excess error of {c.part.channel}."
+    elif c.part is not None:
         yield part_text(c.misfit, f"replays keep {percent(c.part.share)} of the excess error of {c.part.channel}")
     if c.disturbed:
         disturbance = f"an unknown input of {percent(c.moves[c.disturbed])} of the derivative of {c.disturbed}"

@@ -14,7 +14,7 @@ from cosim.base.arrays import Array
 from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.problem import Problem
-from cosim.refinement.decision.claims import Claims, Doubt, MovedParameter, Part, experiment_for, name_of
+from cosim.refinement.decision.claims import Claims, Doubt, MovedParameter, Nearest, Part, experiment_for, name_of
 from cosim.refinement.decision.evidence import sum_per_scatter
 from cosim.refinement.decision.judgement import (
     BETTER,
@@ -33,7 +33,7 @@ from cosim.subject.base_parameters import WIDTHS
 from cosim.subject.interface import Subject
 
 PART = 0.1  # remaining share of the excess error from which a claim explains only a part
-HALF = 0.5  # remaining share of the excess error on the best channel from which a claim is withdrawn
+HALF = 0.5  # remaining share of excess error: on the best channel a claim is withdrawn, on any sealed one a part
 UNSURE = 2.0  # increase of replay errors per scatter, below which it is not significant
 
 Channels = Mapping[str, float]  # measured output → root mean square
@@ -139,6 +139,21 @@ def check_claim(
     if weak:
         return claims.withdraw(Doubt("unsteady", names=weak))
     return replace(claims, grade="part", part=Part(worst, share))
+
+
+def check_on_sealed_logs(claims: Claims, error: ErrorOf, floor: Channels) -> Claims:
+    """Return the claims, as a part of the answer if most of a channel's excess error on sealed logs remains.
+
+    Excess is that of the model for comparison. Nothing is withdrawn or chosen, as the logs stay a test.
+    """
+    if claims.claimed is None or claims.name == "ambiguous" or claims.grade != "claimed":
+        return claims
+    shares = _remaining_excess({**error, "before": error[claims.baseline]}, floor)
+    worst, share = max(shares.items(), key=itemgetter(1), default=("", 0.0))
+    if share <= HALF:
+        return claims
+    nearest = Nearest(claims.claimed, moved_beyond_tolerance(claims.claimed.fit))
+    return replace(claims, grade="part", part=Part(worst, share, sealed=True), nearest=nearest)
 
 
 def _is_clearly_worse(after: Array, before: Array) -> bool:
