@@ -17,11 +17,17 @@ from cosim.estimation.noise_model import Noise
 from cosim.logs.channel_noise import NORMAL_95
 from cosim.refinement.decision import judgement
 from cosim.refinement.decision.claims import Claims, Grade, MovedParameter, Rung, judge, name_of
-from cosim.refinement.decision.sentences import _moved_text, improvement_text, nearest_text, remainder_text
+from cosim.refinement.decision.sentences import (
+    _moved_text,
+    improvement_text,
+    nearest_text,
+    remainder_text,
+    sentence,
+)
 from cosim.refinement.proof import agreement
 from cosim.refinement.proof.agreement import compare_with_predictions
 from cosim.refinement.proof.nearest import is_as_good, nearest
-from cosim.refinement.proof.replay_check import check_claim
+from cosim.refinement.proof.replay_check import check_claim, check_on_sealed_logs
 from cosim.refinement.record import effects
 from cosim.refinement.search.fits import Search
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis, Support
@@ -203,6 +209,23 @@ def test_a_claim_that_halves_the_held_out_error_is_never_withdrawn() -> None:
     assert (kept.name, kept.grade) == ("effect_found", "part")
     assert kept.part is not None
     assert kept.part.share == pytest.approx(80 / 99)
+
+
+def test_a_claim_that_leaves_most_of_the_excess_error_of_a_sealed_channel_is_a_part() -> None:
+    claims = Claims("effect_found", fitted(FRICTION), grade="claimed", written=False)
+    given, floor = {"x": 40.0, "y": 9.0}, {"x": 1.0, "y": 1.0}
+    errors = {"before": given, "recalibrated": {"x": 10.0, "y": 9.0}}
+    held = check_on_sealed_logs(claims, {**errors, "after": {"x": 7.0, "y": 1.0}}, floor)
+    assert held is claims
+    part = check_on_sealed_logs(claims, {**errors, "after": {"x": 8.0, "y": 1.0}}, floor)
+    assert (part.name, part.grade, part.nearest_hypothesis) == ("effect_found", "part", claims.claimed)
+    assert part.part is not None
+    assert part.part.share == pytest.approx(63 / 99)
+    assert "on sealed logs replays keep 64 % of the excess error of x." in sentence(part, CRAFT).replace("\u00a0", " ")
+    worse = check_on_sealed_logs(claims, {**errors, "after": {"x": 12.0, "y": 1.0}}, floor)
+    assert "keep nearly all of the excess error of x." in sentence(worse, CRAFT)
+    disputed = replace(claims, name="ambiguous", grade="part")
+    assert check_on_sealed_logs(disputed, {**errors, "after": {"x": 12.0, "y": 1.0}}, floor) is disputed
 
 
 def test_the_error_ratio_is_the_mean_over_the_logs_and_each_log_has_to_improve() -> None:
