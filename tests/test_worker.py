@@ -345,3 +345,14 @@ def test_a_worker_whose_caller_has_ended_writes_nothing_more_while_it_removes_it
     worker.hold_if_abandoned()
     worker.hold_if_abandoned()
     assert len(waits) == 1
+
+
+@pytest.mark.fresh
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Linux ends a worker with its parent")
+def test_a_worker_outlasts_the_thread_that_started_it() -> None:
+    with Worker() as apart:
+        thread = threading.Thread(target=apart.call, args=(os.getpid,))
+        thread.start()
+        thread.join()
+        time.sleep(0.1)
+        assert apart.call(signal.alarm, 0) == 0  # the kernel's signal would have set the alarm to end it

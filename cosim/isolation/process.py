@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO, Self
@@ -66,7 +67,7 @@ class Worker:
             self._scratch: ScratchFolder = scratch(PREFIX)
             try:
                 self.progress = mapped_progress(self._scratch.path / PROGRESS)
-                self._process, self._finishing = _spawn(), False
+                self._process, self._finishing = _from_lasting_thread(_spawn), False
             except BaseException:
                 self._scratch.remove()
                 raise
@@ -247,6 +248,25 @@ def _show(text: bytes) -> None:
     with suppress(OSError, ValueError):  # stderr may be closed
         sys.stderr.write(text.decode("utf-8", "replace"))
         sys.stderr.flush()
+
+
+def _from_lasting_thread(spawn: Callable[[], Any]) -> Any:
+    """Return a process started by a thread that lasts as long as this process.
+
+    For the kernel of Linux the thread that starts a process is its parent. The worker would end after a short thread.
+    """
+    if threading.current_thread() is threading.main_thread():
+        return spawn()
+    with _starting:
+        if os.getpid() not in _starters:  # The threads of a process are not those of its fork.
+            _starters.clear()
+            _starters[os.getpid()] = ThreadPoolExecutor(1, "start of workers")
+        starter = _starters[os.getpid()]
+    return starter.submit(spawn).result()
+
+
+_starting = threading.Lock()
+_starters: dict[int, ThreadPoolExecutor] = {}
 
 
 def _spawn() -> subprocess.Popen[bytes]:
