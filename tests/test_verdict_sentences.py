@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -36,6 +37,7 @@ from cosim.refinement.proof.measure import Floor
 from cosim.refinement.record import effects, hidden_effects
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis, Support
 from cosim.refinement.search.unnamed import UnnamedTerm
+from cosim.refinement.workflow import _floor_warnings
 from cosim.subject.candidates import Candidate, Free
 from cosim.subject.model_subject import ModelSubject
 from plant.hovercraft import Hovercraft
@@ -280,6 +282,12 @@ def changed(record: dict[str, Any], path: str, value: Any) -> dict[str, Any]:
         ("worse on sealed logs", "error/after/validation/vx", 0.09, "the error of vx goes from 0.1 to 0.09"),
         ("below its floor", "warnings", [], "the floor of vx on validation logs is 0.01, the error 0.005; said: False"),
         ("below its floor", "floor_scatters/validation/vx", 0.5, "said: True"),
+        (
+            "outside",
+            "error/nearest/validation/vx",
+            0.005,
+            "the floor of vx on validation logs is 0.01, the error 0.005",
+        ),
     ],
 )
 def test_what_contradicts_itself_is_noticed(made: str, path: str, value: Any, words: str) -> None:
@@ -301,6 +309,20 @@ def test_an_effect_that_is_claimed_is_not_said_to_be_invisible() -> None:
     a = Attribution(base, base.fit, (h,), h, (), Support(0.0, 0.0), {}, (0.0,), hidden=("coulomb_friction", "lag"))
     assert hidden_effects(a, verdict) == ["lag"]
     assert hidden_effects(a, Claims("no_effect")) == ["coulomb_friction", "lag"]
+
+
+def test_a_nearest_model_far_below_the_noise_floor_is_noticed_where_nothing_is_claimed() -> None:
+    def played(size: float) -> Any:
+        replay = SimpleNamespace(errors=lambda log: {"vx": np.full(9, size)})
+        return {"estimation": {CRAFT.horizon: [(None, replay)]}}
+
+    subject, floors = ModelSubject.of(CRAFT), {"estimation": Floor({"vx": 0.01}, {"vx": 0.05})}
+    variants = {"after": played(0.1), "nearest": played(0.005)}
+    (said,) = _floor_warnings(floors, variants, Claims("unexplained"), subject)  # type: ignore[arg-type]
+    assert "estimation logs the error is below its noise floor (vx 5.00\u00a0mm/s under 10.0\u00a0mm/s)" in said
+    claim = Claims("effect_found", fitted("mass"))
+    assert list(_floor_warnings(floors, variants, claim, subject)) == []  # type: ignore[arg-type]
+    assert list(_floor_warnings(floors, {"after": played(0.1)}, Claims("no_effect"), subject)) == []  # type: ignore[arg-type]
 
 
 def test_a_floor_is_above_an_error_only_beyond_what_it_scatters() -> None:

@@ -228,7 +228,9 @@ def _floors(record: Record) -> Iterator[str]:
     for part, floors in record["noise_floors"].items():
         scatters = record["floor_scatters"][part]
         for name, floor in floors.items():
-            after = record["error"]["after"][part].get(name, math.inf)
+            errors = record["error"]
+            variants = ("after",) if record["effects"] or not errors.get("nearest") else ("after", "nearest")
+            after = min(errors[variant][part].get(name, math.inf) for variant in variants)
             beyond = after > 0.0 and floor > after * max(1.2, math.exp(3.0 * scatters.get(name, 0.0)))
             which = "sealed" if part == "validation" else part
             said = any(

@@ -151,7 +151,11 @@ def refine(
         ends = final_log_parameters(variants["after"], problem, sealed)
         hold_stops()  # From here, a result exists that must not be lost.
         warnings += [*failure_warnings(problem), *_delivery_warnings(variants)]
-        warnings += [*warnings_of(way), *_floor_warnings(floors, played, subject), *repeated_motion(sealed, study.logs)]
+        warnings += [
+            *warnings_of(way),
+            *_floor_warnings(floors, played, claims, subject),
+            *repeated_motion(sealed, study.logs),
+        ]
         study = replace(study, warnings=(*study.warnings, *warnings))
         measured = Measurements(played, floors, noise, way, ends, time.perf_counter() - start)
         written = record(study, attribution, claims, problem, between, measured)
@@ -375,11 +379,14 @@ def _checked_on_sealed_logs(claims: Claims, played: Replayed, floors: Floors, su
     return check_on_sealed_logs(claims, error, floor)
 
 
-def _floor_warnings(floors: Floors, played: Replayed, subject: Subject) -> Iterator[str]:
-    """Yield a warning for each set of logs with a noise floor above the error."""
+def _floor_warnings(floors: Floors, played: Replayed, claims: Claims, subject: Subject) -> Iterator[str]:
+    """Yield a warning for each set of logs with a noise floor above the error of the delivered or the nearest model."""
     units = {q.name: q.unit for q in subject.outputs}
+    names = ("after",) if claims.claimed is not None or "nearest" not in played else ("after", "nearest")
     for part, floor in floors.items():
-        if channels := floor.channels_above(keep_finite(rmse(played["after"][part][subject.horizon]))):
+        errors = [keep_finite(rmse(played[name][part][subject.horizon])) for name in names]
+        least = {channel: min(e.get(channel, math.inf) for e in errors) for channel in floor.level}
+        if channels := floor.channels_above(keep_finite(least)):
             yield floor_warning(part, channels, units)
 
 
