@@ -273,11 +273,9 @@ class FmuSubject(ModelSubject):
         """Return the name of the FMU or SSP, the only file."""
         return FILES[name][1] if self.ssp is None else SSPS[name == "nearest"]
 
-    def use(self, folder: Path) -> list[str]:
+    def use(self, folder: Path, name: Literal["refined", "nearest"] = "refined") -> list[str]:
         """Return a command line that simulates the delivered FMU or SSP."""
-        if self.ssp is not None:
-            return ["cosim", "run", str(folder / SSPS[0])]
-        return ["cosim", "simulate", str(folder / FILES["refined"][1])]
+        return ["cosim", "simulate" if self.ssp is None else "run", str(folder / self.main_file(name))]
 
 
 @dataclass

@@ -254,6 +254,6 @@ class Subject(Protocol):
         """Return the name of the file that `write` writes for further use."""
         return (REFINED if name == "refined" else NEAREST)[0]
 
-    def use(self, folder: Path) -> Sequence[str]:
+    def use(self, folder: Path, name: Literal["refined", "nearest"] = "refined") -> Sequence[str]:
         """Return a command line for the delivered files in `folder`; empty without files."""
         return ()

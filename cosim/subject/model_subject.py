@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
 from shutil import copyfile
-from typing import Any
+from typing import Any, Literal
 
 from cosim.base.registry import entry_of
 from cosim.fmi.fmu_build import build
@@ -179,9 +179,9 @@ class ModelSubject(Subject):
             self.fmu = build(self.loaded.recipe(), fmu)
         return yaml, carry_experiment(fmu, self.model)
 
-    def use(self, folder: Path) -> list[str]:
+    def use(self, folder: Path, name: Literal["refined", "nearest"] = "refined") -> list[str]:
         """Return a command line for the FMU, with design of a controller if the model has a designer."""
-        model, fmu = (folder / name for name in REFINED)
+        model, fmu = (folder / file for file in FILES[name])
         command = ["cosim", "run", "scenario.yaml", "--set", f"components.plant.fmu={fmu}"]
         entry = entry_of(type(self.model))
         return [*command, "--set", f"design={json.dumps({'model': str(model)})}"] if entry and entry.design else command
