@@ -24,18 +24,19 @@ from cosim.estimation.posing import build_problem
 from cosim.estimation.screen import ScoreTest
 from cosim.loading.file import BASE, LoadedModel
 from cosim.model import Stepper
-from cosim.refinement.decision.claims import Claims, judge
+from cosim.refinement.decision.claims import Claims, Nearest, Rung, judge
 from cosim.refinement.decision.judgement import decide
 from cosim.refinement.decision.sentences import DISTURBED, IN_PART, sentence
 from cosim.refinement.proof.refined_models import Variant
 from cosim.refinement.proof.replay_check import check_claim
-from cosim.refinement.record import SCHEMA, ranking, schema
+from cosim.refinement.record import SCHEMA, _rungs, ranking, schema
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.dependence import bins, explained_share
 from cosim.refinement.report.effect_plots import EffectComparison, compare_effects
-from cosim.refinement.report.error_tables import error_tables, second_sentence
+from cosim.refinement.report.error_tables import error_tables, is_below_floor, second_sentence
 from cosim.refinement.report.innovations import innovations
 from cosim.refinement.report.plots import over_time, runs
+from cosim.refinement.report.rankings import noise_rows, parameter_tables
 from cosim.refinement.report.refine_page import context, write_refine_report
 from cosim.refinement.search.attribution import Attributor
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis, Support
@@ -359,6 +360,111 @@ def test_every_verdict_has_its_page(
     assert says in text
     assert ("Left of recalibrated" in text) == (claimed is not None)
     assert ('id="term"' in text) == (name == "unexplained" or claimed is not None)
+
+
+def unclaimed(r: Refinement) -> Refinement:
+    """The study as if its claim were the nearest model only."""
+    error = {**r.record["error"], "after": r.record["error"]["before"], "nearest": r.record["error"]["after"]}
+    horizons = dict.fromkeys(r.record["horizons"], error)
+    evidence = {**r.evidence, "after": r.evidence["before"], "nearest": r.evidence["after"]}
+    verdict = Claims("unexplained", misfit=NONE[1], nearest=Nearest(r.attribution.best))
+    record = {**r.record, "error": error, "horizons": horizons, "verdict": "unexplained", "nearest": ["dry"]}
+    return replace(r, verdict=verdict, record=record, evidence=evidence)
+
+
+def test_a_page_without_a_claim_leads_to_the_nearest_model_and_draws_it(cart: Refinement, tmp_path: Path) -> None:
+    for name in ("model.yaml", "plant.fmu", "nearest.yaml", "nearest.fmu"):
+        (tmp_path / name).touch()
+    values = context(r := replace(unclaimed(cart), folder=tmp_path))
+    assert values["use_lead"].startswith("Nothing was refined; the model that predicts best is nearest.fmu.")
+    assert values["use"].endswith("/nearest.fmu")
+    labels = [curve.label for curve in values["lead"]["plots"][0].curves]
+    assert labels == ["measured", "model", "nearest"]
+    labels = [row.label for row in values["provenance"]]
+    assert labels[-5:-1] == ["Model, unchanged", "FMU, unchanged", "Nearest model", "Nearest FMU"]
+    assert any(badge.text.endswith(" s elapsed") for badge in values["badges"])
+    tables = {table.title: table for table in parameter_tables(r)}
+    assert [row.name for row in tables["Added parameters of the nearest model"].rows] == ["dry.force"]
+    assert "only if its whole interval lies outside the tolerance" in tables["Base parameters, recalibrated"].note
+    neither = context(replace(r, verdict=replace(r.verdict, nearest=Nearest(None))))
+    assert neither["use_lead"].startswith("Nothing was refined; the delivered model is the model as it was.")
+    assert neither["use"].endswith("/plant.fmu")
+    assert [curve.label for curve in neither["lead"]["plots"][0].curves] == ["measured", "model"]
+    assert context(cart)["use_lead"].startswith("To use the refined model")
+
+
+def test_a_noise_floor_with_an_unknown_input_is_not_called_sensor_noise(cart: Refinement) -> None:
+    def floor_of(r: Refinement) -> str:
+        return next(row.value for row in context(r)["error_words"] if row.label == "Noise floor")
+
+    assert "(the error by sensor noise alone)" in second_sentence(cart)
+    assert floor_of(cart).startswith("The error that sensor noise alone would cause.")
+    r = unclaimed(cart)
+    base = replace(r, verdict=replace(r.verdict, nearest=Nearest(cart.attribution.base)))  # lacks dry friction
+    said = second_sentence(base)
+    assert "(the error by sensor noise and the estimated unknown input, which may include what is missing)" in said
+    assert re.search(r"\. The sensor noise alone is (0\.9[5-9]|1\.0)\d?\u00a0mm\.$", said)  # 1 mm in the logs
+    assert "may include what is missing" in floor_of(base)
+    assert not is_below_floor(base)
+    assert "lie below it" not in floor_of(base)
+    high = {part: {"s": 2.0 * of["s"]} for part, of in base.record["error"]["nearest"].items()}
+    below = replace(base, record={**base.record, "noise_floors": high})
+    assert floor_of(below).endswith("The floor is an estimate; some errors lie below it.")
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "inflated", "gain", "words"),
+    [
+        (1e-3, 1e-3, False, 2.8, "no unknown input needed (gain 2.8)"),
+        (1e-3, 1e-3, False, None, "no unknown input needed"),
+        (1e-3, 1e-9, False, 0.0, "was incomplete, now complete"),
+        (1e-3, 1e-3, True, 9.0, "incomplete"),
+        (1e-3, 1e-4, True, 9.0, "incomplete; the best hypothesis explains a part"),
+        (1e-12, 1e-12, False, 0.0, "complete"),
+    ],
+)
+def test_an_equation_is_called_complete_only_where_its_noise_fell(
+    cart: Refinement, before: float, after: float, inflated: bool, gain: float | None, words: str
+) -> None:
+    noise = {"v": {"before": before, "after": after, "inflated": inflated, "gain": gain}}
+    (row,) = noise_rows(replace(cart, verdict=Claims("unexplained", misfit={"process_noise": noise})))
+    assert row.words == words
+    assert row.before.endswith("mm/s per √s")
+
+
+def test_the_ladder_says_from_how_many_logs_its_scatter_is(cart: Refinement) -> None:
+    base, best = cart.attribution.base, cart.attribution.best
+    rungs = (None, (0.0, 0.0)), (base, (0.1, 0.2)), (best, (-0.3, -0.1))
+    verdict = replace(unclaimed(cart).verdict, ladder=tuple(Rung(h, np.array(e)) for h, e in rungs))
+    ladder = [rung.model_dump(mode="json") for rung in _rungs(verdict.ladder)]
+    values = context(replace(unclaimed(cart), verdict=verdict, record={**unclaimed(cart).record, "ladder": ladder}))
+    assert [row.scatter for row in values["ladder"]] == ["± 10\u00a0%, 2 logs", "± 5.8\u00a0%, 2 logs", ""]
+    assert "From 2 logs it has 1 degree of freedom" in values["ladder_note"]
+    assert values["ladder_note"].endswith("does not carry over to the one held out: 116\u00a0%.")
+
+
+def test_a_reason_that_stems_from_another_set_names_it(cart: Refinement) -> None:
+    a, subject = cart.attribution, cart.study.subject
+    dry, push = (next(c for c in subject.candidates(()) if c.name == name) for name in ("dry", "push"))
+
+    def of(objective: float, *parts: Any) -> Hypothesis:
+        start = replace(a.base.fit, penalty=0.0, nll_by_log=(objective,))
+        return Hypothesis(parts, start, objective + 9.0 * len(parts))
+
+    base, alone, single, both = of(0.0), of(-20.0, dry), of(-5.0, push), of(-23.1, dry, push)
+    reasons = {("push",): "push: gains 3.1, less than the 9 that it costs"}
+    reasons |= {("dry", "push"): reasons["push",], ("dry",): "dry: gains 1.1, less than the 9 that it costs"}
+    found = replace(a, base=base, best=base, tried=(alone, both, base, single), reasons=reasons)
+    near = Nearest(alone)
+    why = {tuple(row.names): row.why for row in ranking(found, Claims("unexplained", nearest=near))}
+    assert why["push",] == "in the set dry + push: push: gains 3.1, less than the 9 that it costs"
+    assert why["dry", "push"] == reasons["push",]
+    assert why["dry",] == "in another set: dry: gains 1.1, less than the 9 that it costs"
+    # what nearest.yaml contains is another hypothesis than the base model
+    assert why[()] == "incomplete; held-out logs are predicted better by dry"
+    unlike = {tuple(row.names): row.why for row in ranking(found, Claims("unexplained", nearest=Nearest(base)))}
+    assert unlike[()] == "nearest, but incomplete"
+    assert "penalty of the priors" in context(cart)["ranking_lead"]
 
 
 def test_what_is_left_is_drawn_with_the_term_that_explains_it(cart: Refinement) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,13 +23,14 @@ from cosim.estimation.problem import Problem
 from cosim.refinement.decision.claims import Claims, Grade, Name, Rung
 from cosim.refinement.decision.sentences import sentence
 from cosim.refinement.proof.measure import Evidence, Floor, rmse
-from cosim.refinement.search.hypotheses import Attribution, Hypothesis
+from cosim.refinement.search.hypotheses import TOGETHER, Attribution, Hypothesis
 from cosim.refinement.search.input_hold import Between, Way
 from cosim.refinement.study import Study
 from cosim.residuals.residual_statistics import FREE_RUN
 from cosim.subject.candidates import Candidate
 from cosim.subject.interface import Subject
 
+GAIN = re.compile(r"(?:gains |chance: )(-?[\d.]+)")  # of a part, in the reason against it
 SCHEMA = Path(__file__).with_name("refine.schema.json")
 OTHER_HORIZONS: Mapping[Literal["0.5 s", "free run"], float] = {"0.5 s": 0.5, "free run": FREE_RUN}
 
@@ -465,14 +467,40 @@ def _reason(a: Attribution, h: Hypothesis, claims: Claims) -> str:
     if claims.claimed is not None and h.names == claims.claimed.names:
         return "claimed"
     if h.names != a.best.names:
-        return a.reasons[h.names] or _score_text(h, claims.claimed or a.best)
+        return _with_set(a, h, a.reasons[h.names]) or _score_text(h, claims.claimed or a.best)
     if claims.name == "unexplained":
-        return "nearest, but disputed"
+        return _unexplained_reason(h, claims)
     if claims.name == "no_effect":
         return "nothing more is missing"
     if claims.claimed is not None:
         return "only with its numbers beyond their tolerances"
     return "nothing can be said: the logs excite too little"
+
+
+def _with_set(a: Attribution, h: Hypothesis, reason: str) -> str:
+    """Return the reason against a part, after the name of another set in which it gains what the reason says."""
+    part, _, doubt = reason.partition(": ")
+    said = GAIN.search(doubt)
+    if part not in h.names or said is None:
+        return reason
+    fits = {other.names: other.fit for other in a.tried}
+    sets = []
+    for names, fit in fits.items():
+        without = fits.get(tuple(n for n in names if n != part)) if part in names else None
+        if without is not None and f"{without.objective - fit.objective:.1f}" == said[1]:
+            sets.append(names)
+    if h.names in sets:
+        return reason
+    where = f"the set {TOGETHER.join(sets[0])}" if len(sets) == 1 else "another set"
+    return f"in {where}: {part}: {doubt}"
+
+
+def _unexplained_reason(h: Hypothesis, claims: Claims) -> str:
+    """Return the reason against the best supported hypothesis of an unexplained misfit."""
+    why = "disputed" if h.candidates else "incomplete"
+    if claims.nearest is None or claims.nearest.names == h.names:
+        return f"nearest, but {why}"
+    return f"{why}; held-out logs are predicted better by {join_names(claims.nearest.names) or 'the given model'}"
 
 
 def _score_text(h: Hypothesis, best: Hypothesis) -> str:

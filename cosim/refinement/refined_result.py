@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 class Refined:
     """Result of a refinement: `record` is the content of refine.json; model.yaml and plant.fmu are in `folder`.
 
+    Without a claim these two are the model as it was, and nearest.yaml predicts best.
+
     Attributes:
         subject: The refined object; None if the result was read from a folder.
     """
@@ -47,12 +49,12 @@ class Refined:
 
     @property
     def model(self) -> Path:
-        """Return the path of the refined model.yaml."""
+        """Return the path of model.yaml: the refined model, or without a claim the model as it was."""
         return self.folder / REFINED[0]
 
     @property
     def fmu(self) -> Path:
-        """Return the path of the refined FMU."""
+        """Return the path of plant.fmu: the FMU of model.yaml."""
         return self.folder / REFINED[1]
 
     def to_pandas(self) -> pandas.DataFrame:

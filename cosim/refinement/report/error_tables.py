@@ -18,7 +18,8 @@ from cosim.residuals.residual_statistics import remaining_excess
 PARTS: Mapping[Part, str] = {"estimation": "Logs used for the fits", "validation": "Sealed logs"}
 MAX_SHARE_OF_REPLAY, LEAST_REPLAYS = 0.3, 10  # share of the squared error in one replay of so many, worth a sentence
 NOISE = 1.2  # times the floor; smaller errors are noise
-FLOOR = "the error by sensor noise and disturbance alone"
+FLOOR = "the error by sensor noise alone"
+FLOOR_WITH_INPUT = "the error by sensor noise and the estimated unknown input, which may include what is missing"
 FREE_RUN_NAME = "free run"  # among the horizons of refine.json
 NOTHING_TO_EXPLAIN, TOO_LITTLE = "nothing to explain", "too little to judge"  # in place of a remaining share
 VARIANT_WORDS = {
@@ -238,7 +239,22 @@ def second_sentence(r: Refinement) -> str:
     verb = "fell from" if after < before else "went from"
     over = "" if r.problem.table else f" over {horizon(r)}"
     lead = f"{where} the error of {name}{over} {verb} {sizes[0]} to {sizes[1]}"
-    return f"{lead}{_floor_text(sizes[1], sizes[2], above=floor > after)}"
+    return f"{lead}{_floor_text(r, name, (sizes[1], sizes[2]), above=floor > after)}"
+
+
+def has_unknown_input(r: Refinement) -> bool:
+    """Return whether the noise floor contains an unknown input."""
+    if r.problem.table:
+        return False
+    noise = (r.verdict.nearest_hypothesis or r.attribution.base).fit.noise
+    return bool(np.any(noise.power > r.problem.noise.quiet))
+
+
+def is_below_floor(r: Refinement) -> bool:
+    """Return whether the model of the noise floor has an error below it."""
+    error, floors = r.record["error"], r.record["noise_floors"]
+    best = error["after"] if r.verdict.claimed else error.get("nearest") or error["after"]
+    return any(0.0 < best[part].get(name, 0.0) < floor for part, of in floors.items() for name, floor in of.items())
 
 
 def leading_channel(r: Refinement) -> str:
@@ -252,13 +268,28 @@ def leading_channel(r: Refinement) -> str:
     return min(ratios, key=lambda n: ratios[n], default="")
 
 
-def _floor_text(after: str, floor: str, *, above: bool) -> str:
-    """Return the end of a sentence: the noise floor beside the error, or a full stop without a floor."""
+def _floor_text(r: Refinement, name: str, sizes: tuple[str, str], *, above: bool) -> str:
+    """Return the end of a sentence: the noise floor beside the error, or a full stop without a floor.
+
+    Args:
+        sizes: Error and noise floor of the channel.
+    """
+    after, floor = sizes
     if floor == MISSING:
         return "."
+    words, alone = FLOOR, ""
+    if has_unknown_input(r):
+        words = FLOOR_WITH_INPUT
+        noise = float(r.record.get("sensor_noise", {}).get(name, math.nan))
+        if math.isfinite(noise):
+            alone = f" The sensor noise alone is {error_size(noise, units(r).get(name, ''), noise)}."
     if floor == after:
-        return f", which is the noise floor ({FLOOR})."
-    return f", below the noise floor ({FLOOR}) of {floor}." if above else f"; the noise floor ({FLOOR}) is {floor}."
+        return f", which is the noise floor ({words}).{alone}"
+    return (
+        f", below the noise floor ({words}) of {floor}.{alone}"
+        if above
+        else f"; the noise floor ({words}) is {floor}.{alone}"
+    )
 
 
 def _unchanged_text(r: Refinement, part: str, where: str) -> str:
@@ -275,4 +306,4 @@ def _unchanged_text(r: Refinement, part: str, where: str) -> str:
     comparison = f", the nearest model by {sizes[2]}" if nearest < after else ""
     over = "" if r.problem.table else f" over {horizon(r)}"
     lead = f"{where} the unchanged model misses {worst} by {sizes[0]}{over}{comparison}"
-    return f"{lead}{_floor_text(sizes[0], sizes[1], above=floor > after)}"
+    return f"{lead}{_floor_text(r, worst, (sizes[0], sizes[1]), above=floor > after)}"

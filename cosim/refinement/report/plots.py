@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -67,24 +68,31 @@ def runs(r: Refinement, charts: Charts) -> list[Run]:
         before, after = (r.evidence[v].get(part) for v in ("before", "after"))
         if before and after:
             log, old = before[0]
+            curves = [("model", "true", after)]
+            if r.verdict.claimed:
+                curves = [("before", "s1", before), ("refined", "true", after)]
+            elif r.verdict.nearest_hypothesis and (near := r.evidence.get("nearest", {}).get(part)):
+                curves = [("model", "s1", before), ("nearest", "true", near)]
             floor, names = r.record["noise_floors"].get(part, {}), list(log.outputs)[:CHANNELS]
             drawing = charts.over(log.time, CURVES * len(names), Abscissa(breaks=sorted(old.starts)))
-            pairs = [_pair(r, drawing, before, after, name, floor.get(name, 0.0)) for name in names]
+            pairs = [_pair(drawing, curves, name, floor.get(name, 0.0)) for name in names]
             loud = tuple(p for p in pairs if p.tells) or tuple(pairs)
             pages.append(Run(f"{log.path.name}, {word}", loud, tuple(p for p in pairs if p not in loud)))
     return pages
 
 
-def _pair(r: Refinement, drawing: Drawing, before: Evidence, after: Evidence, name: str, floor: float) -> Pairs:
+def _pair(drawing: Drawing, curves: Sequence[tuple[str, str, Evidence]], name: str, floor: float) -> Pairs:
     """Draw a channel of a log.
 
     The model's output is the reading minus its error, and includes sensor errors in the model.
+
+    Args:
+        curves: Label, style and replays of each model.
     """
-    log, old = before[0]
+    log, old = curves[0][2][0]
     unit, factor = display(log.units.get(name, ""))
-    fine, scale = finer(log.units.get(name, ""), max(rmse(e[0][1].errors(e[0][0])[name]) for e in (before, after)))
+    fine, scale = finer(log.units.get(name, ""), max(rmse(e[0][1].errors(e[0][0])[name]) for *_, e in curves))
     reading = log.outputs[name]
-    curves = [("before", "s1", before), ("refined", "true", after)] if r.verdict.claimed else [("model", "true", after)]
     errors = [(label, style, e[0][1].errors(e[0][0])[name]) for label, style, e in curves]
     whole = [Trace("measured", reading * factor, "estimate")]
     whole += [Trace(label, (reading - e) * factor, style, anew=True) for label, style, e in errors]
@@ -92,7 +100,7 @@ def _pair(r: Refinement, drawing: Drawing, before: Evidence, after: Evidence, na
     sizes = [rmse(e) for _, _, e in errors]
     panels = [Panel(name, unit or "1", whole), Panel(f"{name}: measured − model", fine or "1", residuals)]
     if sizes[0] > FLAT * sizes[-1]:
-        panels.append(Panel(f"{name}: measured − refined", fine or "1", residuals[-1:]))
+        panels.append(Panel(f"{name}: measured − {curves[-1][0]}", fine or "1", residuals[-1:]))
     starts = log.time[np.array(sorted(old.starts), dtype=np.intp)]
     shaded = [replace(p, band=_windows(log.time, starts, old.horizon, p)) for p in panels]
     tells = sizes[0] > TELLS * sizes[-1] or sizes[-1] > TELLS * sizes[0] or sizes[-1] > FAR * floor > 0

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from cosim.base.text import amount, append_unit, display, percent, plain
+from cosim.base.text import amount, append_unit, counted, display, percent, plain
 from cosim.logs.channel_noise import NORMAL_95
 from cosim.refinement.proof.refined_models import refined_subject
 from cosim.refinement.refinement import Refinement
@@ -16,6 +16,12 @@ from cosim.subject.candidates import Free
 
 SHOWN_SINGLES = 8
 SHOWN_PAIRS = 15
+FEW = 3  # held-out logs or parts up to which a standard error is only a rough number
+LADDER_NOTE = (
+    "{part} is predicted by a fit to the rest; the error (root mean square) is relative to the model of the study. The "
+    "last column is the standard error of the difference from the best: within it, a model with fewer candidates is as "
+    "good."
+)
 
 
 @dataclass(frozen=True)
@@ -80,6 +86,10 @@ class NoiseRow:
     words: str
 
 
+TOLERANCE = (
+    "± is the tolerance of the data sheet; a parameter is wrong only if its whole interval lies outside the tolerance."
+)
+
 # -- ranking ----------------------------------------------------------------------------------
 
 
@@ -111,15 +121,37 @@ def _gain(row: Mapping[str, Any]) -> float:
     return -math.inf if row["score_gain"] is None else float(row["score_gain"])
 
 
+def held_out(r: Refinement) -> tuple[int, str]:
+    """Return the number of held-out logs, or parts of a log, of the ladder, and their noun."""
+    return max((rung.errors.size for rung in r.verdict.ladder), default=0), "log" if len(r.study.logs) > 1 else "part"
+
+
+def ladder_note(r: Refinement) -> str:
+    """Return an explanation of the ladder."""
+    count, noun = held_out(r)
+    text = LADDER_NOTE.format(part="Each log" if noun == "log" else "Each part of the log")
+    if 0 < count <= FEW:
+        degrees = counted(count - 1, "degree") + " of freedom"
+        text += f" From {counted(count, noun)} it has {degrees}, so it is only a rough number."
+    ratio = next((float(e["ratio"]) for e in r.record.get("ladder", []) if e["model"] == "recalibrated"), 0.0)
+    if ratio > 1.0:
+        others = "the other log" if count == 2 and noun == "log" else f"the other {noun}s"
+        text += f" Recalibration from {others} does not carry over to the one held out: {percent(ratio)}."
+    return text
+
+
 def ladder_rows(r: Refinement) -> list[LadderRow]:
     """Return the errors of predictions of held-out logs from the given model to the largest set of candidates."""
     entries = r.record.get("ladder", [])
     most = max((float(e["ratio"]) for e in entries), default=0.0)
     titles = {"before": "model of the study", "recalibrated": "recalibrated"}
+    count, noun = held_out(r)
     chosen = next((list(h.names) for h in (r.verdict.claimed, r.verdict.nearest_hypothesis) if h), None)
     rows = []
     for e in entries:
-        scatter = f"± {plain(100.0 * e['ratio'] * e['standard_error'], 2)}\u00a0%" if e["standard_error"] else ""
+        scatter = ""
+        if e["standard_error"]:
+            scatter = f"± {plain(100.0 * e['ratio'] * e['standard_error'], 2)}\u00a0%, {counted(count, noun)}"
         width = round(100.0 * float(e["ratio"]) / most, 1)
         names = titles.get(e["model"], " + ".join(e["names"]))
         is_chosen = e["names"] == chosen and e["model"] != "before"
@@ -133,22 +165,36 @@ def ladder_rows(r: Refinement) -> list[LadderRow]:
 def parameter_tables(r: Refinement) -> list[ParameterTable]:
     """Return the tables of added and of base parameters."""
     hypothesis = r.verdict.claimed or r.attribution.base
-    own = {n for c in hypothesis.candidates for n in c.parameters}
-    added, rest = list[ParameterRow](), list[ParameterRow]()
-    for f in hypothesis.fit.free:
-        if not f.group:
-            (added if f.name in own else rest).append(_parameter_row(r, f, hypothesis))
+    added, rest = _parameter_rows(r, hypothesis)
     title = "Added parameters" if r.verdict.name != "parameter_error" else "Wrong parameters"
     note = "Bar: 95 % interval; dashed line: neutral value or data sheet."
     if len(r.study.logs) == 1 and not r.problem.table:
         note += " The intervals are of one log: how much the values differ from log to log is not in them."
-    tables = [ParameterTable(title, note, "Neutral", tuple(added))]
+    tables = [ParameterTable(title, note, "Neutral", added)]
     if _is_base_unchanged(r, hypothesis):
         title, note = "fitted beside it", "The model keeps its values: the error is in a sensor, not in the plant."
     else:
-        title, note = "recalibrated", "± is the tolerance of the data sheet; a change within it is not significant."
-    tables.append(ParameterTable(f"Base parameters, {title}", note, "Data sheet", tuple(rest)))
+        title, note = "recalibrated", TOLERANCE
+    tables.append(ParameterTable(f"Base parameters, {title}", note, "Data sheet", rest))
+    near = r.verdict.nearest_hypothesis
+    if r.verdict.claimed is None and near is not None and near.candidates:
+        added, rest = _parameter_rows(r, near)
+        note = "The model that predicts held-out logs best contains them; they are not confirmed."
+        if near.fit.scattered is None and len(r.study.logs) > 1:
+            note += " The intervals leave out how much the values differ from log to log."
+        tables.append(ParameterTable("Added parameters of the nearest model", note, "Neutral", added))
+        tables.append(ParameterTable("Base parameters of the nearest model", TOLERANCE, "Data sheet", rest))
     return [t for t in tables if t.rows]
+
+
+def _parameter_rows(r: Refinement, h: Hypothesis) -> tuple[tuple[ParameterRow, ...], tuple[ParameterRow, ...]]:
+    """Return the rows of added and of base parameters of a hypothesis."""
+    own = {n for c in h.candidates for n in c.parameters}
+    free = [f for f in h.fit.free if not f.group]
+    added, rest = (
+        tuple(_parameter_row(r, f, h) for f in free if (f.name in own) == is_own) for is_own in (True, False)
+    )
+    return added, rest
 
 
 def _is_base_unchanged(r: Refinement, hypothesis: Hypothesis) -> bool:
@@ -201,7 +247,7 @@ def _digits(value: float, sigma: float) -> int:
 def noise_rows(r: Refinement) -> list[NoiseRow]:
     """Return the process noise of each equation; none if the fit trusted the equations.
 
-    √q is the drift of a state in a second that its equation does not explain.
+    √q is the drift of a state in a second that its equation does not explain, in the unit of the state per √s.
     """
     noise, size = {} if r.problem.trusted else r.verdict.residual.get("process_noise", {}), r.problem.noise
     usual = math.log(2.0) + r.problem.plain.memory  # from ln of a power to ln of a density
@@ -211,9 +257,10 @@ def noise_rows(r: Refinement) -> list[NoiseRow]:
         if name in noise:
             before, after = noise[name]["before"], noise[name]["after"]
             drift_unit, factor = ("mm/s", 1000.0) if unit.get(name) == "m/s" else display(unit.get(name, ""))
-            drifts = [append_unit(plain(math.sqrt(q) * factor, 2), drift_unit) for q in (before, after)]
+            unit_text = f"{drift_unit} per √s".lstrip()
+            drifts = [append_unit(plain(math.sqrt(q) * factor, 2), unit_text) for q in (before, after)]
             bars = [_width(q, size.smallest[k] + usual, size.largest[k] + usual) for q in (before, after)]
-            words = _noise_text(noise[name], size.quiet[k] + usual)
+            words = _noise_text(noise[name], size.quiet[k] + usual, claimed=r.verdict.claimed is not None)
             rows.append(NoiseRow(name, drifts[0], drifts[1], bars[0], bars[1], words))
     return rows
 
@@ -224,13 +271,18 @@ def _width(q: float, smallest: float, largest: float) -> float:
     return round(100 * min(1.0, max(0.0, (log_q - smallest) / (largest - smallest))), 1)
 
 
-def _noise_text(q: Mapping[str, Any], quiet: float) -> str:
+def _noise_text(q: Mapping[str, Any], quiet: float, *, claimed: bool) -> str:
     """Return a text on the completeness of an equation.
 
     Args:
         quiet: Largest ln q of a complete equation.
     """
-    was = q["before"] > math.exp(quiet)
     if q["inflated"]:
-        return "incomplete; the claim explains a part" if q["after"] < 0.5 * q["before"] else "incomplete"
-    return "was incomplete, now complete" if was else "complete"
+        who = "the claim" if claimed else "the best hypothesis"
+        return f"incomplete; {who} explains a part" if q["after"] < 0.5 * q["before"] else "incomplete"
+    if q["before"] <= math.exp(quiet):
+        return "complete"
+    if plain(q["after"], 2) != plain(q["before"], 2) and q["after"] < q["before"]:
+        return "was incomplete, now complete"
+    gain = q.get("gain")  # Likelihoods say that the equation needs no unknown input, whatever its size.
+    return "no unknown input needed" + (f" (gain {plain(float(gain), 2)})" if gain is not None else "")

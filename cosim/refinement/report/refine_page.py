@@ -8,12 +8,13 @@ import platform
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from cosim.base.text import MISSING, counted, join_names, percent, plain, split_sentence
 from cosim.base.version import __version__
+from cosim.loading.refined import NEAREST, REFINED, SSPS
 from cosim.logs.log import Log
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.effect_plots import EffectComparison, compare_effects
@@ -23,8 +24,10 @@ from cosim.refinement.report.error_tables import (
     ErrorTable,
     error_tables,
     has_free_run,
+    has_unknown_input,
     horizon,
     horizon_table,
+    is_below_floor,
     leading_channel,
     second_sentence,
 )
@@ -40,7 +43,14 @@ from cosim.refinement.report.plots import (
     rows_shown,
     runs,
 )
-from cosim.refinement.report.rankings import SHOWN_PAIRS, ladder_rows, noise_rows, parameter_tables, ranking_tables
+from cosim.refinement.report.rankings import (
+    SHOWN_PAIRS,
+    ladder_note,
+    ladder_rows,
+    noise_rows,
+    parameter_tables,
+    ranking_tables,
+)
 from cosim.refinement.report.table_plots import table_parts
 from cosim.report.drawing import Charts
 from cosim.report.html_tables import Badge, Row
@@ -94,8 +104,8 @@ def context(r: Refinement) -> Mapping[str, Any]:
         "parameters": parameter_tables(r),
         "per_log": per_log_rows(r),
         "noise": noise_rows(r),
-        "noise_note": "Drift of each state in a second that its equation does not explain; logarithmic bars.",
-        "use": shlex.join(r.study.subject.use(path_from_here(r.folder))),
+        "noise_note": NOISE_NOTE,
+        **_use(r),
         "repeat": _repeat_command(r),
         "provenance": _provenance(r),
         "data": charts.data(),  # after all drawings
@@ -103,10 +113,9 @@ def context(r: Refinement) -> Mapping[str, Any]:
     }
 
 
-LADDER_NOTE = (
-    "{part} is predicted by a fit to the rest; the error (root mean square) is relative to the model of the study. The "
-    "last column is the standard error of the difference from the best: within it, a model with fewer candidates is as "
-    "good."
+NOISE_NOTE = (
+    "Drift of each state in a second that its equation does not explain, in the unit of the state per √s, as random "
+    "drift grows with the root of time; logarithmic bars."
 )
 _NO_TIME: Mapping[str, Any] = {"horizons": None, "terms": [], "runs": [], "lead": None, "whiteness": []}  # for tables
 
@@ -161,7 +170,7 @@ def _ranking(r: Refinement) -> Mapping[str, Any]:
         "pairs_open": r.verdict.claimed is not None and len(r.verdict.claimed.candidates) > 1,
         "ranking_lead": _ranking_lead(r),
         "ladder": ladder_rows(r),
-        "ladder_note": LADDER_NOTE.format(part="Each log" if len(r.study.logs) > 1 else "Each part of the log"),
+        "ladder_note": ladder_note(r),
     }
 
 
@@ -186,7 +195,7 @@ def _badges(r: Refinement) -> list[Badge]:
             "plain" if sealed else "warn",
         ),
         Badge(f"{fitted} hypotheses fitted" + (f", {screened} screened" if screened else "")),
-        Badge(f"{r.record['seconds']:.0f} s of computing"),
+        Badge(f"{r.record['seconds']:.0f} s elapsed"),
     ]
 
 
@@ -266,20 +275,20 @@ def _error_lead(r: Refinement) -> str:
     return f"Root mean square of measured − model {how}."
 
 
-def _floor_text(r: Refinement) -> str:
-    """Return what a smaller error would need, "" for tables."""
-    return "" if r.problem.table else " A smaller error would need a model of the disturbance."
-
-
 def _error_words(r: Refinement, tables: Sequence[ErrorTable]) -> list[Row]:
     """Return explanations of the columns of errors."""
     claimed = r.verdict.claimed is not None
-    cause = "sensor noise" if r.problem.table else "sensor noise and the estimated disturbance"
+    floor = "The error that sensor noise alone would cause."
+    if has_unknown_input(r):
+        floor = "The error that sensor noise and the estimated unknown input would cause. "
+        floor += "The unknown input may include what is missing."
+    if is_below_floor(r):
+        floor += " The floor is an estimate; some errors lie below it."
     rows = [
         Row("Recalibrated", "The model with its own parameters fitted anew, nothing added."),
         Row("Nearest", "The model that predicts held-out logs best.") if tables[-1].nearest else None,
         Row("Sensor noise", "Standard deviation of the noise of one reading, estimated from the logs."),
-        Row("Noise floor", f"The error that {cause} alone would cause.{_floor_text(r)}"),
+        Row("Noise floor", floor),
         Row("Left of …", _share_words(tables)) if claimed else None,
         Row("Free run", "The model alone from the first row to the last.") if has_free_run(r) else None,
     ]
@@ -323,8 +332,9 @@ def _ranking_lead(r: Refinement) -> str:
     lead = (
         "A score test predicted the likelihood gain of every set of candidates. The promising sets were then fitted "
         "together with the base parameters and the noise levels. The score is the gain in log-likelihood over the base "
-        "model, minus ½ ln N for each added parameter (N readings) and, for each candidate of the set, 3 plus the "
-        "logarithm of the number of candidates on trial."
+        "model, minus the change of the penalty of the priors of base parameters and noise levels, minus ½ ln N for "
+        "each added parameter (N readings) and, for each candidate of the set, 3 plus the logarithm of the number of "
+        "candidates on trial. A reason about one candidate was found in one set and holds for all sets with it."
     )
     if (scatter := r.problem.scatter) > 1.0:
         lead += (
@@ -337,6 +347,22 @@ def _ranking_lead(r: Refinement) -> str:
 
 
 # -- provenance -------------------------------------------------------------------------------
+
+
+def _use(r: Refinement) -> Mapping[str, str]:
+    """Return the command for the delivered files, and a text on them."""
+    lead = "To use the refined model"
+    name: Literal["refined", "nearest"] = "refined"
+    if r.verdict.claimed is None:
+        lead = "Nothing was refined; the delivered model is the model as it was. To use it"
+        if r.verdict.nearest_hypothesis is not None:
+            name = "nearest"
+            file = next((n for n in (NEAREST[1], SSPS[1]) if (r.folder / n).is_file()), NEAREST[0])
+            lead = f"Nothing was refined; the model that predicts best is {file}. To use it"
+    return {
+        "use": shlex.join(r.study.subject.use(path_from_here(r.folder), name)),
+        "use_lead": f"{lead}, and to repeat the study:",
+    }
 
 
 def _repeat_command(r: Refinement) -> str:
@@ -354,7 +380,9 @@ def _provenance(r: Refinement) -> list[Row]:
     rows += [_log_row("Estimation log", log) for log in study.logs]
     rows += _inputs(r)
     rows += [_log_row("Sealed log", log) for log, _ in r.evidence["before"].get("validation", ())]
-    for name, label in (("model.yaml", "Refined model"), ("plant.fmu", "Refined FMU")):
+    kinds = ("Refined model", "Refined FMU") if r.verdict.claimed else ("Model, unchanged", "FMU, unchanged")
+    files = zip((*REFINED, *NEAREST), (*kinds, "Nearest model", "Nearest FMU"), strict=True)
+    for name, label in files:
         if (file := r.folder / name).is_file():
             rows.append(Row(label, str(path_from_here(file)), _digest(file)))
     sensors, claim = study.subject.sensor_parameters, r.verdict.claimed
