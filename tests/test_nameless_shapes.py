@@ -175,7 +175,7 @@ def test_a_sentence_says_where_and_how_wide() -> None:
     residual = {"equation": "vx", "signals": ["x_world"], "share": 0.42, "terms": [term.entry]}
     assert unexplained_text(residual, ()) == (
         "Something outside the catalogue acts on vx; it depends on x_world, most near 0.310\u00a0m "
-        "(width 0.10\u00a0m). That explains 42\u00a0% of what is missing."
+        "(width 0.10\u00a0m). This dependence explains 42\u00a0% of what is missing."
     )
     assert Shape.of_entry("vx", term.entry["local"]) == shape
     assert dependence_text("x_world", replace(shape, kind="spline")) == "depends on x_world, by no simple law"

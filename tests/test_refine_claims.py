@@ -79,7 +79,9 @@ def test_a_part_that_an_unnamed_term_replaces_is_left_out_and_the_others_stay() 
     assert claims.claimed is not None
     assert (claims.name, claims.grade, claims.claimed.names) == ("effect_found", "part", (FRICTION,))
     none = replace(other, values=dict.fromkeys(other.values, 0.0))
-    assert judged(attribution(best), Leftover((term,), none, 30.0, 8.0)).name == "unexplained"
+    assert judged(attribution(best, ratios=(0.6, 0.7)), Leftover((term,), none, 30.0, 8.0)).name == "unexplained"
+    halved = judged(attribution(best), Leftover((term,), none, 30.0, 8.0))
+    assert (halved.name, halved.grade, halved.replaced) == ("effect_found", "part", tuple(sorted((FRICTION, DRAG))))
 
 
 def test_a_term_that_does_not_lead_on_every_log_is_not_named() -> None:
@@ -269,6 +271,8 @@ def test_the_improvement_on_sealed_logs_comes_first(
     error = "of the squared error that the recalibrated model has on sealed logs"
     text = f"The claim explains {shares[0]}\u00a0% {error}; {shares[1]}" if shares else ""
     assert improvement_text(remaining, "recalibrated") == text
+    of_rivals = improvement_text(remaining, "recalibrated", whole="The first hypothesis")
+    assert of_rivals == text.replace("The claim", "The first hypothesis")
 
 
 def test_square_roots_of_covariances_exist_for_singular_and_diverged_ones_too() -> None:
@@ -300,6 +304,7 @@ def test_friction_of_an_arm_is_claimed_beside_what_no_catalogue_has(tmp_path: Pa
         ({FRICTION: 0.0, DRAG: 0.0}, (0.7, 0.8), ("unexplained", "nearest", None, (), ())),
         ({DRAG: 0.155}, (0.3, 0.4), ("effect_found", "claimed", (FRICTION, DRAG), (), ())),  # it halves the error
         ({DRAG: 0.02}, (0.3, 0.4), ("effect_found", "part", (FRICTION,), (), (DRAG,))),  # 2 deviations, 2.6 by chance
+        ({FRICTION: 0.02, DRAG: 0.02}, (0.3, 0.4), ("effect_found", "part", (FRICTION, DRAG), (), ())),
         ({}, (0.7, 0.8), ("effect_found", "claimed", (FRICTION, DRAG), (), ())),
     ],
 )

@@ -610,7 +610,7 @@ def test_the_deficient_equation_is_that_whose_noise_is_worth_most_not_that_of_th
     # where a disturbance is no small one, it is the equation that it moves most
     large = judged(vx=0.3, vy=0.03)
     assert (large.name, large.claimed, large.residual["equation"]) == ("unexplained", None, "vx")
-    assert sentence(large, CRAFT) == "A disturbance acts on vx; it shows no stable pattern."
+    assert sentence(large, CRAFT) == "The remaining error shows no stable pattern."
 
 
 def test_a_claim_that_leaves_much_of_the_error_says_so_and_one_that_leaves_most_is_withdrawn(cart: Refinement) -> None:
@@ -648,7 +648,7 @@ def test_a_sentence_says_of_a_term_without_a_name_how_much_it_is(cart: Refinemen
     terms = (UnnamedTerm("v", "1", 40.0, 0.1, 41.0, 0.79), UnnamedTerm("v", "time", 30.0, 0.1, 30.0))
     verdict = judged(*terms, best=base, rivals=(), noise_gain=(50.0,))
     assert verdict.name == "unexplained"
-    assert "acts on v; it is constant. That explains 79\u00a0% of what is missing." in words(verdict, cart)
+    assert "acts on v; it is constant. This dependence explains 79\u00a0% of what is missing." in words(verdict, cart)
     assert (verdict.residual["signals"], verdict.residual["share"]) == (["1", "time"], 0.79)
     nothing = judged(UnnamedTerm("v", "1", 40.0, 0.1, 41.0, 0.0), best=base, rivals=(), noise_gain=(50.0,))
     assert words(nothing, cart).endswith("acts on v; it is constant.")

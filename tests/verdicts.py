@@ -158,7 +158,7 @@ def _share(record: Record) -> Iterator[str]:
         for signal in residual["signals"][:1]:
             if signal != "1" and f"depends on {signal}" not in said:
                 yield f"it depends on {signal}, the sentence says {said!r}"
-    found = re.search(r"That explains ((?:less than |more than )?[\d.]+\u00a0%) of what is missing", said)
+    found = re.search(r"This dependence explains ((?:less than |more than )?[\d.]+\u00a0%) of what is missing", said)
     if found is not None and found[1] != percent(residual["share"]):
         yield f"{found[1]} in the sentence, {residual['share']} in the record"
     if found := re.search(r"would add ((?:less than |more than )?[\d.]+\u00a0%) to the claim's gain", said):

@@ -243,12 +243,16 @@ def _judge_claim(
 ) -> Claims:
     """Return the claim of the best hypothesis, as far as neither unknown inputs nor unnamed terms speak against it.
 
+    A hypothesis that halves the held-out error stays at least a part of the answer.
+
     Args:
         large: State with an unknown input that is no small disturbance, or "".
     """
     gained = a.base.score - a.best.score
     disputed = _disputed_parts(a, leftover)
     certain = fit_of_rest(a, disputed) if disputed else a.best
+    if certain is None and a.halves_error:
+        certain = a.best
     if (large and not a.halves_error) or certain is None:
         return Claims("unexplained", rivals=a.best.names, misfit=residual)
     if a.rivals:

@@ -41,30 +41,35 @@ def sentence(c: Claims, subject: Subject) -> str:
     rise = rise_text(
         c.risen, units, subject.main_file(name) if c.written else f"the {name} object"
     )  # a reader must know it before the answer
-    names = c.claimed.names if c.claimed is not None else ()
-    opening = rise or improvement_text(c.remaining, c.baseline, names)
+    disputed = c.name == "ambiguous"
+    names = c.claimed.names if c.claimed is not None and not disputed else ()
+    whole = "The first hypothesis" if disputed else "The claim"
+    opening = rise or improvement_text(c.remaining, c.baseline, names, whole)
     untried = subject.untried if c.claimed is not None else ""
     texts = (opening, _answer_text(c, subject), *_share_texts(c), untried, *_remark_texts(c, subject))
     return " ".join(filter(None, texts))
 
 
-def improvement_text(remaining: Mapping[str, float], beside: str, names: Sequence[str] = ()) -> str:
+def improvement_text(
+    remaining: Mapping[str, float], beside: str, names: Sequence[str] = (), whole: str = "The claim"
+) -> str:
     """Return a sentence on the share of squared error on sealed logs that a claim explains.
 
     Args:
         remaining: Channel → share of the squared error that remains.
         beside: Model for comparison, `before` or `recalibrated`.
-        names: Claimed candidates; more than three are counted.
+        names: Claimed candidates, at most three of which are named.
+        whole: Subject of the sentence without names.
     """
     share = sum(remaining.values()) / len(remaining) if remaining else 1.0
     if not share < 1.0:
         return ""
     worst = f", mostly in {max(remaining, key=lambda name: remaining[name])}" if len(remaining) > 1 else ""
     error = f"the squared error that the {'recalibrated' if beside == 'recalibrated' else 'unchanged'} model has"
-    who = join_names(names) if 0 < len(names) <= MOST_NAMED else "the claim"
-    verb = "explain" if 1 < len(names) <= MOST_NAMED else "explains"
-    subject = who if names and who != "the claim" else "The claim"
-    return f"{subject} {verb} {percent(1.0 - share)} of {error} on sealed logs; {percent(share)} remain{worst}."
+    is_named = 0 < len(names) <= MOST_NAMED
+    verb = "explain" if is_named and len(names) > 1 else "explains"
+    who = join_names(names) if is_named else whole
+    return f"{who} {verb} {percent(1.0 - share)} of {error} on sealed logs; {percent(share)} remain{worst}."
 
 
 def _answer_text(c: Claims, subject: Subject) -> str:
@@ -179,10 +184,10 @@ def unexplained_text(residual: Mapping[str, Any], nearest: Sequence[str], otherw
         text = f"Something outside the catalogue acts on {where}; it {_residual_text(residual)}."
         # a term may promise likelihood where noise, not its own share, fills what is missing
         if share := residual["share"]:
-            little = f"{NO_TERM.capitalize()} {percent(LITTLE)} of what is missing."
-            text += f" {little if share < LITTLE else f'That explains {percent(share)} of what is missing.'}"
+            who = NO_TERM.capitalize() if share < LITTLE else "This dependence explains"
+            text += f" {who} {percent(max(share, LITTLE))} of what is missing."
     elif where:
-        text = f"A disturbance acts on {where}; it shows no stable pattern."
+        text = "The remaining error shows no stable pattern."
     else:
         text = otherwise
     return text + (f" Best candidates, not confirmed: {join_names(nearest)}." if nearest else "")

@@ -30,7 +30,7 @@ def compare_with_predictions(search: Search, a: Attribution, claims: Claims) -> 
 
     The intervals of a partial claim include both values in any case: with incomplete equations, the difference between
     both fits is a measure of the bias. A claim that halves the held-out error keeps parts on which both fits disagree,
-    unless the fit to predictions puts them within chance of no effect.
+    unless the fit to predictions puts them, but not all parts, within chance of no effect.
     """
     problem, horizon, h = search.problem, search.subject.horizon, claims.claimed
     if h is None or h.is_of_sensors or not has_predictions(search):
@@ -45,7 +45,9 @@ def compare_with_predictions(search: Search, a: Attribution, claims: Claims) -> 
     moved = _moved_parts(claims, h.fit, refit) if is_better and not a.halves_error else set()
     predicted = replace(h, fit=replace(h.fit, values=refit.values))
     small = {c.name for c in h.candidates if may_be_chance(search, predicted, c)} - moved
-    return _without(search, a, claims, moved, small) if moved | small else replace(claims, claimed=both)
+    if not moved | small or (a.halves_error and fit_of_rest(a, small) is None):
+        return replace(claims, claimed=both, grade="part" if small else claims.grade)
+    return _without(search, a, claims, moved, small)
 
 
 def _moved_parts(claims: Claims, before: Fit, after: Fit) -> set[str]:

@@ -175,9 +175,11 @@ class _Terms:
 
     def costs(self, u: UnnamedTerm) -> float:
         """Return the gain required of a term."""
-        if u.shape is None:
-            return self.cost
-        count, tried = len(u.names), max(1, len(self.names) + self.tried)
+        return self.cost if u.shape is None else self._cost_of_shape(len(u.names))
+
+    def _cost_of_shape(self, count: int) -> float:
+        """Return the gain required of a local shape with this number of coefficients."""
+        tried = max(1, len(self.names) + self.tried)
         return self.problem.scatter * (self.price * count + ENTRY + math.log(tried))
 
     def number_tried(self, terms: Sequence[UnnamedTerm]) -> int:
@@ -236,16 +238,20 @@ class _Terms:
         return selected
 
     def leads_everywhere(self, first: UnnamedTerm) -> bool:
-        """Return True if the term, or an equivalent one, gains most without any one log and with other sensor noise."""
+        """Return True if the term, or an equivalent one, leads without any one log and with other sensor noise.
+
+        It leads if its gain exceeds its cost by most.
+        """
+        costs = {key: self._cost_of_shape(len(rows)) if key[2] else self.cost for key, rows in self.rows.items()}
 
         def leads_without(part: int) -> bool:
-            return _is_leader(first, self.rows, lambda rows: self.test.gain_without(rows, part))
+            return _is_leader(first, self.rows, costs, lambda rows: self.test.gain_without(rows, part))
 
         def leads_with_noise(factor: float) -> bool:
             noise = replace(self.at.noise, sensors=self.at.noise.sensors + 2.0 * math.log(factor))
             test = ScoreTest(self.problem, replace(self.at, noise=noise))
             rows = in_parallel(lambda item: (item[0], [*map(test.row, item[1])]), list(self.moves.items()))
-            return _is_leader(first, dict(rows), lambda of_term: test.gain(of_term)[0])
+            return _is_leader(first, dict(rows), costs, lambda of_term: test.gain(of_term)[0])
 
         parts = range(max(2, len(self.problem.logs)))
         return all(in_parallel(leads_without, list(parts))) and all(map(leads_with_noise, NOISE_FACTORS))
@@ -266,10 +272,12 @@ class _Terms:
         return step, self.test.row({**settings, name: step})
 
 
-def _is_leader(first: UnnamedTerm, effects: Effects, gain: Callable[[Sequence[Array]], float]) -> bool:
-    """Return True if a term, or one with an equivalent effect on the same equation, gains most."""
-    gains = {key: gain(rows) for key, rows in effects.items()}
-    leader = max(gains, key=lambda key: gains[key])
+def _is_leader(
+    first: UnnamedTerm, effects: Effects, costs: Mapping[Key, float], gain: Callable[[Sequence[Array]], float]
+) -> bool:
+    """Return True if a term, or one with an equivalent effect on the same equation, gains most beyond its cost."""
+    net = {key: gain(rows) - costs[key] for key, rows in effects.items()}
+    leader = max(net, key=lambda key: net[key])
     if leader[:2] == (first.equation, first.signal):
         return True
     own, other = effects[first.equation, first.signal, first.shape][0], effects[leader][0]
