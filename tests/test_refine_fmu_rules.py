@@ -87,7 +87,7 @@ def test_what_refuses_the_best_hypothesis_says_nothing_against_a_simpler_one(
         )
 
     monkeypatch.setattr(judgement, "_remainder", remainder)
-    found = judgement._supported(search, tried["second_order_lag",])
+    found = judgement._supported(search, tried["second_order_lag",], ())
     assert found.best.names == answer
     assert list(found.dropped) == ["second_order_lag"]
 
@@ -221,3 +221,27 @@ def test_a_log_of_an_fmu_without_inputs_has_rows(tmp_path: Path) -> None:
     data = data_of(subject, log, layout, 0.0)
     assert data.u.shape == (20, 0)
     np.testing.assert_array_equal(data.y[:, 0], log.outputs["x"])
+
+
+def test_a_richer_term_at_a_limit_is_followed_by_its_special_case_and_is_no_rival(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    rich, simple = (
+        Candidate(name, "effect", (Free(f"{name}.level", 0.0, 9.0, 0.1, neutral=0.0),), ({},))
+        for name in ("stribeck_at_v", "coulomb_at_v")
+    )
+    best = replace(hypothesis({"stribeck_at_v": (9.0, 0.1)}), candidates=(rich,), ended=True)
+    best = replace(best, fit=replace(best.fit, values={"stribeck_at_v.level": 9.0}, free=rich.free))
+    begun: dict[str, float] = {}
+
+    def fitted(parts: tuple[Candidate, ...], start: Fit, promised: dict[str, float]) -> Hypothesis:
+        begun.update(promised)
+        return replace(best, candidates=parts, score=-50.0)
+
+    problem = SimpleNamespace(values={"stribeck_at_v.level": 0.0, "coulomb_at_v.level": 0.0})
+    search: Any = SimpleNamespace(problem=problem, tried={best.names: best}, hypothesis=fitted)
+    judgement._fit_special_cases(search, best, {"stribeck_at_v"}, (rich, simple))
+    assert begun == {"coulomb_at_v.level": 9.0}
+    special = search.tried["coulomb_at_v",]
+    monkeypatch.setattr(judgement, "_refutes", lambda *hypotheses: False)
+    assert not judgement._is_rival(search, special, best)

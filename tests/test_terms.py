@@ -120,6 +120,11 @@ def test_a_limit_of_the_rate_is_tried_at_one_row_for_a_usual_change() -> None:
     assert (inverse.unit, inverse.typical) == ("s/V", pytest.approx(INPUT.sizes["T"] / INPUT.sizes["u"]))
 
 
+def test_a_peak_of_friction_is_at_least_three_resolved_transitions_wide() -> None:
+    limits = {p.name: p.bounds[0] for p in parameters_of(bind(Stribeck, replace(PAIR, resolution=0.5)))}
+    assert (limits["softness"], limits["speed"]) == (0.5, 1.5)
+
+
 def test_friction_that_is_larger_at_rest_falls_to_its_level() -> None:
     term = bind(Stribeck, PAIR)(level=1.0, breakaway=2.0, speed=0.5, softness=0.02)
     assert -term.force(SCALAR, 0.0, 0.1) == pytest.approx(1.0 + math.exp(-0.04), rel=1e-3)

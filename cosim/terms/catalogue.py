@@ -206,6 +206,7 @@ class Stribeck(Force):
     equation = "−(F + (B − F)·exp(−(v/w)²))·tanh(v/ε)"
     at_least: ClassVar[Mapping[str, str]] = {"breakaway": "level"}
     resolved = ("softness",)
+    least: ClassVar[Mapping[str, float]] = {"speed": 3.0}  # a narrower peak imitates a transition that is not resolved
 
     level: float = scaled("u", neutral=0.0, typical=0.1, low=0.0, high=5.0, doc="level F at speed")
     breakaway: float = scaled("u", neutral=0.0, typical=0.2, low=0.0, high=10.0, doc="level B at rest")

@@ -49,10 +49,12 @@ class Term(Effect):
     Attributes:
         kind: First part of the name, `kind_at_place`.
         place: Place of a bound term.
+        least: Parameter → lower limit as a multiple of the velocity that an integration step resolves.
     """
 
     kind: ClassVar[str]
     place: ClassVar[Place]
+    least: ClassVar[Mapping[str, float]] = {}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,8 +139,12 @@ def scaled(
 
 def bind(kind: type[Any], place: Place) -> type[Any]:
     """Return a term for a place: a class with name, units, bounds and usual sizes."""
-    least = {p.name: place.resolution if p.name in kind.resolved else -math.inf for p in parameters_of(kind)}
-    own = {p.name: _bound(p, place, _middle(kind, p.name, place), least[p.name]) for p in parameters_of(kind)}
+    least = {
+        **dict.fromkeys(kind.resolved, place.resolution),
+        **{n: x * place.resolution for n, x in kind.least.items()},
+    }
+    limits = {p.name: least.get(p.name, -math.inf) for p in parameters_of(kind)}
+    own = {p.name: _bound(p, place, _middle(kind, p.name, place), limits[p.name]) for p in parameters_of(kind)}
     starts = tuple(
         {n: _middle(kind, n, place) + v * _size(_declared(kind, n).unit, place) for n, v in start.items()}
         for start in kind.starts

@@ -52,7 +52,7 @@ TOLERANCES = (0.5, 2.0)  # factors on the tolerances that test whether a claim d
 def decide(result: SearchResult) -> Attribution:
     """Return the best supported hypothesis and its rivals."""
     search, base = result.search, result.search.tried[()]
-    rest = _with_nearly_paid(search, _unrefuted(search, _supported(search, result.best)))
+    rest = _with_nearly_paid(search, _unrefuted(search, _supported(search, result.best, result.candidates)))
     best = rest.best
     if search.subject.probed and best.candidates and rest.dropped:
         search.fit_alike(_rivals_without(search, best, rest.dropped), best)
@@ -74,12 +74,14 @@ def _error_ratios(search: Search, best: Hypothesis, base: Hypothesis, noise: Seq
     return error_ratios(search, best, base, to_predictions=True)
 
 
-def _supported(search: Search, best: Hypothesis) -> _Remainder:
+def _supported(search: Search, best: Hypothesis, candidates: Sequence[Candidate]) -> _Remainder:
     """Return the supported parts of the best hypothesis; of an FMU, or of another one that is then better.
 
     A refused part says nothing against a simpler one in its place.
     """
     found, judged = _remainder(search, best), [best]
+    if search.subject.probed:
+        _fit_special_cases(search, best, found.dropped, candidates)
     while search.subject.probed and found.dropped and len(judged) <= MOST_OTHERS:
         others = [
             h
@@ -93,6 +95,20 @@ def _supported(search: Search, best: Hypothesis) -> _Remainder:
         kept = other if other.best.score < found.best.score else found
         found = replace(kept, dropped={**other.dropped, **found.dropped})
     return found
+
+
+def _fit_special_cases(
+    search: Search, best: Hypothesis, dropped: Collection[str], candidates: Sequence[Candidate]
+) -> None:
+    """Fit the special case of each dropped part in its place, from its values."""
+    for rich in (c for c in best.candidates if c.name in dropped):
+        for simple in (c for c in candidates if contains(rich.name, c.name)):
+            at = {f.name: best.fit.values.get(f.name.replace(simple.name, rich.name)) for f in simple.free}
+            values = {name: value for name, value in at.items() if value is not None}
+            h = search.hypothesis(tuple(simple if c is rich else c for c in best.candidates), best.fit, promised=values)
+            earlier = search.tried.get(h.names)
+            if earlier is None or not earlier.ended or h.score < earlier.score:
+                search.tried[h.names] = h
 
 
 def _unrefuted(search: Search, rest: _Remainder) -> _Remainder:
@@ -354,7 +370,12 @@ def _rivals_without(search: Search, best: Hypothesis, dropped: Collection[str]) 
 
 
 def _is_rival(search: Search, best: Hypothesis, h: Hypothesis) -> bool:
-    if _refutes(search, best, h):
+    """Return True if a hypothesis explains the logs as well as the best.
+
+    A term that contains one of the best hypothesis, at a limit of its own, tells no more than that one.
+    """
+    richer = [c for c in h.candidates if any(contains(c.name, name) for name in best.names)]
+    if _refutes(search, best, h) or (richer and _parameters_at_limit(h, richer, search.problem.values)):
         return False
     if h.score - best.score < RIVAL or (search.subject.probed and _is_richer_twin(search, best, h)):
         return True
