@@ -7,12 +7,15 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
+from cosim.estimation.past_readings import lagged, past_reading
 from cosim.estimation.posing import build_problem
 from cosim.fmi.fmu_build import build
 from cosim.kernel.backend import kernel
@@ -313,3 +316,15 @@ def test_a_state_known_by_then_is_that_of_a_filter_which_ends_there(tmp_path: Pa
     # asked for others too, a few readings long ago are missing
     among = posed.filter_causally(data, values, posed.plain, 0, [100, 200, 300]).states[row]
     np.testing.assert_allclose(among[:3], known[:3], atol=1e-3)  # as good as a reading of the camera
+
+
+def test_a_lag_goes_on_from_the_reading_before_the_first_value() -> None:
+    time, constant = np.arange(200.0), 20.0
+    output = np.sin(0.1 * time) + 5.0
+    readings = lagged(time, output, constant)
+    replayed = np.where(time < 50.0, np.nan, output)  # a replay does not predict the row where it starts
+    sensor: Any = SimpleNamespace(late=False, value=constant)
+    settled, going_on = (past_reading(sensor, time, replayed, *more) for more in ((), (readings,)))
+    assert np.abs(settled - readings)[50] > 0.5
+    assert np.nanmax(np.abs(going_on - readings)) < 0.01
+    assert np.isnan(going_on[:50]).all()

@@ -11,16 +11,25 @@ import numpy as np
 from cosim.base.arrays import Array
 
 
-def past_reading(sensor: Any, time: Array, values: Array) -> Array:
+def past_reading(sensor: Any, time: Array, values: Array, measured: Array | None = None) -> Array:
     """Return the reading of a late or lagging sensor over time, NaN where it is unknown.
 
     Args:
         sensor: Latency or lag with its value [s].
         time, values: Output over time; values may begin with NaN.
+        measured: Measured readings; a lag goes on from the one before the first value, if there is one.
     """
     if sensor.late:
         return np.asarray(np.interp(time - sensor.value, time, values, left=np.nan))
-    return lagged(time, values, sensor.value)
+    known = np.flatnonzero(np.isfinite(values))
+    before = int(known[0]) - 1 if known.size else -1
+    if measured is None or before < 0 or not math.isfinite(measured[before]):
+        return lagged(time, values, sensor.value)
+    filled = values.copy()
+    filled[before] = values[before + 1]
+    readings = lagged(time, filled, sensor.value, float(measured[before]))
+    readings[before] = math.nan
+    return readings
 
 
 def lagged_table(outputs: Array, lags: Array | None, begin: Array | None = None) -> Array:

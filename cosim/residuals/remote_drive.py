@@ -67,9 +67,10 @@ def ask(number: int, method: str, *arguments: Any) -> Any:
 
 
 def unload(number: int) -> None:
-    """Free the FMU of a drive."""
+    """Free the FMU of a drive; a stop may come before it is loaded."""
     own_process.progress.doing[0] = OTHER
-    _drives.pop(number).block.close()
+    if (drive := _drives.pop(number, None)) is not None:
+        drive.block.close()
 
 
 # -- in the caller ----------------------------------------------------------------------------

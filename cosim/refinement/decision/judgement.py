@@ -101,14 +101,15 @@ def _fit_special_cases(
     search: Search, best: Hypothesis, dropped: Collection[str], candidates: Sequence[Candidate]
 ) -> None:
     """Fit the special case of each dropped part in its place, from its values."""
-    for rich in (c for c in best.candidates if c.name in dropped):
-        for simple in (c for c in candidates if contains(rich.name, c.name)):
-            at = {f.name: best.fit.values.get(f.name.replace(simple.name, rich.name)) for f in simple.free}
-            values = {name: value for name, value in at.items() if value is not None}
-            h = search.hypothesis(tuple(simple if c is rich else c for c in best.candidates), best.fit, promised=values)
-            earlier = search.tried.get(h.names)
-            if earlier is None or not earlier.ended or h.score < earlier.score:
-                search.tried[h.names] = h
+    pairs = ((rich, simple) for rich in best.candidates for simple in candidates if contains(rich.name, simple.name))
+    for rich, simple in pairs:
+        if rich.name not in dropped:
+            continue
+        names = {f.name.replace(simple.name, rich.name): f.name for f in simple.free}
+        values = {names[n]: best.fit.values[n] for n in rich.parameters if n in names}
+        parts = tuple(simple if c is rich else c for c in best.candidates)
+        h = search.hypothesis(parts, best.fit, promised=values)
+        search.tried[h.names] = best_hypothesis((h, *(o for o in [search.tried.get(h.names)] if o and o.ended)))
 
 
 def _unrefuted(search: Search, rest: _Remainder) -> _Remainder:

@@ -45,9 +45,8 @@ def compare_with_predictions(search: Search, a: Attribution, claims: Claims) -> 
     moved = _moved_parts(claims, h.fit, refit) if is_better and not a.halves_error else set()
     predicted = replace(h, fit=replace(h.fit, values=refit.values))
     small = {c.name for c in h.candidates if may_be_chance(search, predicted, c)} - moved
-    if not moved | small or (a.halves_error and fit_of_rest(a, small) is None):
-        return replace(claims, claimed=both, grade="part" if small else claims.grade)
-    return _without(search, a, claims, moved, small)
+    claims = replace(claims, claimed=both)
+    return _without(search, a, claims, moved, small) if moved | small else claims
 
 
 def _moved_parts(claims: Claims, before: Fit, after: Fit) -> set[str]:
@@ -56,8 +55,13 @@ def _moved_parts(claims: Claims, before: Fit, after: Fit) -> set[str]:
 
 
 def _without(search: Search, a: Attribution, claims: Claims, moved: set[str], small: set[str]) -> Claims:
-    """Return the claims without parts on which both fits disagree, and without those that may be chance."""
+    """Return the claims without parts on which both fits disagree, and without those that may be chance.
+
+    If nothing is left, a claim that halves the held-out error is a part of the answer; another one is withdrawn.
+    """
     rest, names = fit_of_rest(a, moved | small), tuple(sorted(moved))
+    if rest is None and a.halves_error:
+        return replace(claims, grade="part")
     if rest is None:
         return claims.withdraw(Doubt("disagreeing", names=names or tuple(sorted(small))))
     name, perhaps = name_of(rest.candidates, search.subject), (*claims.small, *sorted(small))

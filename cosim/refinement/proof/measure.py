@@ -148,7 +148,9 @@ def remove_sensor_errors(
             outputs |= {n: (outputs[n] - at_zero) / gain for n in sensor.affected() if n in outputs}
         elif not sensor.dormant:
             outputs |= {
-                n: outputs[n] - by for n, by in _sensor_errors(sensor, log.time, simulated).items() if n in outputs
+                n: outputs[n] - by
+                for n, by in _sensor_errors(sensor, log.time, simulated, outputs).items()
+                if n in outputs
             }
     return replace(log, outputs=outputs)
 
@@ -166,11 +168,13 @@ def _line(sensor: SensorError) -> tuple[Any, Any]:
     return at_zero, sensor.measure(1.0) - at_zero
 
 
-def _sensor_errors(sensor: Any, time: Array, outputs: Mapping[str, Array]) -> dict[str, Array]:
+def _sensor_errors(
+    sensor: Any, time: Array, outputs: Mapping[str, Array], measured: Mapping[str, Array]
+) -> dict[str, Array]:
     """Return output → error of a nonlinear sensor."""
     inputs = {n: outputs[n] for n in sensor.affected()}
     if sensor.depends_on_past():
-        return {n: past_reading(sensor, time, values) - values for n, values in inputs.items()}
+        return {n: past_reading(sensor, time, values, measured.get(n)) - values for n, values in inputs.items()}
     inputs = {n: np.nan_to_num(values) for n, values in inputs.items()}
     readings = sensor.readings(arrays(), time, {**outputs, **inputs})
     return {n: np.asarray(readings[n] - values) for n, values in inputs.items()}
@@ -372,7 +376,13 @@ class _KernelReplays:
         for (k, part), run in zip(parts.items(), simulate_all(problem.kernel, begins), strict=True):
             end = len(part.u) - 1
             outputs[k + 1 : end + 1] = _shift(run.outputs[k:], None if part.late is None else part.late[k:])[1:]
-        return lagged_table(outputs, data.lags)
+        if data.lags is None:
+            return outputs
+        first = min(self.rows)  # Lags go on from the readings there.
+        outputs[first] = outputs[first + 1]
+        readings = lagged_table(outputs, data.lags, data.y[first])
+        readings[first] = math.nan
+        return readings
 
 
 def _root_mean_squares(problem: Problem, errors: Sequence[Array]) -> dict[str, float]:
