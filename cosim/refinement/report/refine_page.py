@@ -334,7 +334,7 @@ def _ranking_lead(r: Refinement) -> str:
         "together with the base parameters and the noise levels. The score is the gain in log-likelihood over the base "
         "model, minus the change of the penalty of the priors of base parameters and noise levels, minus ½ ln N for "
         "each added parameter (N readings) and, for each candidate of the set, 3 plus the logarithm of the number of "
-        "candidates on trial. A reason about one candidate was found in one set and holds for all sets with it."
+        "candidates on trial. A reason about one candidate was found in one set and is applied to all sets with it."
     )
     if (scatter := r.problem.scatter) > 1.0:
         lead += (
