@@ -268,9 +268,10 @@ def test_of_two_models_within_one_standard_error_the_simpler_is_taken() -> None:
 def test_the_improvement_on_sealed_logs_comes_first(
     remaining: dict[str, float], shares: tuple[str, str] | None
 ) -> None:
-    error = "of the squared error that the recalibrated model has on sealed logs"
-    text = f"The claim explains {shares[0]}\u00a0% {error}; {shares[1]}" if shares else ""
+    error = "the squared error above the noise floor that the recalibrated model has on sealed logs"
+    text = f"The claim explains {shares[0]}\u00a0% of {error}; {shares[1]}" if shares else ""
     assert improvement_text(remaining, "recalibrated") == text
+    assert improvement_text({"x": 0.0}, "recalibrated") == f"The claim explains {error}."
     of_rivals = improvement_text(remaining, "recalibrated", whole="The first hypothesis")
     assert of_rivals == text.replace("The claim", "The first hypothesis")
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from cosim.base.text import MOST_NAMED, join_names, percent, plain
 from cosim.refinement.decision.sentences import IN_PART
+from cosim.residuals.residual_statistics import remaining_excess
 
 CLAIMS = {"effect_found", "parameter_error", "sensor_error"}
 FILES = {"claimed": ("model.yaml", "plant.fmu"), "other": ("model.yaml", "plant.fmu", "nearest.yaml", "nearest.fmu")}
@@ -169,13 +170,16 @@ def _share(record: Record) -> Iterator[str]:
 
 def _improved(record: Record) -> Iterator[str]:
     """Yield a contradiction of the explained share of squared error with the errors on sealed logs."""
-    text = r"explains? ((?:less than |more than )?[\d.]+\u00a0%) of the squared error that the (\w+) model has"
+    share, floor = r"((?:less than |more than )?[\d.]+\u00a0%)", "the squared error above the noise floor"
+    text = rf"explains? {share} of {floor} that the (\w+) model"
     found = re.search(text, record["sentence"])
     if found is None:
         return
     other = "before" if found[2] == "unchanged" else "recalibrated"
     before, after = (record["error"][name]["validation"] for name in (other, "after"))
-    shares = [(after[name] / size) ** 2 for name, size in before.items() if size > 0.0 and name in after]
+    level = record["noise_floors"]["validation"]
+    shares = [remaining_excess(b, after[n], level.get(n, 0.0)) for n, b in before.items() if n in after]
+    shares = [max(0.0, share) for share in shares if not math.isnan(share)]
     if found[1] != percent(1.0 - sum(shares) / len(shares)):
         yield f"{found[0]} in the sentence, {before} and {after} in the record"
 

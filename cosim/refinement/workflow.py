@@ -57,6 +57,7 @@ from cosim.refinement.search.input_hold import between_rows
 from cosim.refinement.search.missing import unknown_inputs
 from cosim.refinement.search.unnamed import Leftover, find_unnamed_terms
 from cosim.refinement.study import Study, read_study
+from cosim.residuals.residual_statistics import remaining_excess
 from cosim.storage.files import (
     FilePath,
     check_writable,
@@ -142,7 +143,7 @@ def refine(
         quiet = _with_log_noise(variants, attribution, claims, result.free_noise)
         rng = np.random.default_rng(FLOOR_SEED)  # fixed for reproducible results
         floors: Floors = {part: noise_floor(quiet, problem, logs, rng) for part, logs in sets.items()}
-        remaining = _remaining(claims, played, subject)
+        remaining = _remaining(claims, played, floors, subject)
         claims = replace(claims, risen=_rises(claims, played, subject), remaining=remaining, written=bool(files))
         if remaining and (checked := _checked_on_sealed_logs(claims, played, floors, subject)) is not claims:
             claims, variants["nearest"] = checked, variants["after"]
@@ -358,8 +359,8 @@ def _rises(claims: Claims, played: Replayed, subject: Subject) -> Mapping[str, t
     return find_rises(before, after)
 
 
-def _remaining(claims: Claims, played: Replayed, subject: Subject) -> Mapping[str, float]:
-    """Return channel → share of the squared error on sealed logs that remains with the claim."""
+def _remaining(claims: Claims, played: Replayed, floors: Floors, subject: Subject) -> Mapping[str, float]:
+    """Return channel → share of the excess error on sealed logs that remains with the claim."""
     if not claims.claimed_candidates or "validation" not in played["before"]:
         return {}
     given, before, after = (
@@ -367,7 +368,9 @@ def _remaining(claims: Claims, played: Replayed, subject: Subject) -> Mapping[st
     )
     if sum(before[name] > given[name] for name in before if name in given) > 0.5 * len(before):
         return {}  # recalibration alone made the model worse, so it is no reference
-    return {name: (after[name] / size) ** 2 for name, size in before.items() if size > 0.0 and name in after}
+    floor = floors["validation"].level
+    shares = {n: remaining_excess(size, after[n], floor.get(n, 0.0)) for n, size in before.items() if n in after}
+    return {name: max(0.0, share) for name, share in shares.items() if not math.isnan(share)}
 
 
 def _checked_on_sealed_logs(claims: Claims, played: Replayed, floors: Floors, subject: Subject) -> Claims:

@@ -134,7 +134,7 @@ class Claims:
         restricted: True if the study limits the candidates.
         left_out: Errors on held-out rows of a table, by model and output.
         risen: Channel → error before and after, if the error rises on sealed logs.
-        remaining: Channel → share of the squared error of the model `baseline` that remains with the claim on sealed
+        remaining: Channel → share of the excess error of the model `baseline` that remains with the claim on sealed
             logs.
         written: True if files of the refined and the nearest subject are written.
     """

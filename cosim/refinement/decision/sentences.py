@@ -53,10 +53,10 @@ def sentence(c: Claims, subject: Subject) -> str:
 def improvement_text(
     remaining: Mapping[str, float], beside: str, names: Sequence[str] = (), whole: str = "The claim"
 ) -> str:
-    """Return a sentence on the share of squared error on sealed logs that a claim explains.
+    """Return a sentence on the share of squared error above the noise floor on sealed logs that a claim explains.
 
     Args:
-        remaining: Channel → share of the squared error that remains.
+        remaining: Channel → share of the squared error above the noise floor that remains.
         beside: Model for comparison, `before` or `recalibrated`.
         names: Claimed candidates, at most three of which are named.
         whole: Subject of the sentence without names.
@@ -65,10 +65,13 @@ def improvement_text(
     if not share < 1.0:
         return ""
     worst = f", mostly in {max(remaining, key=lambda name: remaining[name])}" if len(remaining) > 1 else ""
-    error = f"the squared error that the {'recalibrated' if beside == 'recalibrated' else 'unchanged'} model has"
+    model = "recalibrated" if beside == "recalibrated" else "unchanged"
+    error = f"the squared error above the noise floor that the {model} model has"
     is_named = 0 < len(names) <= MOST_NAMED
     verb = "explain" if is_named and len(names) > 1 else "explains"
     who = join_names(names) if is_named else whole
+    if share == 0.0:
+        return f"{who} {verb} {error} on sealed logs."
     return f"{who} {verb} {percent(1.0 - share)} of {error} on sealed logs; {percent(share)} remain{worst}."
 
 
