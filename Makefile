@@ -50,7 +50,7 @@ run: fmus
 	$(BIN)/cosim run scenarios/manoeuvre.yaml --out results/manoeuvre --figures
 
 test: $(TESTING)
-	$(BIN)/python -m pytest -n 2 --dist loadscope --no-loadscope-reorder -m "not thorough"
+	$(BIN)/python -m pytest -n 3 --dist loadscope --no-loadscope-reorder -m "not thorough"
 
 # the tests that take longest, as `make test` has shorter ones of the same
 thorough: $(TESTING)
