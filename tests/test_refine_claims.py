@@ -69,6 +69,8 @@ def test_beside_an_unknown_input_a_claim_must_halve_the_error() -> None:
     much, little = (judged(attribution(fitted(FRICTION), ratios=r), move=0.3) for r in ((0.4, 0.5), (0.6, 0.65)))
     assert (much.name, much.grade, much.disturbed) == ("effect_found", "part", "vx")
     assert (little.name, little.claimed, little.rivals) == ("unexplained", None, (FRICTION,))
+    parameter = judged(attribution(fitted("mass"), ratios=(0.4, 0.5)), move=0.3)  # may stand for what is missing
+    assert (parameter.name, parameter.claimed, parameter.rivals) == ("unexplained", None, ("mass",))
 
 
 def test_a_part_that_an_unnamed_term_replaces_is_left_out_and_the_others_stay() -> None:

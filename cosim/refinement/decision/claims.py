@@ -243,7 +243,8 @@ def _judge_claim(
 ) -> Claims:
     """Return the claim of the best hypothesis, as far as neither unknown inputs nor unnamed terms speak against it.
 
-    A hypothesis that halves the held-out error stays at least a part of the answer.
+    A hypothesis with an effect or a sensor error that halves the held-out error stays at least a part of the answer. A
+    wrong parameter alone does not: beside a missing term, a parameter of its equation often takes a part of its place.
 
     Args:
         large: State with an unknown input that is no small disturbance, or "".
@@ -251,9 +252,10 @@ def _judge_claim(
     gained = a.base.score - a.best.score
     disputed = _disputed_parts(a, leftover)
     certain = fit_of_rest(a, disputed) if disputed else a.best
-    if certain is None and a.halves_error:
+    halves = a.halves_error and any(c.kind != "parameter" for c in a.best.candidates)
+    if certain is None and halves:
         certain = a.best
-    if (large and not a.halves_error) or certain is None:
+    if (large and not halves) or certain is None:
         return Claims("unexplained", rivals=a.best.names, misfit=residual)
     if a.rivals:
         return _ambiguous_claims(a, subject, residual)
