@@ -217,19 +217,18 @@ def test_a_claim_that_halves_the_held_out_error_is_never_withdrawn() -> None:
 
 def test_a_claim_that_leaves_most_of_the_excess_error_of_a_sealed_channel_is_a_part() -> None:
     claims = Claims("effect_found", fitted(FRICTION), grade="claimed", written=False)
-    given, floor = {"x": 40.0, "y": 9.0}, {"x": 1.0, "y": 1.0}
-    errors = {"before": given, "recalibrated": {"x": 10.0, "y": 9.0}}
-    held = check_on_sealed_logs(claims, {**errors, "after": {"x": 7.0, "y": 1.0}}, floor)
-    assert held is claims
-    part = check_on_sealed_logs(claims, {**errors, "after": {"x": 8.0, "y": 1.0}}, floor)
+    floor = {"x": 1.0, "y": 1.0}
+    held = replace(claims, remaining={"x": 48 / 99, "y": 0.0, "without a floor": 1.0})
+    assert check_on_sealed_logs(held, floor) is held
+    part = check_on_sealed_logs(replace(claims, remaining={"x": 63 / 99, "y": 0.0}), floor)
     assert (part.name, part.grade, part.nearest_hypothesis) == ("effect_found", "part", claims.claimed)
     assert part.part is not None
     assert part.part.share == pytest.approx(63 / 99)
     assert "on sealed logs replays keep 64 % of the excess error of x." in sentence(part, CRAFT).replace("\u00a0", " ")
-    worse = check_on_sealed_logs(claims, {**errors, "after": {"x": 12.0, "y": 1.0}}, floor)
+    worse = check_on_sealed_logs(replace(claims, remaining={"x": 143 / 99, "y": 0.0}), floor)
     assert "keep nearly all of the excess error of x." in sentence(worse, CRAFT)
-    disputed = replace(claims, name="ambiguous", grade="part")
-    assert check_on_sealed_logs(disputed, {**errors, "after": {"x": 12.0, "y": 1.0}}, floor) is disputed
+    disputed = replace(claims, name="ambiguous", grade="part", remaining={"x": 143 / 99})
+    assert check_on_sealed_logs(disputed, floor) is disputed
 
 
 def test_the_error_ratio_is_the_mean_over_the_logs_and_each_log_has_to_improve() -> None:

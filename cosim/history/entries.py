@@ -405,7 +405,7 @@ def _missing_rows(place: Path, tables: Sequence[str], content: Content) -> str:
 
 
 def _other_version(content: Content) -> str:
-    """Return the version that wrote a record, "" if it is this one."""
+    """Return the version of cosim that wrote a record; "" for the present version."""
     schema, by = content.get("schema_version", SCHEMA_VERSION), version_of(content)
     if schema != SCHEMA_VERSION:
         return f"{by or '?'} (schema {schema})"

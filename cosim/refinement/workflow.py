@@ -145,7 +145,7 @@ def refine(
         floors: Floors = {part: noise_floor(quiet, problem, logs, rng) for part, logs in sets.items()}
         remaining = _remaining(claims, played, floors, subject)
         claims = replace(claims, risen=_rises(claims, played, subject), remaining=remaining, written=bool(files))
-        if remaining and (checked := _checked_on_sealed_logs(claims, played, floors, subject)) is not claims:
+        if remaining and (checked := check_on_sealed_logs(claims, floors["validation"].level)) is not claims:
             claims, variants["nearest"] = checked, variants["after"]
             played = {**played, "nearest": played["after"]}
             files += variants["nearest"].subject.write(scratch, folder, "nearest")
@@ -371,15 +371,6 @@ def _remaining(claims: Claims, played: Replayed, floors: Floors, subject: Subjec
     floor = floors["validation"].level
     shares = {n: remaining_excess(size, after[n], floor.get(n, 0.0)) for n, size in before.items() if n in after}
     return {name: max(0.0, share) for name, share in shares.items() if not math.isnan(share)}
-
-
-def _checked_on_sealed_logs(claims: Claims, played: Replayed, floors: Floors, subject: Subject) -> Claims:
-    """Return the claims, graded by the replays of sealed logs."""
-    names = {"before", claims.baseline, "after"}
-    error = {name: keep_finite(rmse(played[name]["validation"][subject.horizon])) for name in names}
-    common = set.intersection(*map(set, error.values()))
-    floor = {name: size for name, size in floors["validation"].level.items() if name in common}
-    return check_on_sealed_logs(claims, error, floor)
 
 
 def _floor_warnings(floors: Floors, played: Replayed, claims: Claims, subject: Subject) -> Iterator[str]:

@@ -20,7 +20,7 @@ SEPARATION = {
 
 
 def magnitude(m: Namespace, x: Number) -> Number:
-    """Return |x|, by a limit instead of a branch: a branch within a condition takes the symbolic model long."""
+    """Return |x| by a limit, as nested branches make the symbolic model slow to load."""
     return 2.0 * m.clip(x, 0.0, LARGE) - x
 
 

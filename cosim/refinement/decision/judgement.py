@@ -109,7 +109,9 @@ def _fit_special_cases(
         values = {names[n]: best.fit.values[n] for n in rich.parameters if n in names}
         parts = tuple(simple if c is rich else c for c in best.candidates)
         h = search.hypothesis(parts, best.fit, promised=values)
-        search.tried[h.names] = best_hypothesis((h, *(o for o in [search.tried.get(h.names)] if o and o.ended)))
+        earlier = search.tried.get(h.names)
+        if not (earlier and earlier.ended and earlier.score <= h.score):
+            search.tried[h.names] = h
 
 
 def _unrefuted(search: Search, rest: _Remainder) -> _Remainder:

@@ -141,15 +141,19 @@ def check_claim(
     return replace(claims, grade="part", part=Part(worst, share))
 
 
-def check_on_sealed_logs(claims: Claims, error: ErrorOf, floor: Channels) -> Claims:
+def check_on_sealed_logs(claims: Claims, floor: Channels) -> Claims:
     """Return the claims, as a part of the answer if most of a channel's excess error on sealed logs remains.
 
-    Excess is that of the model for comparison. Nothing is withdrawn or chosen, as the logs stay a test.
+    Nothing is withdrawn or chosen, as the logs stay a test.
+
+    Args:
+        claims: Claims with `remaining`.
+        floor: Noise floors of the sealed logs; a channel without one is not judged.
     """
     if claims.claimed is None or claims.name == "ambiguous" or claims.grade != "claimed":
         return claims
-    shares = _remaining_excess({**error, "before": error[claims.baseline]}, floor)
-    worst, share = max(shares.items(), key=itemgetter(1), default=("", 0.0))
+    judged = {name: share for name, share in claims.remaining.items() if name in floor}
+    worst, share = max(judged.items(), key=itemgetter(1), default=("", 0.0))
     if share <= HALF:
         return claims
     nearest = Nearest(claims.claimed, moved_beyond_tolerance(claims.claimed.fit))
@@ -244,11 +248,9 @@ def _is_only_error(search: Search, h: Hypothesis) -> bool:
     (c,) = h.candidates
     if beyond_tolerance(h.fit):
         return False
-    return (
-        is_outside_tolerance(search, h, c)
-        if c.kind == "parameter"
-        else h.is_away(c, SIGNIFICANT, search.problem.values)
-    )
+    if c.kind == "parameter":
+        return is_outside_tolerance(search, h, c)
+    return h.is_away(c, SIGNIFICANT, search.problem.values)
 
 
 def moved_beyond_tolerance(f: Fit) -> tuple[MovedParameter, ...]:

@@ -22,6 +22,9 @@ LADDER_NOTE = (
     "last column is the standard error of the difference from the best: within it, a model with fewer candidates is as "
     "good."
 )
+TOLERANCE = (
+    "± is the tolerance of the data sheet; a parameter is wrong only if its whole interval lies outside the tolerance."
+)
 
 
 @dataclass(frozen=True)
@@ -85,10 +88,6 @@ class NoiseRow:
     after_width: float
     words: str
 
-
-TOLERANCE = (
-    "± is the tolerance of the data sheet; a parameter is wrong only if its whole interval lies outside the tolerance."
-)
 
 # -- ranking ----------------------------------------------------------------------------------
 

@@ -238,9 +238,9 @@ class _Terms:
         return selected
 
     def leads_everywhere(self, first: UnnamedTerm) -> bool:
-        """Return True if the term, or an equivalent one, leads without any one log and with other sensor noise.
+        """Return True if a term stays the best when any log is left out and when the sensor noise changes.
 
-        It leads if its gain exceeds its cost by most.
+        The best term is the one whose gain exceeds its cost by most; an equivalent term counts as the same.
         """
         costs = {key: self._cost_of_shape(len(rows)) if key[2] else self.cost for key, rows in self.rows.items()}
 
