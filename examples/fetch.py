@@ -1,14 +1,19 @@
 """Recordings of others, which are not part of this project: from a folder, or from their public home into it.
 
+`write_study` and `run_make_logs` are what the scripts that cut them into logs have in common.
+
 Whatever its origin, a file is used only if its SHA-256 is the one that is written beside its address.
 """
 
 from __future__ import annotations
 
+import argparse
 import hashlib
+import os
+import sys
 import urllib.error
 import urllib.request
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -70,3 +75,32 @@ def _check(name: str, sha256: str, content: bytes, origin: str) -> None:
             f"{origin} is not the recording that this example is about: its SHA-256 is {found},\n"
             f"that of {name} is {sha256}."
         )
+
+
+def write_study(folder: Path, model: Path, name: str, keys: str = "") -> Path:
+    """Write study.yaml for the logs e1, e2 and v1 of a folder, the last one sealed; return its path.
+
+    Args:
+        model: File of the model.
+        name: Class of the model in this file.
+        keys: Further lines of the study.
+    """
+    path = folder / "study.yaml"
+    place = Path(os.path.relpath(model, folder.resolve())).as_posix()
+    logs = "logs:\n  estimation: [e1.csv, e2.csv]\n  validation: [v1.csv]\n"
+    path.write_text(f"model: {place}:{name}\n{keys}{logs}", encoding="utf-8")
+    return path
+
+
+def run_make_logs(make_logs: Callable[[Path, Path], Path], description: str | None) -> int:
+    """Write logs and study to the folders of the command line; return the exit code."""
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("data", type=Path)
+    parser.add_argument("out", type=Path)
+    options = parser.parse_args()
+    try:
+        print(make_logs(options.data, options.out))
+    except RecordingError as error:
+        print(error, file=sys.stderr)
+        return 2
+    return 0

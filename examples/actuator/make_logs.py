@@ -4,15 +4,13 @@ The recording has 1024 rows. The first half is two estimation logs, the second h
 states no time between rows; it counts as 0.1 s.
 """
 
-import argparse
-import os
 import sys
 from pathlib import Path
 
 import scipy.io
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
-from fetch import Recording, RecordingError, recorded
+from fetch import Recording, recorded, run_make_logs, write_study
 
 RECORDING = Recording(
     "actuator.mat",
@@ -32,26 +30,8 @@ def make_logs(data: Path, folder: Path) -> Path:
         pairs = zip(recording["u"].ravel()[part], recording["p"].ravel()[part], strict=True)
         lines = [f"{k * RATE:.1f},{u:.9g},{p:.9g}" for k, (u, p) in enumerate(pairs)]
         (folder / name).write_text("\n".join(["time,valve,pressure", *lines]) + "\n", encoding="utf-8")
-    path = folder / "study.yaml"
-    model = Path(os.path.relpath(MODEL, folder.resolve())).as_posix()
-    logs = "logs:\n  estimation: [e1.csv, e2.csv]\n  validation: [v1.csv]\n"
-    path.write_text(f"model: {model}:Actuator\ninputs: interpolated\n{logs}", encoding="utf-8")
-    return path
-
-
-def main() -> int:
-    """Write logs and study; return the exit code."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("data", type=Path)
-    parser.add_argument("out", type=Path)
-    options = parser.parse_args()
-    try:
-        print(make_logs(options.data, options.out))
-    except RecordingError as error:
-        print(error, file=sys.stderr)
-        return 2
-    return 0
+    return write_study(folder, MODEL, "Actuator", "inputs: interpolated\n")
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_make_logs(make_logs, __doc__))

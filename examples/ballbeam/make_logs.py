@@ -3,15 +3,13 @@
 The recording has 1000 rows, 0.1 s apart. Two thirds are two estimation logs, the last third is sealed.
 """
 
-import argparse
-import os
 import sys
 from pathlib import Path
 
 import numpy as np
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
-from fetch import Recording, RecordingError, recorded
+from fetch import Recording, recorded, run_make_logs, write_study
 
 RECORDING = Recording(
     "ballbeam.dat",
@@ -30,26 +28,8 @@ def make_logs(data: Path, folder: Path) -> Path:
     for name, (first, last) in PARTS.items():
         lines = [f"{k * RATE:.1f},{angle:.7g},{x:.7g}" for k, (angle, x) in enumerate(recording[first:last])]
         (folder / name).write_text("\n".join(["time,angle,position", *lines]) + "\n", encoding="utf-8")
-    path = folder / "study.yaml"
-    model = Path(os.path.relpath(MODEL, folder.resolve())).as_posix()
-    logs = "logs:\n  estimation: [e1.csv, e2.csv]\n  validation: [v1.csv]\n"
-    path.write_text(f"model: {model}:BallBeam\ninputs: interpolated\n{logs}", encoding="utf-8")
-    return path
-
-
-def main() -> int:
-    """Write logs and study; return the exit code."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("data", type=Path)
-    parser.add_argument("out", type=Path)
-    options = parser.parse_args()
-    try:
-        print(make_logs(options.data, options.out))
-    except RecordingError as error:
-        print(error, file=sys.stderr)
-        return 2
-    return 0
+    return write_study(folder, MODEL, "BallBeam", "inputs: interpolated\n")
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_make_logs(make_logs, __doc__))

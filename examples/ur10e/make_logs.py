@@ -3,14 +3,12 @@
 The recording is one of 6109 rows, 65 s long, of the elbow moved alone. Two thirds to learn from, the last sealed.
 """
 
-import argparse
 import csv
-import os
 import sys
 from pathlib import Path
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
-from fetch import Recording, RecordingError, recorded
+from fetch import Recording, recorded, run_make_logs, write_study
 
 RECORDING = Recording(
     "ur-20_01_22-joint_3.csv",
@@ -38,26 +36,8 @@ def make_logs(data: Path, folder: Path) -> Path:
     for name, (first, last) in PARTS.items():
         lines = [f"{t - first:.4f},{i},{q},{w}" for t, i, q, w in recording if first <= t < last]
         (folder / name).write_text("\n".join(["time,current,angle,rate", *lines]) + "\n", encoding="utf-8")
-    path = folder / "study.yaml"
-    model = Path(os.path.relpath(MODEL, folder.resolve())).as_posix()
-    logs = "logs:\n  estimation: [e1.csv, e2.csv]\n  validation: [v1.csv]\n"
-    path.write_text(f"model: {model}:Elbow\n{logs}", encoding="utf-8")
-    return path
-
-
-def main() -> int:
-    """Write logs and study; return the exit code."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("data", type=Path)
-    parser.add_argument("out", type=Path)
-    options = parser.parse_args()
-    try:
-        print(make_logs(options.data, options.out))
-    except RecordingError as error:
-        print(error, file=sys.stderr)
-        return 2
-    return 0
+    return write_study(folder, MODEL, "Elbow")
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_make_logs(make_logs, __doc__))
