@@ -21,13 +21,24 @@ def past_reading(sensor: Any, time: Array, values: Array, measured: Array | None
     """
     if sensor.late:
         return np.asarray(np.interp(time - sensor.value, time, values, left=np.nan))
+    return lagged(time, values, sensor.value) if measured is None else replayed(time, values, sensor.value, measured)
+
+
+def replayed(time: Array, values: Array, constant: float, measured: Array) -> Array:
+    """Return the readings of a lagging sensor in a replay, which go on from the reading before the first value.
+
+    Args:
+        constant: Time constant [s].
+        values: Output over time, NaN up to the row where the replay starts.
+        measured: Measured readings; without one in this row, the sensor starts settled.
+    """
     known = np.flatnonzero(np.isfinite(values))
     before = int(known[0]) - 1 if known.size else -1
-    if measured is None or before < 0 or not math.isfinite(measured[before]):
-        return lagged(time, values, sensor.value)
+    if before < 0 or not math.isfinite(measured[before]):
+        return lagged(time, values, constant)
     filled = values.copy()
     filled[before] = values[before + 1]
-    readings = lagged(time, filled, sensor.value, float(measured[before]))
+    readings = lagged(time, filled, constant, float(measured[before]))
     readings[before] = math.nan
     return readings
 

@@ -18,7 +18,7 @@ import numpy as np
 from cosim.base.arrays import Array, Rows
 from cosim.base.linear_algebra import square_roots
 from cosim.estimation.data import count_unscored, data_of
-from cosim.estimation.past_readings import lagged_table, past_reading
+from cosim.estimation.past_readings import past_reading, replayed
 from cosim.estimation.per_log import own, spread
 from cosim.estimation.posing import origins, start_covariance
 from cosim.estimation.problem import Problem
@@ -376,13 +376,11 @@ class _KernelReplays:
         for (k, part), run in zip(parts.items(), simulate_all(problem.kernel, begins), strict=True):
             end = len(part.u) - 1
             outputs[k + 1 : end + 1] = _shift(run.outputs[k:], None if part.late is None else part.late[k:])[1:]
-        if data.lags is None:
-            return outputs
-        first = min(self.rows)  # Lags go on from the readings there.
-        outputs[first] = outputs[first + 1]
-        readings = lagged_table(outputs, data.lags, data.y[first])
-        readings[first] = math.nan
-        return readings
+        rows = np.arange(len(outputs), dtype=np.float64)
+        for j, lag in enumerate(data.lags if data.lags is not None else ()):
+            if lag:
+                outputs[:, j] = replayed(rows, outputs[:, j], float(lag), data.y[:, j])
+        return outputs
 
 
 def _root_mean_squares(problem: Problem, errors: Sequence[Array]) -> dict[str, float]:
