@@ -25,8 +25,21 @@ from cosim.estimation.problem import Problem, Settings
 from cosim.loading.file import load_model, read_model
 from cosim.logs.log import read_log
 from cosim.model import Model
-from cosim.refinement.decision.evidence import held_out_gains, required_scatters, with_sandwich_covariance
-from cosim.refinement.decision.judgement import _is_rival, _with_tolerance, decide, is_at_limit, is_beyond_tolerance
+from cosim.refinement.decision.evidence import (
+    deviations_by_chance,
+    held_out_gains,
+    required_scatters,
+    with_sandwich_covariance,
+)
+from cosim.refinement.decision.judgement import (
+    _is_rival,
+    _with_certain_parts,
+    _with_tolerance,
+    decide,
+    is_at_limit,
+    is_beyond_tolerance,
+)
+from cosim.refinement.decision.prediction_fit import error_ratios
 from cosim.refinement.decision.trust import attribute
 from cosim.refinement.proof.measure import _starts, first_rows
 from cosim.refinement.proof.refined_models import Variant
@@ -55,6 +68,22 @@ class Push(Gain, RailEffect):
 
     name = "push"
     input = "force"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rail('''
+LOSS = '''
+
+class Loss(RailEffect):
+    """Dry friction of two surfaces that slide at almost the same speeds."""
+
+    name = "loss"
+    equation = "force -a tanh(v/0.02) - b tanh(v/0.024)"
+    first: float = parameter(0.0, unit="N", bounds=(-50, 50), neutral=0.0, typical=0.5, doc="of one surface")
+    second: float = parameter(0.0, unit="N", bounds=(-50, 50), neutral=0.0, typical=0.5, doc="of the other one")
+
+    def force(self, m, x, v):
+        return -self.first * m.tanh(v / 0.02) - self.second * m.tanh(v / 0.024)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -545,6 +574,23 @@ def test_what_the_other_logs_hardly_know_of_one_part_is_no_word_against_another(
     for (names, left_out), learnt in list(search.cross_fits.items()):
         search.cross_fits[names, left_out] = replace(learnt, values={**learnt.values, "slope.pull": -0.3})
     assert held_out_gains(search, both, drag)[0] < 0.0 < gained
+
+
+def test_a_part_that_halves_the_error_stays_though_none_of_its_parameters_is_certain(tmp_path: Path) -> None:
+    """Two parameters that act almost alike are known together, and neither is known by itself."""
+    text = MODEL.replace("\nclass Rail(", LOSS, 1).replace("(Late, ", "(Loss, Late, ")
+    (tmp_path / "rail.py").write_text(text, encoding="utf-8")
+    model = load_model("rail.py:Rail", tmp_path).model
+    problem = coarsen(posed(model, tmp_path, 30, 31, numbers={"coulomb": 3.0}, push=1.0))
+    search = searched(model, problem)
+    search.tried[()] = search.hypothesis((), None)
+    h = search.hypothesis(parts_of(problem, model, "loss"), None)
+    (part,) = h.candidates
+    dropped: dict[str, str] = {}
+    best = _with_certain_parts(search, h, dropped)
+    assert (best.names, dropped) == (("loss",), {})
+    assert not best.is_away(part, deviations_by_chance(1))
+    assert max(error_ratios(search, best, search.tried[()], to_predictions=True)) < 0.5
 
 
 def test_an_interval_along_a_ridge_is_not_made_narrower_by_how_it_is_measured(rail: Model, tmp_path: Path) -> None:

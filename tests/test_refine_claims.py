@@ -149,6 +149,7 @@ def test_a_part_that_differs_between_logs_is_judged_beside_one_that_may_be_missi
     monkeypatch.setattr(judgement, "_parameters_at_limit", lambda h, parts, neutral: [])
     monkeypatch.setattr(judgement, "_support", lambda *hypotheses: Support(23.0, steady, 20.0, 1.0))
     monkeypatch.setattr(judgement, "_fit_without_each", lambda search, h: {})
+    monkeypatch.setattr(judgement, "_halves_error", lambda search, h, c: False)
     monkeypatch.setattr(judgement, "chance_limit", lambda problem, f, tried: 1.9)
     assert set(judgement._remainder(search, best).best.names) == names
 
@@ -300,18 +301,23 @@ def test_friction_of_an_arm_is_claimed_beside_what_no_catalogue_has(tmp_path: Pa
 
 
 @pytest.mark.parametrize(
-    ("moved", "ratios", "expected"),
+    ("moved", "ratio", "halving", "expected"),
     [
-        ({DRAG: 0.0}, (0.7, 0.8), ("effect_found", "part", (FRICTION,), (DRAG,), ())),
-        ({FRICTION: 0.0, DRAG: 0.0}, (0.7, 0.8), ("unexplained", "nearest", None, (), ())),
-        ({DRAG: 0.155}, (0.3, 0.4), ("effect_found", "claimed", (FRICTION, DRAG), (), ())),  # it halves the error
-        ({DRAG: 0.02}, (0.3, 0.4), ("effect_found", "part", (FRICTION,), (), (DRAG,))),  # 2 deviations, 2.6 by chance
-        ({FRICTION: 0.02, DRAG: 0.02}, (0.3, 0.4), ("effect_found", "part", (FRICTION, DRAG), (), ())),
-        ({}, (0.7, 0.8), ("effect_found", "claimed", (FRICTION, DRAG), (), ())),
+        ({DRAG: 0.0}, 0.8, "", ("effect_found", "part", (FRICTION,), (DRAG,), ())),
+        ({FRICTION: 0.0, DRAG: 0.0}, 0.8, "", ("unexplained", "nearest", None, (), ())),
+        ({DRAG: 0.155}, 0.4, "", ("effect_found", "claimed", (FRICTION, DRAG), (), ())),  # the claim halves the error
+        ({DRAG: 0.02}, 0.4, "", ("effect_found", "part", (FRICTION,), (), (DRAG,))),  # 2 deviations, 2.6 by chance
+        ({DRAG: 0.02}, 0.4, DRAG, ("effect_found", "claimed", (FRICTION, DRAG), (), ())),  # this part halves the error
+        ({FRICTION: 0.02, DRAG: 0.02}, 0.4, "", ("effect_found", "part", (FRICTION, DRAG), (), ())),
+        ({}, 0.8, "", ("effect_found", "claimed", (FRICTION, DRAG), (), ())),
     ],
 )
 def test_a_part_on_which_filter_and_predictions_disagree_is_not_claimed(
-    monkeypatch: pytest.MonkeyPatch, moved: dict[str, float], ratios: tuple[float, ...], expected: tuple[Any, ...]
+    monkeypatch: pytest.MonkeyPatch,
+    moved: dict[str, float],
+    ratio: float,
+    halving: str,
+    expected: tuple[Any, ...],
 ) -> None:
     best = fitted(FRICTION, DRAG)
     values = {n: moved.get(n.partition(".")[0], 1.01 * v) for n, v in best.fit.values.items()}
@@ -319,7 +325,8 @@ def test_a_part_on_which_filter_and_predictions_disagree_is_not_claimed(
     monkeypatch.setattr(agreement, "fit_to_predictions", lambda *arguments: refit)
     monkeypatch.setattr(agreement, "_predicts_better", lambda search, h: True)
     monkeypatch.setattr(agreement, "with_intervals", lambda search, h: h)
-    a = attribution(best, ratios=ratios)
+    monkeypatch.setattr(judgement, "_halves_error", lambda search, h, c: c.name in halving)
+    a = attribution(best, ratios=(ratio,))
     problem = SimpleNamespace(logs=[1, 2], table=False, own=(), values=CRAFT.values)
     search = cast(Search, SimpleNamespace(subject=CRAFT, problem=problem, on_trial=1))
     after = compare_with_predictions(search, a, Claims("effect_found", best, grade="claimed"))

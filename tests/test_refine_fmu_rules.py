@@ -38,11 +38,19 @@ def hypothesis(estimates: Mapping[str, tuple[float, float]]) -> Hypothesis:
     return Hypothesis(tuple(Candidate(name, "sensor", (f,), ({},)) for name, f in free.items()), fit, 0.0)
 
 
-@pytest.mark.parametrize(("is_flat", "names"), [(False, ("late",)), (True, ("lag", "late"))])
+@pytest.mark.parametrize(
+    ("is_flat", "halves", "names"),
+    [
+        (False, False, ("late",)),
+        (True, False, ("lag", "late")),
+        (False, True, ("lag", "late")),  # it halves the error of held-out logs
+    ],
+)
 def test_a_part_of_a_claim_is_further_from_neutral_than_the_best_of_all_by_chance(
-    monkeypatch: pytest.MonkeyPatch, is_flat: bool, names: tuple[str, ...]
+    monkeypatch: pytest.MonkeyPatch, is_flat: bool, halves: bool, names: tuple[str, ...]
 ) -> None:
     monkeypatch.setattr(judgement, "with_intervals", lambda search, h: h)
+    monkeypatch.setattr(judgement, "_halves_error", lambda search, h, c: halves)
     alone = hypothesis({"late": (2.6, 0.1)})
     problem = SimpleNamespace(values={"lag.value": 0.0, "late.value": 0.0})
     search: Any = SimpleNamespace(problem=problem, tried={("late",): alone}, on_trial=50)
@@ -50,7 +58,7 @@ def test_a_part_of_a_claim_is_further_from_neutral_than_the_best_of_all_by_chanc
     both = hypothesis({"lag": (1.0, np.inf if is_flat else 0.3), "late": (2.4, 0.3)})
     best = judgement._with_certain_parts(search, both, dropped)
     assert best.names == names
-    assert list(dropped) == ([] if is_flat else ["lag"])
+    assert list(dropped) == [name for name in ("lag",) if name not in names]
 
 
 def test_the_size_of_an_effect_is_certain_at_its_fitted_shape() -> None:
