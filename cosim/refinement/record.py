@@ -260,6 +260,11 @@ class Record(_Entry):
         description="what the data cannot distinguish, where the verdict is `ambiguous`; `a + b` are two together"
     )
     experiment: str = Field(description="the input that would separate rivals, else empty")
+    alike: list[list[str]] = Field(
+        default=[],
+        description="groups of names that act alike for every input, so that no experiment separates them; the first "
+        "of each is in `effects` or `rivals`, `a + b` are two together",
+    )
     nearest: list[str] = Field(
         description="what the nearest model has more than the given one, where not all is claimed; none where "
         "it is that model, recalibrated or as it was"
@@ -342,6 +347,7 @@ def record(
         effects=effects(study.subject, claimed, a.tried, claims.claimed_candidates) if claimed else [],
         rivals=list(claims.rivals) if claims.name == "ambiguous" else [],
         experiment=claims.experiment,
+        alike=[list(group) for group in claims.namesakes],
         nearest=list(claims.nearest.names) if claims.nearest else [],
         ladder=_rungs(claims.ladder),
         per_log=per_log(study, claimed.fit if claimed else a.unfitted, proof.ends),

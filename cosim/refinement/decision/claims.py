@@ -122,6 +122,7 @@ class Claims:
         disturbed: State whose unknown input is no small disturbance beside the claim.
         replaced: Parts of the best hypothesis that an unnamed term replaces.
         disagreeing: Parts of the best hypothesis for which a fit to predictions gives other values.
+        alike: Groups of names that act alike for every input, the first of them from the best hypothesis or a rival.
         further: Other base parameters outside their tolerances beside a claim (from replays, as up to `left_share`).
         missed_channel: Channel and its error with the unchanged model, as a multiple of the noise floor.
         recalibrated: Base parameters moved beyond their tolerances.
@@ -156,6 +157,7 @@ class Claims:
     disturbed: str = ""
     replaced: tuple[str, ...] = ()
     disagreeing: tuple[str, ...] = ()
+    alike: tuple[tuple[str, ...], ...] = ()
 
     further: tuple[MovedParameter, ...] = ()
     missed_channel: tuple[str, float] | None = None
@@ -197,6 +199,13 @@ class Claims:
         if self.claimed is None:
             return ()
         return self.certain if self.name == "ambiguous" else self.claimed.candidates
+
+    @property
+    def namesakes(self) -> tuple[tuple[str, ...], ...]:
+        """Return the groups of names that act alike, of which the first is claimed, or part of a rival."""
+        hypotheses = self.rivals if self.name == "ambiguous" else self.claimed.names if self.claimed else ()
+        named = {name for text in hypotheses for name in text.split(TOGETHER)}
+        return tuple(group for group in self.alike if named.issuperset(group[0].split(TOGETHER)))
 
     def withdraw(self, doubt: Doubt) -> Claims:
         """Return the verdict `unexplained` with its reason."""
@@ -260,9 +269,8 @@ def _judge_claim(
     if a.rivals:
         return _ambiguous_claims(a, subject, residual)
     name = name_of(certain.candidates, subject)
-    claims = Claims(
-        name, certain, misfit=residual, grade="claimed", small=a.small_parts, term=leftover.stable_first, gained=gained
-    )
+    claims = Claims(name, certain, misfit=residual, grade="claimed", small=a.small_parts, term=leftover.stable_first)
+    claims = replace(claims, gained=gained, alike=alike_groups(a.alike))
     if not (large or disputed):
         return claims
     return replace(claims, grade="part", disturbed=large, moves=moves, replaced=tuple(sorted(disputed)))
@@ -288,9 +296,22 @@ def _ambiguous_claims(a: Attribution, subject: Subject, residual: Mapping[str, A
     rivals = tuple(TOGETHER.join(h.names) for h in hypotheses)
     short = tuple(TOGETHER.join(names) if len(names) <= MOST_NAMED else f"{len(names)} candidates" for names in apart)
     best = _with_intervals_of(a.best, a.rivals, common)
-    claims = Claims("ambiguous", best, rivals, experiment, residual, apart=short)
+    claims = Claims("ambiguous", best, rivals, experiment, residual, apart=short, alike=alike_groups(a.alike))
     certain = tuple(c for c in a.best.candidates if c.name in common)
     return replace(claims, certain=certain, grade="part" if certain else "nearest")
+
+
+def alike_groups(alike: Mapping[tuple[str, ...], Hypothesis]) -> tuple[tuple[str, ...], ...]:
+    """Return groups of names that act alike, without what both hypotheses contain.
+
+    Args:
+        alike: Names of a hypothesis → hypothesis that it acts like.
+    """
+    groups: dict[str, list[str]] = {}
+    for names, h in alike.items():
+        one, other = (TOGETHER.join(sorted(set(x) - set(y))) for x, y in ((h.names, names), (names, h.names)))
+        groups.setdefault(one, [one]).append(other)
+    return tuple(map(tuple, groups.values()))
 
 
 def _with_intervals_of(best: Hypothesis, rivals: Sequence[Hypothesis], common: Collection[str]) -> Hypothesis:

@@ -12,6 +12,7 @@ from cosim.estimation.fit import MAX_SECONDS, Fit, inverse
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.problem import Problem
 from cosim.logs.channel_noise import NORMAL_95
+from cosim.refinement.decision.equivalence import split_alike
 from cosim.refinement.decision.evidence import (
     chance_limit,
     deviations_by_chance,
@@ -56,13 +57,14 @@ def decide(result: SearchResult) -> Attribution:
     best = rest.best
     if search.subject.probed and best.candidates and rest.dropped:
         search.fit_alike(_rivals_without(search, best, rest.dropped), best)
-    rivals = _rivals(search, best)
+    rivals, alike = split_alike(search, best, _rivals(search, best))
     tried = tuple(sorted(search.tried.values(), key=lambda h: h.score))
     reasons = {h.names: _reason(search, h, best, rivals, rest.dropped) for h in tried if h.names != best.names}
+    reasons |= {names: f"acts like {join_names(h.names)} for every input" for names, h in alike.items()}
     total = _support(search, best, base) if best.candidates else Support(0.0, 0.0)
     unfitted, noise = fit_given_model(search.problem, base.fit), noise_gain(search.problem, best.fit)
     ratios = _error_ratios(search, best, base, noise) if best.candidates else ()
-    evidence = (total, rest.support, noise, reasons, result.hidden, result.effects, rest.fuller, ratios)
+    evidence = (total, rest.support, noise, reasons, result.hidden, result.effects, rest.fuller, ratios, alike)
     return Attribution(base, unfitted, tried, best, rivals, *evidence)
 
 

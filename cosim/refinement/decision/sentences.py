@@ -114,6 +114,9 @@ def _share_texts(c: Claims) -> Iterator[str]:
 
 def _remark_texts(c: Claims, subject: Subject) -> Iterator[str]:
     """Yield sentences to follow the verdict."""
+    for group in c.namesakes:
+        count = "two" if len(group) == 2 else f"{len(group)}"
+        yield f"{' or '.join(group)}: these {count} act alike for every input."
     if c.claimed is not None and c.term is not None:
         yield remainder_text(c.term, c.gained)
     if c.claimed is not None and c.further:

@@ -14,7 +14,17 @@ from cosim.base.arrays import Array
 from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.problem import Problem
-from cosim.refinement.decision.claims import Claims, Doubt, MovedParameter, Nearest, Part, experiment_for, name_of
+from cosim.refinement.decision.claims import (
+    Claims,
+    Doubt,
+    MovedParameter,
+    Nearest,
+    Part,
+    alike_groups,
+    experiment_for,
+    name_of,
+)
+from cosim.refinement.decision.equivalence import split_alike
 from cosim.refinement.decision.evidence import sum_per_scatter
 from cosim.refinement.decision.judgement import (
     BETTER,
@@ -216,12 +226,14 @@ def claim_single_number(
         ratios: Channel → error of the given model as a multiple of the noise floor.
     """
     misfit, hypotheses = claims.misfit, _single_errors(result, a.base)
-    if len(hypotheses) > 1:
-        names = tuple(n for h in hypotheses for n in h.names)
-        experiment = experiment_for(subject, names)
-        return Claims("ambiguous", hypotheses[0], names, experiment, misfit, claims.grade, apart=names)
     if hypotheses:
-        return Claims(name_of(hypotheses[0].candidates, subject), hypotheses[0], misfit=misfit, grade="claimed")
+        best, *others = hypotheses
+        rivals, alike = split_alike(result.search, best, others)
+        groups, names = alike_groups(alike), tuple(n for h in (best, *rivals) for n in h.names)
+        if not rivals:
+            return Claims(name_of(best.candidates, subject), best, misfit=misfit, grade="claimed", alike=groups)
+        experiment = experiment_for(subject, names)
+        return Claims("ambiguous", best, names, experiment, misfit, claims.grade, apart=names, alike=groups)
     worst = max(ratios.items(), key=itemgetter(1), default=("", 0.0))
     return Claims("unexplained", misfit=misfit, missed_channel=worst, recalibrated=moved_beyond_tolerance(a.base.fit))
 

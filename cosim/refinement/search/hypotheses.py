@@ -115,6 +115,9 @@ class Attribution:
     effects: int = 0  # number of effects on trial
     fuller: Hypothesis | None = None  # best hypothesis including parts with gains too small to distinguish from chance
     error_ratios: tuple[float, ...] = ()  # held-out open-loop error, best hypothesis over recalibrated model, by log
+    alike: Mapping[tuple[str, ...], Hypothesis] = field(
+        default_factory=dict
+    )  # names → what acts like it, best or rival
 
     @property
     def halves_error(self) -> bool:
