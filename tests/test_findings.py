@@ -32,6 +32,7 @@ from cosim.refinement.decision.evidence import (
     with_sandwich_covariance,
 )
 from cosim.refinement.decision.judgement import (
+    Refusal,
     _is_rival,
     _with_certain_parts,
     _with_tolerance,
@@ -586,7 +587,7 @@ def test_a_part_that_halves_the_error_stays_though_none_of_its_parameters_is_cer
     search.tried[()] = search.hypothesis((), None)
     h = search.hypothesis(parts_of(problem, model, "loss"), None)
     (part,) = h.candidates
-    dropped: dict[str, str] = {}
+    dropped: dict[str, Refusal] = {}
     best = _with_certain_parts(search, h, dropped)
     assert (best.names, dropped) == (("loss",), {})
     assert not best.is_away(part, deviations_by_chance(1))

@@ -54,7 +54,7 @@ def test_a_part_of_a_claim_is_further_from_neutral_than_the_best_of_all_by_chanc
     alone = hypothesis({"late": (2.6, 0.1)})
     problem = SimpleNamespace(values={"lag.value": 0.0, "late.value": 0.0})
     search: Any = SimpleNamespace(problem=problem, tried={("late",): alone}, on_trial=50)
-    dropped: dict[str, str] = {}
+    dropped: dict[str, judgement.Refusal] = {}
     both = hypothesis({"lag": (1.0, np.inf if is_flat else 0.3), "late": (2.4, 0.3)})
     best = judgement._with_certain_parts(search, both, dropped)
     assert best.names == names
@@ -91,7 +91,8 @@ def test_what_refuses_the_best_hypothesis_says_nothing_against_a_simpler_one(
     def remainder(search: Any, h: Hypothesis) -> judgement._Remainder:
         refused = h.names == ("second_order_lag",)
         return judgement._Remainder(
-            tried[()] if refused else h, dropped={h.names[0]: "at its limit"} if refused else {}
+            tried[()] if refused else h,
+            dropped={h.names[0]: judgement.Refusal(h.names, "at its limit")} if refused else {},
         )
 
     monkeypatch.setattr(judgement, "_remainder", remainder)

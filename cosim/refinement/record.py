@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,14 +22,13 @@ from cosim.estimation.problem import Problem
 from cosim.refinement.decision.claims import Claims, Grade, Name, Rung
 from cosim.refinement.decision.sentences import sentence
 from cosim.refinement.proof.measure import Evidence, Floor, rmse
-from cosim.refinement.search.hypotheses import TOGETHER, Attribution, Hypothesis
+from cosim.refinement.search.hypotheses import Attribution, Hypothesis
 from cosim.refinement.search.input_hold import Between, Way
 from cosim.refinement.study import Study
 from cosim.residuals.residual_statistics import FREE_RUN
 from cosim.subject.candidates import Candidate
 from cosim.subject.interface import Subject
 
-GAIN = re.compile(r"(?:gains |chance: )(-?[\d.]+)")  # of a part, in the reason against it
 SCHEMA = Path(__file__).with_name("refine.schema.json")
 OTHER_HORIZONS: Mapping[Literal["0.5 s", "free run"], float] = {"0.5 s": 0.5, "free run": FREE_RUN}
 
@@ -260,8 +258,8 @@ class Record(_Entry):
         description="what the data cannot distinguish, where the verdict is `ambiguous`; `a + b` are two together"
     )
     experiment: str = Field(description="the input that would separate rivals, else empty")
-    alike: list[list[str]] = Field(
-        default=[],
+    alike: tuple[tuple[str, ...], ...] = Field(
+        default=(),
         description="groups of names that act alike for every input, so that no experiment separates them; the first "
         "of each is in `effects` or `rivals`, `a + b` are two together",
     )
@@ -347,7 +345,7 @@ def record(
         effects=effects(study.subject, claimed, a.tried, claims.claimed_candidates) if claimed else [],
         rivals=list(claims.rivals) if claims.name == "ambiguous" else [],
         experiment=claims.experiment,
-        alike=[list(group) for group in claims.namesakes],
+        alike=claims.namesakes,
         nearest=list(claims.nearest.names) if claims.nearest else [],
         ladder=_rungs(claims.ladder),
         per_log=per_log(study, claimed.fit if claimed else a.unfitted, proof.ends),
@@ -473,7 +471,7 @@ def _reason(a: Attribution, h: Hypothesis, claims: Claims) -> str:
     if claims.claimed is not None and h.names == claims.claimed.names:
         return "claimed"
     if h.names != a.best.names:
-        return _with_set(a, h, a.reasons[h.names]) or _score_text(h, claims.claimed or a.best)
+        return a.reasons[h.names] or _score_text(h, claims.claimed or a.best)
     if claims.name == "unexplained":
         return _unexplained_reason(h, claims)
     if claims.name == "no_effect":
@@ -481,24 +479,6 @@ def _reason(a: Attribution, h: Hypothesis, claims: Claims) -> str:
     if claims.claimed is not None:
         return "only with its numbers beyond their tolerances"
     return "nothing can be said: the logs excite too little"
-
-
-def _with_set(a: Attribution, h: Hypothesis, reason: str) -> str:
-    """Return the reason against a part, after the name of another set in which it gains what the reason says."""
-    part, _, doubt = reason.partition(": ")
-    said = GAIN.search(doubt)
-    if part not in h.names or said is None:
-        return reason
-    fits = {other.names: other.fit for other in a.tried}
-    sets = []
-    for names, fit in fits.items():
-        without = fits.get(tuple(n for n in names if n != part)) if part in names else None
-        if without is not None and f"{without.objective - fit.objective:.1f}" == said[1]:
-            sets.append(names)
-    if h.names in sets:
-        return reason
-    where = f"the set {TOGETHER.join(sets[0])}" if len(sets) == 1 else "another set"
-    return f"in {where}: {part}: {doubt}"
 
 
 def _unexplained_reason(h: Hypothesis, claims: Claims) -> str:

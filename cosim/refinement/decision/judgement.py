@@ -26,6 +26,7 @@ from cosim.refinement.decision.prediction_fit import error_ratios, has_predictio
 from cosim.refinement.search.fits import Search, SearchResult, key_of
 from cosim.refinement.search.hypotheses import (
     NOISE,
+    TOGETHER,
     Attribution,
     Hypothesis,
     Support,
@@ -199,19 +200,32 @@ def _fuller_certain(search: Search, refused: Hypothesis, rest: Hypothesis) -> Hy
     return None
 
 
+@dataclass(frozen=True)
+class Refusal:
+    """Reason against a part, and the names of the set in which it was judged."""
+
+    names: tuple[str, ...]
+    reason: str
+
+    def against(self, part: str, h: Hypothesis) -> str:
+        """Return the reason against a hypothesis that contains the part."""
+        text = f"{part}: {self.reason}"
+        return text if h.names == self.names else f"in the set {TOGETHER.join(self.names)}: {text}"
+
+
 @dataclass
 class _Remainder:
     """The supported remainder of a hypothesis.
 
     Attributes:
         support: Evidence for each remaining part.
-        dropped: Name of a dropped part → reason.
+        dropped: Name of a dropped part → its refusal.
         fuller: Hypothesis before the first part was dropped only for its small gain.
     """
 
     best: Hypothesis
     support: dict[str, Support] = field(default_factory=dict)
-    dropped: dict[str, str] = field(default_factory=dict)
+    dropped: dict[str, Refusal] = field(default_factory=dict)
     fuller: Hypothesis | None = None
 
 
@@ -230,7 +244,7 @@ def _drop_unsupported(search: Search, best: Hypothesis) -> _Remainder:
                 break
         else:
             break
-        rest.dropped[c.name], rest.best = doubt, without[c.name]
+        rest.dropped[c.name], rest.best = Refusal(best.names, doubt), without[c.name]
         if not doubt.startswith(LITTLE):
             rest.fuller = None
         elif rest.fuller is None:
@@ -242,7 +256,7 @@ def _drop_unsupported(search: Search, best: Hypothesis) -> _Remainder:
     return _Remainder(fuller, support, {n: doubt for n, doubt in rest.dropped.items() if n not in fuller.names})
 
 
-def _with_certain_parts(search: Search, best: Hypothesis, dropped: dict[str, str]) -> Hypothesis:
+def _with_certain_parts(search: Search, best: Hypothesis, dropped: dict[str, Refusal]) -> Hypothesis:
     """Return a hypothesis with intervals, without parts that may have no effect.
 
     One candidate of many often corrects another one, or something outside the catalogue, at a value that differs
@@ -250,14 +264,15 @@ def _with_certain_parts(search: Search, best: Hypothesis, dropped: dict[str, str
     chance.
 
     Args:
-        dropped: Name of a dropped part → reason, to add to.
+        dropped: Name of a dropped part → its refusal, to add to.
     """
     best = with_intervals(search, best)
     weak = next((c for c in best.candidates if may_be_chance(search, best, c)), None)
     if weak is None:
         return best
     least = deviations_by_chance(search.on_trial * weak.among)
-    dropped[weak.name] = f"its value is less than {least:.1f} standard deviations from that of the model"
+    reason = f"its value is less than {least:.1f} standard deviations from that of the model"
+    dropped[weak.name] = Refusal(best.names, reason)
     rest = _without_part(search, best, weak)
     return _with_certain_parts(search, rest, dropped) if rest.candidates else rest
 
@@ -494,7 +509,7 @@ def _parameters_at_limit(h: Hypothesis, parts: Sequence[Candidate], neutral: Map
 
 
 def _reason(
-    search: Search, h: Hypothesis, best: Hypothesis, rivals: Sequence[Hypothesis], dropped: Mapping[str, str]
+    search: Search, h: Hypothesis, best: Hypothesis, rivals: Sequence[Hypothesis], dropped: Mapping[str, Refusal]
 ) -> str:
     """Return the first reason that applies against a hypothesis, in words; "" if only its score decides."""
     base = search.tried[()]
@@ -502,7 +517,7 @@ def _reason(
     if any(h.names == r.names for r in rivals):
         return f"a rival: explains as well as {than}"
     if extra := [n for n in h.names if n in dropped]:
-        return f"{extra[0]}: {dropped[extra[0]]}"
+        return dropped[extra[0]].against(extra[0], h)
     if h.fit.is_cut:
         return f"its fit was stopped after {MAX_SECONDS:.0f} s of processor time"
     if h.fit.objective >= base.fit.objective:

@@ -114,9 +114,7 @@ def _share_texts(c: Claims) -> Iterator[str]:
 
 def _remark_texts(c: Claims, subject: Subject) -> Iterator[str]:
     """Yield sentences to follow the verdict."""
-    for group in c.namesakes:
-        count = "two" if len(group) == 2 else f"{len(group)}"
-        yield f"{' or '.join(group)}: these {count} act alike for every input."
+    yield from map(alike_text, c.namesakes)
     if c.claimed is not None and c.term is not None:
         yield remainder_text(c.term, c.gained)
     if c.claimed is not None and c.further:
@@ -133,6 +131,11 @@ def _remark_texts(c: Claims, subject: Subject) -> Iterator[str]:
         yield "Only the candidates that the study names were tried."
     if c.left_out:
         yield held_out_rows_text(c, subject)
+
+
+def alike_text(names: Sequence[str]) -> str:
+    """Return a sentence on names that act alike for every input."""
+    return f"{' or '.join(names)}: these {'two' if len(names) == 2 else len(names)} act alike for every input."
 
 
 def _units(subject: Subject) -> Mapping[str, str]:
