@@ -16,7 +16,7 @@ from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
 from cosim.logs.channel_noise import NORMAL_95
 from cosim.refinement.decision import judgement
-from cosim.refinement.decision.claims import Claims, Grade, MovedParameter, Rung, judge, name_of
+from cosim.refinement.decision.claims import Claims, Grade, Improvement, MovedParameter, Nearest, Rung, judge, name_of
 from cosim.refinement.decision.sentences import (
     _moved_text,
     improvement_text,
@@ -26,8 +26,9 @@ from cosim.refinement.decision.sentences import (
 )
 from cosim.refinement.proof import agreement
 from cosim.refinement.proof.agreement import compare_with_predictions
-from cosim.refinement.proof.nearest import is_as_good, nearest
+from cosim.refinement.proof.nearest import held_out_improvement, is_as_good, nearest
 from cosim.refinement.proof.replay_check import check_claim, check_on_sealed_logs
+from cosim.refinement.proof.sealed import sealed_improvement
 from cosim.refinement.record import effects
 from cosim.refinement.search.fits import Search
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis, Support
@@ -40,6 +41,7 @@ from tests.blind import arm
 CRAFT = ModelSubject.of(Hovercraft())
 CANDIDATES = {c.name: c for c in CRAFT.candidates(())}
 FRICTION, DRAG, DAMPING, STRIBECK = "coulomb_friction", "quadratic_drag", "yaw_damping", "stribeck_friction"
+NO_PLACE: dict[str, Any] = {"equation": "vx", "signals": [], "share": None, "terms": []}
 NOISE = Noise(np.zeros(1), math.log(0.15), np.zeros(1), np.full(1, -np.inf))
 
 
@@ -219,16 +221,20 @@ def test_a_claim_that_halves_the_held_out_error_is_never_withdrawn() -> None:
 def test_a_claim_that_leaves_most_of_the_excess_error_of_a_sealed_channel_is_a_part() -> None:
     claims = Claims("effect_found", fitted(FRICTION), grade="claimed", written=False)
     floor = {"x": 1.0, "y": 1.0}
-    held = replace(claims, remaining={"x": 48 / 99, "y": 0.0, "without a floor": 1.0})
+    held = replace(claims, improvement=Improvement({"x": 48 / 99, "y": 0.0, "without a floor": 1.0}, "recalibrated"))
     assert check_on_sealed_logs(held, floor) is held
-    part = check_on_sealed_logs(replace(claims, remaining={"x": 63 / 99, "y": 0.0}), floor)
+    part = check_on_sealed_logs(
+        replace(claims, improvement=Improvement({"x": 63 / 99, "y": 0.0}, "recalibrated")), floor
+    )
     assert (part.name, part.grade, part.nearest_hypothesis) == ("effect_found", "part", claims.claimed)
     assert part.part is not None
     assert part.part.share == pytest.approx(63 / 99)
     assert "on sealed logs replays keep 64 % of the excess error of x." in sentence(part, CRAFT).replace("\u00a0", " ")
-    worse = check_on_sealed_logs(replace(claims, remaining={"x": 143 / 99, "y": 0.0}), floor)
+    worse = check_on_sealed_logs(
+        replace(claims, improvement=Improvement({"x": 143 / 99, "y": 0.0}, "recalibrated")), floor
+    )
     assert "keep nearly all of the excess error of x." in sentence(worse, CRAFT)
-    disputed = replace(claims, name="ambiguous", grade="part", remaining={"x": 143 / 99})
+    disputed = replace(claims, name="ambiguous", grade="part", improvement=Improvement({"x": 143 / 99}, "recalibrated"))
     assert check_on_sealed_logs(disputed, floor) is disputed
 
 
@@ -264,7 +270,6 @@ def test_of_two_models_within_one_standard_error_the_simpler_is_taken() -> None:
         ({"x": 0.02, "v": 0.04}, ("97", "3\u00a0% remain, mostly in v.")),
         ({"x": 0.25}, ("75", "25\u00a0% remain.")),
         ({"x": 1.2}, None),
-        ({}, None),
     ],
 )
 def test_the_improvement_on_sealed_logs_comes_first(
@@ -272,10 +277,85 @@ def test_the_improvement_on_sealed_logs_comes_first(
 ) -> None:
     error = "the squared error above the noise floor that the recalibrated model has on sealed logs"
     text = f"The claim explains {shares[0]}\u00a0% of {error}; {shares[1]}" if shares else ""
-    assert improvement_text(remaining, "recalibrated") == text
-    assert improvement_text({"x": 0.0}, "recalibrated") == f"The claim explains {error}."
-    of_rivals = improvement_text(remaining, "recalibrated", whole="The first hypothesis")
+    assert improvement_text(Improvement(remaining, "recalibrated")) == text
+    assert improvement_text(Improvement({"x": 0.0}, "recalibrated")) == f"The claim explains {error}."
+    of_rivals = improvement_text(Improvement(remaining, "recalibrated"), whole="The first hypothesis")
     assert of_rivals == text.replace("The claim", "The first hypothesis")
+
+
+def sealed_logs(**sizes: float) -> dict[str, Any]:
+    """Replays of eight parts of a sealed log: variant → errors of this size, with some scatter."""
+    noise = np.random.default_rng(1).standard_normal(8000)
+    log = SimpleNamespace(outputs={"x": np.zeros(8000)})
+
+    def replays(size: float) -> Any:
+        outputs = {"x": size * noise}
+        errors = {"x": -outputs["x"]}
+        return SimpleNamespace(
+            outputs=outputs, time=np.arange(8000), starts=(), horizon=math.inf, errors=lambda log: errors
+        )
+
+    return {name: [(log, replays(size))] for name, size in sizes.items()}
+
+
+@pytest.mark.parametrize(
+    ("floor", "near", "expected"),
+    [
+        (0.1, 0.5, ((0.5**2 - 0.1**2) / (1.0 - 0.1**2), "recalibrated", True, True)),
+        (0.6, 0.5, (0.25, "recalibrated", False, True)),  # the floor may include what is missing
+        (0.1, 1.05, ((1.05**2 - 0.1**2) / (1.0 - 0.1**2), "recalibrated", True, False)),
+    ],
+)
+def test_what_the_nearest_model_leaves_is_measured_as_what_a_claim_leaves(
+    floor: float, near: float, expected: tuple[Any, ...]
+) -> None:
+    claims = Claims("unexplained", nearest=Nearest(fitted(FRICTION)))
+    sealed = sealed_logs(before=1.1, recalibrated=1.0, after=1.1, nearest=near)
+    i = sealed_improvement(claims, sealed, {"x": floor})
+    assert i is not None
+    assert (i.share, i.baseline, i.is_excess, i.is_clear) == (pytest.approx(expected[0], rel=0.05), *expected[1:])
+    worse = sealed_improvement(claims, sealed_logs(before=0.9, recalibrated=1.0, nearest=near), {"x": floor})
+    assert worse is not None
+    assert worse.baseline == "before"
+
+
+@pytest.mark.parametrize(
+    ("h", "share", "text"),
+    [
+        (fitted(FRICTION), 0.25, "The nearest model (coulomb_friction) removes 75\u00a0% of the recalibrated model's"),
+        (fitted(), 0.64, "The recalibrated model removes 36\u00a0% of the unchanged model's squared error on held-out"),
+        (None, 0.81, "No model that was tried predicts held-out logs clearly better than the unchanged one; the best"),
+    ],
+)
+def test_without_sealed_logs_the_verdict_begins_with_held_out_logs(h: Any, share: float, text: str) -> None:
+    rungs = [
+        Rung(None, np.log([1.0, 1.0])),
+        Rung(fitted(), np.log([1.0, 0.64])),
+        Rung(fitted(FRICTION), np.log([0.5, 0.32])),
+    ]
+    if h is None:
+        rungs = [rungs[0], Rung(fitted(), np.log([0.9, 0.9]))]
+    h = next(r.hypothesis for r in rungs if (r.hypothesis and r.hypothesis.names) == (h and h.names))
+    i = held_out_improvement(rungs, h)
+    assert i is not None
+    assert i.share == pytest.approx(share)
+    told = sentence(Claims("unexplained", nearest=Nearest(h, why="no gain"), improvement=i, misfit=NO_PLACE), CRAFT)
+    assert told.startswith(text)
+    assert ("It is not claimed (no gain)." in told) == bool(h and h.names)
+
+
+def test_a_verdict_begins_with_what_the_nearest_model_improves_on_sealed_logs() -> None:
+    i = Improvement({"x": 0.1, "v": 0.3}, "recalibrated")
+    claims = Claims("unexplained", nearest=Nearest(fitted(FRICTION)), improvement=i, misfit=NO_PLACE)
+    assert sentence(claims, CRAFT).startswith(
+        "The nearest model (coulomb_friction) removes 80\u00a0% of the recalibrated model's squared error above the "
+        "noise floor on sealed logs. It leaves 20\u00a0%, mostly in v. It is not claimed."
+    )
+    assert "on sealed logs, perhaps by chance." in sentence(
+        replace(claims, improvement=replace(i, is_clear=False)), CRAFT
+    )
+    no_better = sentence(replace(claims, improvement=replace(i, remaining={"x": 1.1})), CRAFT)
+    assert no_better.startswith("The nearest model (coulomb_friction) improves nothing on sealed logs: 110\u00a0%")
 
 
 def test_square_roots_of_covariances_exist_for_singular_and_diverged_ones_too() -> None:

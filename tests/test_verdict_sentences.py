@@ -16,7 +16,7 @@ import pytest
 from cosim.base.text import percent
 from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
-from cosim.refinement.decision.claims import Claims, Doubt, MovedParameter
+from cosim.refinement.decision.claims import Claims, Doubt, Improvement, MovedParameter, Nearest
 from cosim.refinement.decision.sentences import (
     claim_text,
     doubt_text,
@@ -24,6 +24,7 @@ from cosim.refinement.decision.sentences import (
     further_text,
     little_excitation_text,
     missed_channel_text,
+    nearest_improvement_text,
     nearest_text,
     no_effect_text,
     part_text,
@@ -115,7 +116,9 @@ def in_part() -> dict[str, Any]:
 
 def outside_the_catalogue(share: float | None = 0.42) -> dict[str, Any]:
     residual = {"equation": "vx", "signals": ["x_world"], "share": share, "terms": [{"gain": 30.0}]}
-    sentence = unexplained_text(residual, ["coulomb_friction"])
+    left = Improvement({"vx": (0.05**2 - 0.01**2) / (0.09**2 - 0.01**2)}, "recalibrated")
+    opening = nearest_improvement_text(left, Nearest(fitted("coulomb_friction")))
+    sentence = f"{opening} {unexplained_text(residual, ['coulomb_friction'])}"
     return written("unexplained", sentence, "nearest", None, ("coulomb_friction",), residual=residual)
 
 
@@ -206,6 +209,12 @@ ACTS = {"equation": "vx", "signals": ["x_world"], "share": 0.3, "terms": []}
         unexplained_text(ACTS, MANY),
         doubt_text(Doubt("unsteady", names=tuple(MANY))),
         nearest_text(MANY, fitted=True),
+        *(
+            nearest_improvement_text(Improvement(shares, "recalibrated", is_clear=False), Nearest(h))
+            for h in (fitted(*KINDS), fitted(*KINDS, *KINDS), None)
+            for shares in ({"vx": 0.5, "psi": 0.6}, {"vx": 1.5})
+        ),
+        *(doubt_text(Doubt(kind, "vx", 0.3)) for kind in ("disturbed", "replaced")),
         missed_channel_text("vx", 10.0, FAR, dict.fromkeys(MANY, "kg")),
         further_text(FAR, dict.fromkeys(MANY, "kg")),
         small_gains_text(MANY),
@@ -265,6 +274,7 @@ def changed(record: dict[str, Any], path: str, value: Any) -> dict[str, Any]:
         ("a part", "grade", "claimed", "the grade is claimed"),
         ("a part", "sentence", lambda s: s.replace("The rest", "The remainder"), "does not say how much is left"),
         ("a part", "nearest", ["coulomb_friction"], "nearest.yaml contains ['coulomb_friction'], the sentence says it"),
+        ("outside", "error/nearest/validation/vx", 0.06, "on sealed logs in the sentence, {'vx': 0.09"),
         ("outside", "residual/equation", "vy", "the misfit is in vy"),
         ("outside", "residual/signals", ["psi"], "it depends on psi"),
         ("outside", "residual/share", 0.6, "0.6 in the record"),

@@ -169,15 +169,22 @@ def _share(record: Record) -> Iterator[str]:
 
 
 def _improved(record: Record) -> Iterator[str]:
-    """Yield a contradiction of the explained share of squared error with the errors on sealed logs."""
-    share, floor = r"((?:less than |more than )?[\d.]+\u00a0%)", "the squared error above the noise floor"
-    text = rf"explains? {share} of {floor} that the (\w+) model"
-    found = re.search(text, record["sentence"])
+    """Yield a contradiction of the explained share of squared error with the errors on sealed or held-out logs."""
+    share, floor = r"((?:less than |more than )?[\d.]+\u00a0%)", "above the noise floor"
+    by_claim = re.search(rf"explains? {share} of the squared error ({floor}) that the (\w+) model", record["sentence"])
+    by_nearest = rf"removes {share} of the (?:un|re)\w+ model's squared error ?({floor})? on (?:sealed|held-out) logs"
+    found = by_claim or re.search(by_nearest, record["sentence"])
     if found is None:
         return
-    other = "before" if found[2] == "unchanged" else "recalibrated"
-    before, after = (record["error"][name]["validation"] for name in (other, "after"))
-    level = record["noise_floors"]["validation"]
+    other = "before" if "unchanged model" in found[0] else "recalibrated"
+    if found[0].endswith("held-out logs"):
+        ratios = [next(r["ratio"] for r in record["ladder"] if r["model"] == other)]
+        ratios.append(next(r["ratio"] for r in record["ladder"] if sorted(r["names"]) == sorted(record["nearest"])))
+        if found[1] != percent(1.0 - (ratios[1] / ratios[0]) ** 2):
+            yield f"{found[0]} in the sentence, {ratios} in the record"
+        return
+    before, after = (record["error"][name]["validation"] for name in (other, "after" if by_claim else "nearest"))
+    level = record["noise_floors"]["validation"] if found[2] else {}
     shares = [remaining_excess(b, after[n], level.get(n, 0.0)) for n, b in before.items() if n in after]
     shares = [max(0.0, share) for share in shares if not math.isnan(share)]
     if found[1] != percent(1.0 - sum(shares) / len(shares)):

@@ -42,12 +42,12 @@ from cosim.refinement.decision.trust import attribute
 from cosim.refinement.proof.agreement import compare_with_predictions
 from cosim.refinement.proof.carried import carry_sealed_logs
 from cosim.refinement.proof.measure import FLOOR_SEED, Evidence, final_log_parameters, noise_floor, rmse
-from cosim.refinement.proof.nearest import ladder, nearest
+from cosim.refinement.proof.nearest import held_out_improvement, ladder, nearest
 from cosim.refinement.proof.prediction_search import search_nearest
 from cosim.refinement.proof.proof_replays import LogSets, Proof, warnings_of
 from cosim.refinement.proof.refined_models import Variant, log_noise, refined_subject, variant_of, variants_of
 from cosim.refinement.proof.replay_check import check_on_sealed_logs, check_with_replays, moved_beyond_tolerance
-from cosim.refinement.proof.sealed import find_rises, repeated_motion
+from cosim.refinement.proof.sealed import find_rises, repeated_motion, sealed_improvement
 from cosim.refinement.proof.table_errors import add_dependence, errors_on_held_out_rows
 from cosim.refinement.record import Floors, Measurements, Part, Replayed, keep_finite, record
 from cosim.refinement.refinement import Refinement
@@ -57,7 +57,6 @@ from cosim.refinement.search.input_hold import between_rows
 from cosim.refinement.search.missing import unknown_inputs
 from cosim.refinement.search.unnamed import Leftover, find_unnamed_terms
 from cosim.refinement.study import Study, read_study
-from cosim.residuals.residual_statistics import remaining_excess
 from cosim.storage.files import (
     FilePath,
     check_writable,
@@ -143,9 +142,9 @@ def refine(
         quiet = _with_log_noise(variants, attribution, claims, result.free_noise)
         rng = np.random.default_rng(FLOOR_SEED)  # fixed for reproducible results
         floors: Floors = {part: noise_floor(quiet, problem, logs, rng) for part, logs in sets.items()}
-        remaining = _remaining(claims, played, floors, subject)
-        claims = replace(claims, risen=_rises(claims, played, subject), remaining=remaining, written=bool(files))
-        if remaining and (checked := check_on_sealed_logs(claims, floors["validation"].level)) is not claims:
+        claims = replace(claims, risen=_rises(claims, played, subject), written=bool(files))
+        claims = _with_sealed_improvement(claims, played, floors, subject)
+        if sealed and (checked := check_on_sealed_logs(claims, floors["validation"].level)) is not claims:
             claims, variants["nearest"] = checked, variants["after"]
             played = {**played, "nearest": played["after"]}
             files += variants["nearest"].subject.write(scratch, folder, "nearest")
@@ -291,9 +290,12 @@ def _add_nearest(
     claims = replace(claims, ladder=ladder(result.search, a, list(close.values())))
     if claims.grade != "claimed":
         h = nearest(claims.ladder)
-        claims = replace(claims, nearest=Nearest(h, moved_beyond_tolerance(h.fit) if h else ()))
+        why = a.reasons.get(h.names, "") if h else ""
+        claims = replace(claims, nearest=Nearest(h, moved_beyond_tolerance(h.fit) if h else (), why))
         progress("fitting predictions over the horizon", 0.0)
         claims = search_nearest(study, claims, a, problem, result.search, result.candidates)
+    if claims.name in ("ambiguous", "unexplained") and not claims.claimed_candidates:
+        claims = replace(claims, improvement=held_out_improvement(claims.ladder, claims.nearest_hypothesis))
     left_out = errors_on_held_out_rows(result.search, a, claims) if result.search.problem.table else None
     return replace(claims, restricted=study.content.candidates is not None, left_out=left_out)
 
@@ -359,18 +361,13 @@ def _rises(claims: Claims, played: Replayed, subject: Subject) -> Mapping[str, t
     return find_rises(before, after)
 
 
-def _remaining(claims: Claims, played: Replayed, floors: Floors, subject: Subject) -> Mapping[str, float]:
-    """Return channel → share of the excess error on sealed logs that remains with the claim."""
-    if not claims.claimed_candidates or "validation" not in played["before"]:
-        return {}
-    given, before, after = (
-        keep_finite(rmse(played[name]["validation"][subject.horizon])) for name in ("before", claims.baseline, "after")
-    )
-    if sum(before[name] > given[name] for name in before if name in given) > 0.5 * len(before):
-        return {}  # recalibration alone made the model worse, so it is no reference
-    floor = floors["validation"].level
-    shares = {n: remaining_excess(size, after[n], floor.get(n, 0.0)) for n, size in before.items() if n in after}
-    return {name: max(0.0, share) for name, share in shares.items() if not math.isnan(share)}
+def _with_sealed_improvement(claims: Claims, played: Replayed, floors: Floors, subject: Subject) -> Claims:
+    """Return the claims with the improvement on sealed logs, if there are any and something is to be compared."""
+    if "validation" not in played["before"]:
+        return claims
+    sealed = {name: parts["validation"][subject.horizon] for name, parts in played.items()}
+    improvement = sealed_improvement(claims, sealed, floors["validation"].level)
+    return replace(claims, improvement=improvement) if improvement else claims
 
 
 def _floor_warnings(floors: Floors, played: Replayed, claims: Claims, subject: Subject) -> Iterator[str]:

@@ -43,17 +43,19 @@ class MovedParameter:
 
 @dataclass(frozen=True)
 class Doubt:
-    """The reason for which replays or predictions withdraw a claim.
+    """The reason for which replays, predictions, unknown inputs or unnamed terms withdraw a claim.
 
     Attributes:
         kind: `missed`: the error of `channel` in replays with the claim is still `size` times the noise floor;
             `no_nearer`: the model without it, recalibrated, is as good or better on every channel;
             `kept`: a share `size` of the excess error remains;
             `unsteady`: much error remains, and `names` do not clearly improve predictions of held-out logs;
-            `disagreeing`: a fit to predictions gives other values of `names` and predicts held-out logs better.
+            `disagreeing`: a fit to predictions gives other values of `names` and predicts held-out logs better;
+            `disturbed`: an unknown input of a share `size` of the derivative of the state `channel` remains beside it;
+            `replaced`: terms without a name replace all its parts.
     """
 
-    kind: Literal["missed", "no_nearer", "kept", "unsteady", "disagreeing"]
+    kind: Literal["missed", "no_nearer", "kept", "unsteady", "disagreeing", "disturbed", "replaced"]
     channel: str = ""
     size: float = 0.0
     names: tuple[str, ...] = ()
@@ -80,15 +82,46 @@ class Nearest:
 
     Attributes:
         moved: Its base parameters that were recalibrated beyond their tolerances.
+        why: Reason for which the search refused it, in words; "" for none.
     """
 
     hypothesis: Hypothesis | None
     moved: tuple[MovedParameter, ...] = ()
+    why: str = ""
 
     @property
     def names(self) -> tuple[str, ...]:
         """Return the candidates' names in the nearest model."""
         return self.hypothesis.names if self.hypothesis else ()
+
+
+@dataclass(frozen=True)
+class Improvement:
+    """The share of a reference model's squared error that remains with a claim, or with the nearest model.
+
+    Attributes:
+        remaining: Channel → remaining share; a single entry without name for the mean over the channels.
+        baseline: Reference model.
+        logs: Logs of the errors; those of held-out logs are errors of predictions by fits to the other logs.
+        is_excess: True if only the error above the noise floor counts.
+        is_clear: True if the error decreases by more than its scatter.
+    """
+
+    remaining: Mapping[str, float]
+    baseline: Literal["before", "recalibrated"]
+    logs: Literal["sealed", "held-out"] = "sealed"
+    is_excess: bool = True
+    is_clear: bool = True
+
+    @property
+    def share(self) -> float:
+        """Return the mean remaining share."""
+        return sum(self.remaining.values()) / len(self.remaining)
+
+    @property
+    def worst(self) -> str:
+        """Return the channel with the largest remaining share; "" for a single one."""
+        return max(self.remaining, key=lambda name: self.remaining[name]) if len(self.remaining) > 1 else ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,8 +168,8 @@ class Claims:
         restricted: True if the study limits the candidates.
         left_out: Errors on held-out rows of a table, by model and output.
         risen: Channel → error before and after, if the error rises on sealed logs.
-        remaining: Channel → share of the excess error of the model `baseline` that remains with the claim on sealed
-            logs.
+        improvement: Error that remains with the claim on sealed logs; without a claim, with the nearest model on sealed
+            or held-out logs.
         written: True if files of the refined and the nearest subject are written.
     """
 
@@ -172,7 +205,7 @@ class Claims:
     restricted: bool = False
     left_out: Mapping[str, Mapping[str, float]] | None = None
     risen: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    remaining: Mapping[str, float] = field(default_factory=dict)
+    improvement: Improvement | None = None
     written: bool = True
 
     @property
@@ -187,11 +220,6 @@ class Claims:
     def nearest_hypothesis(self) -> Hypothesis | None:
         """Return the nearest model's hypothesis, by default the claim."""
         return self.claimed if self.nearest is None else self.nearest.hypothesis
-
-    @property
-    def baseline(self) -> str:
-        """Return the model for comparison with a claim: `before` for wrong parameters alone, else `recalibrated`."""
-        return "recalibrated" if any(c.kind != "parameter" for c in self.claimed_candidates) else "before"
 
     @property
     def claimed_candidates(self) -> tuple[Candidate, ...]:
@@ -211,6 +239,11 @@ class Claims:
         """Return the verdict `unexplained` with its reason."""
         names = self.claimed.names if self.claimed else ()
         return Claims("unexplained", rivals=names, misfit=self.misfit, doubt=doubt)
+
+
+def baseline_of(candidates: Sequence[Candidate]) -> Literal["before", "recalibrated"]:
+    """Return the model for comparison with candidates: `before` for wrong parameters alone, else `recalibrated`."""
+    return "recalibrated" if any(c.kind != "parameter" for c in candidates) else "before"
 
 
 def judge(
@@ -265,7 +298,8 @@ def _judge_claim(
     if certain is None and halves:
         certain = a.best
     if (large and not halves) or certain is None:
-        return Claims("unexplained", rivals=a.best.names, misfit=residual)
+        doubt = Doubt("disturbed", large, moves[large]) if large and not halves else Doubt("replaced")
+        return Claims("unexplained", rivals=a.best.names, misfit=residual, doubt=doubt)
     if a.rivals:
         return _ambiguous_claims(a, subject, residual)
     name = name_of(certain.candidates, subject)

@@ -15,7 +15,7 @@ from cosim.base.text import MOST_NAMED, amount, append_unit, counted, finer, joi
 from cosim.loading.refined import NEAREST
 from cosim.logs.channel_noise import NORMAL_95
 from cosim.refinement import messages
-from cosim.refinement.decision.claims import Claims, Doubt, MovedParameter
+from cosim.refinement.decision.claims import Claims, Doubt, Improvement, MovedParameter, Nearest
 from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.refinement.search.shapes import Shape
 from cosim.refinement.search.unnamed import UnnamedTerm
@@ -41,32 +41,63 @@ def sentence(c: Claims, subject: Subject) -> str:
     rise = rise_text(
         c.risen, units, subject.main_file(name) if c.written else f"the {name} object"
     )  # a reader must know it before the answer
-    disputed = c.name == "ambiguous"
-    names = c.claimed.names if c.claimed is not None and not disputed else ()
-    whole = "The first hypothesis" if disputed else "The claim"
-    opening = rise or improvement_text(c.remaining, c.baseline, names, whole)
+    opening = rise or _improvement_text(c)
     untried = subject.untried if c.claimed is not None else ""
     texts = (opening, _answer_text(c, subject), *_share_texts(c), untried, *_remark_texts(c, subject))
     return " ".join(filter(None, texts))
 
 
-def improvement_text(
-    remaining: Mapping[str, float], beside: str, names: Sequence[str] = (), whole: str = "The claim"
-) -> str:
+REFERENCES = {"before": "unchanged", "recalibrated": "recalibrated"}  # model for comparison → its name in a sentence
+
+
+def _improvement_text(c: Claims) -> str:
+    """Return sentences on the improvement by a claim, or without one, by the nearest model."""
+    if c.improvement is None:
+        return ""
+    if c.claimed_candidates:
+        disputed = c.name == "ambiguous"
+        names = c.claimed.names if c.claimed is not None and not disputed else ()
+        return improvement_text(c.improvement, names, "The first hypothesis" if disputed else "The claim")
+    if c.nearest is None or (c.name == "ambiguous" and not c.improvement.is_clear):
+        return ""
+    text = nearest_improvement_text(c.improvement, c.nearest)
+    is_refused = c.name == "unexplained" and c.nearest.names
+    return f"{text} It is not claimed{f' ({c.nearest.why})' if c.nearest.why else ''}." if is_refused else text
+
+
+def nearest_improvement_text(i: Improvement, nearest: Nearest) -> str:
+    """Return sentences on the share of squared error that the nearest model removes, or that remains.
+
+    Args:
+        i: Improvement by the nearest model; by the best other one if the given model is the nearest.
+    """
+    error = f"the {REFERENCES[i.baseline]} model's squared error{' above the noise floor' if i.is_excess else ''}"
+    if nearest.hypothesis is None:
+        better = f"No model that was tried predicts {i.logs} logs clearly better than the unchanged one"
+        return f"{better}; the best leaves {percent(i.share)} of its squared error."
+    names = nearest.names
+    who = "The nearest model" if names else "The recalibrated model"
+    if names:
+        who += f", with {len(names)} candidates," if len(names) > MOST_NAMED else f" ({join_names(names)})"
+    if not i.share < 1.0:
+        return f"{who} improves nothing on {i.logs} logs: {percent(i.share)} of {error} remain."
+    chance = "" if i.is_clear else ", perhaps by chance"
+    rest = f" It leaves {percent(i.share)}, mostly in {i.worst}." if i.worst else ""
+    return f"{who} removes {percent(1.0 - i.share)} of {error} on {i.logs} logs{chance}.{rest}"
+
+
+def improvement_text(i: Improvement, names: Sequence[str] = (), whole: str = "The claim") -> str:
     """Return a sentence on the share of squared error above the noise floor on sealed logs that a claim explains.
 
     Args:
-        remaining: Channel → share of the squared error above the noise floor that remains.
-        beside: Model for comparison, `before` or `recalibrated`.
         names: Claimed candidates, at most three of which are named.
         whole: Subject of the sentence without names.
     """
-    share = sum(remaining.values()) / len(remaining) if remaining else 1.0
+    share = i.share
     if not share < 1.0:
         return ""
-    worst = f", mostly in {max(remaining, key=lambda name: remaining[name])}" if len(remaining) > 1 else ""
-    model = "recalibrated" if beside == "recalibrated" else "unchanged"
-    error = f"the squared error above the noise floor that the {model} model has"
+    worst = f", mostly in {i.worst}" if i.worst else ""
+    error = f"the squared error above the noise floor that the {REFERENCES[i.baseline]} model has"
     is_named = 0 < len(names) <= MOST_NAMED
     verb = "explain" if is_named and len(names) > 1 else "explains"
     who = join_names(names) if is_named else whole
@@ -203,13 +234,18 @@ def unexplained_text(residual: Mapping[str, Any], nearest: Sequence[str], otherw
 
 
 def doubt_text(doubt: Doubt) -> str:
-    """Return a sentence on why replays withdrew a claim."""
+    """Return a sentence on why a claim was withdrawn."""
     if doubt.kind == "missed":
         return f"With it, replays still miss {doubt.channel} by {plain(doubt.size, 2)} times the noise floor."
     if doubt.kind == "no_nearer":
         return "Replays with it are nearer on no channel than those of the model without it."
     if doubt.kind == "kept":
         return f"With it, replays keep {plain(100 * doubt.size, 2)}\u00a0% of the excess error."
+    if doubt.kind == "disturbed":
+        remains = f"Beside it remains an unknown input of {percent(doubt.size)} of the derivative of {doubt.channel}"
+        return f"{remains}; no effect in it halves the held-out error."
+    if doubt.kind == "replaced":
+        return "Terms without a name may take its place."
     if doubt.kind == "disagreeing":
         return f"A filter and predictions disagree: {_other_values_text(doubt.names)}."
     return f"Much remains, and predictions of held-out logs are not plainly better for {join_names(doubt.names)}."

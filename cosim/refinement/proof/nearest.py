@@ -13,7 +13,7 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.estimation.posing import halve_log
-from cosim.refinement.decision.claims import Rung
+from cosim.refinement.decision.claims import Improvement, Rung, baseline_of
 from cosim.refinement.decision.evidence import fit_given_model, fit_without, log_error
 from cosim.refinement.search.fits import Search
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis
@@ -43,6 +43,26 @@ def nearest(rungs: Sequence[Rung]) -> Hypothesis | None:
     """Return the simplest of the best predictors of held-out logs, None for the given model."""
     least = min(rungs, key=lambda rung: float(np.mean(rung.errors))).errors
     return next(rung.hypothesis for rung in rungs if is_as_good(rung.errors - least))
+
+
+def held_out_improvement(rungs: Sequence[Rung], h: Hypothesis | None) -> Improvement | None:
+    """Return the share of the squared error of predictions of held-out logs that remains with the nearest model.
+
+    If no model is nearer than the given one, it is the share of the best other one. None if predictions diverge.
+
+    Args:
+        rungs: Ladder that begins with the given and the recalibrated model.
+        h: Nearest model.
+    """
+    given, recalibrated = rungs[:2]
+    others = [rung for rung in rungs[1:] if h is None or rung.hypothesis is h]
+    own = min(others, key=lambda rung: float(np.mean(rung.errors))).errors
+    baseline = baseline_of(h.candidates if h else ())
+    before = given if baseline == "before" else recalibrated
+    share = float(np.exp(2.0 * np.mean(own - before.errors)))
+    if not np.isfinite(share):
+        return None
+    return Improvement({"": share}, baseline, logs="held-out", is_excess=False, is_clear=h is not None)
 
 
 def is_as_good(excess: Array) -> bool:

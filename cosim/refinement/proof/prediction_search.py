@@ -38,6 +38,7 @@ LEAST_PARTS = 3  # number of parts of the logs below which there is no standard 
 TRIED = 3  # most promising candidates fitted in each round
 QUICK = 3  # largest number of Jacobians of a fit that only ranks
 ROUNDS = 6  # largest number of added candidates
+ONLY_PREDICTIONS = "only fits to predictions support it"
 IDLE = 2  # candidates added without a better prediction of left-out parts, after which the search ends
 
 
@@ -67,7 +68,7 @@ def search_nearest(
     gains -= next(rung.errors for rung in rungs if rung.hypothesis is h)
     if not (np.mean(gains) > CLEARLY and np.min(gains) > 0.0):
         return claims
-    return replace(claims, ladder=tuple(rungs), nearest=Nearest(h, moved_beyond_tolerance(h.fit)))
+    return replace(claims, ladder=tuple(rungs), nearest=Nearest(h, moved_beyond_tolerance(h.fit), ONLY_PREDICTIONS))
 
 
 def _is_applicable(study: Study, claims: Claims, problem: Problem) -> bool:

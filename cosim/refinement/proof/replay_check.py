@@ -157,12 +157,12 @@ def check_on_sealed_logs(claims: Claims, floor: Channels) -> Claims:
     Nothing is withdrawn or chosen, as the logs stay a test.
 
     Args:
-        claims: Claims with `remaining`.
+        claims: Claims with the improvement on sealed logs.
         floor: Noise floors of the sealed logs; a channel without one is not judged.
     """
-    if claims.claimed is None or claims.name == "ambiguous" or claims.grade != "claimed":
+    if claims.claimed is None or claims.name == "ambiguous" or claims.grade != "claimed" or claims.improvement is None:
         return claims
-    judged = {name: share for name, share in claims.remaining.items() if name in floor}
+    judged = {name: share for name, share in claims.improvement.remaining.items() if name in floor}
     worst, share = max(judged.items(), key=itemgetter(1), default=("", 0.0))
     if share <= HALF:
         return claims

@@ -1,9 +1,9 @@
-"""Sealed logs: errors that rise by more than their scatter from replay to replay, and repeated motion."""
+"""Sealed logs: the error that remains, errors that rise by more than their scatter, and repeated motion."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -12,7 +12,9 @@ from cosim.base.messages import Message
 from cosim.base.text import percent
 from cosim.logs.log import Log
 from cosim.refinement import messages
+from cosim.refinement.decision.claims import Claims, Improvement, baseline_of
 from cosim.refinement.proof.measure import PARTS, Evidence, rmse
+from cosim.residuals.residual_statistics import remaining_excess
 from cosim.residuals.windows import Replay
 
 CHANCE = 0.01  # probability of a false alarm for a rise on any channel
@@ -69,6 +71,54 @@ def is_significant_rise(rises: Sequence[float], chance: float) -> bool:
         return False
     mean, scatter = float(np.mean(rises)), float(np.std(rises, ddof=1))
     return mean * math.sqrt(count) > float(stdtrit(count - 1, 1.0 - chance)) * scatter
+
+
+def sealed_improvement(
+    claims: Claims, sealed: Mapping[str, Evidence], floor: Mapping[str, float]
+) -> Improvement | None:
+    """Return the share of the squared error on sealed logs that remains with the claim, or else with the nearest model.
+
+    It is the error above the noise floor. If no channel has twice its floor, which may include what is missing, the
+    whole error of the nearest model counts. The given model is the reference of the nearest model, if recalibration
+    alone makes most channels worse; a claim then has none.
+
+    Args:
+        sealed: Variant → replays of the sealed logs.
+        floor: Channel → noise floor.
+    """
+    name, candidates = "after", claims.claimed_candidates
+    if not candidates:
+        name, h = "nearest", claims.nearest_hypothesis
+        if claims.name == "no_effect" or h is None or name not in sealed:
+            return None
+        candidates = h.candidates
+    baseline = baseline_of(candidates)
+    given, before, after = (_finite(rmse(sealed[variant])) for variant in ("before", baseline, name))
+    if sum(before[n] > given[n] for n in before if n in given) > 0.5 * len(before):
+        if name == "after":
+            return None
+        baseline, before = "before", given
+    remaining = _remaining_shares(before, after, floor)
+    is_excess = bool(remaining)
+    if name == "nearest" and not is_excess:
+        remaining = _remaining_shares(before, after, {})
+    if not remaining:
+        return None
+    falls, rises = (find_rises(*pair) for pair in ((sealed[name], sealed[baseline]), (sealed[baseline], sealed[name])))
+    return Improvement(remaining, baseline, is_excess=is_excess, is_clear=bool(falls) and not rises)
+
+
+def _remaining_shares(
+    before: Mapping[str, float], after: Mapping[str, float], floor: Mapping[str, float]
+) -> dict[str, float]:
+    """Return channel → remaining share of the squared error above a floor, for channels with such an error."""
+    shares = {n: remaining_excess(size, after[n], floor.get(n, 0.0)) for n, size in before.items() if n in after}
+    return {name: max(0.0, share) for name, share in shares.items() if not math.isnan(share)}
+
+
+def _finite(errors: Mapping[str, float]) -> dict[str, float]:
+    """Return the channels with finite errors."""
+    return {name: size for name, size in errors.items() if math.isfinite(size)}
 
 
 def _log_ratios(before: Evidence, after: Evidence, name: str) -> list[float]:
