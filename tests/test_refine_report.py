@@ -567,6 +567,15 @@ def test_what_gains_too_little_to_be_told_from_chance_is_named_beside_the_claim(
     open_ = judged(best=dry, rivals=(other,), fuller=fuller)
     assert open_.rivals == ("dry", "shove", "dry + push")
     assert words(open_, cart).startswith("These logs cannot decide between dry, shove and dry + push. ")
+    refused = Refusal(fuller.names, "its gain may be chance: 3.1, 1.2 times its scatter").against("push", fuller)
+    lost = {("shove",): "explains as well as dry", fuller.names: refused, (): "no gain"}
+    tried = replace(cart.attribution, best=dry, tried=(fuller, dry, other, base), reasons=lost)
+    why = {" + ".join(row.names): row.why for row in ranking(tried, open_)}
+    assert why.pop("") == "no gain"
+    assert all(text.startswith("a rival: ") for text in why.values())
+    assert why.keys() == {*open_.rivals}
+    otherwise = {" + ".join(row.names): row.why for row in ranking(tried, claimed)}
+    assert otherwise == {"dry": "claimed", "shove": lost["shove",], "dry + push": refused, "": "no gain"}
 
 
 def test_a_fit_that_had_not_settled_is_said_to(cart: Refinement) -> None:

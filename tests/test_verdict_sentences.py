@@ -128,7 +128,9 @@ def open_question() -> dict[str, Any]:
     certain = [c for c in h.candidates if c.name == "mass"]
     sentence = rivals_text(names, experiment, claim_text(h, certain, ModelSubject.of(CRAFT)), ModelSubject.of(CRAFT))
     shared = [e.model_dump(mode="json") for e in effects(ModelSubject.of(CRAFT), h, (), certain)]
-    asked = {"rivals": names, "experiment": experiment, "effects": shared}
+    ranked = [{"names": [n], "why": "a rival: fits best, by little", "score_gain": 200.0} for n in names]
+    ranked.append({"names": ["lag"], "why": "no gain", "score_gain": -1.0})
+    asked = {"rivals": names, "experiment": experiment, "effects": shared, "candidates": ranked}
     return written("ambiguous", sentence, "part", h, ("mass",), **asked)
 
 
@@ -281,6 +283,9 @@ def changed(record: dict[str, Any], path: str, value: Any) -> dict[str, Any]:
         ("outside", "sentence", lambda s: s.partition(" nearest.yaml")[0], "in the sentence None"),
         ("ambiguous", "rivals", ["coulomb_friction", "lag"], "the rival lag is not in the sentence"),
         ("ambiguous", "rivals", ["coulomb_friction"], "rivals ['coulomb_friction']"),
+        ("ambiguous", "candidates/0/why", "claimed", "in the ranking"),
+        ("ambiguous", "candidates/1/why", "drag: its gain may be chance", "['quadratic_drag'] is 'drag: its gain"),
+        ("ambiguous", "candidates/2/why", "a rival: fits best", "['lag'] is 'a rival: fits best'"),
         ("ambiguous", "experiment", "something else", "experiment 'something else'"),
         ("too little", "rivals", ["coulomb_friction", "lag", "mass"], "none of 2 effects in the sentence, 3 in the"),
         ("only recalibrated", "noise_floors/estimation/vx", 0.02, "in the sentence, 5.00 in the record"),

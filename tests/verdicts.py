@@ -41,8 +41,7 @@ def _names(record: Record) -> Iterator[str]:
     if both := set(claimed) & set(record["hidden"]):
         yield f"claimed, and not to be seen: {sorted(both)}"
     ranked = [set(c["names"]) for c in record["candidates"] if c["why"] == "claimed"]
-    shared = record["verdict"] == "ambiguous" and len(ranked) < 2 and all(set(claimed) <= names for names in ranked)
-    if not shared and ranked != ([set(claimed)] if claimed else []):
+    if ranked != ([set(claimed)] if claimed and record["verdict"] != "ambiguous" else []):
         yield f"claimed {claimed}, in the ranking {ranked}"
     if record["verdict"] in CLAIMS:
         yield from (f"{name} is claimed and not in the sentence" for name in claimed if name not in said)
@@ -121,10 +120,14 @@ def _rivals(record: Record) -> Iterator[str]:
     if len(rivals) < 2 or not record["experiment"] or record["experiment"] not in said:
         yield f"rivals {rivals}, experiment {record['experiment']!r}"
     counted = re.search(r"none of (\d+) effects", said)
+    is_of_fits = counted is None and "the one effect" not in said
+    for c in record["candidates"]:
+        if c["why"].startswith("a rival: ") != (is_of_fits and " + ".join(c["names"]) in rivals):
+            yield f"{c['names']} is {c['why']!r} beside the rivals {rivals}"
     effects = len([name for name in rivals if name != "no_effect"])
     if counted is not None and int(counted[1]) != effects:
         yield f"{counted[0]} in the sentence, {effects} in the record"
-    if counted is None and "the one effect" not in said:
+    if is_of_fits:
         yield from (f"the rival {name} is not in the sentence" for name in _untold(rivals, said))
 
 

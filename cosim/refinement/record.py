@@ -22,7 +22,7 @@ from cosim.estimation.problem import Problem
 from cosim.refinement.decision.claims import Claims, Grade, Name, Rung
 from cosim.refinement.decision.sentences import sentence
 from cosim.refinement.proof.measure import Evidence, Floor, rmse
-from cosim.refinement.search.hypotheses import Attribution, Hypothesis
+from cosim.refinement.search.hypotheses import TOGETHER, Attribution, Hypothesis
 from cosim.refinement.search.input_hold import Between, Way
 from cosim.refinement.study import Study
 from cosim.residuals.residual_statistics import FREE_RUN
@@ -95,7 +95,9 @@ class CandidateEntry(_Entry):
     )
     fitted: bool = Field(description="false: the fit was given up before its first step")
     parameters: dict[str, Finite] = Field(description="estimates, `effect.parameter` or base parameter by name, in SI")
-    why: str = Field(description="why it lost; `claimed` for what model.yaml has, and for nothing else")
+    why: str = Field(
+        description="why it lost; `claimed` for what is claimed, `a rival: …` for each of `rivals`, for nothing else"
+    )
 
 
 class Inputs(_Entry):
@@ -468,7 +470,11 @@ def ranking(a: Attribution, claims: Claims) -> list[CandidateEntry]:
 
 
 def _reason(a: Attribution, h: Hypothesis, claims: Claims) -> str:
-    if claims.claimed is not None and h.names == claims.claimed.names:
+    """Return why a hypothesis lost: what the verdict says of it, or else what was found against it."""
+    is_first = claims.claimed is not None and h.names == claims.claimed.names
+    if TOGETHER.join(h.names) in claims.disputed:
+        return f"a rival: {'fits best, by little' if is_first else 'the logs do not decide against it'}"
+    if is_first:
         return "claimed"
     if h.names != a.best.names:
         return a.reasons[h.names] or _score_text(h, claims.claimed or a.best)

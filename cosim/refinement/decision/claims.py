@@ -229,6 +229,11 @@ class Claims:
         return self.certain if self.name == "ambiguous" else self.claimed.candidates
 
     @property
+    def disputed(self) -> frozenset[str]:
+        """Return the rivals of an ambiguous verdict on fits, `a + b` for two candidates together."""
+        return frozenset(self.rivals if self.name == "ambiguous" and self.claimed is not None else ())
+
+    @property
     def namesakes(self) -> tuple[tuple[str, ...], ...]:
         """Return the groups of names that act alike, of which the first is claimed, or part of a rival."""
         hypotheses = self.rivals if self.name == "ambiguous" else self.claimed.names if self.claimed else ()

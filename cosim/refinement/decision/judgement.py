@@ -515,7 +515,7 @@ def _reason(
     base = search.tried[()]
     than = join_names(best.names) or "the base model"
     if any(h.names == r.names for r in rivals):
-        return f"a rival: explains as well as {than}"
+        return f"explains as well as {than}"
     if extra := [n for n in h.names if n in dropped]:
         return dropped[extra[0]].against(extra[0], h)
     if h.fit.is_cut:

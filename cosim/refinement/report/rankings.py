@@ -108,11 +108,8 @@ def _ranking_row(r: Refinement, row: Mapping[str, Any], best: float, claimed: Se
         short = n.removesuffix(".value") if len(row["names"]) > 1 else n.partition(".")[2] or "value"
         values.append(f"{short} = {amount(float(value), declared[n].unit if n in declared else '', 4)}")
     width = round(100 * max(0.0, gain) / best, 1) if best > 0 else 0.0
-    why = str(row["why"])
-    if r.verdict.name == "ambiguous" and why == "claimed":
-        why = "fits best, by little"
     is_claimed = tuple(row["names"]) == tuple(claimed)
-    return RankingRow(" + ".join(row["names"]), plain(gain, 3), width, ", ".join(values), why, is_claimed)
+    return RankingRow(" + ".join(row["names"]), plain(gain, 3), width, ", ".join(values), str(row["why"]), is_claimed)
 
 
 def _gain(row: Mapping[str, Any]) -> float:
