@@ -283,6 +283,33 @@ def test_the_improvement_on_sealed_logs_comes_first(
     assert of_rivals == text.replace("The claim", "The first hypothesis")
 
 
+@pytest.mark.parametrize(
+    ("beside", "whole", "rest", "is_kept"),
+    [
+        ((0.4, 0.5), (0.9, 0.9), (0.9, 0.9), True),
+        ((0.8, 0.7), (0.5, 0.4), (0.6, 0.6), True),  # the hypothesis halves the error only with the part
+        ((0.8, 0.7), (0.5, 0.4), (0.5, 0.5), False),
+        ((1.1, 0.6), (0.5, 0.4), (0.6, 0.6), False),  # it is of no use on one log
+        ((0.8, 0.7), (0.6, 0.5), (0.6, 0.6), False),
+    ],
+)
+def test_a_part_without_which_the_error_is_not_halved_counts_as_one_that_halves_it(
+    monkeypatch: pytest.MonkeyPatch,
+    beside: tuple[float, ...],
+    whole: tuple[float, ...],
+    rest: tuple[float, ...],
+    is_kept: bool,
+) -> None:
+    both, alone, base = fitted(FRICTION, DRAG), fitted(FRICTION), fitted()
+    search: Any = SimpleNamespace(problem=None, tried={h.names: h for h in (both, alone, base)})
+    ratios = {(2, 1): beside, (2, 0): whole, (1, 0): rest}
+    monkeypatch.setattr(judgement, "noise_gain", lambda problem, f: ())
+    monkeypatch.setattr(
+        judgement, "_error_ratios", lambda search, h, worse, noise: ratios[len(h.names), len(worse.names)]
+    )
+    assert judgement._halves_error(search, both, CANDIDATES[DRAG]) is is_kept
+
+
 def sealed_logs(**sizes: float) -> dict[str, Any]:
     """Replays of eight parts of a sealed log: variant → errors of this size, with some scatter."""
     noise = np.random.default_rng(1).standard_normal(8000)

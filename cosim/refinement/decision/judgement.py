@@ -290,8 +290,8 @@ def may_be_chance(search: Search, h: Hypothesis, c: Candidate) -> bool:
 
     Where the likelihood is flat at the estimate, as for a lag shorter than the time between rows, the interval holds
     values that explain the logs alike; its width is no standard deviation and says nothing here. Nor does the distance
-    say anything against a part that halves the error of held-out logs: two parameters of a part may be known together
-    only, and neither by itself.
+    say anything against a part that halves the error of held-out logs, or without which a hypothesis would not do so:
+    two parameters of a part may be known together only, and neither by itself.
     """
     distances = [f.name for f in c.free if f.neutral is not None]
     is_judged = bool(distances) and c.kind != "parameter" and not any(map(h.fit.is_flat, distances))
@@ -301,8 +301,16 @@ def may_be_chance(search: Search, h: Hypothesis, c: Candidate) -> bool:
 
 
 def _halves_error(search: Search, h: Hypothesis, c: Candidate) -> bool:
-    """Return True if a part halves the error of held-out logs, and reduces it on each."""
-    return are_halved(_error_ratios(search, h, _without_part(search, h, c), noise_gain(search.problem, h.fit)))
+    """Return True if a part halves the error of held-out logs, or if the hypothesis does only with it.
+
+    In both cases, the part reduces the error on each log.
+    """
+    rest, noise, base = _without_part(search, h, c), noise_gain(search.problem, h.fit), search.tried[()]
+    ratios = _error_ratios(search, h, rest, noise)
+    if are_halved(ratios) or not rest.candidates or max(ratios, default=1.0) >= 1.0:
+        return are_halved(ratios)
+    with_part, without = (are_halved(_error_ratios(search, x, base, noise)) for x in (h, rest))
+    return with_part and not without
 
 
 def _gain_together(search: Search, fuller: Hypothesis, rest: Hypothesis) -> bool:

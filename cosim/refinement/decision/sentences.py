@@ -81,6 +81,8 @@ def nearest_improvement_text(i: Improvement, nearest: Nearest) -> str:
         who += f", with {len(names)} candidates," if len(names) > MOST_NAMED else f" ({join_names(names)})"
     if not i.share < 1.0:
         return f"{who} improves nothing on {i.logs} logs: {percent(i.share)} of {error} remain."
+    if i.share == 0.0:
+        return f"{who} removes {error} on {i.logs} logs."
     chance = "" if i.is_clear else ", perhaps by chance"
     rest = f" It leaves {percent(i.share)}, mostly in {i.worst}." if i.worst else ""
     return f"{who} removes {percent(1.0 - i.share)} of {error} on {i.logs} logs{chance}.{rest}"
