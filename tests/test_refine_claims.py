@@ -24,7 +24,7 @@ from cosim.refinement.decision.sentences import (
     remainder_text,
     sentence,
 )
-from cosim.refinement.proof import agreement
+from cosim.refinement.proof import agreement, replay_check
 from cosim.refinement.proof.agreement import compare_with_predictions
 from cosim.refinement.proof.nearest import held_out_improvement, is_as_good, nearest
 from cosim.refinement.proof.replay_check import check_claim, check_on_sealed_logs
@@ -487,3 +487,31 @@ def test_a_term_that_explains_next_to_nothing_is_not_described() -> None:
     )
     assert remainder_text(term, 90.0) == rest
     assert "angle" in remainder_text(replace(term, share=0.2), 90.0)
+
+
+@pytest.mark.parametrize(
+    ("error", "others", "missed"),
+    [
+        ({"x": 3.0, "y": 5.0}, [{"x": 2.5, "y": 1.0}, {"x": 9.0, "y": 1.0}], ("x", 2.5)),
+        ({"x": 3.0, "y": 1.0}, [{"x": 1.9, "y": 1.0}, {"x": 9.0, "y": 1.0}], None),  # one rival holds
+        ({"x": 1.0, "y": 1.0}, [{"x": 2.5, "y": 1.0}], None),
+    ],
+)
+def test_sealed_logs_that_every_rival_misses_are_named(
+    monkeypatch: pytest.MonkeyPatch, error: dict[str, float], others: list[dict[str, float]], missed: tuple[str, float]
+) -> None:
+    best, *rivals = (fitted(name) for name in (FRICTION, DRAG, DAMPING)[: 1 + len(others)])
+    claims = judged(attribution(best, *rivals))
+    assert (claims.name, claims.others) == ("ambiguous", tuple(rivals))
+    errors = {id(h): e for h, e in zip(rivals, others, strict=True)}
+    monkeypatch.setattr(replay_check, "refined_subject", lambda subject, settings, h: h)
+    monkeypatch.setattr(replay_check, "variant_of", lambda h, settings, fit: h)
+    monkeypatch.setattr(replay_check, "predicted_errors", lambda h, problem, logs: errors[id(h)])
+    study: Any = SimpleNamespace(subject=None, settings=None)
+    nothing: Any = None
+    judged_again = replay_check.with_miss_of_rivals(study, claims, nothing, [], error, {"x": 1.0, "y": 1.0})
+    assert judged_again.missed == dict([missed] if missed else ())
+    said = "Every rival misses the sealed logs: the best misses x by 2.5 times the noise floor."
+    assert (said in sentence(judged_again, CRAFT)) == (missed is not None)
+    clear = judged(attribution(best))
+    assert replay_check.with_miss_of_rivals(study, clear, nothing, [], error, {"x": 1.0, "y": 1.0}) is clear

@@ -252,6 +252,11 @@ class Record(_Entry):
         "channel of the sealed logs, or an unknown input of more than 2 % of the derivative of its state; `nearest`: "
         "nothing is claimed for sure; the nearest model predicts best"
     )
+    every_rival_misses: dict[str, Finite] = Field(
+        default={},
+        description="where every rival of an `ambiguous` verdict leaves an output of the sealed logs at more than "
+        "twice the noise floor: the output that the best rival misses most → its multiple of the floor; else empty",
+    )
     effects: list[EffectEntry] = Field(
         description="what is claimed, most important first; where the verdict is `ambiguous`, what all rivals contain, "
         "with intervals over all of them"
@@ -344,6 +349,7 @@ def record(
         verdict=claims.name,
         sentence=sentence(claims, study.subject),
         grade=claims.grade,
+        every_rival_misses=dict(claims.missed),
         effects=effects(study.subject, claimed, a.tried, claims.claimed_candidates) if claimed else [],
         rivals=list(claims.rivals) if claims.name == "ambiguous" else [],
         experiment=claims.experiment,

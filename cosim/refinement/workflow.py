@@ -27,6 +27,7 @@ from cosim.estimation.sensor_noise import at_rest, cell_warnings, first_noise, n
 from cosim.estimation.start_states import with_likely_starts
 from cosim.isolation.limits import Limits
 from cosim.loading.refined import ANSWER, NEAREST, REFINED, SSPS
+from cosim.logs.log import Log
 from cosim.refinement import messages
 from cosim.refinement.decision.claims import Claims, Nearest, judge
 from cosim.refinement.decision.evidence import (
@@ -46,7 +47,12 @@ from cosim.refinement.proof.nearest import held_out_improvement, ladder, nearest
 from cosim.refinement.proof.prediction_search import search_nearest
 from cosim.refinement.proof.proof_replays import LogSets, Proof, warnings_of
 from cosim.refinement.proof.refined_models import Variant, log_noise, refined_subject, variant_of, variants_of
-from cosim.refinement.proof.replay_check import check_on_sealed_logs, check_with_replays, moved_beyond_tolerance
+from cosim.refinement.proof.replay_check import (
+    check_on_sealed_logs,
+    check_with_replays,
+    moved_beyond_tolerance,
+    with_miss_of_rivals,
+)
 from cosim.refinement.proof.sealed import find_rises, repeated_motion, sealed_improvement
 from cosim.refinement.proof.table_errors import add_dependence, errors_on_held_out_rows
 from cosim.refinement.record import Floors, Measurements, Part, Replayed, keep_finite, record
@@ -144,6 +150,7 @@ def refine(
         floors: Floors = {part: noise_floor(quiet, problem, logs, rng) for part, logs in sets.items()}
         claims = replace(claims, risen=_rises(claims, played, subject), written=bool(files))
         claims = _with_sealed_improvement(claims, played, floors, subject)
+        claims = _with_miss_of_rivals(study, claims, problem, sealed, played, floors)
         if sealed and (checked := check_on_sealed_logs(claims, floors["validation"].level)) is not claims:
             claims, variants["nearest"] = checked, variants["after"]
             played = {**played, "nearest": played["after"]}
@@ -368,6 +375,16 @@ def _with_sealed_improvement(claims: Claims, played: Replayed, floors: Floors, s
     sealed = {name: parts["validation"][subject.horizon] for name, parts in played.items()}
     improvement = sealed_improvement(claims, sealed, floors["validation"].level)
     return replace(claims, improvement=improvement) if improvement else claims
+
+
+def _with_miss_of_rivals(
+    study: Study, claims: Claims, problem: Problem, sealed: Sequence[Log], played: Replayed, floors: Floors
+) -> Claims:
+    """Return ambiguous claims with the least miss on sealed logs, if there are any and every rival misses them."""
+    if not sealed:
+        return claims
+    error = keep_finite(rmse(played["after"]["validation"][study.subject.horizon]))
+    return with_miss_of_rivals(study, claims, problem, sealed, error, floors["validation"].level)
 
 
 def _floor_warnings(floors: Floors, played: Replayed, claims: Claims, subject: Subject) -> Iterator[str]:

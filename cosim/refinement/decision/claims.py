@@ -156,6 +156,7 @@ class Claims:
         replaced: Parts of the best hypothesis that an unnamed term replaces.
         disagreeing: Parts of the best hypothesis for which a fit to predictions gives other values.
         alike: Groups of names that act alike for every input, the first of them from the best hypothesis or a rival.
+        others: Rivals of an ambiguous verdict besides the claimed hypothesis.
         further: Other base parameters outside their tolerances beside a claim (from replays, as up to `left_share`).
         missed_channel: Channel and its error with the unchanged model, as a multiple of the noise floor.
         recalibrated: Base parameters moved beyond their tolerances.
@@ -167,6 +168,8 @@ class Claims:
         ladder: Errors of predictions of held-out logs by number of candidates.
         restricted: True if the study limits the candidates.
         left_out: Errors on held-out rows of a table, by model and output.
+        missed: Channel that the best rival misses most on sealed logs → its error as a multiple of the noise floor,
+            if every rival misses a channel by more than twice the floor.
         risen: Channel → error before and after, if the error rises on sealed logs.
         improvement: Error that remains with the claim on sealed logs; without a claim, with the nearest model on sealed
             or held-out logs.
@@ -191,6 +194,7 @@ class Claims:
     replaced: tuple[str, ...] = ()
     disagreeing: tuple[str, ...] = ()
     alike: tuple[tuple[str, ...], ...] = ()
+    others: tuple[Hypothesis, ...] = ()
 
     further: tuple[MovedParameter, ...] = ()
     missed_channel: tuple[str, float] | None = None
@@ -204,6 +208,7 @@ class Claims:
     ladder: tuple[Rung, ...] = ()
     restricted: bool = False
     left_out: Mapping[str, Mapping[str, float]] | None = None
+    missed: Mapping[str, float] = field(default_factory=dict)
     risen: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     improvement: Improvement | None = None
     written: bool = True
@@ -337,7 +342,7 @@ def _ambiguous_claims(a: Attribution, subject: Subject, residual: Mapping[str, A
     best = _with_intervals_of(a.best, a.rivals, common)
     claims = Claims("ambiguous", best, rivals, experiment, residual, apart=short, alike=alike_groups(a.alike))
     certain = tuple(c for c in a.best.candidates if c.name in common)
-    return replace(claims, certain=certain, grade="part" if certain else "nearest")
+    return replace(claims, certain=certain, others=hypotheses[1:], grade="part" if certain else "nearest")
 
 
 def alike_groups(alike: Mapping[tuple[str, ...], Hypothesis]) -> tuple[tuple[str, ...], ...]:

@@ -141,6 +141,7 @@ def _share_texts(c: Claims) -> Iterator[str]:
         yield f"{IN_PART}: {disturbance} remains."
     elif c.replaced and c.claimed is not None:
         yield f"{IN_PART}: a term without a name may take the place of {join_names(c.replaced)}."
+    yield from (missed_by_all_text(*miss) for miss in c.missed.items())
     if c.disagreeing and c.claimed is not None:
         yield f"{IN_PART}: {_other_values_text(c.disagreeing)}."
 
@@ -281,6 +282,11 @@ def missed_channel_text(
     if recalibrated:
         text += f" Recalibrated beyond its tolerances it does not: {_moved_text(recalibrated, units)}."
     return f"{text} No candidate accounts for that."
+
+
+def missed_by_all_text(channel: str, times: float) -> str:
+    """Return a sentence on sealed logs that every rival misses: channel and multiple of the noise floor of the best."""
+    return f"Every rival misses the sealed logs: the best misses {channel} by {plain(times, 2)} times the noise floor."
 
 
 def further_text(parameters: Sequence[MovedParameter], units: Mapping[str, str]) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import chain
 from operator import itemgetter
 from types import MappingProxyType
 
@@ -14,6 +15,7 @@ from cosim.base.arrays import Array
 from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.problem import Problem
+from cosim.logs.log import Log
 from cosim.refinement.decision.claims import (
     Claims,
     Doubt,
@@ -34,7 +36,7 @@ from cosim.refinement.decision.judgement import (
     is_outside_tolerance,
 )
 from cosim.refinement.proof.measure import FLOOR_SEED, errors_by_replay, noise_floor, predicted_errors
-from cosim.refinement.proof.refined_models import Variant, log_noise, refined_subject, variants_of
+from cosim.refinement.proof.refined_models import Variant, log_noise, refined_subject, variant_of, variants_of
 from cosim.refinement.search.fits import Search, SearchResult
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis, Support
 from cosim.refinement.study import Study
@@ -170,6 +172,27 @@ def check_on_sealed_logs(claims: Claims, floor: Channels) -> Claims:
     return replace(claims, grade="part", part=Part(worst, share, sealed=True), nearest=nearest)
 
 
+def with_miss_of_rivals(
+    study: Study, claims: Claims, problem: Problem, sealed: Sequence[Log], error: Channels, floor: Channels
+) -> Claims:
+    """Return ambiguous claims with the least miss on sealed logs, if every rival misses a channel.
+
+    Args:
+        error: Errors of the claimed hypothesis in replays of the sealed logs.
+        floor: Their noise floors.
+    """
+    if not claims.others:
+        return claims
+    subject, settings = study.subject, study.settings
+    variants = (variant_of(refined_subject(subject, settings, h), settings, h.fit) for h in claims.others)
+    misses = []
+    for errors in chain([error], (predicted_errors(v, problem, sealed) for v in variants)):
+        if not (ratios := errors_per_floor(errors, floor)):
+            return claims
+        misses.append(max(ratios.items(), key=itemgetter(1)))
+    return replace(claims, missed=dict([min(misses, key=itemgetter(1))]))
+
+
 def _is_clearly_worse(after: Array, before: Array) -> bool:
     """Return True if replays with a claim are worse than without, beyond their scatter.
 
@@ -233,7 +256,9 @@ def claim_single_number(
         if not rivals:
             return Claims(name_of(best.candidates, subject), best, misfit=misfit, grade="claimed", alike=groups)
         experiment = experiment_for(subject, names)
-        return Claims("ambiguous", best, names, experiment, misfit, claims.grade, apart=names, alike=groups)
+        return Claims(
+            "ambiguous", best, names, experiment, misfit, claims.grade, apart=names, alike=groups, others=rivals
+        )
     worst = max(ratios.items(), key=itemgetter(1), default=("", 0.0))
     return Claims("unexplained", misfit=misfit, missed_channel=worst, recalibrated=moved_beyond_tolerance(a.base.fit))
 

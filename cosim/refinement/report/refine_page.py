@@ -189,6 +189,7 @@ def _badges(r: Refinement) -> list[Badge]:
     return [
         Badge(text, tone),
         *([Badge("a part of it", "warn")] if r.verdict.grade == "part" else []),
+        *([Badge("every rival misses the sealed logs", "warn")] if r.verdict.missed else []),
         Badge(f"{counted(len(r.study.logs), noun)} used for the fits, {amount}"),
         Badge(
             f"{counted(sealed, noun)} sealed until the end" if sealed else f"no {noun} sealed",
