@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import threading
 import time
 
@@ -37,6 +38,45 @@ def test_the_first_item_that_fails_is_the_one_that_is_said(cores: int) -> None:
     with pytest.raises(ValueError, match="one"):
         in_parallel(lambda n: in_parallel(fails, range(n)), [1, 5, 9])
     assert parallel._idle._value == cores
+
+
+class Stop(BaseException):
+    """Raised by the handler of a signal."""
+
+
+@pytest.mark.parametrize("waits", [False, True])
+def test_a_stop_ends_the_work_of_all_threads_at_their_next_check(cores: int, waits: bool) -> None:
+    """Whether it comes while the main thread works or while it waits for the others."""
+    begun, ended = threading.Event(), list[str]()
+
+    def long_fit(k: int) -> None:
+        if threading.current_thread() is threading.main_thread():
+            if begun.wait(60.0 if cores else 0.0) and waits:
+                return
+            raise Stop
+        begun.set()
+        signal.setitimer(signal.ITIMER_REAL, 0.2 if waits else 0.0)
+        try:
+            for _ in range(3000):
+                in_parallel(time.sleep, [0.01])
+            ended.append("after the whole fit")
+        except BaseException:
+            ended.append("at a check")
+            raise
+
+    def stop(number: int, frame: object) -> None:
+        raise Stop
+
+    before = signal.signal(signal.SIGALRM, stop)
+    try:
+        with pytest.raises(Stop):
+            in_parallel(long_fit, [0, 1])
+    finally:
+        signal.signal(signal.SIGALRM, before)
+    assert set(ended) <= {"at a check"}
+    assert len(ended) == (1 if cores else 0)
+    assert parallel._idle._value == cores
+    assert in_parallel(abs, [-1, 2]) == [1, 2]
 
 
 def test_a_core_without_items_helps_with_the_parts_of_the_last_one(cores: int) -> None:

@@ -1,59 +1,108 @@
 """Parallel work on up to two cores; kernels release the interpreter lock.
 
 Work may contain parallel parts. Idle threads help with remaining items, so that the last and longest fit of a stage
-leaves no core idle.
+leaves no core idle. After an error, no item is begun any more. After a stop from outside, as from the keyboard, all
+threads end at their next check, and not only after the fits that they have begun.
 """
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from threading import Semaphore, Thread
+from dataclasses import dataclass, field
+from threading import Event, Semaphore, Thread, local
 from typing import TypeVar
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 _idle = Semaphore(min(2, os.cpu_count() or 1) - 1)  # cores besides the calling thread's
+_thread = local()  # `calls`: calls of `in_parallel` for which a thread works, outermost first
+
+
+class _Abandoned(BaseException):
+    """End of work that was stopped in another thread."""
+
+
+@dataclass
+class _Call:
+    """Errors of a call of `in_parallel` by item, and whether it was stopped from outside."""
+
+    faults: dict[int, BaseException] = field(default_factory=dict)
+    is_stopped: bool = False
+
+    def fail(self, item: int, error: BaseException) -> None:
+        self.faults[item] = error
+        self.is_stopped |= not isinstance(error, Exception)
+
+
+def check_wanted() -> None:
+    """End the work of this thread if a call of `in_parallel` for which it works was stopped.
+
+    Long work without parallel parts calls this function now and then.
+    """
+    if any(call.is_stopped for call in getattr(_thread, "calls", ())):
+        raise _Abandoned
 
 
 def in_parallel(work: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
     """Return the results of `work` in the order of the items; raise the first error."""
     results: dict[int, Result] = {}
-    faults: dict[int, BaseException] = {}
     numbers = iter(range(len(items)))  # shared by the threads
+    outer: tuple[_Call, ...] = getattr(_thread, "calls", ())
+    call, helpers = _Call(), list[Event]()
 
     def process(k: int) -> None:
-        if faults:
+        if call.faults:
             return
         try:
+            check_wanted()
             results[k] = work(items[k])
         except BaseException as error:
-            faults[k] = error
+            call.fail(k, error)
 
-    def help_out() -> None:
+    def help_out(end: Event) -> None:
+        _thread.calls = (*outer, call)
         for k in numbers:
             process(k)
         _idle.release()
+        end.set()
 
-    helpers: list[Thread] = []
-    for k in numbers:
-        if k + 1 < len(items) and _idle.acquire(blocking=False):
-            helpers.append(Thread(target=help_out, daemon=True))
-            helpers[-1].start()
-        process(k)
-    _wait(helpers)
-    if faults:
-        raise faults[min(faults)]
+    _thread.calls = (*outer, call)
+    try:
+        for k in numbers:
+            if k + 1 < len(items) and _idle.acquire(blocking=False):
+                end = Event()
+                Thread(target=help_out, args=(end,), daemon=True).start()
+                helpers.append(end)
+            process(k)
+        _wait(call, helpers)
+    except BaseException as error:  # a signal between two items, or while waiting
+        call.fail(-1, error)
+        _wait(call, helpers)
+        raise
+    finally:
+        _thread.calls = outer
+    if call.faults:
+        errors = [error for _, error in sorted(call.faults.items())]
+        raise next((error for error in errors if not isinstance(error, _Abandoned)), errors[0])
     return [results[k] for k in range(len(items))]
 
 
-def _wait(helpers: Sequence[Thread]) -> None:
-    """Wait for helper threads; meanwhile other work may use this thread's core."""
+def _wait(call: _Call, helpers: Sequence[Event]) -> None:
+    """Wait for the ends of helper threads; meanwhile other work may use this thread's core.
+
+    A signal during `Thread.join` may mark a running thread as ended (Python 3.11), so that each has an event.
+    """
     if helpers:
         _idle.release()
         try:
-            for helper in helpers:
-                helper.join()
+            for end in helpers:
+                end.wait()
+        except BaseException as error:  # a signal; the helpers must know of it before they are waited for
+            call.fail(-1, error)
+            for end in helpers:
+                end.wait()
+            raise
         finally:
             _idle.acquire()
