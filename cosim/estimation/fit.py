@@ -179,16 +179,36 @@ def fit(
     return _Scoring(problem, tuple(free), start, noise, only, sensing=sensing).run(iterations, patience)
 
 
-def scores(problem: Problem, f: Fit) -> tuple[Array, Array]:
-    """Return the gradient of the NLL by measurement, and the information matrix of free parameters and noise."""
+@dataclass(frozen=True, eq=False)
+class Slopes:
+    """Errors and variances at a fit, with their derivatives by the free parameters and the free noise.
+
+    Attributes:
+        errors: ∂e of each measurement, shape (parameters, measurements).
+        log_variances: ∂ln s, likewise.
+        information: Information matrix of parameters and noise, with the priors.
+    """
+
+    scored: Scored
+    errors: Array
+    log_variances: Array
+    information: Array
+
+    @property
+    def gradients(self) -> Array:
+        """Return the gradient of the NLL by measurement."""
+        e, s = self.scored.errors, self.scored.variances
+        return np.asarray(self.errors * (e / s) + 0.5 * self.log_variances * (1.0 - e * e / s))
+
+
+def slopes(problem: Problem, f: Fit) -> Slopes:
+    """Return the derivatives at a fit, from central differences within the limits."""
     scoring = _Scoring(problem, f.free, f.values, f.noise, None, sensing=True)
     scoring.scored = scoring._evaluate(scoring.theta)
-    e, s = scoring.scored.errors, scoring.scored.variances
     de, dls = scoring.sensitivities(both=True)  # On a ridge, one-sided differences overestimate the sensitivity.
     _, information = scoring.derivatives(de, dls)
     size = scoring.size
-    each = de * (e / s) + 0.5 * dls * (1.0 - e * e / s)
-    return each / size[:, None], information / np.outer(size, size)
+    return Slopes(scoring.scored, de / size[:, None], dls / size[:, None], information / np.outer(size, size))
 
 
 class _Scoring:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import permutations
+from itertools import combinations, permutations
 from typing import Any
 
 import numpy as np
@@ -23,13 +23,14 @@ from cosim.probing.exchange_points import (
     simulated,
     start_point,
 )
-from cosim.probing.fmu_structure import Pair, Port, ProbedParameter, Structure
+from cosim.probing.fmu_structure import Connection, Pair, Port, ProbedParameter, Structure
 from cosim.probing.log_runs import SAME, Course, Run
 from cosim.probing.parameter_trials import tried_parameters
 from cosim.probing.prober import Prober, no_flags, quantities, separate_pairs
 
 RATE_SHARE = 1e-6  # eigenvalue relative to the largest, below which it is zero
 PLACES = 12  # points at which parameters are tried
+CONSTANT = 1e-3  # relative change of a ratio over the points, up to which it is one of inertias
 STEADY = 1e-2  # share of a value that displaces an unmoved state or input
 
 
@@ -64,6 +65,7 @@ def exchange_structure(prober: Prober, courses: Sequence[Course]) -> Structure:
         state_in_output=depends[n:, :n],
         input_in_output=depends[n:, n:],
         pairs=pairs,
+        connections=tuple(_connections(states, pairs, points, runs)),
         storages=_storages(states, pairs, depends),
         shown={states[k]: outputs[j] for k, j in found.items()},
         largest_rate=largest,
@@ -158,6 +160,32 @@ def _pairs(names: Sequence[Sequence[str]], known: Array, table: Array, points: P
         )
         pairs.append(Pair(states[q], states[v], 1.0 if abs(gain - 1.0) <= SAME else gain, ports))
     return tuple(pairs)
+
+
+def _connections(
+    states: Sequence[str], pairs: Sequence[Pair], points: Points, runs: Sequence[Run]
+) -> Iterator[Connection]:
+    """Yield the springs and dampers between pairs.
+
+    By reciprocity, a connection changes both accelerations in a constant ratio, that of the inertias. Slopes of
+    coordinates that share an inertia, such as those of a double pendulum, change with the motion.
+    """
+    slopes, along = np.array(points.slopes), np.concatenate([run.states for run in runs if run.time.size])
+    for first, second in combinations([p for p in pairs if p.gain == 1.0], 2):
+        (q, v), (r, w) = ((states.index(p.position), states.index(p.velocity)) for p in (first, second))
+        ends = [(slopes[:, v, r], slopes[:, w, q]), (slopes[:, v, w], slopes[:, w, v])]  # spring, damper
+        joined = [(one, other) for one, other in ends if (one > 0.0).any() and (other > 0.0).any()]
+        ratios = [other[one > 0.0] / one[one > 0.0] for one, other in joined]
+        if not joined or any(np.ptp(x) > CONSTANT * np.median(x) for x in ratios):
+            continue
+        spring, damper = (float(np.nanmedian(one)) for one, _ in ends)
+        own = -float(np.nanmedian(slopes[:, v, q])), -float(np.nanmedian(slopes[:, w, r]))
+        mutual = float(np.nanmedian(ends[0][1]))
+        is_alone = abs(own[0] * own[1] - spring * mutual) <= CONSTANT * abs(spring * mutual)
+        gear = spring / own[0] if is_alone and spring > 0.0 else 1.0
+        deflection, speed = (float(np.std(along[:, a] - gear * along[:, b])) for a, b in ((q, r), (v, w)))
+        ratio = gear * float(np.median(ratios[0]))
+        yield Connection(first, second, gear, ratio, spring / gear, damper / gear, deflection, speed)
 
 
 def _rates(matrices: Sequence[Array]) -> tuple[float, float]:

@@ -42,6 +42,28 @@ class Pair:
 
 
 @dataclass(frozen=True)
+class Connection:
+    """A spring or damper between two pairs: q1'' = −k·(q1 − i·q2) − d·(v1 − i·v2) + …, q2'' = −r·q1'' + ….
+
+    Attributes:
+        first, second: Both pairs.
+        gear: Position i of the first per position of the second at rest; 1 unless the connection alone holds both.
+        ratio: Acceleration r of the second per opposite acceleration of the first.
+        stiffness, damping: k and d, each the median over the points.
+        deflection, speed: Standard deviation of q1 − i·q2 and v1 − i·v2 along the logs.
+    """
+
+    first: Pair
+    second: Pair
+    gear: float
+    ratio: float
+    stiffness: float
+    damping: float
+    deflection: float
+    speed: float
+
+
+@dataclass(frozen=True)
 class EventCount:
     """Events of an FMU along a log; an input that changes counts as none.
 
@@ -124,6 +146,7 @@ class Structure:
         scales: Standard deviation along the logs by name; the rate of x is `der(x)`.
         step: Shortest usual step of the logs [s].
         events: Events along each log, in model exchange.
+        connections: In model exchange, springs and dampers between pairs.
         starts: In co-simulation, start values of states that change an output.
         stops: Reason for each simulation that ended early.
     """
@@ -146,6 +169,7 @@ class Structure:
     step: float
     events: tuple[EventCount, ...] = ()
     parameters: tuple[ProbedParameter, ...] = ()
+    connections: tuple[Connection, ...] = ()
     starts: tuple[StartValue, ...] = ()
     stops: tuple[str, ...] = ()
 

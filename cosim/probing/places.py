@@ -51,6 +51,7 @@ class Places:
             "way": self.way,
             "reason": {"code": self.reason.code, "text": str(self.reason)},
             "pairs": [asdict(pair) for pair in s.pairs],
+            "connections": [asdict(connection) for connection in s.connections],
             "storages": [_entry(s.states, name) for name in s.storages],
             "sensors": [{**_entry(s.outputs, q.name), "shows": _shown(s, q.name)} for q in s.outputs],
             "inputs": [_entry(s.inputs, q.name) for q in s.inputs],

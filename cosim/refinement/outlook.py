@@ -67,6 +67,7 @@ def _places(s: Structure) -> Iterator[str]:
     for text, names in (
         ("at inputs", [q.name for q in s.inputs]),
         ("forces at", velocities),
+        ("between", [f"{c.first.velocity} and {c.second.velocity}" for c in s.connections]),
         ("at storages", list(s.storages)),
         ("at sensors", [q.name for q in s.outputs]),
         ("parameters", [p.name for p in s.acting]),

@@ -30,6 +30,7 @@ from cosim.loading.refined import ANSWER, NEAREST, REFINED, SSPS
 from cosim.logs.log import Log
 from cosim.refinement import messages
 from cosim.refinement.decision.claims import Claims, Nearest, judge
+from cosim.refinement.decision.constancy import check_constancy
 from cosim.refinement.decision.evidence import (
     chance_limit,
     open_loop_gain,
@@ -276,7 +277,7 @@ def _judge(study: Study, a: Attribution, result: SearchResult, progress: Progres
         claims = replace(claims, claimed=with_intervals(search, claims.claimed))
     if claims.claimed is not None:
         progress("fitting predictions over the horizon", 0.0)
-        claims = compare_with_predictions(search, a, claims)
+        claims = check_constancy(search, a, compare_with_predictions(search, a, claims))
     progress("replaying with the claim and without", 0.0)
     claims = check_with_replays(study, a, claims, result, problem)
     return add_dependence(claims, a, problem, subject) if subject.static else claims

@@ -13,10 +13,10 @@ import numpy as np
 from cosim.base.units import unit_product
 from cosim.logs.log import Log
 from cosim.model.quantities import Parameter, Quantity
-from cosim.probing.fmu_structure import Pair, ProbedParameter, Structure
+from cosim.probing.fmu_structure import Connection, Pair, ProbedParameter, Structure
 from cosim.terms.catalogue import bound_terms, delay_of, sensor_errors
 from cosim.terms.fmu_model import Dependencies, FmuModel, fmu_model
-from cosim.terms.language import Place, with_place
+from cosim.terms.language import Opposite, Place, with_place
 
 HORIZON_ROWS, HORIZON_SHARE = 50, 0.1  # duration of replays: least in rows, and usual share of a log
 LATEST = 20  # longest delay of the inputs, in rows
@@ -97,6 +97,7 @@ class ProbedModel:
             sizes = {"u": self.size(q.name), "M": self.largest(q.name), "T": self.step}
             yield Place(with_place(q.name), {"u": q.unit, "M": q.unit, "T": "s"}, sizes, k)
         yield from filter(None, map(self._place_of_pair, self.structure.pairs))
+        yield from map(self._place_of_connection, self.structure.connections)
         names = [q.name for q in self.states]
         for name in self.structure.storages:
             index = names.index(name)
@@ -120,6 +121,19 @@ class ProbedModel:
         units["u"], sizes["u"] = self.units[port.input], self.rate(v) / abs(port.gain)
         inputs = [s.name for s in self.structure.inputs]
         return replace(place, input=inputs.index(port.input), sign=math.copysign(1.0, port.gain))
+
+    def _place_of_connection(self, c: Connection) -> Place:
+        """Return the place of forces between two pairs, in units of the first one's acceleration."""
+        names, q, v = [s.name for s in self.states], c.first.position, c.first.velocity
+        units = {"u": self._rate_unit(v), "v": self.units[v], "q": self.units[q]}
+        deflection, speed = c.deflection or self.size(q), c.speed or self.size(v)
+        sizes = {"u": c.stiffness * deflection or c.damping * speed, "v": speed, "q": deflection}
+        if c.stiffness:
+            units["k"], sizes["k"] = unit_product([(units["u"], 1), (units["q"], -1)]), c.stiffness
+        other = Opposite(names.index(c.second.position), names.index(c.second.velocity), c.gear, c.ratio)
+        name = f"{with_place(v)}_against_{with_place(c.second.velocity)}"
+        resolution, ends = RESOLVED * self.rate(v) * self.step, (names.index(q), names.index(v))
+        return Place(name, units, sizes, -1, *ends, resolution=resolution, opposite=other)
 
     def _rate_unit(self, name: str) -> str:
         return unit_product([(self.units[name], 1), ("s", -1)])

@@ -29,6 +29,10 @@ ALIKE: tuple[tuple[frozenset[str], str], ...] = (
         "slow motion over the whole travel, up and down, several times",
     ),
     (
+        frozenset({"cubic_spring", "gap"}),
+        "slow loads in both directions, from a hundredth of the largest to the largest deflection",
+    ),
+    (
         frozenset({"leak", "overflow", "bias", "drift"}),
         "fill slowly to the top and drain to the bottom, each followed by a long pause",
     ),

@@ -295,6 +295,24 @@ class Offset(Force):
         return self.force_
 
 
+# -- at a connection of two pairs ------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gap(Force):
+    """Free play of a connection, which transmits its spring's force from the end of the gap on."""
+
+    kind = "gap"
+    equation = "+k·clip(q, ±w)"
+
+    width: float = scaled("q", neutral=0.0, typical=0.1, low=0.0, high=5.0, doc="half width w")
+    stiffness: float = scaled("k", default=1.0, typical=0.1, low=0.5, high=2.0, doc="stiffness k of the connection")
+
+    def force(self, m: Namespace, position: Number, velocity: Number) -> Number:
+        """Return k·clip(q, ±w)."""
+        return self.stiffness * m.clip(position, -self.width, self.width)
+
+
 # -- at a storage state ----------------------------------------------------------------------------
 
 
@@ -330,6 +348,7 @@ class Overflow(RateTerm):
 
 INPUT_TERMS = (InputBias, InputGain, DeadBand, Saturation, RateLimit, Play, InputLag, SecondOrderLag)
 FORCES = (Coulomb, Stribeck, Viscous, QuadraticDrag, CubicSpring, Cogging)
+OF_SPRINGS, OF_CONNECTIONS = (CubicSpring, Gap), (Coulomb, QuadraticDrag)  # its linear force has a parameter
 RATE_TERMS = (Leak, Overflow)
 
 
@@ -339,12 +358,16 @@ def bound_terms(places: Sequence[Place], own: Sequence[type[Any]] = ()) -> Itera
     Args:
         own: Terms of the user.
     """
-    for kind in (*INPUT_TERMS, *FORCES, Offset, *RATE_TERMS, *own):
+    for kind in (*INPUT_TERMS, *FORCES, Offset, Gap, *RATE_TERMS, *own):
         yield from (bind(kind, place) for place in places if _fits(kind, place))
 
 
 def _fits(kind: type[Any], place: Place) -> bool:
     """Return whether a term can act at a place."""
+    if place.opposite is not None:
+        return kind in OF_CONNECTIONS or (kind in OF_SPRINGS and "k" in place.sizes)
+    if place.position >= 0 and kind is Gap:
+        return False
     if place.position >= 0:
         return issubclass(kind, Force) and (kind is not Offset or place.input < 0)
     return issubclass(kind, RateTerm if place.state >= 0 else InputTerm)

@@ -87,7 +87,7 @@ class FmuModel(Model):
         for term in self.awake:
             if isinstance(term, Force) and term.place.input >= 0:
                 place = term.place
-                inputs[place.input] += place.sign * term.force(m, state[place.position], state[place.state])
+                inputs[place.input] += place.sign * term.force(m, *place.motion(state))
         return tuple(inputs)
 
     def added_rates(self, m: Namespace, state: Values) -> Values:
@@ -95,7 +95,10 @@ class FmuModel(Model):
         additions: list[Number] = [0.0 for _ in self.base_states]
         for term in self.awake:
             if isinstance(term, Force) and term.place.input < 0:
-                additions[term.place.state] += term.force(m, state[term.place.position], state[term.place.state])
+                force = term.force(m, *term.place.motion(state))
+                additions[term.place.state] += force
+                if (other := term.place.opposite) is not None:
+                    additions[other.state] -= other.ratio * force
             elif isinstance(term, RateTerm):
                 additions[term.place.state] += term.rate(m, state[term.place.state])
         return tuple(additions)

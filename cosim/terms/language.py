@@ -18,6 +18,22 @@ FACTOR = re.compile(r"(?P<symbol>[A-Za-z]+|1)(\^(?P<power>\d+))?")
 
 
 @dataclass(frozen=True)
+class Opposite:
+    """The other end of a connection between two pairs.
+
+    Attributes:
+        position, state: Indices of its position and velocity.
+        gear: Position of the first end per position of this one without deflection.
+        ratio: Acceleration of this end per opposite acceleration of the first.
+    """
+
+    position: int
+    state: int
+    gear: float
+    ratio: float
+
+
+@dataclass(frozen=True)
 class Place:
     """A place of an FMU where terms can act.
 
@@ -29,6 +45,7 @@ class Place:
         middle: Mean of the storage state.
         resolution: Least change of the velocity that an integration step resolves, for the transition of friction.
         sign: Sign of the port's effect on the derivative of the velocity.
+        opposite: Other end of a connection; a force acts on both, along their relative position and velocity.
     """
 
     name: str
@@ -40,6 +57,14 @@ class Place:
     middle: float = 0.0
     sign: float = 1.0
     resolution: float = 0.0
+    opposite: Opposite | None = None
+
+    def motion(self, state: Values) -> tuple[Number, Number]:
+        """Return position and velocity at a pair, or of the first end of a connection relative to the other."""
+        position, velocity, other = state[self.position], state[self.state], self.opposite
+        if other is None:
+            return position, velocity
+        return position - other.gear * state[other.position], velocity - other.gear * state[other.state]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,6 +119,8 @@ class RememberingTerm(InputTerm):
 @dataclass(frozen=True, kw_only=True)
 class Force(Term):
     """A force at a pair of position and velocity; symbols of `scaled`: u (unit of the port), q and v.
+
+    At a connection of two pairs, position and velocity are relative, and k is its stiffness.
 
     Attributes:
         repeats: Parameter with the period of a force that repeats along the position; "" for none.

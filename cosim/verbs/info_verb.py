@@ -80,6 +80,10 @@ def _places(p: Places) -> list[str]:
     s, lines = p.structure, [f"way: {p.way}: {p.reason}"]
     pairs = [(f"  {pair.position}", pair.velocity, f"{pair.gain:.6g}", _ports(pair)) for pair in s.pairs]
     lines += _titled("pairs", ("  position", "velocity", "gain", "forces (gain)"), pairs)
+    joined = [
+        (f"  {c.first.position}", c.second.position, f"{c.stiffness:.6g}", f"{c.damping:.6g}") for c in s.connections
+    ]
+    lines += _titled("connections", ("  position", "and", "spring", "damper"), joined) if joined else []
     states = {q.name: q for q in s.states}
     storages = [(f"  {name}", states[name].unit, f"{states[name].start:.6g}") for name in s.storages]
     lines += _titled("storages", ("  state", "unit", "start"), storages)

@@ -52,13 +52,15 @@ class Doubt:
             `unsteady`: much error remains, and `names` do not clearly improve predictions of held-out logs;
             `disagreeing`: a fit to predictions gives other values of `names` and predicts held-out logs better;
             `disturbed`: an unknown input of a share `size` of the derivative of the state `channel` remains beside it;
-            `replaced`: terms without a name replace all its parts.
+            `replaced`: terms without a name replace all its parts;
+            `varying`: the parameter `names` has other `estimates` from rows in which it acts weakly, and strongly.
     """
 
-    kind: Literal["missed", "no_nearer", "kept", "unsteady", "disagreeing", "disturbed", "replaced"]
+    kind: Literal["missed", "no_nearer", "kept", "unsteady", "disagreeing", "disturbed", "replaced", "varying"]
     channel: str = ""
     size: float = 0.0
     names: tuple[str, ...] = ()
+    estimates: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -157,6 +159,7 @@ class Claims:
         disagreeing: Parts of the best hypothesis for which a fit to predictions gives other values.
         alike: Groups of names that act alike for every input, the first of them from the best hypothesis or a rival.
         others: Rivals of an ambiguous verdict besides the claimed hypothesis.
+        varying: Parameter of the best hypothesis that varies with its own effect.
         further: Other base parameters outside their tolerances beside a claim (from replays, as up to `left_share`).
         missed_channel: Channel and its error with the unchanged model, as a multiple of the noise floor.
         recalibrated: Base parameters moved beyond their tolerances.
@@ -195,6 +198,7 @@ class Claims:
     disagreeing: tuple[str, ...] = ()
     alike: tuple[tuple[str, ...], ...] = ()
     others: tuple[Hypothesis, ...] = ()
+    varying: Doubt | None = None
 
     further: tuple[MovedParameter, ...] = ()
     missed_channel: tuple[str, float] | None = None

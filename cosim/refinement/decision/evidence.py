@@ -22,7 +22,7 @@ import numpy as np
 from cosim.base.arrays import Array, Rows
 from cosim.estimation.data import count_unscored
 from cosim.estimation.expected import fit_for_held_out
-from cosim.estimation.fit import Fit, fit, inverse, scores
+from cosim.estimation.fit import Fit, fit, inverse, slopes
 from cosim.estimation.parallel import check_wanted, in_parallel
 from cosim.estimation.past_readings import lagged_table
 from cosim.estimation.plateaus import with_flat_directions
@@ -421,11 +421,10 @@ def _variance_with_logs(f: Fit, fits: Sequence[Fit], x: Free) -> float:
 
 def with_sandwich_covariance(problem: Problem, f: Fit) -> Fit:
     """Return the fit with White's sandwich covariance."""
-    each, information = scores(problem, f)
-    scored = problem.score(f.values, f.noise)
-    block = blocks_of(problem, scored, math.exp(f.noise.memory))
-    sums = np.stack([np.bincount(block, row) for row in each])
-    inside = inverse(information)
+    at_fit = slopes(problem, f)
+    block = blocks_of(problem, at_fit.scored, math.exp(f.noise.memory))
+    sums = np.stack([np.bincount(block, row) for row in at_fit.gradients])
+    inside = inverse(at_fit.information)
     covariance = inside @ (sums @ sums.T) @ inside
     count = len(f.free)
     if problem.table:

@@ -43,7 +43,7 @@ def sentence(c: Claims, subject: Subject) -> str:
     )  # a reader must know it before the answer
     opening = rise or _improvement_text(c)
     untried = subject.untried if c.claimed is not None else ""
-    texts = (opening, _answer_text(c, subject), *_share_texts(c), untried, *_remark_texts(c, subject))
+    texts = (opening, _answer_text(c, subject), *_share_texts(c, _units(subject)), untried, *_remark_texts(c, subject))
     return " ".join(filter(None, texts))
 
 
@@ -121,12 +121,14 @@ def _answer_text(c: Claims, subject: Subject) -> str:
         return claim_text(c.claimed, c.claimed.candidates, subject) + small_gains_text(c.small)
     if c.missed_channel is not None:
         return missed_channel_text(*c.missed_channel, c.recalibrated, _units(subject))
+    if c.doubt is not None and c.doubt.kind == "varying":
+        return f"{doubt_text(c.doubt, _units(subject))} Best candidates, not confirmed: {join_names(c.rivals)}."
     if c.doubt is not None:
-        return f"{unexplained_text(c.misfit, c.rivals, NOT_AFTER_REPLAYS)} {doubt_text(c.doubt)}"
+        return f"{unexplained_text(c.misfit, c.rivals, NOT_AFTER_REPLAYS)} {doubt_text(c.doubt, _units(subject))}"
     return unexplained_text(c.residual, c.rivals)
 
 
-def _share_texts(c: Claims) -> Iterator[str]:
+def _share_texts(c: Claims, units: Mapping[str, str]) -> Iterator[str]:
     """Yield sentences on the unexplained share of the error."""
     if c.left_share is not None and c.left_of is not None:
         of = f"of the mean square error of {c.left_of[0]} after recalibration"
@@ -144,6 +146,8 @@ def _share_texts(c: Claims) -> Iterator[str]:
     yield from (missed_by_all_text(*miss) for miss in c.missed.items())
     if c.disagreeing and c.claimed is not None:
         yield f"{IN_PART}: {_other_values_text(c.disagreeing)}."
+    if c.varying is not None:
+        yield f"{IN_PART}: {_varying_text(c.varying, units)}."
 
 
 def _remark_texts(c: Claims, subject: Subject) -> Iterator[str]:
@@ -236,7 +240,7 @@ def unexplained_text(residual: Mapping[str, Any], nearest: Sequence[str], otherw
     return text + (f" Best candidates, not confirmed: {join_names(nearest)}." if nearest else "")
 
 
-def doubt_text(doubt: Doubt) -> str:
+def doubt_text(doubt: Doubt, units: Mapping[str, str]) -> str:
     """Return a sentence on why a claim was withdrawn."""
     if doubt.kind == "missed":
         return f"With it, replays still miss {doubt.channel} by {plain(doubt.size, 2)} times the noise floor."
@@ -249,9 +253,17 @@ def doubt_text(doubt: Doubt) -> str:
         return f"{remains}; no effect in it halves the held-out error."
     if doubt.kind == "replaced":
         return "Terms without a name may take its place."
+    if doubt.kind == "varying":
+        return f"Something is missing beside {doubt.names[0]}: {_varying_text(doubt, units)}."
     if doubt.kind == "disagreeing":
         return f"A filter and predictions disagree: {_other_values_text(doubt.names)}."
     return f"Much remains, and predictions of held-out logs are not plainly better for {join_names(doubt.names)}."
+
+
+def _varying_text(doubt: Doubt, units: Mapping[str, str]) -> str:
+    (name,), (weak, strong) = doubt.names, doubt.estimates
+    lower, upper = (append_unit(f"{value:.3g}", written(units.get(name, ""))) for value in (weak, strong))
+    return f"{name} is {lower} from rows in which it acts little, and {upper} from those in which it acts much"
 
 
 def _other_values_text(names: Sequence[str]) -> str:
