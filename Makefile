@@ -1,6 +1,7 @@
 # Every target is complete on a fresh machine with Python >= 3.11 and make; all share .venv.
 PYTHON ?= python3
 BIN := .venv/bin
+VENV := .venv/.made
 RUNTIME := .venv/.runtime
 TESTING := .venv/.testing
 CHECKING := .venv/.checking
@@ -15,33 +16,41 @@ KILLS ?= 200
 EXAMPLES ?= 10000
 SEEDS ?= 200
 .DEFAULT_GOAL := run
+.NOTPARALLEL: # all share .venv
 
-$(RUNTIME): pyproject.toml examples/hovercraft/pyproject.toml
+# $(call install,PACKAGES): compiles on all cores, and not the tests of packages, half of what pip would compile;
+# templates of packages do not compile
+define install
+$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile $(1)
+@$(BIN)/python -m compileall -qq -j 0 -x '/tests/' .venv/lib cosim controller fmus plant || true
+@touch $@
+endef
+
+$(VENV):
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed")'
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip uninstall --quiet --yes cosim-hovercraft # of an earlier release: one distribution for all
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable . --editable examples/hovercraft
 	@touch $@
 
-$(TESTING): $(RUNTIME)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test]'
-	@touch $@
+$(RUNTIME): $(VENV) pyproject.toml examples/hovercraft/pyproject.toml
+	$(call install,--editable . --editable examples/hovercraft)
+
+# all in one go if this is the first
+$(TESTING): $(VENV) pyproject.toml examples/hovercraft/pyproject.toml
+	$(call install,--editable '.[test]' --editable examples/hovercraft)
+	@touch $(RUNTIME)
 
 $(CHECKING): $(TESTING)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test,check]'
-	@touch $@
+	$(call install,--editable '.[check]')
 
 $(MUTATING): $(TESTING)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test,mutants]'
-	@touch $@
+	$(call install,--editable '.[mutants]')
 
 $(DOCUMENTING): $(RUNTIME)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
-	@touch $@
+	$(call install,--editable '.[docs]')
 
 $(RELEASING): $(RUNTIME)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[release]'
-	@touch $@
+	$(call install,--editable '.[release]')
 
 fmus: $(RUNTIME)
 	$(BIN)/cosim build --out build
