@@ -65,24 +65,6 @@ def bare(folder: Path) -> Iterator[str]:
             yield f"{path.relative_to(ROOT)}:{line}: {name}"
 
 
-def children(node: ast.AST) -> Iterator[ast.AST]:
-    """Yield the nodes directly below one, but for contexts of names; `ast.iter_child_nodes` takes twice the time."""
-    for name in node._fields:
-        value = getattr(node, name, None)
-        if isinstance(value, list):
-            yield from (part for part in value if isinstance(part, ast.AST))
-        elif isinstance(value, ast.AST) and name != "ctx":
-            yield value
-
-
-def walk(node: ast.AST) -> list[ast.AST]:
-    """Return a node and all below it."""
-    nodes = [node]
-    for found in nodes:
-        nodes.extend(children(found))
-    return nodes
-
-
 def bare_calls(tree: ast.AST) -> list[tuple[int, str]]:
     """Return line and name of each call that takes a message and gets a text without a code.
 
@@ -92,17 +74,17 @@ def bare_calls(tree: ast.AST) -> list[tuple[int, str]]:
     calls = {(line, name) for line, name, argument in found if _has_text(argument)}
     lines = [line for line, _, argument in found if isinstance(argument, ast.Name)]
     if lines:
-        for scope in walk(tree):
+        for scope in ast.walk(tree):
             if isinstance(scope, ast.FunctionDef) and any(scope.lineno <= n <= (scope.end_lineno or n) for n in lines):
                 named = [(line, name, value.id) for line, name, value in _sinks(scope) if isinstance(value, ast.Name)]
-                texts = set(_names_of_texts(walk(scope))) if named else set()
+                texts = set(_names_of_texts(ast.walk(scope))) if named else set()
                 calls |= {(line, name) for line, name, value in named if value in texts}
     return sorted(calls)
 
 
 def _sinks(scope: ast.AST) -> list[tuple[int, str, ast.expr]]:
     """Return line, name and message of each call that takes a message."""
-    calls = [(node, _name_of(node)) for node in walk(scope) if isinstance(node, ast.Call)]
+    calls = [(node, _name_of(node)) for node in ast.walk(scope) if isinstance(node, ast.Call)]
     known = [(node, name, SINKS[name]) for node, name in calls if name in SINKS]
     return [(node.lineno, name, node.args[at]) for node, name, at in known if at < len(node.args)]
 
@@ -122,7 +104,7 @@ def _has_text(value: ast.AST) -> bool:
     """Return whether a value contains a sentence outside of templates and of functions that keep codes."""
     if isinstance(value, ast.Call) and (_name_of(value).isupper() or _name_of(value) in KEEPING):
         return False
-    return _is_text(value) or any(map(_has_text, children(value)))
+    return _is_text(value) or any(map(_has_text, ast.iter_child_nodes(value)))
 
 
 def _is_text(node: ast.AST) -> bool:

@@ -15,7 +15,7 @@ import pytest
 
 from tests.english import PACKAGES as ENGLISH
 from tests.english import measure
-from tests.messages import bare_calls, children, walk
+from tests.messages import bare_calls
 from tests.test_drive import EXAMPLE, simulated
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -103,11 +103,11 @@ MOST_BRANCHES = 14  # cyclomatic complexity of a function
 
 def branches(function: ast.AST) -> int:
     """Return the cyclomatic complexity of a function, those within it apart, counted as radon does."""
-    count, nodes = 1, [*children(function)]
+    count, nodes = 1, [*ast.iter_child_nodes(function)]
     for node in nodes:
         if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
             continue
-        nodes += children(node)
+        nodes += ast.iter_child_nodes(node)
         if isinstance(node, ast.BoolOp):
             count += len(node.values) - 1
         elif isinstance(node, ast.comprehension):
@@ -156,7 +156,7 @@ def read() -> Read:
     for path in sorted(path.relative_to(ROOT) for package in ENGLISH for path in (ROOT / package).rglob("*.py")):
         text, package = (ROOT / path).read_text(encoding="utf-8"), path.parts[0]
         tree = ast.parse(text)
-        nodes = walk(tree)
+        nodes = [*ast.walk(tree)]
         functions = [node for node in nodes if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef))]
         found.docstrings[package] += filter(None, map(ast.get_docstring, functions))
         if package not in PACKAGES:
