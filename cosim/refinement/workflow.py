@@ -326,8 +326,7 @@ def _with_log_noise(
 ) -> Variant:
     """Return the refined variant, or the nearest one without a claim, with noise estimated from the logs."""
     best = variants["after"] if claims.claimed else variants.get("nearest", variants["after"])
-    fitted = (claims.nearest_hypothesis or a.base).fit
-    return replace(best, noise=log_noise(fitted.noise, free_noise))
+    return replace(best, noise=log_noise(claims.floor_hypothesis(a).fit.noise, free_noise))
 
 
 def _write_models(variants: Mapping[str, Variant], scratch: Path, folder: Path) -> list[Path]:

@@ -230,6 +230,10 @@ class Claims:
         """Return the nearest model's hypothesis, by default the claim."""
         return self.claimed if self.nearest is None else self.nearest.hypothesis
 
+    def floor_hypothesis(self, a: Attribution) -> Hypothesis:
+        """Return the hypothesis of the noise floor: the nearest model's, by default the base parameters alone."""
+        return self.nearest_hypothesis or a.base
+
     @property
     def claimed_candidates(self) -> tuple[Candidate, ...]:
         """Return the claimed candidates; for an ambiguous verdict, the candidates common to all rivals."""

@@ -246,7 +246,7 @@ def has_unknown_input(r: Refinement) -> bool:
     """Return whether the noise floor contains an unknown input."""
     if r.problem.table:
         return False
-    noise = (r.verdict.nearest_hypothesis or r.attribution.base).fit.noise
+    noise = r.verdict.floor_hypothesis(r.attribution).fit.noise
     return bool(np.any(noise.power > r.problem.noise.quiet))
 
 
