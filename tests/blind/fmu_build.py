@@ -243,9 +243,7 @@ def build(
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         entries = {
             "modelDescription.xml": write(plant, declared, wrong, ways).encode(),
-            f"binaries/{platform.folder(version)}/{plant}{platform.suffix}": library(
-                plant, version, fault
-            ).read_bytes(),
+            f"binaries/{platform.folder(version)}/{plant}{platform.suffix}": library(plant, version, fault),
         }
         for name, content in entries.items():
             archive.writestr(zipfile.ZipInfo(name, (2000, 1, 1, 0, 0, 0)), content)
@@ -262,16 +260,17 @@ def build_slave(path: Path, plant: str) -> Path:
 
 
 @cache
-def library(plant: str, version: int, fault: str = "") -> Path:
-    """Compile and strip the library of a plant once per process, and return its path."""
-    folder = Path(tempfile.mkdtemp(prefix="blind-fmu-"))
-    (folder / "layout.h").write_text(_layout(PLANTS[plant]))
-    made = folder / f"{plant}.so"
+def library(plant: str, version: int, fault: str = "") -> bytes:
+    """Compile and strip the library of a plant once per process, and return its content."""
     macros = [f"-D{name}={value}" for name, value in FAULTS[fault].macros.items()]
     command = [*library_command(), "-std=gnu99", "-O2", "-w", "-s", "-fvisibility=hidden", f"-DFMI={version}", *macros]
-    command += [f'-DPLANT="{SOURCES / f"{plant}.c"}"', f"-I{folder}", f"-I{fmi_headers()}"]
-    subprocess.run([*command, "-o", str(made), str(SOURCES / "runtime.c"), "-lm"], check=True)
-    return made
+    with tempfile.TemporaryDirectory(prefix="blind-fmu-") as name:
+        folder = Path(name)
+        (folder / "layout.h").write_text(_layout(PLANTS[plant]))
+        made = folder / f"{plant}.so"
+        command += [f'-DPLANT="{SOURCES / f"{plant}.c"}"', f"-I{folder}", f"-I{fmi_headers()}"]
+        subprocess.run([*command, "-o", str(made), str(SOURCES / "runtime.c"), "-lm"], check=True)
+        return made.read_bytes()
 
 
 def _layout(plant: Plant) -> str:
