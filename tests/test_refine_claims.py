@@ -515,3 +515,12 @@ def test_sealed_logs_that_every_rival_misses_are_named(
     assert (said in sentence(judged_again, CRAFT)) == (missed is not None)
     clear = judged(attribution(best))
     assert replay_check.with_miss_of_rivals(study, clear, nothing, [], error, {"x": 1.0, "y": 1.0}) is clear
+
+
+def test_a_refused_part_that_gains_far_more_than_chance_is_no_disturbance() -> None:
+    nothing = fitted(score=0.0)
+    a = replace(attribution(nothing, ratios=()), refused={"stribeck": "stribeck.softness is at its limit"})
+    claims = judged(a)
+    assert (claims.name, claims.rivals) == ("unexplained", ("stribeck",))
+    assert "far more than chance would, but stribeck.softness is at its limit" in sentence(claims, CRAFT)
+    assert judged(attribution(nothing, ratios=())).name == "no_effect"

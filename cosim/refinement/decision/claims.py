@@ -53,14 +53,18 @@ class Doubt:
             `disagreeing`: a fit to predictions gives other values of `names` and predicts held-out logs better;
             `disturbed`: an unknown input of a share `size` of the derivative of the state `channel` remains beside it;
             `replaced`: terms without a name replace all its parts;
-            `varying`: the parameter `names` has other `estimates` from rows in which it acts weakly, and strongly.
+            `varying`: the parameter `names` has other `estimates` from rows in which it acts weakly, and strongly;
+            `refused`: `names` gains far more than chance, but for a `reason` cannot be claimed.
     """
 
-    kind: Literal["missed", "no_nearer", "kept", "unsteady", "disagreeing", "disturbed", "replaced", "varying"]
+    kind: Literal[
+        "missed", "no_nearer", "kept", "unsteady", "disagreeing", "disturbed", "replaced", "varying", "refused"
+    ]
     channel: str = ""
     size: float = 0.0
     names: tuple[str, ...] = ()
     estimates: tuple[float, float] = (0.0, 0.0)
+    reason: str = ""
 
 
 @dataclass(frozen=True)
@@ -290,6 +294,10 @@ def judge(
         return Claims("unexplained", misfit=residual)
     if large:
         return Claims("unexplained", misfit={**residual, "equation": large})
+    if a.refused:
+        name, reason = next(iter(a.refused.items()))
+        doubt = Doubt("refused", names=(name,), reason=reason)
+        return Claims("unexplained", rivals=(name,), misfit=residual, doubt=doubt)
     return Claims("no_effect", misfit=residual, unshown=a.hidden, moves=moves, small=a.small_parts)
 
 

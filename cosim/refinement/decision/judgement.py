@@ -66,7 +66,8 @@ def decide(result: SearchResult) -> Attribution:
     unfitted, noise = fit_given_model(search.problem, base.fit), noise_gain(search.problem, best.fit)
     ratios = _error_ratios(search, best, base, noise) if best.candidates else ()
     evidence = (total, rest.support, noise, reasons, result.hidden, result.effects, rest.fuller, ratios, alike)
-    return Attribution(base, unfitted, tried, best, rivals, *evidence)
+    plain = {name: refusal.reason for name, refusal in rest.dropped.items() if refusal.is_plain}
+    return Attribution(base, unfitted, tried, best, rivals, *evidence, plain)
 
 
 def _error_ratios(search: Search, best: Hypothesis, base: Hypothesis, noise: Sequence[float]) -> tuple[float, ...]:
@@ -202,10 +203,17 @@ def _fuller_certain(search: Search, refused: Hypothesis, rest: Hypothesis) -> Hy
 
 @dataclass(frozen=True)
 class Refusal:
-    """Reason against a part, and the names of the set in which it was judged."""
+    """Reason against a part, its evidence, and the names of the set in which it was judged."""
 
     names: tuple[str, ...]
     reason: str
+    support: Support | None = None
+
+    @property
+    def is_plain(self) -> bool:
+        """Return True if the part explains far more than chance would."""
+        s = self.support
+        return s is not None and s.gain > PLAIN and s.steady > PLAINLY
 
     def against(self, part: str, h: Hypothesis) -> str:
         """Return the reason against a hypothesis that contains the part."""
@@ -244,7 +252,7 @@ def _drop_unsupported(search: Search, best: Hypothesis) -> _Remainder:
                 break
         else:
             break
-        rest.dropped[c.name], rest.best = Refusal(best.names, doubt), without[c.name]
+        rest.dropped[c.name], rest.best = Refusal(best.names, doubt, rest.support[c.name]), without[c.name]
         if not doubt.startswith(LITTLE):
             rest.fuller = None
         elif rest.fuller is None:

@@ -121,7 +121,7 @@ def _answer_text(c: Claims, subject: Subject) -> str:
         return claim_text(c.claimed, c.claimed.candidates, subject) + small_gains_text(c.small)
     if c.missed_channel is not None:
         return missed_channel_text(*c.missed_channel, c.recalibrated, _units(subject))
-    if c.doubt is not None and c.doubt.kind == "varying":
+    if c.doubt is not None and c.doubt.kind in ("varying", "refused"):
         return f"{doubt_text(c.doubt, _units(subject))} Best candidates, not confirmed: {join_names(c.rivals)}."
     if c.doubt is not None:
         return f"{unexplained_text(c.misfit, c.rivals, NOT_AFTER_REPLAYS)} {doubt_text(c.doubt, _units(subject))}"
@@ -255,6 +255,8 @@ def doubt_text(doubt: Doubt, units: Mapping[str, str]) -> str:
         return "Terms without a name may take its place."
     if doubt.kind == "varying":
         return f"Something is missing beside {doubt.names[0]}: {_varying_text(doubt, units)}."
+    if doubt.kind == "refused":
+        return f"{doubt.names[0]} explains far more than chance would, but {doubt.reason}."
     if doubt.kind == "disagreeing":
         return f"A filter and predictions disagree: {_other_values_text(doubt.names)}."
     return f"Much remains, and predictions of held-out logs are not plainly better for {join_names(doubt.names)}."

@@ -118,6 +118,7 @@ class Attribution:
     alike: Mapping[tuple[str, ...], Hypothesis] = field(
         default_factory=dict
     )  # names → what acts like it, best or rival
+    refused: Mapping[str, str] = field(default_factory=dict)  # part that gains plainly → reason against it
 
     @property
     def halves_error(self) -> bool:
