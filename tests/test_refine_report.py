@@ -33,7 +33,7 @@ from cosim.refinement.record import SCHEMA, _rungs, ranking, schema
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.dependence import bins, explained_share
 from cosim.refinement.report.effect_plots import EffectComparison, compare_effects
-from cosim.refinement.report.error_tables import error_tables, is_below_floor, second_sentence
+from cosim.refinement.report.error_tables import NOTHING_TO_EXPLAIN, error_tables, is_below_floor, second_sentence
 from cosim.refinement.report.innovations import innovations
 from cosim.refinement.report.plots import over_time, runs
 from cosim.refinement.report.rankings import noise_rows, parameter_tables
@@ -402,13 +402,21 @@ def test_a_noise_floor_with_an_unknown_input_is_not_called_sensor_noise(cart: Re
     r = unclaimed(cart)
     base = replace(r, verdict=replace(r.verdict, nearest=Nearest(cart.attribution.base)))  # lacks dry friction
     said = second_sentence(base)
-    assert "(the error by sensor noise and the estimated unknown input, which may include what is missing)" in said
-    assert re.search(r"\. The sensor noise alone is (0\.9[5-9]|1\.0)\d?\u00a0mm\.$", said)  # 1 mm in the logs
+    rest = "the estimated unknown input, which may include what is missing,"
+    two = re.search(rf"; sensor noise alone makes ([\d.]+)\u00a0mm, {rest} ([\d.]+)\u00a0mm\.$", said)
+    assert two is not None, said
+    part = "validation" if said.startswith("On sealed logs") else "estimation"
+    assert 0.95 <= float(two[1]) <= 1.1  # 1 mm in the logs
+    floor = 1e3 * base.record["noise_floors"][part]["s"]
+    assert math.hypot(float(two[1]), float(two[2])) == pytest.approx(floor, rel=0.02)
     assert "may include what is missing" in floor_of(base)
     assert not is_below_floor(base)
     assert "lie below it" not in floor_of(base)
     high = {part: {"s": 2.0 * of["s"]} for part, of in base.record["error"]["nearest"].items()}
     below = replace(base, record={**base.record, "noise_floors": high})
+    assert "below the noise floor" not in second_sentence(below)
+    excesses = {row.excess for table in error_tables(below) for row in table.rows}
+    assert NOTHING_TO_EXPLAIN not in excesses  # a floor with what is missing makes no error small
     assert floor_of(below).endswith("The floor is an estimate; some errors lie below it.")
 
 

@@ -19,7 +19,6 @@ PARTS: Mapping[Part, str] = {"estimation": "Logs used for the fits", "validation
 MAX_SHARE_OF_REPLAY, LEAST_REPLAYS = 0.3, 10  # share of the squared error in one replay of so many, worth a sentence
 NOISE = 1.2  # times the floor; smaller errors are noise
 FLOOR = "the error by sensor noise alone"
-FLOOR_WITH_INPUT = "the error by sensor noise and the estimated unknown input, which may include what is missing"
 FREE_RUN_NAME = "free run"  # among the horizons of refine.json
 NOTHING_TO_EXPLAIN, TOO_LITTLE = "nothing to explain", "too little to judge"  # in place of a remaining share
 VARIANT_WORDS = {
@@ -193,7 +192,8 @@ def _numbers(r: Refinement, part: str, name: str) -> list[float]:
 def _error_row(r: Refinement, part: str, name: str) -> ErrorRow:
     before, recalibrated, after, floor, _ = numbers = _numbers(r, part, name)
     *texts, nearest = (error_size(value, units(r).get(name, ""), after) for value in numbers)
-    excess, of_recalibrated = (_share_text(error, after, floor) for error in (before, recalibrated))
+    is_bare = not has_unknown_input(r)
+    excess, of_recalibrated = (_share_text(error, after, floor, is_bare=is_bare) for error in (before, recalibrated))
     marks, noise = _marks(before, after, floor), float(r.record.get("sensor_noise", {}).get(name, math.nan))
     sensor_noise = error_size(noise, units(r).get(name, ""), after)
     free_run = _free_run_text(r, part, name)
@@ -201,11 +201,15 @@ def _error_row(r: Refinement, part: str, name: str) -> ErrorRow:
     return ErrorRow(name, old, refitted, new, level, excess, of_recalibrated, marks, nearest, sensor_noise, free_run)
 
 
-def _share_text(before: float, after: float, floor: float) -> str:
-    """Return the excess error's remaining share as text."""
+def _share_text(before: float, after: float, floor: float, *, is_bare: bool) -> str:
+    """Return the excess error's remaining share as text.
+
+    Args:
+        is_bare: True if the floor is sensor noise alone. With an unknown input, it may include what is missing.
+    """
     share = remaining_excess(before, after, floor)
     if math.isnan(share):
-        return NOTHING_TO_EXPLAIN if before < NOISE * floor else TOO_LITTLE if floor else MISSING
+        return NOTHING_TO_EXPLAIN if before < NOISE * floor and is_bare else TOO_LITTLE if floor else MISSING
     return percent(max(0.0, share))
 
 
@@ -235,11 +239,11 @@ def second_sentence(r: Refinement) -> str:
     if r.verdict.claimed is None:
         return _unchanged_text(r, part, where)
     before, _, after, floor, _ = _numbers(r, part, name)
-    sizes = [error_size(v, units(r).get(name, ""), after) for v in (before, after, floor)]
+    sizes = [error_size(v, units(r).get(name, ""), after) for v in (before, after)]
     verb = "fell from" if after < before else "went from"
     over = "" if r.problem.table else f" over {horizon(r)}"
     lead = f"{where} the error of {name}{over} {verb} {sizes[0]} to {sizes[1]}"
-    return f"{lead}{_floor_text(r, name, (sizes[1], sizes[2]), above=floor > after)}"
+    return f"{lead}{_floor_text(r, name, after, floor)}"
 
 
 def has_unknown_input(r: Refinement) -> bool:
@@ -268,27 +272,26 @@ def leading_channel(r: Refinement) -> str:
     return min(ratios, key=lambda n: ratios[n], default="")
 
 
-def _floor_text(r: Refinement, name: str, sizes: tuple[str, str], *, above: bool) -> str:
+def _floor_text(r: Refinement, name: str, after: float, floor: float) -> str:
     """Return the end of a sentence: the noise floor beside the error, or a full stop without a floor.
 
-    Args:
-        sizes: Error and noise floor of the channel.
+    With an unknown input, the floor may include what is missing, so that no error is small beside it. The sensor noise
+    and the error by the unknown input are then two numbers.
     """
-    after, floor = sizes
-    if floor == MISSING:
+    if not math.isfinite(floor):
         return "."
-    words, alone = FLOOR, ""
+    unit, noise = units(r).get(name, ""), float(r.record.get("sensor_noise", {}).get(name, math.nan))
     if has_unknown_input(r):
-        words = FLOOR_WITH_INPUT
-        noise = float(r.record.get("sensor_noise", {}).get(name, math.nan))
-        if math.isfinite(noise):
-            alone = f" The sensor noise alone is {error_size(noise, units(r).get(name, ''), noise)}."
-    if floor == after:
-        return f", which is the noise floor ({words}).{alone}"
+        alone = f"sensor noise alone makes {error_size(noise, unit, noise)}, " if math.isfinite(noise) else ""
+        rest = math.sqrt(max(0.0, floor**2 - (noise**2 if alone else 0.0)))
+        return (
+            f"; {alone}the estimated unknown input, which may include what is missing, {error_size(rest, unit, rest)}."
+        )
+    size, shown = (error_size(value, unit, after) for value in (floor, after))
+    if size == shown:
+        return f", which is the noise floor ({FLOOR})."
     return (
-        f", below the noise floor ({words}) of {floor}.{alone}"
-        if above
-        else f"; the noise floor ({words}) is {floor}.{alone}"
+        f", below the noise floor ({FLOOR}) of {size}." if floor > after else f"; the noise floor ({FLOOR}) is {size}."
     )
 
 
@@ -302,8 +305,8 @@ def _unchanged_text(r: Refinement, part: str, where: str) -> str:
     if not (worst := max(ratios, key=lambda n: ratios[n], default="")):
         return ""
     *_, after, floor, nearest = _numbers(r, part, worst)
-    sizes = [error_size(v, units(r).get(worst, ""), after) for v in (after, floor, nearest)]
-    comparison = f", the nearest model by {sizes[2]}" if nearest < after else ""
+    sizes = [error_size(v, units(r).get(worst, ""), after) for v in (after, nearest)]
+    comparison = f", the nearest model by {sizes[1]}" if nearest < after else ""
     over = "" if r.problem.table else f" over {horizon(r)}"
     lead = f"{where} the unchanged model misses {worst} by {sizes[0]}{over}{comparison}"
-    return f"{lead}{_floor_text(r, worst, (sizes[0], sizes[1]), above=floor > after)}"
+    return f"{lead}{_floor_text(r, worst, after, floor)}"
