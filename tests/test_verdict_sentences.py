@@ -209,14 +209,14 @@ ACTS = {"equation": "vx", "signals": ["x_world"], "share": 0.3, "terms": []}
         no_effect_text(MANY, dict.fromkeys(MANY, 0.01)),
         rivals_text(MANY, "both duties varied", "", ModelSubject.of(CRAFT)),
         unexplained_text(ACTS, MANY),
-        doubt_text(Doubt("unsteady", names=tuple(MANY))),
+        doubt_text(Doubt("unsteady", names=tuple(MANY)), {}),
         nearest_text(MANY, fitted=True),
         *(
             nearest_improvement_text(Improvement(shares, "recalibrated", is_clear=False), Nearest(h))
             for h in (fitted(*KINDS), fitted(*KINDS, *KINDS), None)
             for shares in ({"vx": 0.5, "psi": 0.6}, {"vx": 1.5})
         ),
-        *(doubt_text(Doubt(kind, "vx", 0.3)) for kind in ("disturbed", "replaced")),
+        *(doubt_text(Doubt(kind, "vx", 0.3), {}) for kind in ("disturbed", "replaced")),
         missed_channel_text("vx", 10.0, FAR, dict.fromkeys(MANY, "kg")),
         further_text(FAR, dict.fromkeys(MANY, "kg")),
         small_gains_text(MANY),
