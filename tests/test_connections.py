@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -15,13 +16,18 @@ import cosim
 from cosim.estimation.fit import Slopes
 from cosim.estimation.problem import Scored
 from cosim.probing.places import probe_places
-from cosim.refinement.decision.constancy import constancy
+from cosim.refinement.decision import constancy as module
+from cosim.refinement.decision.claims import Claims
+from cosim.refinement.decision.constancy import Constancy, check_constancy, constancy
+from cosim.refinement.search.hypotheses import Hypothesis
+from cosim.subject.candidates import Candidate, Kind
 from tests.blind.fmu_build import build
 from tests.logs import write_log
 from tests.test_refine_fmu import write_study
 
 STEP, NOISE = 0.005, {"motor.phi": 2e-3, "motor.w": 0.05, "load.phi": 2e-3}
 GAP = 0.01  # [rad]
+KINDS: tuple[tuple[str, Kind], ...] = (("k", "parameter"), ("b", "sensor"))
 MOTOR, LOAD, SPRING, DAMPER, BEARING = 0.01, 0.03, 40.0, 0.1, 0.02  # of tests/blind/fmus/drive.c
 
 
@@ -106,3 +112,16 @@ def test_a_slope_varies_with_its_input_only_if_the_line_is_none(gap: float, is_v
         assert not is_varying or tested.weak < theta < tested.strong
     share = float(np.mean(np.array(chances) < 0.05))
     assert share > 0.95 if is_varying else share < 0.15
+
+
+def test_a_base_parameter_that_all_rivals_share_is_not_claimed_if_it_varies(monkeypatch: pytest.MonkeyPatch) -> None:
+    stiffness, bias = (Candidate(n, k, (), ()) for n, k in KINDS)
+    h = Hypothesis((stiffness, bias), cast(Any, SimpleNamespace()), -50.0)
+    claims = Claims("ambiguous", h, ("b + k", "d + k"), certain=(stiffness,), grade="part")
+    tested = {"k": Constancy("k", 0.85, 0.95, 1e-4)}
+    search = cast(Any, SimpleNamespace(problem=SimpleNamespace(table=False)))
+    monkeypatch.setattr(module, "varying_parameters", lambda *_: tested)
+    checked = check_constancy(search, cast(Any, None), claims)
+    assert (checked.name, checked.grade, checked.claimed_candidates) == ("ambiguous", "nearest", ())
+    assert checked.varying is not None
+    assert checked.varying.estimates == (0.85, 0.95)

@@ -10,6 +10,7 @@ Neerlandica 61:488).
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -47,26 +48,24 @@ def check_constancy(search: Search, a: Attribution, claims: Claims) -> Claims:
     Beside a missing term, a base parameter of the same equation often takes a part of its place. An effect or a sensor
     error that varies is at least the most similar one of the catalogue.
     """
-    problem, h = search.problem, claims.claimed
-    if h is None or claims.name == "ambiguous" or problem.table:
-        return claims
-    varying = varying_parameters(problem, h.fit, h.candidates)
-    if not varying:
+    problem, h, parts = search.problem, claims.claimed, claims.claimed_candidates
+    varying = varying_parameters(problem, h.fit, parts) if h and parts and not problem.table else {}
+    if h is None or not varying:
         return claims
     first = min(varying.values(), key=lambda c: c.chance)
     doubt = Doubt("varying", names=(first.name,), estimates=(first.weak, first.strong))
-    wrong = {c.name for c in h.candidates if c.kind == "parameter" and c.name in varying}
-    if wrong == set(h.names):
-        return claims.withdraw(doubt)
+    wrong = {c.name for c in parts if c.kind == "parameter" and c.name in varying}
+    if claims.name == "ambiguous":
+        certain = tuple(c for c in parts if c.name not in wrong)
+        return replace(claims, certain=certain, grade="part" if certain else "nearest", varying=doubt)
     rest = fit_of_rest(a, wrong) if wrong else h
     if rest is None:
         return claims.withdraw(doubt)
-    if wrong:
-        rest = with_intervals(search, rest)
+    rest = with_intervals(search, rest) if wrong else rest
     return replace(claims, name=name_of(rest.candidates, search.subject), claimed=rest, grade="part", varying=doubt)
 
 
-def varying_parameters(problem: Problem, f: Fit, parts: tuple[Candidate, ...]) -> dict[str, Constancy]:
+def varying_parameters(problem: Problem, f: Fit, parts: Sequence[Candidate]) -> dict[str, Constancy]:
     """Return candidate → its parameter with the least probable trend, for trends beyond chance that matter.
 
     Only parameters with a value without effect, or of the model, are judged; the shape of a term is not.

@@ -147,7 +147,7 @@ def _share_texts(c: Claims, units: Mapping[str, str]) -> Iterator[str]:
     if c.disagreeing and c.claimed is not None:
         yield f"{IN_PART}: {_other_values_text(c.disagreeing)}."
     if c.varying is not None:
-        yield f"{IN_PART}: {_varying_text(c.varying, units)}."
+        yield f"{IN_PART}: {_varying_text(c.varying, units)}." if c.claimed_candidates else doubt_text(c.varying, units)
 
 
 def _remark_texts(c: Claims, subject: Subject) -> Iterator[str]:
