@@ -40,8 +40,9 @@ from cosim.refinement.decision.judgement import (
     is_at_limit,
     is_beyond_tolerance,
 )
-from cosim.refinement.decision.prediction_fit import error_ratios
+from cosim.refinement.decision.prediction_fit import error_ratios, fit_to_others, has_predictions
 from cosim.refinement.decision.trust import attribute
+from cosim.refinement.proof.agreement import _predicts_better
 from cosim.refinement.proof.measure import _starts, first_rows
 from cosim.refinement.proof.refined_models import Variant
 from cosim.refinement.refinement import Refinement
@@ -592,6 +593,17 @@ def test_a_part_that_halves_the_error_stays_though_none_of_its_parameters_is_cer
     assert (best.names, dropped) == (("loss",), {})
     assert not best.is_away(part, deviations_by_chance(1))
     assert max(error_ratios(search, best, search.tried[()], to_predictions=True)) < 0.5
+
+
+def test_halves_of_a_single_log_compare_filter_and_predictions(rail: Model, tmp_path: Path) -> None:
+    problem = coarsen(posed(rail, tmp_path, 0, numbers={"coulomb": 3.0}))
+    search = searched(rail, problem)
+    assert has_predictions(search)
+    h = search.hypothesis(parts_of(problem, rail, "coulomb"), None)
+    fits = [fit_to_others(search, h, half) for half in (0, 1)]
+    assert [f.values["coulomb.level"] for f in fits] == pytest.approx([3.0, 3.0], rel=0.05)
+    assert len({f.values["coulomb.level"] for f in fits}) == 2  # each half has a fit of its own
+    assert not _predicts_better(search, h)
 
 
 def test_an_interval_along_a_ridge_is_not_made_narrower_by_how_it_is_measured(rail: Model, tmp_path: Path) -> None:

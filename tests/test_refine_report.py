@@ -10,6 +10,7 @@ import shlex
 from dataclasses import dataclass, replace
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import jsonschema
@@ -37,7 +38,7 @@ from cosim.refinement.report.error_tables import NOTHING_TO_EXPLAIN, error_table
 from cosim.refinement.report.innovations import innovations
 from cosim.refinement.report.plots import over_time, runs
 from cosim.refinement.report.rankings import noise_rows, parameter_tables
-from cosim.refinement.report.refine_page import context, write_refine_report
+from cosim.refinement.report.refine_page import _uncompared_text, context, write_refine_report
 from cosim.refinement.search.attribution import Attributor
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis, Support
 from cosim.refinement.search.unnamed import Leftover, UnnamedTerm, find_unnamed_terms
@@ -391,6 +392,14 @@ def test_a_page_without_a_claim_leads_to_the_nearest_model_and_draws_it(cart: Re
     assert neither["use"].endswith("/plant.fmu")
     assert [curve.label for curve in neither["lead"]["plots"][0].curves] == ["measured", "model"]
     assert context(cart)["use_lead"].startswith("To use the refined model")
+
+
+def test_a_claim_without_a_fit_to_predictions_is_said_to_have_none(cart: Refinement) -> None:
+    assert context(cart)["uncompared"] == ""
+    table = SimpleNamespace(table=True)
+    said = _uncompared_text(replace(cart, problem=table))
+    assert said.endswith("fit to predictions of held-out logs, because a table has no predictions over time.")
+    assert _uncompared_text(replace(unclaimed(cart), problem=table)) == ""
 
 
 def test_a_noise_floor_with_an_unknown_input_is_not_called_sensor_noise(cart: Refinement) -> None:

@@ -32,14 +32,27 @@ EVALUATIONS = 8  # largest number of Jacobians of a fit
 
 
 def has_predictions(search: Search) -> bool:
-    """Return True for several logs with a horizon and one set of values, so that predictions can be fitted."""
-    problem = search.problem
-    return len(problem.logs) > 1 and math.isfinite(search.subject.horizon) and not (problem.table or problem.own)
+    """Return True for logs with a horizon and one set of values, so that predictions can be fitted."""
+    return not why_no_predictions(search.problem, search.subject.horizon)
+
+
+def why_no_predictions(problem: Problem, horizon: float) -> str:
+    """Return the reason for which no predictions can be fitted, as a clause; "" if they can."""
+    if problem.table:
+        return "a table has no predictions over time"
+    if not math.isfinite(horizon):
+        return "each prediction lasts a whole log"
+    return "some parameters have a value for each log" if problem.own else ""
+
+
+def logs_to_leave_out(problem: Problem) -> Problem:
+    """Return the problem with several logs; a single log is halved."""
+    return problem if len(problem.logs) > 1 else halve_log(problem)
 
 
 def predicted_gain(search: Search, better: Hypothesis, worse: Hypothesis) -> float:
     """Return the decrease of squared errors on held-out logs per scatter, by fits to predictions of the other logs."""
-    problem, horizon = search.problem, search.subject.horizon
+    problem, horizon = logs_to_leave_out(search.problem), search.subject.horizon
 
     def errors(log: int) -> list[Array]:
         return [open_loop(problem, horizon, fit_to_others(search, h, log), log) for h in (worse, better)]
@@ -48,10 +61,14 @@ def predicted_gain(search: Search, better: Hypothesis, worse: Hypothesis) -> flo
 
 
 def fit_to_others(search: Search, h: Hypothesis, log: int) -> Fit:
-    """Return the fit of a hypothesis to predictions of all logs except `log`, from the cache if possible."""
+    """Return the fit of a hypothesis to predictions of all logs except `log`, from the cache if possible.
+
+    A single log is halved.
+    """
     key = (h.names, log)
     if key not in search.prediction_fits:
-        problem, others = search.problem, [k for k in range(len(search.problem.logs)) if k != log]
+        problem = logs_to_leave_out(search.problem)
+        others = [k for k in range(len(problem.logs)) if k != log]
         by_filter = fit_without(search, problem, h, log)
         search.prediction_fits[key] = fit_to_predictions(problem, by_filter, search.subject.horizon, others)
     return search.prediction_fits[key]
@@ -66,8 +83,7 @@ def error_ratios(search: Search, better: Hypothesis, worse: Hypothesis, *, to_pr
     Args:
         to_predictions: Whether the fits to the other logs go on as fits to predictions.
     """
-    problem, horizon = search.problem, search.subject.horizon
-    problem = problem if len(problem.logs) > 1 else halve_log(problem)
+    problem, horizon = logs_to_leave_out(search.problem), search.subject.horizon
 
     def log_ratio(log: int) -> float:
         both = better, worse

@@ -19,7 +19,12 @@ from cosim.logs.channel_noise import NORMAL_95
 from cosim.refinement.decision.claims import Claims, Doubt, fit_of_rest, is_moved, name_of
 from cosim.refinement.decision.evidence import fit_without, log_error, with_intervals
 from cosim.refinement.decision.judgement import may_be_chance
-from cosim.refinement.decision.prediction_fit import fit_to_others, fit_to_predictions, has_predictions
+from cosim.refinement.decision.prediction_fit import (
+    fit_to_others,
+    fit_to_predictions,
+    has_predictions,
+    logs_to_leave_out,
+)
 from cosim.refinement.decision.trust import CLEARLY
 from cosim.refinement.search.fits import Search
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis
@@ -70,8 +75,8 @@ def _without(search: Search, a: Attribution, claims: Claims, moved: set[str], sm
 
 
 def _predicts_better(search: Search, h: Hypothesis) -> bool:
-    """Return True if a fit to predictions clearly improves predictions of each held-out log."""
-    problem, horizon = search.problem, search.subject.horizon
+    """Return True if a fit to predictions clearly improves predictions of each held-out log, or half of a log."""
+    problem, horizon = logs_to_leave_out(search.problem), search.subject.horizon
     logs = range(len(problem.logs))
 
     def gain(log: int) -> float:

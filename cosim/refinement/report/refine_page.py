@@ -16,6 +16,7 @@ from cosim.base.text import MISSING, counted, join_names, percent, plain, split_
 from cosim.base.version import __version__
 from cosim.loading.refined import NEAREST, REFINED, SSPS
 from cosim.logs.log import Log
+from cosim.refinement.decision.prediction_fit import why_no_predictions
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.effect_plots import EffectComparison, compare_effects
 from cosim.refinement.report.error_tables import (
@@ -98,6 +99,7 @@ def context(r: Refinement) -> Mapping[str, Any]:
         "error_lead": _error_lead(r),
         "error_words": _error_words(r, tables),
         "sealed": _sealed_text(r),
+        "uncompared": _uncompared_text(r),
         **table_parts(r, charts),
         **(_NO_TIME if r.problem.table else _in_time(r, charts)),
         **_ranking(r),
@@ -316,6 +318,15 @@ def _sealed_text(r: Refinement) -> str:
         return ""
     noun = "tables" if r.problem.table else "logs"
     return f"Sealed {noun} were used for no fit and no choice; they were opened once, at the end, as a test."
+
+
+def _uncompared_text(r: Refinement) -> str:
+    """Return a sentence on a claim without a second fit; "" if there was one, or if sensors alone are claimed."""
+    why = why_no_predictions(r.problem, r.study.subject.horizon)
+    claimed = r.verdict.claimed
+    if not why or claimed is None or claimed.is_of_sensors:
+        return ""
+    return f"The claim could not be compared with a fit to predictions of held-out logs, because {why}."
 
 
 def _innovation_lead(claimed: bool) -> str:
