@@ -9,17 +9,22 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cosim.base.arrays import Array
 from cosim.base.errors import SimulationError
-from cosim.blocks import model_exchange
+from cosim.blocks import model_exchange, solvers
+from cosim.fmi.native.compiler import NoCompiler
 from cosim.isolation import worker
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import ADVANCE
+from cosim.logs.log import Log
 from cosim.master.master import StoppedRun, simulate
+from cosim.residuals.drive import Drive
 from cosim.residuals.workflow import replay
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.workflow import run
 from cosim.storage.results import Results
 from cosim.system.system import build_system
+from tests.blind.fmu_build import build
 from tests.decay import DEEDS, decay_fmu
 
 
@@ -31,7 +36,14 @@ def decayed(folder: Path, deed: str, solver: str = "cvode", **more: Any) -> Resu
     return simulate(build_system(file), file.scenario.steps, file.scenario.step)
 
 
-@pytest.mark.parametrize("solver", ["cvode", "solve_ivp"])
+def without_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
+    def no_function() -> Any:
+        raise NoCompiler("no compiler")
+
+    monkeypatch.setattr(solvers, "rates_function", no_function)
+
+
+@pytest.mark.parametrize("solver", ["cvode", "cvode in Python", "solve_ivp"])
 @pytest.mark.parametrize(
     ("deed", "words", "rows"),
     [
@@ -45,13 +57,40 @@ def decayed(folder: Path, deed: str, solver: str = "cvode", **more: Any) -> Resu
     ],
 )
 def test_a_call_of_model_exchange_that_fails_is_told_and_the_rows_before_are_kept(
-    tmp_path: Path, solver: str, deed: str, words: str, rows: int, capfd: pytest.CaptureFixture[str]
+    tmp_path: Path,
+    solver: str,
+    deed: str,
+    words: str,
+    rows: int,
+    capfd: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    if solver == "cvode in Python":
+        without_compiler(monkeypatch)
     with pytest.raises(StoppedRun, match=rf"^a at t = .* s: .*({words})") as stopped:
-        decayed(tmp_path, deed, solver)
+        decayed(tmp_path, deed, solver.split()[0])
     assert stopped.value.error.exit_code == 4
     assert len(stopped.value.results.time) == rows
     assert capfd.readouterr().err == ""  # nor does CVODE print what it thinks of it
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_rates_from_c_and_from_python_give_the_same_bytes(
+    tmp_path: Path, version: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fmu = build(tmp_path / "drive.fmu", "drive", version)
+    time = 0.01 * np.arange(101)
+    units = {"torque": "N.m"}
+    log = Log(tmp_path / "log.csv", time, {"torque": np.sin(7.0 * time)}, {}, units, 0.01, units, {})
+
+    def run_drive() -> Array:
+        with Drive(log, fmu) as drive:
+            return drive.run(0, 100, {})
+
+    compiled = run_drive()
+    without_compiler(monkeypatch)
+    assert np.array_equal(compiled, run_drive())
+    assert np.ptp(compiled[:, 0]) > 0.01
 
 
 @pytest.mark.parametrize("solver", ["cvode", "solve_ivp"])

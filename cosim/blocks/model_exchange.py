@@ -132,6 +132,7 @@ class ModelExchange2(Calls):
         return solver(
             self.solver_name,
             self.fmu,
+            self.symbol,
             states=self.description.numberOfContinuousStates,
             indicators=self.description.numberOfEventIndicators,
             start=self.start_time,

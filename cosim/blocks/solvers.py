@@ -5,12 +5,15 @@ from __future__ import annotations
 import ctypes
 import math
 import os
-from functools import partial
+from collections.abc import Callable
+from functools import cache, partial
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Literal
 
 from cosim.base.messages import Message
 from cosim.blocks import messages
+from cosim.fmi.native.compiler import CompilerFailed, NoCompiler, load_library
 
 DISCARD = 2
 DOUBLES = ctypes.POINTER(ctypes.c_double)
@@ -25,19 +28,21 @@ FAILURES = {  # CVODE's error codes with remedies
 }
 
 
-def solver(name: Solver | None, fmu: Any, **settings: Any) -> Any:
+def solver(name: Solver | None, fmu: Any, symbol: Callable[[str], str] | None = None, **settings: Any) -> Any:
     """Return the named solver; by default CVODE, else solve_ivp.
 
     solve_ivp replaces CVODE on platforms for which FMPy has none.
+
+    Args:
+        symbol: Name of an FMI function → its name in the library, for calls from C.
     """
-    if name == "solve_ivp":
-        return SolveIvp(fmu, **settings)
-    try:
-        return cvode(fmu, **settings)
-    except (ImportError, OSError):
-        if name == "cvode":
-            raise
-        return SolveIvp(fmu, **settings)
+    if name != "solve_ivp":
+        try:
+            return cvode(fmu, symbol=symbol, **settings)
+        except (ImportError, OSError):
+            if name == "cvode":
+                raise
+    return SolveIvp(fmu, **settings)
 
 
 class SolverFailed(Exception):
@@ -52,10 +57,78 @@ class SolverFailed(Exception):
         self.reason, self.derivative = reason, derivative
 
 
-def cvode(fmu: Any, *, states: int, indicators: int, start: float, longest: float, tolerance: float) -> Any:
-    """Return FMPy's CVODE for an FMU.
+class CompiledRates(ctypes.Structure):
+    """Derivatives of an FMU by `rates.c`, and what CVODE could not use since `begin`."""
+
+    names: list[str]
+    _fields_ = (
+        ("instance", ctypes.c_void_p),
+        ("functions", ctypes.c_void_p * 3),
+        ("states", ctypes.c_size_t),
+        ("data", ctypes.c_size_t),
+        ("refusals", ctypes.c_int),
+        ("call", ctypes.c_int),
+        ("status", ctypes.c_int),
+        ("place", ctypes.c_ssize_t),
+        ("rate", ctypes.c_double),
+    )
+
+    @classmethod
+    def of(cls, fmu: Any, states: int, data: int, symbol: Callable[[str], str] | None) -> CompiledRates | None:
+        """Return the derivatives of an FMU; None without states or compiler, or if its calls are logged.
+
+        Args:
+            data: Offset of the pointer to the numbers within the content of a vector.
+            symbol: Name of an FMI function → its name in the library; None for a library that is not loaded by FMPy.
+        """
+        if not states or symbol is None or getattr(fmu, "fmiCallLogger", None) is not None:
+            return None
+        try:
+            rates_function()
+        except (NoCompiler, CompilerFailed):
+            return None
+        derivatives = derivatives_of(fmu).__name__
+        names = "SetTime", "SetContinuousStates", f"{derivatives[0].upper()}{derivatives[1:]}"
+        functions = (ctypes.cast(getattr(fmu.dll, symbol(name)), ctypes.c_void_p) for name in names)
+        instance = ctypes.cast(fmu.component, ctypes.c_void_p)
+        rates = cls(instance, (ctypes.c_void_p * 3)(*(f.value for f in functions)), states, data)
+        version = next(number for number in "123" if hasattr(fmu, f"fmi{number}SetTime"))
+        rates.names = [f"fmi{version}{name}" for name in names]
+        return rates
+
+    def error(self) -> tuple[Exception | None, bool]:
+        """Return the reason for which CVODE could not use the last point, if any, and whether a call failed."""
+        from fmpy.fmi1 import FMICallException
+
+        if not self.refusals:
+            return None, False
+        if self.status:
+            return FMICallException(function=self.names[self.call], status=self.status), self.status != DISCARD
+        return SolverFailed(FAILURES[-3], (self.place, self.rate)), False
+
+
+@cache
+def rates_function() -> Any:
+    """Return the compiled derivatives; raise NoCompiler or CompilerFailed without a working compiler."""
+    return load_library(Path(__file__).with_name("rates.c").read_text(encoding="utf-8")).rates
+
+
+def cvode(
+    fmu: Any,
+    *,
+    states: int,
+    indicators: int,
+    start: float,
+    longest: float,
+    tolerance: float,
+    symbol: Callable[[str], str] | None = None,
+) -> Any:
+    """Return FMPy's CVODE for an FMU, whose derivatives C calls if there is a compiler.
 
     Failed FMU calls are stored in `failed`, because exceptions cannot pass through C.
+
+    Args:
+        symbol: Name of an FMI function → its name in the library, for calls from C.
     """
     from fmpy.fmi1 import FMICallException
     from fmpy.sundials import CVodeSolver
@@ -63,6 +136,8 @@ def cvode(fmu: Any, *, states: int, indicators: int, start: float, longest: floa
 
     set_time, set_states, get_derivatives = fmu.setTime, fmu.setContinuousStates, derivatives_of(fmu)
     at, data = DOUBLES.from_address, _N_VectorContent_Serial.data.offset
+
+    compiled = CompiledRates.of(fmu, states, data, symbol)
 
     class Guarded(CVodeSolver):  # type: ignore[misc]
         failed: Exception | None = None
@@ -92,14 +167,26 @@ def cvode(fmu: Any, *, states: int, indicators: int, start: float, longest: floa
 
         def step(self, t: float, target: float) -> Any:
             self.failed, self.refusals = None, []
+            if compiled is not None:
+                compiled.refusals = 0
             try:
                 return super().step(t, target)
             except RuntimeError:
+                if compiled is not None:
+                    self._take(compiled)
                 if self.failed is not None:
                     raise self.failed from None
                 if len(self.refusals) >= REFUSALS:
                     raise self.refusals[-1] from None
                 raise SolverFailed(_failure(self.error_info)) from None
+
+        def _take(self, rates: CompiledRates) -> None:
+            """Store what the compiled derivatives met."""
+            error, is_failure = rates.error()
+            if is_failure:
+                self.failed = error
+            elif error is not None:
+                self.refusals += [error] * rates.refusals
 
         def _refuse(self, error: FMICallException) -> int:
             if error.status == DISCARD:
@@ -108,6 +195,8 @@ def cvode(fmu: Any, *, states: int, indicators: int, start: float, longest: floa
             self.failed = error
             return -1
 
+    if compiled is not None:
+        Guarded.f = ctypes.cast(rates_function(), ctypes.c_void_p).value  # type: ignore[assignment]
     integrator = Guarded(
         nx=states,
         nz=indicators,
@@ -122,8 +211,19 @@ def cvode(fmu: Any, *, states: int, indicators: int, start: float, longest: floa
         maxStep=longest,
         relativeTolerance=tolerance,
     )
+    if compiled is not None:
+        integrator.compiled = compiled  # lives as long as the solver
+        _set_user_data(integrator, compiled)
     _silence(integrator)
     return integrator
+
+
+def _set_user_data(integrator: Any, data: ctypes.Structure) -> None:
+    """Let CVODE pass a structure to the compiled derivatives."""
+    from fmpy.sundials.libraries import sundials_cvode
+
+    pointer = ctypes.c_void_p(ctypes.addressof(data))
+    sundials_cvode.CVodeSetUserData(ctypes.c_void_p(integrator.cvode_mem), pointer)
 
 
 def _silence(integrator: Any) -> None:
