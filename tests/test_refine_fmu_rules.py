@@ -61,6 +61,16 @@ def test_a_part_of_a_claim_is_further_from_neutral_than_the_best_of_all_by_chanc
     assert list(dropped) == [name for name in ("lag",) if name not in names]
 
 
+def test_a_complete_error_is_at_no_limit() -> None:
+    """A sensor that shows the magnitude has no direction at all."""
+    h = hypothesis({"magnitude": (9.0, 0.1), "scale": (9.0, 0.1)})
+    magnitude, scale = h.candidates
+    complete = replace(magnitude, complete={"magnitude.value": 9.0})
+    neutral = {"magnitude.value": 0.0, "scale.value": 0.0}
+    assert judgement._parameters_at_limit(h, [magnitude, scale], neutral) == ["magnitude.value", "scale.value"]
+    assert judgement._parameters_at_limit(h, [complete, scale], neutral) == ["scale.value"]
+
+
 def test_the_size_of_an_effect_is_certain_at_its_fitted_shape() -> None:
     """Only the product of time and damping is certain of a short lag of second order."""
     free = (

@@ -520,8 +520,9 @@ def is_at_limit(h: Hypothesis, f: Free, neutral: Mapping[str, float]) -> bool:
 
 
 def _parameters_at_limit(h: Hypothesis, parts: Sequence[Candidate], neutral: Mapping[str, float]) -> list[str]:
-    """Return the parameters at a limit."""
-    return [f.name for c in parts for f in c.free if is_at_limit(h, f, neutral)]
+    """Return the parameters at a limit, other than that of a complete error, as of a sensor without direction."""
+    free = [f for c in parts for f in c.free if h.fit.values[f.name] != c.complete.get(f.name)]
+    return [f.name for f in free if is_at_limit(h, f, neutral)]
 
 
 def _reason(
