@@ -15,6 +15,7 @@ from scipy.integrate import solve_ivp
 
 import cosim
 from cosim.base.errors import InputError
+from cosim.estimation.fit import initial_fit
 from cosim.estimation.posing import build_problem
 from cosim.estimation.problem import Problem
 from cosim.estimation.sensor_noise import first_noise, sensor_noise
@@ -23,6 +24,8 @@ from cosim.experiment.question import ask
 from cosim.kernel.remote_kernel import RemoteLibraryKernel
 from cosim.model import Equations, Model, Namespace, Quantity, Values, parameter
 from cosim.model.model import Number
+from cosim.refinement.record import effects
+from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.refinement.study import Study, read_study
 from cosim.refinement.workflow import failure_warnings
 from cosim.residuals.drive import Drive, log_of_fmu
@@ -280,6 +283,26 @@ def test_a_replay_leaves_the_study_that_goes_on(folder: Path, tmp_path: Path) ->
     assert (study.content.columns, len(study.logs)) == ({"w": "speed"}, 1)
     cosim.replay(folder / "e1.csv", tmp_path / "out", fmu, report=False, force=True)  # nothing is missing
     assert not (tmp_path / "out" / "study.yaml").exists()
+
+
+@pytest.mark.parametrize("kind", ["sensor", "effect"])
+def test_a_replay_of_a_refined_fmu_names_the_claimed_error_of_a_sensor(folder: Path, tmp_path: Path, kind: str) -> None:
+    """The FMU holds no error of a sensor; a further refine would only find it again."""
+    study = study_of_way(folder, "model_exchange")
+    (scale,) = (c for c in study.subject.candidates(()) if c.name == "scale_at_speed")
+    fit = replace(initial_fit(problem_of(study)), free=scale.free, information=np.eye(1))
+    (entry,) = effects(study.subject, Hypothesis((scale,), fit, 0.0), ())
+    assert entry.kind == "sensor"
+    fmu = build(tmp_path / "plant.fmu", "dc_motor", 2, ways=("model_exchange",))
+    (tmp_path / "refine.json").write_text(json.dumps({"effects": [entry.model_dump(mode="json") | {"kind": kind}]}))
+    columns = columns_of(folder / "e1.csv")
+    log = write_log(tmp_path / "log.csv", columns | {"speed": 1.1 * columns["speed"]})
+    done = command("replay", log, "--plant", fmu, "--no-report", "--out", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    said = "The readings have scale_at_speed, which the refine beside plant.fmu claims and an FMU does not hold"
+    assert (said in done.stdout) == (kind == "sensor")
+    assert ("cosim refine" in done.stdout) == (kind == "effect")
+    assert (tmp_path / "out" / "study.yaml").exists() == (kind == "effect")
 
 
 @pytest.mark.thorough

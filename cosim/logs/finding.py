@@ -9,6 +9,7 @@ from typing import Literal
 from cosim.base.messages import Message
 
 Severity = Literal["note", "warning", "fault"]
+SENSORS = "sensors"  # kind of a finding on claimed errors of sensors
 
 
 @dataclass(frozen=True)

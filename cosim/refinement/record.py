@@ -26,7 +26,8 @@ from cosim.refinement.search.hypotheses import TOGETHER, Attribution, Hypothesis
 from cosim.refinement.search.input_hold import Between, Way
 from cosim.refinement.study import Study
 from cosim.residuals.residual_statistics import FREE_RUN
-from cosim.subject.candidates import Candidate
+from cosim.subject.base_parameters import kind_within
+from cosim.subject.candidates import Candidate, Kind
 from cosim.subject.interface import Subject
 
 SCHEMA = Path(__file__).with_name("refine.schema.json")
@@ -59,6 +60,7 @@ class EffectEntry(_Entry):
     """An effect, sensor error or base parameter in the claim."""
 
     name: str = Field(description="as in the catalogue; a base parameter by its own name")
+    kind: Kind = Field(description="`sensor`: an error of the readings, which model.yaml has and an FMU has not")
     parameters: dict[str, Estimate] = Field(description="by name; base parameters and sensors have one, `value`")
 
 
@@ -428,6 +430,7 @@ def effects(
     return [
         EffectEntry(
             name=c.name,
+            kind=kind_within(c, subject),
             parameters={
                 n.partition(".")[2] or "value": _estimate(claimed.fit, n, declared[n].unit) for n in c.parameters
             },

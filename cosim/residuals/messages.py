@@ -25,3 +25,8 @@ HIDDEN_STATE = Template(
     "is missed by {error} over {horizon}\u00a0s where the FMU is restarted from its own outputs: "
     "it keeps a state that no output shows, and only the free run measures it",
 )
+SENSOR_ERRORS = Template(
+    "W-RES-010",
+    "the readings have {names}, which the refine beside {fmu} claims and an FMU does not hold; correct the readings, "
+    "or see error.after in its refine.json",
+)

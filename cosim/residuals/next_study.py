@@ -7,7 +7,9 @@ import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from cosim.loading.refined import ANSWER, folder_of
 from cosim.residuals.compare import Comparison
+from cosim.storage.folders import content_of
 
 NEXT_STUDY = "study.yaml"
 HEAD = """\
@@ -21,6 +23,14 @@ HEAD = """\
 def lacks_something(comparison: Comparison) -> bool:
     """Return whether an error exceeds the noise."""
     return any(not (c.is_matched and c.is_explained) for c in comparison.channels)
+
+
+def claimed_sensor_errors(fmu: Path) -> tuple[str, ...]:
+    """Return the errors of sensors that the refine beside an FMU claims; the FMU holds none of them."""
+    folder = folder_of(fmu)
+    claimed = content_of(folder / ANSWER).get("effects") if folder else None
+    entries = [e for e in claimed if isinstance(e, dict)] if isinstance(claimed, list) else []
+    return tuple(str(e.get("name")) for e in entries if e.get("kind") == "sensor")
 
 
 def next_study(folder: Path, fmu: Path, log: Path, columns: Mapping[str, str], start: Sequence[str]) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from cosim.base.text import amount, counted, join_names, plain, size
-from cosim.logs.finding import Finding
+from cosim.logs.finding import SENSORS, Finding
 from cosim.residuals.compare import ChannelSummary, Comparison
 from cosim.residuals.residual_statistics import FREE_RUN
 
@@ -104,6 +104,8 @@ def _sizes(channels: Sequence[ChannelSummary], horizon: float) -> str:
 def _cause(comparison: Comparison, channels: Sequence[ChannelSummary]) -> str:
     """Return the probable cause of the error: a delay, or the input that the residual follows."""
     names = {c.name for c in channels}
+    if claimed := [f.whole for f in comparison.findings if f.kind == SENSORS]:
+        return f"{claimed[0][:1].upper()}{claimed[0][1:]}."
     late = [f for f in comparison.findings if f.kind == "delay" and f.channel in names]
     if late := [f for f in late if abs(f.numbers["delay"]) > comparison.log.step]:
         first = max(late, key=lambda f: abs(f.numbers["delay"]) / f.numbers["error"])

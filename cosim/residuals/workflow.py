@@ -15,12 +15,13 @@ from cosim.base.drafts import is_full
 from cosim.base.errors import DiskFull, Terminated, stop_error
 from cosim.base.registry import BASE
 from cosim.base.scratch import temporary_folder
+from cosim.base.text import join_names
 from cosim.fmi.fmu_build import build as build_fmu
 from cosim.fmi.sampled import AUTHOR
 from cosim.isolation.limits import Limits, read_limits
 from cosim.isolation.process import Worker
 from cosim.loading.file import load_model
-from cosim.logs.finding import Finding
+from cosim.logs.finding import SENSORS, Finding
 from cosim.logs.gate import gate, outliers, refuse_faults
 from cosim.logs.log import Log, read_column_names
 from cosim.logs.spikes import find_spikes
@@ -29,7 +30,7 @@ from cosim.report.template import render
 from cosim.residuals import messages
 from cosim.residuals.compare import Comparison, compare, steps_of
 from cosim.residuals.drive import PLANT, Drive, StoppedReplay, as_columns, check_files, log_of_fmu
-from cosim.residuals.next_study import NEXT_STUDY, lacks_something, next_study
+from cosim.residuals.next_study import NEXT_STUDY, claimed_sensor_errors, lacks_something, next_study
 from cosim.residuals.remote_drive import MODULES, DriveApart
 from cosim.residuals.replay_sentences import verdict
 from cosim.residuals.replay_settings import start_values
@@ -100,7 +101,8 @@ def replay(
         driven = Path(fmu) if fmu else build_fmu(load_model(BASE, Path()).recipe(), scratch / "plant.fmu")
         names = read_column_names(columns, Path(log))
         read = log_of_fmu(Path(log), driven, names)
-        proposed = next_study(place, driven, Path(log), names, start) if fmu else ""
+        goes_on = fmu is not None and not claimed_sensor_errors(driven)
+        proposed = next_study(place, driven, Path(log), names, start) if goes_on else ""
         return write_replay(
             place,
             read,
@@ -189,7 +191,7 @@ def write_replay(
 def _findings(drive: Drive, log: Log, rate: float | None) -> list[Finding]:
     """Return the findings of the gate; raise InputError if the log has faults."""
     findings = gate(log, rate or drive.rate, strict=rate is not None, traits=drive.traits, spikes={})
-    findings += _version_findings(drive)
+    findings += [*_version_findings(drive), *_sensor_findings(drive)]
     findings += input_unit_findings(log, drive.starts, drive.traits.bounds if drive.traits else {})
     refuse_faults(log, findings)
     return findings
@@ -258,6 +260,12 @@ def _version_findings(drive: Drive) -> Iterator[Finding]:
     """Yield a warning for an FMU built by an earlier version, treated as a foreign one."""
     if drive.traits is None and drive.description.author == AUTHOR:
         yield Finding("warning", "older", "", messages.OLD_FMU(fmu=drive.fmu.name))
+
+
+def _sensor_findings(drive: Drive) -> Iterator[Finding]:
+    """Yield a warning for the FMU of a refine that claims errors of sensors, which the log has and the FMU has not."""
+    if names := claimed_sensor_errors(drive.fmu):
+        yield Finding("warning", SENSORS, "", messages.SENSOR_ERRORS(names=join_names(names), fmu=drive.fmu.name))
 
 
 def results(drive: Drive, outputs: Mapping[str, Array]) -> Results:
