@@ -87,6 +87,7 @@ PLACES = {  # pairs with their ports and gains at rest, and storages, from the e
     "tanks": ({}, ("left.h", "right.h")),
     "heated_box": ({}, ("T_heater", "T_air")),
     "pendulum": ({("x", "v"): {"force": 1.0}, ("phi", "w"): {"force": -2.0}}, ()),
+    "coupled": ({("phi1", "w1"): {"torque": 10.0}, ("phi2", "w2"): {}}, ()),
     "cylinder": ({("piston.x", "piston.v"): {"load": -0.02}}, ("p_a", "p_b")),
 }
 

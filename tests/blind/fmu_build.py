@@ -4,8 +4,8 @@
     build(Path("tanks.fmu"), "tanks", version=3, ways=("co_simulation",))      FMI 3.0, co-simulation
     build(Path("bad.fmu"), "drive", ways=WAYS, fault="idle_reset")             both ways in a file, misbehaving
 
-`PLANTS` declares the sound FMUs: drive, dc_motor, tanks, heated_box, pendulum, cylinder. Sources are in `fmus/`, a file
-of equations each and a runtime for all. `FAULTS` declares the ways to misbehave; every plant can have each of them.
+`PLANTS` declares the sound FMUs: drive, dc_motor, tanks, heated_box, pendulum, coupled, cylinder. Sources are in
+`fmus/`, a file of equations each and a runtime for all. `FAULTS` declares the ways to misbehave; every plant can have each of them.
 
 Parameters are fixed: they are accepted before and in initialization mode, later they are an error. States are start
 values (`initial` exact). A step of co-simulation has any length and is divided into Runge-Kutta steps of at most
@@ -163,6 +163,27 @@ PLANTS: dict[str, Plant] = {
             V("spring", 3.0, "N/m", "stiffness that centres the cart"),
             V("rub", 0.8, "N.s/m", "viscous friction of the cart"),
             V("hinge", 5e-3, "N.m.s/rad", "viscous friction of the hinge"),
+        ),
+        4e-3,
+    ),
+    "coupled": Plant(
+        "Two pendulums joined by a torsion spring",
+        (V("torque", 0.0, "N.m", "torque on the first"),),
+        (
+            V("phi1", 0.0, "rad", "angle of the first"),
+            V("w1", 0.0, "rad/s", "rate of the first"),
+            V("phi2", 0.0, "rad", "angle of the second"),
+            V("w2", 0.0, "rad/s", "rate of the second"),
+        ),
+        ("phi1", "phi2"),
+        (
+            V("J1", 0.1, "kg.m2", "inertia of the first"),
+            V("J2", 0.08, "kg.m2", "inertia of the second"),
+            V("c1", 1.0, "N.m/rad", "torque of gravity on the first per sine of its angle"),
+            V("c2", 0.8, "N.m/rad", "torque of gravity on the second per sine of its angle"),
+            V("k", 1.0, "N.m/rad", "stiffness of the spring"),
+            V("d1", 0.03, "N.m.s/rad", "viscous friction of the first"),
+            V("d2", 0.02, "N.m.s/rad", "viscous friction of the second"),
         ),
         4e-3,
     ),
