@@ -5,7 +5,8 @@
     build(Path("bad.fmu"), "drive", ways=WAYS, fault="idle_reset")             both ways in a file, misbehaving
 
 `PLANTS` declares the sound FMUs: drive, dc_motor, tanks, heated_box, pendulum, coupled, cylinder. Sources are in
-`fmus/`, a file of equations each and a runtime for all. `FAULTS` declares the ways to misbehave; every plant can have each of them.
+`fmus/`, a file of equations each and a runtime for all. `FAULTS` declares the ways to misbehave; every plant can have
+each of them.
 
 Parameters are fixed: they are accepted before and in initialization mode, later they are an error. States are start
 values (`initial` exact). A step of co-simulation has any length and is divided into Runge-Kutta steps of at most
