@@ -18,10 +18,12 @@ SEEDS ?= 200
 .DEFAULT_GOAL := run
 .NOTPARALLEL: # all share .venv
 
+PIP := $(BIN)/python -m pip --disable-pip-version-check -qq
+
 # $(call install,PACKAGES): compiles on all cores, and not the tests of packages, half of what pip would compile;
 # templates of packages do not compile
 define install
-$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile $(1)
+$(PIP) install --no-compile $(1)
 @$(BIN)/python -m compileall -qq -j 0 -x '/tests/' .venv/lib cosim controller fmus plant || true
 @touch $@
 endef
@@ -29,7 +31,8 @@ endef
 $(VENV):
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed")'
 	$(PYTHON) -m venv .venv
-	$(BIN)/python -m pip uninstall --quiet --yes cosim-hovercraft # of an earlier release: one distribution for all
+	$(PIP) install --upgrade pip # the one of Python 3.11 chooses from long lists of wheels at half the speed
+	$(PIP) uninstall --yes cosim-hovercraft # of an earlier release: one distribution for all
 	@touch $@
 
 $(RUNTIME): $(VENV) pyproject.toml examples/hovercraft/pyproject.toml
