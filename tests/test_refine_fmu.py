@@ -21,7 +21,7 @@ from cosim.estimation.problem import Problem
 from cosim.estimation.sensor_noise import first_noise, sensor_noise
 from cosim.experiment.excite import excite
 from cosim.experiment.question import ask
-from cosim.kernel.remote_kernel import RemoteLibraryKernel
+from cosim.kernel.remote_kernel import RemoteLibraryKernel, processor_time
 from cosim.model import Equations, Model, Namespace, Quantity, Values, parameter
 from cosim.model.model import Number
 from cosim.refinement.record import effects
@@ -188,7 +188,9 @@ def test_a_crash_or_a_hang_costs_one_evaluation(folder: Path, fault: str) -> Non
     problem.kernel.limits = problem.kernel.limits.model_copy(update={"load": 3.0})
     noise = problem.plain
     good = problem.score(problem.values, noise).nll
+    begin = processor_time()
     assert problem.score({**problem.values, "resistance": 2.0 * RESISTANCE}, noise).nll == np.inf
+    assert processor_time() - begin > 3.0 * (fault == "hangs")  # the time of a fit is limited, though it sleeps
     assert problem.score(problem.values, noise).nll == good
     assert len(problem.kernel.failures) == 1
     (warning,) = failure_warnings(problem)

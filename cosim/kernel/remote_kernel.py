@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cosim.base.arrays import Array, Rows
-from cosim.base.errors import SimulationError
+from cosim.base.errors import SimulationError, TimedOut
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import OTHER
@@ -78,7 +78,7 @@ class _Workers:
     """Idle worker processes; a thread takes one for each call.
 
     Attributes:
-        spent: Processor time of all workers so far [s].
+        spent: Processor time of all workers so far, and the time for which calls hung [s].
     """
 
     def __init__(self) -> None:
@@ -94,6 +94,7 @@ class _Workers:
             worker, known = self._idle.get_nowait()
         except queue.Empty:
             worker, known = Worker(*MODULES), set()
+        begin = time.perf_counter()
         try:
             worker.start()
             watch = Watch((NAME,), limits=kernel.limits_of(len(arguments) if isinstance(arguments, list) else 1))
@@ -104,6 +105,9 @@ class _Workers:
             result, spent = worker.call(call, kernel.number, method, packed, options, watch=watch, doing=OTHER)
             self.spent += spent
             return result
+        except TimedOut:  # It may sleep, and a fit must end in time all the same.
+            self.spent += time.perf_counter() - begin
+            raise
         finally:
             self._idle.put((worker, known))
 
@@ -145,7 +149,7 @@ atexit.register(workers.end)
 
 
 def processor_time() -> float:
-    """Return the processor time of this process and of its filters in worker processes [s]."""
+    """Return the processor time of this process and of its filters in worker processes, and of their hangs [s]."""
     return time.process_time() + workers.spent
 
 
