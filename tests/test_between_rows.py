@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 
 from cosim.estimation.posing import build_problem, coarsen
+from cosim.estimation.problem import Problem
 from cosim.model import Stepper
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.refine_page import context
 from cosim.refinement.search.fits import Search
-from cosim.refinement.search.input_hold import Between, between_rows
+from cosim.refinement.search.hypotheses import Hypothesis
+from cosim.refinement.search.input_hold import Between, between_rows, late_input
 from cosim.refinement.study import read_study
 from tests.logs import write_log
 from tests.studies import proven
@@ -49,11 +51,38 @@ def motor_study(folder: Path, rig: str, study: str) -> Path:
     return path
 
 
-def between(path: Path) -> Between:
+def fitted(path: Path) -> tuple[Problem, Hypothesis]:
+    """Return the problem of a study and its recalibrated model."""
     study = read_study(path)
     problem = coarsen(build_problem(study.subject, study.logs, settings=study.settings))
-    search = Search(study.subject, problem, 1, lambda stage, share: None)
-    return between_rows(problem, search.hypothesis((), None))
+    return problem, Search(study.subject, problem, 1, lambda stage, share: None).hypothesis((), None)
+
+
+def between(path: Path) -> Between:
+    return between_rows(*fitted(path))
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.05])
+def test_an_input_that_a_filter_of_the_recorder_delays_is_named(tmp_path: Path, lag: float) -> None:
+    """The advice on the way between rows would lead nowhere; a recorded input that is on time raises no alarm."""
+    path = motor_study(tmp_path, "held", "held")
+    for name in "ab":
+        table = np.genfromtxt(tmp_path / f"{name}.csv", delimiter=",", names=True)
+        columns = {n: table[n] for n in table.dtype.names}
+        recorded, share = columns["voltage"].copy(), np.exp(-0.02 / lag) if lag else 0.0
+        for k in range(1, recorded.size):
+            recorded[k] = share * recorded[k - 1] + (1.0 - share) * columns["voltage"][k]
+        write_log(tmp_path / f"{name}.csv", columns | {"voltage": recorded})
+    problem, base = fitted(path)
+    late = late_input(problem, base)
+    assert (late is not None) == (lag > 0.0)
+    if late is not None:
+        assert late.name == "voltage"
+        assert late.rows in (1, 2)  # the lag is 2.5 rows
+        warning = late.warning(0.02)
+        assert warning.code == "W-REF-066"
+        assert f"move its column {0.02 * late.rows:.4g}" in warning
+        assert late.gain > between_rows(problem, base).gain
 
 
 @pytest.mark.thorough
@@ -107,4 +136,4 @@ def test_refine_records_both_likelihoods_and_warns(ramped: Refinement) -> None:
     assert any("`inputs: interpolated` in the study" in text for text in written["warnings"])
     (row,) = [row for row in context(ramped)["provenance"] if row.label == "Inputs between rows"]
     assert "voltage held" in str(row)
-    assert "the other way raises the log-likelihood of the logs by" in str(row)
+    assert "the other way, held or interpolated, raises the log-likelihood by" in str(row)

@@ -100,6 +100,12 @@ LIKELIER_INTERPOLATION = Template(
 NATIVE_FMU_UNUSED = Template(
     "W-REF-038", "the native FMU of the model is not used: {reason}; every error is that of FMUs in Python"
 )
+LATE_INPUT = Template(
+    "W-REF-066",
+    "{name} taken {rows} earlier than recorded raises the log-likelihood of the logs by {gain}, {steadiness} times its "
+    "scatter: its column may lag, as behind a filter or a sensor of its own, which no candidate describes; log the "
+    "input before the filter, or move its column {time} s earlier and refine again",
+)
 SHORTER_HORIZON = Template(
     "W-REF-040",
     "errors of the start state grow exponentially in these logs. Predictions therefore last {new} s, in which these "

@@ -60,7 +60,7 @@ from cosim.refinement.record import Floors, Measurements, Part, Replayed, keep_f
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.search.fits import SearchResult
 from cosim.refinement.search.hypotheses import Attribution
-from cosim.refinement.search.input_hold import between_rows
+from cosim.refinement.search.input_hold import Between, between_rows, late_input
 from cosim.refinement.search.missing import unknown_inputs
 from cosim.refinement.search.unnamed import Leftover, find_unnamed_terms
 from cosim.refinement.study import Study, read_study
@@ -133,7 +133,7 @@ def refine(
     claims = _add_nearest(study, claims, result, attribution, problem, limited)
     between = between_rows(result.search.problem, attribution.base)
     noise = log_noise(attribution.best.fit.noise, result.free_noise)
-    warnings = [*noise_warnings(problem, noise, subject), *between.warnings]
+    warnings = [*noise_warnings(problem, noise, subject), *_input_warnings(result, attribution, between)]
     if subject.probed:
         warnings += cell_warnings(problem, subject)
     allowed = study.content.limits
@@ -184,6 +184,13 @@ def refine(
         progress("drawing the report", 0.0)
         write_refine_report(folder / "report.html", outcome)
     return outcome
+
+
+def _input_warnings(result: SearchResult, a: Attribution, between: Between) -> Sequence[str]:
+    """Return a warning of an input that is recorded late, or else of the way between rows."""
+    problem = result.search.problem
+    late = late_input(problem, a.best) if a.best.fit.free else None
+    return between.warnings if late is None or late.gain < between.gain else [late.warning(problem.logs[0].step)]
 
 
 def _within_limit(progress: Progress, limits: Limits | None, start: float) -> Progress:

@@ -11,7 +11,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from cosim.base.text import plain
+import numpy as np
+
+from cosim.base.messages import Message
+from cosim.base.text import counted, plain
 from cosim.estimation.fit import fit
 from cosim.estimation.problem import Problem
 from cosim.refinement import messages
@@ -19,6 +22,7 @@ from cosim.refinement.decision.evidence import blocks_of, gain_per_scatter
 from cosim.refinement.search.hypotheses import Hypothesis
 
 Way = Literal["held", "interpolated"]
+EARLIER = (1, 2, 4, 8)  # rows by which an input is taken earlier than recorded
 LIKELIER, STEADILY = 5.0, 3.0  # gain ("very strong", Kass and Raftery 1995) and gain per scatter to warn
 
 
@@ -57,10 +61,60 @@ def between_rows(problem: Problem, base: Hypothesis) -> Between:
     flipped = frozenset(names) - ramped
     logs = [replace(data, interpolated=flipped) for data in problem.logs]
     other = replace(problem, logs=logs, settings=replace(problem.settings, interpolated=flipped))
-    # Unknown inputs start large enough to move, because inputs that compensated the wrong choice converge slowly.
-    refit = fit(other, base.fit.free, base.fit.values, other.plain)
     ways: dict[str, Way] = {name: "interpolated" if name in ramped else "held" for name in names}
-    scored, scored_refit = problem.score(base.fit.values, base.fit.noise), other.score(refit.values, refit.noise)
-    block = blocks_of(problem, scored, math.exp(base.fit.noise.memory))
-    steady = gain_per_scatter(block, scored, scored_refit, base.fit.penalty - refit.penalty)
-    return Between(ways, base.fit.objective - refit.objective, steady)
+    return Between(ways, *_gain_of(problem, base, other))
+
+
+def _gain_of(problem: Problem, h: Hypothesis, other: Problem) -> tuple[float, float]:
+    """Return the gain of a hypothesis by a refit to other inputs, and the gain divided by its scatter."""
+    # Unknown inputs start large enough to move, because inputs that compensated the wrong choice converge slowly.
+    refit = fit(other, h.fit.free, h.fit.values, other.plain)
+    scored, scored_refit = problem.score(h.fit.values, h.fit.noise), other.score(refit.values, refit.noise)
+    block = blocks_of(problem, scored, math.exp(h.fit.noise.memory))
+    steady = gain_per_scatter(block, scored, scored_refit, h.fit.penalty - refit.penalty)
+    return h.fit.objective - refit.objective, steady
+
+
+@dataclass(frozen=True)
+class Late:
+    """An input that explains the logs better if it is taken some rows earlier than recorded."""
+
+    name: str
+    rows: int
+    gain: float
+    steady: float
+
+    def warning(self, step: float) -> Message:
+        """Return a warning for logs with this time between rows [s]."""
+        numbers = {"gain": plain(self.gain), "steadiness": plain(self.steady, 2), "time": plain(self.rows * step)}
+        return messages.LATE_INPUT(name=self.name, rows=counted(self.rows, "row"), **numbers)
+
+
+def late_input(problem: Problem, best: Hypothesis) -> Late | None:
+    """Return the input that is recorded late, as behind a filter of its own; None without one.
+
+    No candidate takes an input earlier than recorded. The best hypothesis is refitted with each input earlier, by one
+    row and by twice as many as long as that is likelier.
+    """
+    if problem.table:
+        return None
+    late: Late | None = None
+    for column, name in enumerate(problem.layout.inputs):
+        if not any(np.ptp(data.u[:, column]) for data in problem.logs):
+            continue
+        for rows in EARLIER:
+            moved = Late(name, rows, *_gain_of(problem, best, _with_earlier(problem, column, rows)))
+            if not (moved.gain > max(LIKELIER, late.gain if late else 0.0) and moved.steady > STEADILY):
+                break
+            late = moved
+    return late
+
+
+def _with_earlier(problem: Problem, column: int, rows: int) -> Problem:
+    """Return the problem with an input some rows earlier than recorded."""
+    logs = []
+    for data in problem.logs:
+        u = data.u.copy()
+        u[:-rows, column], u[-rows:, column] = u[rows:, column].copy(), u[-1, column]
+        logs.append(replace(data, u=u))
+    return replace(problem, logs=logs)
