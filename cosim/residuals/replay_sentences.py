@@ -102,10 +102,14 @@ def _sizes(channels: Sequence[ChannelSummary], horizon: float) -> str:
 
 
 def _cause(comparison: Comparison, channels: Sequence[ChannelSummary]) -> str:
-    """Return the probable cause of the error: a delay, or the input that the residual follows."""
+    """Return the probable cause of the error: a claimed error of a sensor, a delay, or an input."""
+    claimed = next((f.whole for f in comparison.findings if f.kind == SENSORS), "")
+    return f"{claimed[:1].upper()}{claimed[1:]}." if claimed else _cause_in_residual(comparison, channels)
+
+
+def _cause_in_residual(comparison: Comparison, channels: Sequence[ChannelSummary]) -> str:
+    """Return the probable cause that the residual shows: a delay, or the input that it follows."""
     names = {c.name for c in channels}
-    if claimed := [f.whole for f in comparison.findings if f.kind == SENSORS]:
-        return f"{claimed[0][:1].upper()}{claimed[0][1:]}."
     late = [f for f in comparison.findings if f.kind == "delay" and f.channel in names]
     if late := [f for f in late if abs(f.numbers["delay"]) > comparison.log.step]:
         first = max(late, key=lambda f: abs(f.numbers["delay"]) / f.numbers["error"])
