@@ -43,7 +43,9 @@ def sentence(c: Claims, subject: Subject) -> str:
     )  # a reader must know it before the answer
     opening = rise or _improvement_text(c)
     untried = subject.untried if c.claimed is not None else ""
-    texts = (opening, _answer_text(c, subject), *_share_texts(c, _units(subject)), untried, *_remark_texts(c, subject))
+    missed = (missed_by_all_text(*miss) for miss in c.missed.items())
+    shares = *_share_texts(c, _units(subject)), *missed
+    texts = (opening, _answer_text(c, subject), *shares, untried, *_remark_texts(c, subject))
     return " ".join(filter(None, texts))
 
 
@@ -143,7 +145,6 @@ def _share_texts(c: Claims, units: Mapping[str, str]) -> Iterator[str]:
         yield f"{IN_PART}: {disturbance} remains."
     elif c.replaced and c.claimed is not None:
         yield f"{IN_PART}: a term without a name may take the place of {join_names(c.replaced)}."
-    yield from (missed_by_all_text(*miss) for miss in c.missed.items())
     if c.disagreeing and c.claimed is not None:
         yield f"{IN_PART}: {_other_values_text(c.disagreeing)}."
     if c.varying is not None:
