@@ -171,21 +171,26 @@ def _connections(
     coordinates that share an inertia, such as those of a double pendulum, change with the motion.
     """
     slopes, along = np.array(points.slopes), np.concatenate([run.states for run in runs if run.time.size])
+    usual = np.nanmedian(slopes, axis=0)
     for first, second in combinations([p for p in pairs if p.gain == 1.0], 2):
         (q, v), (r, w) = ((states.index(p.position), states.index(p.velocity)) for p in (first, second))
-        ends = [(slopes[:, v, r], slopes[:, w, q]), (slopes[:, v, w], slopes[:, w, v])]  # spring, damper
-        joined = [(one, other) for one, other in ends if (one > 0.0).any() and (other > 0.0).any()]
-        ratios = [other[one > 0.0] / one[one > 0.0] for one, other in joined]
-        if not joined or any(np.ptp(x) > CONSTANT * np.median(x) for x in ratios):
+        ratio = _constant_ratio((slopes[:, v, r], slopes[:, w, q]), (slopes[:, v, w], slopes[:, w, v]))
+        if ratio is None:
             continue
-        spring, damper = (float(np.nanmedian(one)) for one, _ in ends)
-        own = -float(np.nanmedian(slopes[:, v, q])), -float(np.nanmedian(slopes[:, w, r]))
-        mutual = float(np.nanmedian(ends[0][1]))
-        is_alone = abs(own[0] * own[1] - spring * mutual) <= CONSTANT * abs(spring * mutual)
-        gear = spring / own[0] if is_alone and spring > 0.0 else 1.0
+        spring, damper, own = float(usual[v, r]), float(usual[v, w]), float(usual[v, q] * usual[w, r])
+        is_alone = abs(own - spring * usual[w, q]) <= CONSTANT * abs(own)
+        gear = float(-spring / usual[v, q]) if is_alone and spring > 0.0 else 1.0
         deflection, speed = (float(np.std(along[:, a] - gear * along[:, b])) for a, b in ((q, r), (v, w)))
-        ratio = gear * float(np.median(ratios[0]))
-        yield Connection(first, second, gear, ratio, spring / gear, damper / gear, deflection, speed)
+        yield Connection(first, second, gear, gear * ratio, spring / gear, damper / gear, deflection, speed)
+
+
+def _constant_ratio(*ends: tuple[Array, Array]) -> float | None:
+    """Return the ratio of both slopes of the first pair with positive ones; None if there is none, or one changes."""
+    joined = [(one, other) for one, other in ends if (one > 0.0).any() and (other > 0.0).any()]
+    ratios = [other[one > 0.0] / one[one > 0.0] for one, other in joined]
+    if not ratios or any(np.ptp(x) > CONSTANT * np.median(x) for x in ratios):
+        return None
+    return float(np.median(ratios[0]))
 
 
 def _rates(matrices: Sequence[Array]) -> tuple[float, float]:

@@ -22,7 +22,7 @@ from cosim.refinement.decision.claims import Claims, Doubt, fit_of_rest, name_of
 from cosim.refinement.decision.evidence import BY_CHANCE, blocks_of, with_intervals
 from cosim.refinement.search.fits import Search
 from cosim.refinement.search.hypotheses import Attribution
-from cosim.subject.candidates import Candidate
+from cosim.subject.candidates import Candidate, Free
 
 SHARES = 3  # groups of rows with equal information, of which the first and the last are compared
 VARIES = 0.1  # difference of both estimates, relative to the change from the model's value, from which it counts
@@ -49,8 +49,10 @@ def check_constancy(search: Search, a: Attribution, claims: Claims) -> Claims:
     error that varies is at least the most similar one of the catalogue.
     """
     problem, h, parts = search.problem, claims.claimed, claims.claimed_candidates
-    varying = varying_parameters(problem, h.fit, parts) if h and parts and not problem.table else {}
-    if h is None or not varying:
+    if h is None or problem.table:
+        return claims
+    varying = varying_parameters(problem, h.fit, parts)
+    if not varying:
         return claims
     first = min(varying.values(), key=lambda c: c.chance)
     doubt = Doubt("varying", names=(first.name,), estimates=(first.weak, first.strong))
@@ -58,11 +60,13 @@ def check_constancy(search: Search, a: Attribution, claims: Claims) -> Claims:
     if claims.name == "ambiguous":
         certain = tuple(c for c in parts if c.name not in wrong)
         return replace(claims, certain=certain, grade="part" if certain else "nearest", varying=doubt)
-    rest = fit_of_rest(a, wrong) if wrong else h
+    if not wrong:
+        return replace(claims, grade="part", varying=doubt)
+    rest = fit_of_rest(a, wrong)
     if rest is None:
         return claims.withdraw(doubt)
-    rest = with_intervals(search, rest) if wrong else rest
-    return replace(claims, name=name_of(rest.candidates, search.subject), claimed=rest, grade="part", varying=doubt)
+    name, rest = name_of(rest.candidates, search.subject), with_intervals(search, rest)
+    return replace(claims, name=name, claimed=rest, grade="part", varying=doubt)
 
 
 def varying_parameters(problem: Problem, f: Fit, parts: Sequence[Candidate]) -> dict[str, Constancy]:
@@ -70,23 +74,24 @@ def varying_parameters(problem: Problem, f: Fit, parts: Sequence[Candidate]) -> 
 
     Only parameters with a value without effect, or of the model, are judged; the shape of a term is not.
     """
-    start = {x.name: x.neutral if x.neutral is not None else problem.values[x.name] for c in parts for x in c.free}
-    judged = [(c, x) for c in parts for x in c.free if x.neutral is not None or c.kind == "parameter"]
-    judged = [(c, x) for c, x in judged if not (x.group or f.is_flat(x.name))]
+    judged = [(c, x) for c in parts for x in c.free if _is_judged(c, x) and not f.is_flat(x.name)]
     if not judged:
         return {}
     at_fit = slopes(problem, f)
     block = blocks_of(problem, at_fit.scored, math.exp(f.noise.memory))
     places = {x.name: k for k, x in enumerate(f.free)}
-    found = dict[str, Constancy]()
+    found: list[tuple[str, Constancy]] = []
     for c, x in judged:
-        value = f.values[x.name]
-        tested = constancy(x.name, at_fit, block, places[x.name], value)
-        is_beyond_chance = tested.chance < BY_CHANCE / len(judged)
-        matters = abs(tested.strong - tested.weak) > VARIES * abs(value - start[x.name])
-        if is_beyond_chance and matters and tested.chance < (found[c.name].chance if c.name in found else 1.0):
-            found[c.name] = tested
-    return found
+        tested = constancy(x.name, at_fit, block, places[x.name], f.values[x.name])
+        change = f.values[x.name] - (problem.values[x.name] if x.neutral is None else x.neutral)
+        if tested.chance < BY_CHANCE / len(judged) and abs(tested.strong - tested.weak) > VARIES * abs(change):
+            found.append((c.name, tested))
+    return dict(sorted(found, key=lambda entry: -entry[1].chance))  # the least probable of a candidate is the last
+
+
+def _is_judged(c: Candidate, x: Free) -> bool:
+    """Return True for a size or a base parameter that all logs share, not for the shape of a term."""
+    return not x.group and (x.neutral is not None or c.kind == "parameter")
 
 
 def constancy(name: str, at_fit: Slopes, block: Rows, k: int, value: float) -> Constancy:

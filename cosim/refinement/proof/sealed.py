@@ -94,18 +94,21 @@ def sealed_improvement(
         candidates = h.candidates
     baseline = baseline_of(candidates)
     given, before, after = (_finite(rmse(sealed[variant])) for variant in ("before", baseline, name))
-    if sum(before[n] > given[n] for n in before if n in given) > 0.5 * len(before):
+    if _is_worse_in_most(before, given):
         if name == "after":
             return None
         baseline, before = "before", given
-    remaining = _remaining_shares(before, after, floor)
-    is_excess = bool(remaining)
-    if name == "nearest" and not is_excess:
-        remaining = _remaining_shares(before, after, {})
-    if not remaining:
+    excess = _remaining_shares(before, after, floor)
+    remaining = excess or _remaining_shares(before, after, {})
+    if not remaining or (name == "after" and not excess):
         return None
     falls, rises = (find_rises(*pair) for pair in ((sealed[name], sealed[baseline]), (sealed[baseline], sealed[name])))
-    return Improvement(remaining, baseline, is_excess=is_excess, is_clear=bool(falls) and not rises)
+    return Improvement(remaining, baseline, is_excess=bool(excess), is_clear=bool(falls) and not rises)
+
+
+def _is_worse_in_most(error: Mapping[str, float], other: Mapping[str, float]) -> bool:
+    """Return True if an error is above another one in most channels."""
+    return sum(size > other[n] for n, size in error.items() if n in other) > 0.5 * len(error)
 
 
 def _remaining_shares(
