@@ -524,3 +524,25 @@ def test_a_refused_part_that_gains_far_more_than_chance_is_no_disturbance() -> N
     assert (claims.name, claims.rivals) == ("unexplained", ("stribeck",))
     assert "far more than chance would, but stribeck.softness is at its limit" in sentence(claims, CRAFT)
     assert judged(attribution(nothing, ratios=())).name == "no_effect"
+
+
+def test_a_subset_that_halves_the_held_out_error_is_the_answer_if_the_whole_does_not(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    whole, friction, drag, mass = (
+        replace(fitted(*names, score=score), ended=True)
+        for names, score in (((FRICTION, DRAG), -200.0), ((FRICTION,), -150.0), ((DRAG,), -160.0), (("mass",), -190.0))
+    )
+    halved = {(FRICTION,): (0.3, 0.5), (DRAG,): (0.2, 1.1)}  # drag makes a log worse
+    monkeypatch.setattr(judgement, "_error_ratios", lambda search, h, base, noise: halved.get(h.names, (0.1, 0.1)))
+    monkeypatch.setattr(judgement, "noise_gain", lambda problem, f: (0.0,))
+    monkeypatch.setattr(judgement, "with_intervals", lambda search, h: h)
+    search = SimpleNamespace(problem=None, tried={h.names: h for h in (whole, friction, drag, mass)})
+    subset = judgement.halving_subset(cast(Any, search), attribution(whole, ratios=(0.7, 0.8)))
+    assert subset is not None
+    assert (subset.best.names, subset.error_ratios) == ((FRICTION,), (0.3, 0.5))
+    assert DRAG in subset.reasons[whole.names]
+    claims = judged(subset, move=0.3)
+    assert (claims.name, claims.grade) == ("effect_found", "part")
+    del search.tried[FRICTION,]
+    assert judgement.halving_subset(cast(Any, search), attribution(whole, ratios=(0.7, 0.8))) is None

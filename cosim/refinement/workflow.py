@@ -38,7 +38,7 @@ from cosim.refinement.decision.evidence import (
     steadiness,
     with_intervals,
 )
-from cosim.refinement.decision.judgement import BETTER, decide
+from cosim.refinement.decision.judgement import BETTER, decide, halving_subset
 from cosim.refinement.decision.sentences import floor_warning
 from cosim.refinement.decision.trust import attribute
 from cosim.refinement.proof.agreement import compare_with_predictions
@@ -128,8 +128,7 @@ def refine(
     subject = study.subject
     result = attribute(subject, problem, _candidates(study), limited)
     limited("weighing what was found", 0.0)
-    attribution = decide(result)
-    claims = _judge(study, attribution, result, limited)
+    attribution, claims = _judge(study, decide(result), result, limited)
     claims = _add_nearest(study, claims, result, attribution, problem, limited)
     between = between_rows(result.search.problem, attribution.base)
     noise = log_noise(attribution.best.fit.noise, result.free_noise)
@@ -262,8 +261,21 @@ def _candidates(study: Study) -> list[Candidate]:
     return [c for c in candidates if c.name not in unread]
 
 
-def _judge(study: Study, a: Attribution, result: SearchResult, progress: Progress) -> Claims:
-    """Return the claims, judged with unnamed terms beside the best hypothesis and checked by replays."""
+def _judge(study: Study, a: Attribution, result: SearchResult, progress: Progress) -> tuple[Attribution, Claims]:
+    """Return the claims; if they are withdrawn, those of a subset that halves the held-out error, as a part."""
+    claims = _judge_best(study, a, result, progress)
+    subset = halving_subset(result.search, a) if claims.claimed is None else None
+    if subset is None:
+        return a, claims
+    partial = _judge_best(study, subset, result, progress)
+    if partial.claimed is None:
+        return a, claims
+    beside = tuple(sorted(set(a.best.names) - set(subset.best.names)))
+    return subset, replace(partial, grade="part", beside=beside)
+
+
+def _judge_best(study: Study, a: Attribution, result: SearchResult, progress: Progress) -> Claims:
+    """Return the claims of the best hypothesis, judged beside unnamed terms and checked by replays."""
     subject, search = study.subject, result.search
     progress("looking for what has no name", 0.0)
     bare = build_problem(subject, study.logs, True, study.content.noise, study.settings)

@@ -161,6 +161,7 @@ class Claims:
         disturbed: State whose unknown input is no small disturbance beside the claim.
         replaced: Parts of the best hypothesis that an unnamed term replaces.
         disagreeing: Parts of the best hypothesis for which a fit to predictions gives other values.
+        beside: Parts of the best hypothesis that do not halve the held-out error, as those of the claim do.
         alike: Groups of names that act alike for every input, the first of them from the best hypothesis or a rival.
         others: Rivals of an ambiguous verdict besides the claimed hypothesis.
         varying: Parameter of the best hypothesis that varies with its own effect.
@@ -200,6 +201,7 @@ class Claims:
     disturbed: str = ""
     replaced: tuple[str, ...] = ()
     disagreeing: tuple[str, ...] = ()
+    beside: tuple[str, ...] = ()
     alike: tuple[tuple[str, ...], ...] = ()
     others: tuple[Hypothesis, ...] = ()
     varying: Doubt | None = None
@@ -320,7 +322,7 @@ def _judge_claim(
     gained = a.base.score - a.best.score
     disputed = _disputed_parts(a, leftover)
     certain = fit_of_rest(a, disputed) if disputed else a.best
-    halves = a.halves_error and any(c.kind != "parameter" for c in a.best.candidates)
+    halves = a.halves_error and not a.best.is_of_parameters
     if certain is None and halves:
         certain = a.best
     if (large and not halves) or certain is None:

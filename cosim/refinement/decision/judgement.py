@@ -70,6 +70,28 @@ def decide(result: SearchResult) -> Attribution:
     return Attribution(base, unfitted, tried, best, rivals, *evidence, plain)
 
 
+def halving_subset(search: Search, a: Attribution) -> Attribution | None:
+    """Return the attribution with the smallest fitted subset of the best hypothesis that halves the held-out error.
+
+    Parts that together predict other logs badly say nothing against one of them. A subset has an effect or a sensor
+    error; the best of equally many parts is taken.
+    """
+    within = [h for h in settled(search.tried.values(), a.base.score) if a.best.extends(h) and not h.is_of_parameters]
+    for h in sorted(within, key=lambda h: (len(h.candidates), h.score)):
+        noise = noise_gain(search.problem, h.fit)
+        ratios = _error_ratios(search, h, a.base, noise)
+        if are_halved(ratios):
+            alone = (
+                f"without {join_names(sorted(set(a.best.names) - set(h.names)))}, the error of held-out logs is halved"
+            )
+            reasons = {**a.reasons, a.best.names: alone}
+            found = replace(
+                a, best=with_intervals(search, h), rivals=(), noise_gain=noise, reasons=reasons, fuller=None
+            )
+            return replace(found, error_ratios=ratios, alike={})
+    return None
+
+
 def _error_ratios(search: Search, best: Hypothesis, base: Hypothesis, noise: Sequence[float]) -> tuple[float, ...]:
     """Return the ratios of errors on held-out logs, by the filter's fits or, beside unknown inputs, to predictions."""
     ratios = error_ratios(search, best, base, to_predictions=False)

@@ -91,7 +91,7 @@ def nearest_improvement_text(i: Improvement, nearest: Nearest) -> str:
 
 
 def improvement_text(i: Improvement, names: Sequence[str] = (), whole: str = "The claim") -> str:
-    """Return a sentence on the share of squared error above the noise floor on sealed logs that a claim explains.
+    """Return a sentence on the share of squared error on sealed logs that a claim explains.
 
     Args:
         names: Claimed candidates, at most three of which are named.
@@ -101,7 +101,8 @@ def improvement_text(i: Improvement, names: Sequence[str] = (), whole: str = "Th
     if not share < 1.0:
         return ""
     worst = f", mostly in {i.worst}" if i.worst else ""
-    error = f"the squared error above the noise floor that the {REFERENCES[i.baseline]} model has"
+    above = " above the noise floor" if i.is_excess else ""
+    error = f"the squared error{above} that the {REFERENCES[i.baseline]} model has"
     is_named = 0 < len(names) <= MOST_NAMED
     verb = "explain" if is_named and len(names) > 1 else "explains"
     who = join_names(names) if is_named else whole
@@ -140,15 +141,24 @@ def _share_texts(c: Claims, units: Mapping[str, str]) -> Iterator[str]:
         yield f"{IN_PART}: on sealed logs replays keep {kept} of the excess error of {c.part.channel}."
     elif c.part is not None:
         yield part_text(c.misfit, f"replays keep {percent(c.part.share)} of the excess error of {c.part.channel}")
+    if incomplete := [*_incomplete_texts(c, units)]:
+        yield f"{IN_PART}: {'; '.join(incomplete)}."
+    if c.varying is not None and not c.claimed_candidates:
+        yield doubt_text(c.varying, units)
+
+
+def _incomplete_texts(c: Claims, units: Mapping[str, str]) -> Iterator[str]:
+    """Yield phrases on what shows that a claim is not all that is missing."""
     if c.disturbed:
-        disturbance = f"an unknown input of {percent(c.moves[c.disturbed])} of the derivative of {c.disturbed}"
-        yield f"{IN_PART}: {disturbance} remains."
+        yield f"an unknown input of {percent(c.moves[c.disturbed])} of the derivative of {c.disturbed} remains"
     elif c.replaced and c.claimed is not None:
-        yield f"{IN_PART}: a term without a name may take the place of {join_names(c.replaced)}."
+        yield f"a term without a name may take the place of {join_names(c.replaced)}"
     if c.disagreeing and c.claimed is not None:
-        yield f"{IN_PART}: {_other_values_text(c.disagreeing)}."
-    if c.varying is not None:
-        yield f"{IN_PART}: {_varying_text(c.varying, units)}." if c.claimed_candidates else doubt_text(c.varying, units)
+        yield _other_values_text(c.disagreeing)
+    if c.beside and c.claimed is not None:
+        yield f"beside it, {_counted_names(c.beside, 'candidate')} could not be confirmed"
+    if c.varying is not None and c.claimed_candidates:
+        yield _varying_text(c.varying, units)
 
 
 def _remark_texts(c: Claims, subject: Subject) -> Iterator[str]:

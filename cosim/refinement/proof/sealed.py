@@ -79,8 +79,8 @@ def sealed_improvement(
     """Return the share of the squared error on sealed logs that remains with the claim, or else with the nearest model.
 
     It is the error above the noise floor. If no channel has twice its floor, which may include what is missing, the
-    whole error of the nearest model counts. The given model is the reference of the nearest model, if recalibration
-    alone makes most channels worse; a claim then has none.
+    whole error counts, but not for a complete claim. The given model is the reference of the nearest model, if
+    recalibration alone makes most channels worse; a claim then has none.
 
     Args:
         sealed: Variant → replays of the sealed logs.
@@ -100,7 +100,7 @@ def sealed_improvement(
         baseline, before = "before", given
     excess = _remaining_shares(before, after, floor)
     remaining = excess or _remaining_shares(before, after, {})
-    if not remaining or (name == "after" and not excess):
+    if not remaining or (claims.grade == "claimed" and not excess):
         return None
     falls, rises = (find_rises(*pair) for pair in ((sealed[name], sealed[baseline]), (sealed[baseline], sealed[name])))
     return Improvement(remaining, baseline, is_excess=bool(excess), is_clear=bool(falls) and not rises)

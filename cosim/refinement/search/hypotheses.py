@@ -37,6 +37,11 @@ class Hypothesis:
         """Return True if all candidates are sensor errors."""
         return {c.kind for c in self.candidates} == {"sensor"}
 
+    @property
+    def is_of_parameters(self) -> bool:
+        """Return True if no candidate is an effect or a sensor error."""
+        return {c.kind for c in self.candidates} <= {"parameter"}
+
     def extends(self, other: Hypothesis) -> bool:
         """Return True if this hypothesis contains all parts of the other, and more."""
         return set(self.names) > set(other.names)
