@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,7 +22,7 @@ from cosim.estimation.problem import Problem
 from cosim.estimation.sensor_noise import first_noise, sensor_noise
 from cosim.experiment.excite import excite
 from cosim.experiment.question import ask
-from cosim.kernel.remote_kernel import RemoteLibraryKernel, processor_time
+from cosim.kernel.remote_kernel import LEAST, LONGEST, PATIENCE, RemoteLibraryKernel, processor_time
 from cosim.model import Equations, Model, Namespace, Quantity, Values, parameter
 from cosim.model.model import Number
 from cosim.refinement.record import effects
@@ -195,6 +196,34 @@ def test_a_crash_or_a_hang_costs_one_evaluation(folder: Path, fault: str) -> Non
     assert len(problem.kernel.failures) == 1
     (warning,) = failure_warnings(problem)
     assert warning.startswith("the FMU failed in 1 evaluation, which count as diverged; the first time: ")
+
+
+@pytest.mark.thorough
+def test_a_candidate_with_which_the_fmu_hangs_costs_that_candidate_only(folder: Path, tmp_path: Path) -> None:
+    """It hangs while its resistance is 5 % above the start value, which one candidate tries."""
+    fmu = build(tmp_path / "hangs.fmu", "dc_motor", ways=("model_exchange",), fault="hangs")
+    logs = [Path(shutil.copy(folder / f"dry_{n}.csv", tmp_path)) for n in ("e1", "e2")]
+    names = ["coulomb_at_speed", "resistance", "quadratic_drag_at_speed"]
+    path = write_study(
+        tmp_path, fmu, logs, noise=NOISE, candidates=names, limits={"step": "1 s"}, tolerance={"resistance": 0.5}
+    )
+    record = cosim.refine(path, tmp_path / "out").record
+    assert [e["name"] for e in record["effects"]] == ["coulomb_at_speed"]
+    (said,) = [w for w in record["warnings"] if "which count as diverged" in w]
+    assert "takes longer than" in said
+    fitted = {n for c in record["candidates"] if c["fitted"] for n in c["names"]}
+    assert {"coulomb_at_speed", "quadratic_drag_at_speed"} <= fitted
+
+
+def test_after_a_hang_a_pass_may_take_a_multiple_of_the_longest_that_succeeded(folder: Path) -> None:
+    study = study_of_way(folder, "model_exchange")
+    kernel = problem_of(study).kernel
+    assert isinstance(kernel, RemoteLibraryKernel)
+    assert kernel.limits_of(2).load == 2 * LONGEST
+    kernel.pace = replace(kernel.pace, longest=0.2, has_hung=True)
+    assert kernel.limits_of(2).load == PATIENCE * 0.2
+    kernel.pace = replace(kernel.pace, longest=1e-3)
+    assert kernel.limits_of(2).load == LEAST
 
 
 def test_names_of_the_fmu_are_those_of_study_and_log(tmp_path: Path) -> None:

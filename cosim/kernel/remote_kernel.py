@@ -9,8 +9,10 @@ import time
 from collections import deque
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
 from threading import Lock
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -27,6 +29,7 @@ from cosim.kernel.library_kernel import NAME, LibraryKernel, LibraryOf
 MODULES = ("cosim.kernel.remote_kernel", "fmpy.fmi2")
 MOST_KEPT = 32  # logs that a worker keeps
 LONGEST = 60.0  # default limit of a pass over a log [s]
+PATIENCE, LEAST = 20.0, 1.0  # after a hang, limit relative to the longest pass that succeeded, and least limit [s]
 
 # -- in the worker ----------------------------------------------------------------------------
 
@@ -104,9 +107,11 @@ class _Workers:
             packed = self._pack(arguments, worker.starts, known)
             result, spent = worker.call(call, kernel.number, method, packed, options, watch=watch, doing=OTHER)
             self.spent += spent
+            kernel.pace.longest = max(kernel.pace.longest, spent)
             return result
-        except TimedOut:  # It may sleep, and a fit must end in time all the same.
-            self.spent += time.perf_counter() - begin
+        except TimedOut:
+            self.spent += time.perf_counter() - begin  # It may sleep, and a fit must end in time all the same.
+            kernel.pace.has_hung = True
             raise
         finally:
             self._idle.put((worker, known))
@@ -153,6 +158,14 @@ def processor_time() -> float:
     return time.process_time() + workers.spent
 
 
+@dataclass
+class _Pace:
+    """Longest processor time of a call of an FMU's kernels [s], and whether one has hung."""
+
+    longest: float = 0.0
+    has_hung: bool = False
+
+
 class RemoteLibraryKernel:
     """Kernel of an FMU with terms, in worker processes. A pass in which the FMU fails counts as diverged.
 
@@ -161,16 +174,24 @@ class RemoteLibraryKernel:
     """
 
     _numbers = itertools.count()
+    _paces: ClassVar[dict[Path, _Pace]] = {}  # by FMU: a fit and its repetition have kernels of their own
 
     def __init__(self, generated: Generated, fmu: LibraryOf, parameters: Mapping[str, str]) -> None:
         self.layout, self.number = generated.layout, next(self._numbers)
         self.recipe = generated, fmu._replace(path=fmu.path.resolve()), dict(parameters)
         self.limits = fmu.limits.model_copy(update={"load": fmu.limits.step or fmu.limits.load or LONGEST})
         self.failures: list[SimulationError] = []
+        self.pace = self._paces.setdefault(self.recipe[1].path, _Pace())
 
     def limits_of(self, logs: int) -> Limits:
-        """Return the limits of a call for several logs."""
-        return self.limits.model_copy(update={"load": (self.limits.load or LONGEST) * logs})
+        """Return the limits of a call for several logs.
+
+        An FMU that hung once often hangs at each value beyond a limit, for which a search must not wait each time.
+        """
+        longest = (self.limits.load or LONGEST) * logs
+        if self.pace.has_hung:
+            longest = min(longest, max(LEAST, PATIENCE * self.pace.longest))
+        return self.limits.model_copy(update={"load": longest})
 
     def run(self, data: Data, p: Array, x0: Array, P0: Array, q: Array, r: Array, *, states: bool = False) -> Filtered:
         """Filter one log, as `Kernel.run`."""
@@ -178,16 +199,23 @@ class RemoteLibraryKernel:
             filtered: Filtered = workers.call(self, "run", (data, p, x0, P0, q, r), states=states)
         except SimulationError as error:
             self.failures.append(error)
-            rows = len(data.u) if states else 0
-            shape, count = data.y.shape, len(self.layout.stochastic)
-            nothing = np.full((rows, len(self.layout.states)), np.nan), np.full((rows, self.layout.memory), np.nan)
-            return Filtered(np.full(shape, np.inf), np.ones(shape), *nothing, np.full((rows, count, count), np.nan))
+            return self._diverged(data, states=states)
         return filtered
 
+    def _diverged(self, data: Data, *, states: bool = False) -> Filtered:
+        """Return the outcome of a pass that failed."""
+        rows = len(data.u) if states else 0
+        shape, count = data.y.shape, len(self.layout.stochastic)
+        nothing = np.full((rows, len(self.layout.states)), np.nan), np.full((rows, self.layout.memory), np.nan)
+        return Filtered(np.full(shape, np.inf), np.ones(shape), *nothing, np.full((rows, count, count), np.nan))
+
     def run_all(self, inputs: Sequence[Inputs]) -> Sequence[Filtered]:
-        """Filter several logs, one after the other if the FMU fails."""
+        """Filter several logs; one after the other if the FMU fails, none if it hangs."""
         try:
             filtered: Sequence[Filtered] = workers.call(self, "run_all", [*inputs])
+        except TimedOut as error:
+            self.failures.append(error)
+            return [self._diverged(data) for data, *_ in inputs]
         except SimulationError:
             return [self.run(*each) for each in inputs]
         return filtered
