@@ -105,8 +105,8 @@ def test_a_period_is_varied_only_if_the_term_may_be_fitted(
     monkeypatch: pytest.MonkeyPatch, amplitude: float, varied: bool
 ) -> None:
     """The truth lies between two usual periods, half a cycle over the travel from one, and no line shows it."""
-    q, true = np.linspace(0.0, 1.0, 2000), 1.0 / 6.5
-    monkeypatch.setattr(periods, "_along", lambda test, along: ([q], [np.zeros((q.size, 1))]))
+    q, true, sigma = np.linspace(0.0, 1.0, 2000), 1.0 / 6.5, 1e-3
+    monkeypatch.setattr(periods, "_along", lambda test, along: ([q], sigma, [np.zeros((q.size, 1))]))
     monkeypatch.setattr(periods, "_by_row", lambda test, numbers: [numbers[:, None]])
     names, asked = ("cogging.sine", "cogging.cosine", "cogging.period"), set[float]()
     residual = amplitude * np.sin(2.0 * math.pi * q / true) / math.sqrt(q.size) * 5.0
@@ -127,7 +127,8 @@ def test_a_period_is_varied_only_if_the_term_may_be_fitted(
     test: Any = SimpleNamespace(values={names[2]: 0.25}, row=row, gain=gain)
     (chosen,), found = periods.with_likely_periods(test, [cogging], (), lambda c: 10.0)
     assert (len(asked) > 6) == varied
-    assert chosen.among == 2000  # periods that the travel tells apart
+    assert chosen.among == round(1.0 / (2.0 * math.pi * sigma))  # periods that travel and sensor tell apart
+    assert chosen.free[2].low == 2.0 * math.pi * sigma
     assert chosen.starts == ({**starts[0], names[2]: found[names[2]]},)  # the scan has compared the others
     assert (abs(1.0 / found[names[2]] - 6.5) < 0.3) == varied
 

@@ -296,9 +296,9 @@ def _judge_best(study: Study, a: Attribution, result: SearchResult, progress: Pr
         claims = replace(claims, claimed=with_intervals(search, claims.claimed))
     if claims.claimed is not None:
         progress("fitting predictions over the horizon", 0.0)
-        claims = check_constancy(search, a, compare_with_predictions(search, a, claims))
+        claims = compare_with_predictions(search, a, claims)
     progress("replaying with the claim and without", 0.0)
-    claims = check_with_replays(study, a, claims, result, problem)
+    claims = check_constancy(search, a, check_with_replays(study, a, claims, result, problem))
     return add_dependence(claims, a, problem, subject) if subject.static else claims
 
 

@@ -373,7 +373,8 @@ def _fit_without_each(search: Search, h: Hypothesis) -> dict[str, Hypothesis]:
 def _support(search: Search, better: Hypothesis, worse: Hypothesis) -> Support:
     gain = worse.fit.objective - better.fit.objective
     steady = steadiness(search.problem, better.fit, worse.fit)
-    if gain > PLAIN and steady > PLAINLY:
+    is_chosen = any(c.repeats for c in better.candidates if c.name not in worse.names)
+    if gain > PLAIN and steady > PLAINLY and not is_chosen:  # one of many periods may fit whatever is missing
         return Support(gain, steady)
     held_out, predicted = held_out_gains(search, better, worse)
     if predicted < WORSE and has_predictions(search):  # A filter's fit of few logs may explain motion by noise.

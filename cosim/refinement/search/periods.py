@@ -23,6 +23,7 @@ from cosim.estimation.screen import SHARE, ScoreTest
 from cosim.kernel.kernel import DEVIATION
 from cosim.subject.candidates import Candidate, Free
 
+RADIAN = 2.0 * math.pi  # standard deviations of a position in the shortest period: one radian of its phase
 LINES = 3  # strongest lines that a score test compares
 LASTING = 100  # rows over which the innovations answer a force
 PROBES = (4.0, 12.0, 36.0)  # periods of the forces that show the response, in distances from row to row
@@ -53,7 +54,8 @@ def _with_period(test: ScoreTest, c: Candidate, required: Callable[[Candidate], 
     name, along = c.repeats
     (period,) = (f for f in c.free if f.name == name)
     sizes = [f for f in c.free if f.neutral is not None]
-    positions, answers = _along(test, along)
+    positions, sigma, answers = _along(test, along)
+    period = replace(period, low=min(max(period.low, RADIAN * sigma), period.high))
     travel = float(np.ptp(np.concatenate(positions)))
     if not (travel > 0.0 and math.isfinite(travel)):
         return c
@@ -76,7 +78,7 @@ def _with_period(test: ScoreTest, c: Candidate, required: Callable[[Candidate], 
         best = _climbed(gain, best, most, period, travel)
     test.values[name] = best
     size = best**2 / (2.0 * math.pi * travel)  # moves the phase over the travel by 1
-    free = tuple(replace(f, size=size) if f.name == name else f for f in c.free)
+    free = tuple(replace(period, size=size) if f.name == name else f for f in c.free)
     return replace(c, free=free, among=among, starts=({**c.starts[0], name: best},))
 
 
@@ -101,13 +103,22 @@ def _best(gain: Callable[[float], float], periods: Sequence[float]) -> tuple[flo
     return max(zip(periods, gains, strict=True), key=lambda pair: pair[1])
 
 
-def _along(test: ScoreTest, name: str) -> tuple[list[Array], list[Array]]:
-    """Return the positions in the middle of the rows of each log, and the normalised innovations at their ends."""
-    problem, states = test.problem, test.problem.layout.states
-    places = [states.index(n) for n in (name, DEVIATION + name) if n in states]
+def _along(test: ScoreTest, name: str) -> tuple[list[Array], float, list[Array]]:
+    """Return the positions in the middle of the rows of each log, and the normalised innovations at their ends.
+
+    Between them stands the standard deviation of the position: that of its sensor, or of the filtered state if larger.
+    Along a finer force, the filter does not know the phase, and its slopes only stand for process noise.
+    """
+    problem, layout = test.problem, test.problem.layout
+    places = [layout.states.index(n) for n in (name, DEVIATION + name) if n in layout.states]
     runs = [problem.run(test.values, test.noise, k, states=True) for k in range(len(problem.logs))]
     at = [run.states[:, places].sum(axis=1) for run in runs]
-    return [0.5 * (q[:-1] + q[1:]) for q in at], _by_row(test, test.residual)
+    own = [k for k, place in enumerate(layout.stochastic) if place in places]
+    known = [run.covariances[:, own][:, :, own] for run in runs if run.covariances is not None]
+    variances = [np.median(np.concatenate(known).sum(axis=(1, 2)))] if known and own else []
+    variances += [np.exp(test.noise.sensors[layout.outputs.index(name)])] if name in layout.outputs else []
+    sigma = math.sqrt(max(0.0, *map(float, variances))) if variances else 0.0
+    return [0.5 * (q[:-1] + q[1:]) for q in at], sigma, _by_row(test, test.residual)
 
 
 def _by_row(test: ScoreTest, numbers: Array) -> list[Array]:
