@@ -42,7 +42,7 @@ UNKNOWN = "by hand, origin unknown"
 ORIGIN = {  # by module and name; what is not here was set by hand, and nobody wrote down why
     "refinement.search.fits.ENTRY": "by hand, beside half of BIC and the logarithm of the number on trial",
     "refinement.search.input_hold.LIKELIER": "Kass and Raftery 1995: 'very strong' evidence",
-    "refinement.decision.equivalence.NIL": "between twins (5e-5 is left) and the nearest pair of others (3e-2), enlarged",
+    "refinement.decision.equivalence.NIL": "between twins (5e-5 left) and the nearest other pair (3e-2), enlarged",
     "refinement.decision.constancy.VARIES": "chosen before the first study with this test",
     "refinement.search.hypotheses.MAX_HALVED_RATIO": "what is asked of refine: half the held-out error",
     "refinement.decision.judgement.SIGNIFICANT": "convention: three standard deviations",
