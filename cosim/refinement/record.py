@@ -479,7 +479,7 @@ def ranking(a: Attribution, claims: Claims) -> list[CandidateEntry]:
 
 
 def _reason(a: Attribution, h: Hypothesis, claims: Claims) -> str:
-    """Return why a hypothesis lost: what the verdict says of it, or else what was found against it."""
+    """Return the reason against a hypothesis, by the verdict or else by the search."""
     is_first = claims.claimed is not None and h.names == claims.claimed.names
     if TOGETHER.join(h.names) in claims.disputed:
         return f"a rival: {'fits best, by little' if is_first else 'the logs do not decide against it'}"

@@ -348,7 +348,7 @@ class Overflow(RateTerm):
 
 INPUT_TERMS = (InputBias, InputGain, DeadBand, Saturation, RateLimit, Play, InputLag, SecondOrderLag)
 FORCES = (Coulomb, Stribeck, Viscous, QuadraticDrag, CubicSpring, Cogging)
-OF_SPRINGS, OF_CONNECTIONS = (CubicSpring, Gap), (Coulomb, QuadraticDrag)  # its linear force has a parameter
+OF_SPRINGS, OF_CONNECTIONS = (CubicSpring, Gap), (Coulomb, QuadraticDrag)  # linear forces are parameters of the FMU
 RATE_TERMS = (Leak, Overflow)
 
 

@@ -19,7 +19,7 @@ from cosim.base.arrays import Array, Rows
 from cosim.estimation.fit import Fit, Slopes, inverse, slopes
 from cosim.estimation.problem import Problem
 from cosim.refinement.decision.claims import Claims, Doubt, fit_of_rest, name_of
-from cosim.refinement.decision.evidence import BY_CHANCE, blocks_of, with_intervals
+from cosim.refinement.decision.evidence import BY_CHANCE, blocks_of, sum_by_block, with_intervals
 from cosim.refinement.search.fits import Search
 from cosim.refinement.search.hypotheses import Attribution
 from cosim.subject.candidates import Candidate, Free
@@ -70,7 +70,7 @@ def check_constancy(search: Search, a: Attribution, claims: Claims) -> Claims:
 
 
 def varying_parameters(problem: Problem, f: Fit, parts: Sequence[Candidate]) -> dict[str, Constancy]:
-    """Return candidate → its parameter with the least probable trend, for trends beyond chance that matter.
+    """Return candidate → its parameter with the least probable trend, for significant trends above VARIES.
 
     Only parameters with a value without effect, or of the model, are judged; the shape of a term is not.
     """
@@ -104,7 +104,7 @@ def constancy(name: str, at_fit: Slopes, block: Rows, k: int, value: float) -> C
     variances = at_fit.scored.variances
     information = error**2 / variances + 0.5 * log_variance**2
     order = _order(at_fit, k, information)
-    by_block = np.bincount(block, gradient * (order - 0.5))[np.bincount(block) > 0]
+    by_block = sum_by_block(block, gradient * (order - 0.5))
     scatter = float(np.std(by_block, ddof=1)) * math.sqrt(by_block.size)
     deviations = abs(float(by_block.sum())) / scatter if scatter > 0.0 else 0.0
     group = np.minimum((order * SHARES).astype(int), SHARES - 1)

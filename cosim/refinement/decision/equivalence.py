@@ -33,7 +33,7 @@ SEED = 26  # fixed for reproducible results
 def split_alike(
     search: Search, best: Hypothesis, rivals: Sequence[Hypothesis]
 ) -> tuple[tuple[Hypothesis, ...], dict[tuple[str, ...], Hypothesis]]:
-    """Return the rivals that act alone, and names of each other one → best hypothesis or rival that it acts like."""
+    """Return the distinct rivals, and for the other ones their names → distinct hypothesis with the same action."""
     apart, like = [best], dict[tuple[str, ...], Hypothesis]()
     for h in rivals:
         other = next((other for other in apart if act_alike(search, other, h)), None)

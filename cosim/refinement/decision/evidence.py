@@ -121,7 +121,7 @@ def deviations_from(block: Rows, worse: Scored, better: Scored, constant: float 
 
 def _chance(block: Rows, worse: Scored, better: Scored) -> float:
     """Return the scatter of a gain about the gain that the better fit expects."""
-    gains = _by_block(block, _terms(worse) - _terms(better))
+    gains = sum_by_block(block, _terms(worse) - _terms(better))
     expected = _divergences(block, better, worse)
     share = expected / (np.sum(expected) or 1.0)
     chance = (gains - expected) / np.maximum(1.0 - share, np.finfo(float).eps)
@@ -133,7 +133,7 @@ def _divergences(block: Rows, true: Scored, other: Scored) -> Array:
     moved, ratio = other.errors - true.errors, true.variances / other.variances
     with np.errstate(over="ignore", invalid="ignore"):
         divergence = 0.5 * (ratio - 1.0 - np.log(ratio) + moved**2 / other.variances)
-    return _by_block(block, np.nan_to_num(divergence, nan=0.0, posinf=0.0))
+    return sum_by_block(block, np.nan_to_num(divergence, nan=0.0, posinf=0.0))
 
 
 def _terms(scored: Scored) -> Array:
@@ -141,14 +141,14 @@ def _terms(scored: Scored) -> Array:
     return np.nan_to_num(scored.terms, nan=DIVERGED, posinf=DIVERGED)
 
 
-def _by_block(block: Rows, numbers: Array) -> Array:
+def sum_by_block(block: Rows, numbers: Array) -> Array:
     """Return the sums over the blocks that contain a measurement."""
     return np.bincount(block, numbers).astype(np.float64)[np.bincount(block) > 0]
 
 
 def gain_per_scatter(block: Rows, worse: Scored, better: Scored, constant: float) -> float:
     """Return a likelihood gain per scatter over time blocks, for hypotheses of which none contains the other."""
-    return sum_per_scatter(_by_block(block, _terms(worse) - _terms(better)), constant)
+    return sum_per_scatter(sum_by_block(block, _terms(worse) - _terms(better)), constant)
 
 
 def sum_per_scatter(gains: Array, constant: float = 0.0) -> float:

@@ -148,7 +148,7 @@ def _share_texts(c: Claims, units: Mapping[str, str]) -> Iterator[str]:
 
 
 def _incomplete_texts(c: Claims, units: Mapping[str, str]) -> Iterator[str]:
-    """Yield phrases on what shows that a claim is not all that is missing."""
+    """Yield phrases on the signs of an incomplete claim."""
     if c.disturbed:
         yield f"an unknown input of {percent(c.moves[c.disturbed])} of the derivative of {c.disturbed} remains"
     elif c.replaced and c.claimed is not None:
