@@ -17,6 +17,8 @@ from cosim.blocks.derivatives import DifferentiableFmu, reals, scalars
 from cosim.probing.log_runs import SAME, Course, Fmu, Run, simulate
 
 POINTS = 40  # points over all logs
+PLACES = 12  # points at which parameters are tried
+CONSTANT = 1e-3  # relative change over the points, up to which a ratio is one of inertias, and a direction constant
 SMALL, LARGE = 1e-4, 0.5  # displacements relative to the spread
 STARTS = 6  # displaced starts to find the states that outputs show
 

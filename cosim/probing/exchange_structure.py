@@ -13,7 +13,10 @@ from cosim.base.arrays import Array, Flags
 from cosim.base.errors import FmuError, InputError, SimulationError
 from cosim.blocks.derivatives import states_of
 from cosim.probing import messages
+from cosim.probing.damping_trials import dampings
 from cosim.probing.exchange_points import (
+    CONSTANT,
+    PLACES,
     POINTS,
     Points,
     StartPoint,
@@ -29,8 +32,6 @@ from cosim.probing.parameter_trials import tried_parameters
 from cosim.probing.prober import Prober, no_flags, quantities, separate_pairs
 
 RATE_SHARE = 1e-6  # eigenvalue relative to the largest, below which it is zero
-PLACES = 12  # points at which parameters are tried
-CONSTANT = 1e-3  # relative change of a ratio over the points, up to which it is one of inertias
 STEADY = 1e-2  # share of a value that displaces an unmoved state or input
 
 
@@ -53,6 +54,10 @@ def exchange_structure(prober: Prober, courses: Sequence[Course]) -> Structure:
     found = equal_columns(known[:, :n], table[:, n:])
     depends = points.depends
     pairs = _pairs(names, known, table, points)
+    has_events = any(run.events.total for run in runs)
+    parameters = _parameters(prober, courses[0], firsts[0], points, has_events)
+    is_single = bool(getattr(prober.description.modelExchange, "canBeInstantiatedOnlyOncePerProcess", False))
+    braking = dampings(prober, courses[0], points, pairs, parameters)
     largest, slowest = _rates([s[:n, :n] for s in points.slopes])
     return Structure(
         fmu=prober.path,
@@ -73,7 +78,8 @@ def exchange_structure(prober: Prober, courses: Sequence[Course]) -> Structure:
         scales=scales,
         step=min(course.step for course in courses),
         events=tuple(run.events for run in runs),
-        parameters=_parameters(prober, courses[0], firsts[0], points, any(run.events.total for run in runs)),
+        parameters=parameters,
+        dampings=tuple(replace(damping, in_step=not has_events and not is_single) for damping in braking),
         stops=tuple(str(run.stop) for run in runs if run.stop),
     )
 

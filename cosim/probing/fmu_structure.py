@@ -64,6 +64,33 @@ class Connection:
 
 
 @dataclass(frozen=True)
+class Damping:
+    """A settable parameter b that brakes a velocity v: f(x; b + δ) − f(x; b) = −δ·v·d(x).
+
+    d(x), the rates per force along v, tells how every force there acts; its unit is that of b times that of v.
+
+    Attributes:
+        parameter: Name of b.
+        gain: Median of d in the rate of v.
+        rates: States with rates that change.
+        is_constant: True if only the rate of v changes, with the same d at all points.
+        port: Input that acts in the direction of d, so that forces come in through it; "" without one.
+        change, speed: Usual values of δ and v.
+        in_step: True if a second instance can be kept in step with the first: no events, and both in one process.
+    """
+
+    pair: Pair
+    parameter: str
+    gain: float
+    rates: tuple[str, ...]
+    is_constant: bool
+    port: str
+    change: float
+    speed: float
+    in_step: bool = True
+
+
+@dataclass(frozen=True)
 class EventCount:
     """Events of an FMU along a log; an input that changes counts as none.
 
@@ -147,6 +174,7 @@ class Structure:
         step: Shortest usual step of the logs [s].
         events: Events along each log, in model exchange.
         connections: In model exchange, springs and dampers between pairs.
+        dampings: In model exchange, the parameter that brakes each pair without an input of its own.
         starts: In co-simulation, start values of states that change an output.
         stops: Reason for each simulation that ended early.
     """
@@ -170,6 +198,7 @@ class Structure:
     events: tuple[EventCount, ...] = ()
     parameters: tuple[ProbedParameter, ...] = ()
     connections: tuple[Connection, ...] = ()
+    dampings: tuple[Damping, ...] = ()
     starts: tuple[StartValue, ...] = ()
     stops: tuple[str, ...] = ()
 
@@ -187,6 +216,11 @@ class Structure:
     def without_port(self) -> tuple[str, ...]:
         """Return velocities that no input changes directly."""
         return tuple(p.velocity for p in self.pairs if not p.ports)
+
+    @property
+    def directions(self) -> tuple[Damping, ...]:
+        """Return the dampings that alone tell how forces act: these change other rates, or not always the same."""
+        return tuple(d for d in self.dampings if not (d.is_constant or d.port))
 
     def shown_as(self, state: str) -> str:
         """Return the output that equals a state, else the state itself."""

@@ -81,3 +81,10 @@ ONLY_EXCHANGE = Template("N-PRB-029", "it has no co-simulation, although {object
 OWN_STEP_TOO_LONG = Template(
     "N-PRB-030", "its co-simulation has steps of its own of {own:.3g} s, above those of the logs, although {objection}"
 )
+
+NOT_IN_STEP = Template(
+    "W-PRB-031",
+    "{parameter} brakes {velocity} and would tell how forces there change the other rates, but a second instance "
+    "cannot be kept in step: events occur, or a process holds one instance only; forces change the rate of {velocity} "
+    "alone",
+)

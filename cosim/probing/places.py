@@ -42,7 +42,9 @@ class Places:
     def findings(self) -> tuple[Message, ...]:
         """Return everything that deviates, with codes."""
         stops = [messages.RUN_ENDS(error=stop) for stop in self.structure.stops]
-        return (*self.behaviour.findings, *stops)
+        apart = [d for d in self.structure.directions if not d.in_step]
+        lost = [messages.NOT_IN_STEP(parameter=d.parameter, velocity=d.pair.velocity) for d in apart]
+        return (*self.behaviour.findings, *lost, *stops)
 
     def as_json(self) -> dict[str, Any]:
         """Return the places as plain data."""
@@ -52,6 +54,7 @@ class Places:
             "reason": {"code": self.reason.code, "text": str(self.reason)},
             "pairs": [asdict(pair) for pair in s.pairs],
             "connections": [asdict(connection) for connection in s.connections],
+            "dampings": [asdict(damping) for damping in s.dampings],
             "storages": [_entry(s.states, name) for name in s.storages],
             "sensors": [{**_entry(s.outputs, q.name), "shows": _shown(s, q.name)} for q in s.outputs],
             "inputs": [_entry(s.inputs, q.name) for q in s.inputs],

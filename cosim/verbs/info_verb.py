@@ -85,6 +85,8 @@ def _places(p: Places) -> list[str]:
     ]
     lines += _titled("connections", ("  position", "and", "spring", "damper"), joined) if joined else []
     states = {q.name: q for q in s.states}
+    braked = [(f"  {d.parameter}", d.pair.velocity, f"{d.gain:.6g}", ", ".join(d.rates)) for d in s.dampings]
+    lines += _titled("dampings", ("  parameter", "velocity", "gain", "changes the rates of"), braked) if braked else []
     storages = [(f"  {name}", states[name].unit, f"{states[name].start:.6g}") for name in s.storages]
     lines += _titled("storages", ("  state", "unit", "start"), storages)
     shows = {output: state for state, output in s.shown.items()}
