@@ -2,7 +2,8 @@
  *
  * Values are kept for a point (t, x, u), since each derivative asks for its own. Slopes are forward differences. */
 static __thread double point[1 + NB + NU], value[NB + NL + 1], slope[(NB + NL + 1) * (NB + 1)];
-static __thread int is_placed, has_rates, has_outputs, has_slopes[2][NB + 1];
+static __thread double direction[(NB + 1) * (NB + 1)];
+static __thread int is_placed, has_rates, has_outputs, has_slopes[2][NB + 1], has_direction[NB + 1];
 
 /* Called before each run, with the instance of this thread. */
 void use_library(const Library *used)
@@ -38,6 +39,7 @@ static void evaluate_library(int of_outputs, double t, const double *x, const do
         memcpy(point + 1 + NB, u, sizeof(double) * NU);
         is_placed = has_rates = has_outputs = 0;
         memset(has_slopes, 0, sizeof has_slopes);
+        memset(has_direction, 0, sizeof has_direction);
     }
     if (of_outputs ? has_outputs : has_rates) return;
     if (!is_placed) status = move_library(t, x, u, p);
@@ -52,14 +54,19 @@ static void evaluate_library(int of_outputs, double t, const double *x, const do
 /* After a substep, at its end. */
 static void complete_library(double t, double *x, const double *u, const double *p)
 {
-    int event = 0, ends = 0, status;
+    int event = 0, ends = 0, status = 0;
     bool event3 = false, ends3 = false;
+    const Library *const first = library, *const both[] = {first->second, first};
     if (library->complete == NULL) return;
-    status = move_library(t, x, u, p);
+    for (int i = first->second == NULL; i < 2 && status <= MOST_STATUS; i++) {
+        library = both[i];
+        status = move_library(t, x, u, p);
+        if (status <= MOST_STATUS)
+            status = library->version == 2 ? ((Complete2)library->complete)(library->instance, 1, &event, &ends)
+                                           : ((Complete3)library->complete)(library->instance, true, &event3, &ends3);
+    }
+    library = first;
     is_placed = 0;
-    if (status <= MOST_STATUS)
-        status = library->version == 2 ? ((Complete2)library->complete)(library->instance, 1, &event, &ends)
-                                       : ((Complete3)library->complete)(library->instance, true, &event3, &ends3);
     point[0] = NAN; /* the library may have changed */
     if (status > MOST_STATUS) x[0] = NAN;
 }
@@ -87,4 +94,31 @@ static double library_slope(int row, int by, double t, const double *x, const do
         has_slopes[of_outputs][by] = 1;
     }
     return slope[row * (NB + 1) + by];
+}
+
+/* Rate per force along direction k, from both instances with the velocity moved to a usual speed and those of the other
+ * directions to 0, so that it is also known at rest. */
+static double library_direction(int k, int row, double t, const double *x, const double *u, const double *p)
+{
+    const Library *const first = library, *const both[] = {first->second, first};
+    if (library->second == NULL) return 0.0; /* no term acts along it */
+    evaluate_library(0, t, x, u, p);         /* so that values are those of this point */
+    if (!has_direction[k]) {
+        double moved[NB + 1], rates[2][NB + 1];
+        int status = 0;
+        memcpy(moved, x, sizeof(double) * NB);
+        for (int j = 0; j < first->directions; j++) moved[first->braked[j]] = j == k ? first->speeds[k] : 0.0;
+        for (int i = 0; i < 2 && status <= MOST_STATUS; i++) {
+            library = both[i];
+            status = move_library(t, moved, u, p);
+            if (status <= MOST_STATUS) status = read_library(0, rates[i]);
+        }
+        library = first;
+        is_placed = 0;
+        const double force = -first->changes[k] * first->speeds[k];
+        for (int i = 0; i < NB; i++)
+            direction[k * (NB + 1) + i] = status > MOST_STATUS ? NAN : (rates[0][i] - rates[1][i]) / force;
+        has_direction[k] = 1;
+    }
+    return direction[k * (NB + 1) + row];
 }

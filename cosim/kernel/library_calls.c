@@ -21,14 +21,17 @@ typedef int (*SetReals3)(void *, const unsigned *, size_t, const double *, size_
 typedef int (*GetReals3)(void *, const unsigned *, size_t, double *, size_t);
 typedef void (*Function)(void);
 
-typedef struct { /* functions of the other interface are NULL */
+typedef struct Library { /* functions of the other interface are NULL */
     void *instance;
     Function set_time, set_states, get_rates;
     Function complete; /* told of each substep; NULL if the FMU needs none */
     Function step, set_reals, get_reals;
     const unsigned *inputs, *outputs;
     const double *steps; /* NB: step of each state for differences */
-    int version;
+    int version, directions;
+    const struct Library *second; /* with changes of the dampings; NULL where no term acts along a direction */
+    const int *braked; /* directions: state, usual speed, and change of the damping */
+    const double *speeds, *changes;
 } Library;
 
 static __thread const Library *library; /* a thread has an instance of its own */

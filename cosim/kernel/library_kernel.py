@@ -24,6 +24,7 @@ from cosim.isolation.limits import Limits
 from cosim.kernel.c_filter import CompiledKernel
 from cosim.kernel.generate import Generated
 from cosim.kernel.kernel import MEMORY, Begin, Data, Filtered, Inputs, Simulated, steps_one_by_one
+from cosim.terms.language import Direction
 
 NAME = "model"  # component name in messages
 RUNS = 16  # kept free runs
@@ -45,6 +46,8 @@ class _Library(ctypes.Structure):
     _fields_ = (
         *((name, ctypes.c_void_p) for name in ("instance", *FUNCTIONS, "inputs", "outputs", "steps")),
         ("version", ctypes.c_int),
+        ("directions", ctypes.c_int),
+        *((name, ctypes.c_void_p) for name in ("second", "braked", "speeds", "changes")),
     )
 
 
@@ -59,6 +62,8 @@ class LibraryOf(NamedTuple):
         starts: In co-simulation: variable of each start state, with its usual size.
         values: Parameter values for the effect of start states on the outputs.
         limits: Limits of a pass over a log; `step` limits its duration.
+        directions: Directions of forces, which need a second instance.
+        neutral: Parameters of the terms that act along directions, with their neutral values.
     """
 
     path: Path
@@ -67,6 +72,8 @@ class LibraryOf(NamedTuple):
     starts: tuple[tuple[str, float], ...] = ()
     values: Mapping[str, float] = MappingProxyType({})
     limits: Limits = NO_LIMITS
+    directions: tuple[Direction, ...] = ()
+    neutral: Mapping[str, float] = MappingProxyType({})
 
 
 class LibraryInstance:
@@ -131,6 +138,7 @@ class LibraryKernel(CompiledKernel):
         self._places = {v: self.layout.parameters.index(n) for n, v in parameters.items()}
         self._own, self._stepped = threading.local(), generated.stepped
         order = self.layout.parameters
+        self._turned = {order.index(n): v for n, v in fmu.neutral.items() if n in order}
         self._along = {order.index(n): v for n, v in self.layout.along.items() if self.layout.positions}
         self._runs: deque[tuple[Any, Simulated]] = deque(maxlen=RUNS)
         self._slopes: deque[tuple[Any, tuple[Array, Array]]] = deque(maxlen=RUNS)
@@ -250,8 +258,29 @@ class LibraryKernel(CompiledKernel):
         values = {name: float(p[k]) for name, k in self._places.items()}
         first = len(x0) - len(self._fmu.starts)
         values |= {name: float(x0[first + k]) for k, (name, _) in enumerate(self._fmu.starts)}
-        prepared = instance.prepare(values, data.start, data.start + len(data.u) * data.step)
+        times = data.start, data.start + len(data.u) * data.step
+        prepared = instance.prepare(values, *times)
+        if any(p[k] != neutral for k, neutral in self._turned.items()):
+            prepared = self._with_second(prepared, values, times)
         self._library.use_library(ctypes.byref(prepared))
+
+    def _with_second(self, first: _Library, values: Mapping[str, float], times: tuple[float, float]) -> _Library:
+        """Return the functions of this thread's instance, with another one of other dampings for the directions."""
+        directions = self._fmu.directions
+        other = {d.parameter: d.changed(values[d.parameter]) for d in directions}
+        second = getattr(self._own, "second", None)
+        if second is None:
+            second = self._own.second = LibraryInstance(self._fmu)
+        both = _Library.from_buffer_copy(first)
+        changes = [other[d.parameter] - values[d.parameter] for d in directions]
+        braked = np.array([d.state for d in directions], np.int32)
+        arrays = {"braked": braked, "speeds": np.array([d.speed for d in directions]), "changes": np.array(changes)}
+        prepared = second.prepare({**values, **other}, *times)
+        both.second, both.directions = ctypes.addressof(prepared), len(directions)
+        for name, array in arrays.items():
+            setattr(both, name, array.ctypes.data)
+        self._own.both = both, prepared, arrays  # C keeps their addresses
+        return both
 
 
 def _asks_past(data: Data) -> bool:

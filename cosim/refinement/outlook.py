@@ -63,7 +63,7 @@ def _plan(study: Study, subject: FmuSubject) -> Iterator[Message]:
 
 def _places(s: Structure) -> Iterator[str]:
     """Yield each kind of place with its names."""
-    velocities = [_force_place(p) for p in s.pairs if p.ports or s.way == "model-exchange"]
+    velocities = [_force_place(s, p) for p in s.pairs if p.ports or s.way == "model-exchange"]
     for text, names in (
         ("at inputs", [q.name for q in s.inputs]),
         ("forces at", velocities),
@@ -76,8 +76,11 @@ def _places(s: Structure) -> Iterator[str]:
             yield f"{text} {join_names(names)}"
 
 
-def _force_place(pair: Pair) -> str:
+def _force_place(s: Structure, pair: Pair) -> str:
     ports = [p.input for p in pair.ports]
+    damping = next((d.parameter for d in s.directions if d.pair == pair and d.in_step), "")
+    if damping:
+        return f"{pair.velocity} (as {damping} acts)"
     return f"{pair.velocity} (through {ports[0]})" if ports else pair.velocity
 
 

@@ -28,6 +28,7 @@ from cosim.kernel.messages import NO_CONSTANTS
 from cosim.loading.file import LoadedModel
 from cosim.loading.refined import SSPS
 from cosim.logs.log import Log
+from cosim.model.quantities import parameters_of
 from cosim.model.traits import Traits
 from cosim.probing.fmu_structure import StartValue, Structure
 from cosim.residuals.remote_drive import MODULES, DriveApart
@@ -144,7 +145,11 @@ class FmuSubject(ModelSubject):
         """Return an FMU for a kernel, with the usual sizes and the start parameters."""
         sizes = [self.structure.scales.get(q.name, 0.0) for q in self.structure.states]
         starts = tuple((s.name, s.size) for s in self.structure.starts)
-        return LibraryOf(fmu, description, sizes, starts, self.values, self.limits)
+        model = self.model
+        assert isinstance(model, FmuModel)
+        turned = [k for k in model.catalogue if issubclass(k, Force) and k.place.direction is not None]
+        neutral = {f"{k.name}.{p.name}": p.neutral for k in turned for p in parameters_of(k) if p.neutral is not None}
+        return LibraryOf(fmu, description, sizes, starts, self.values, self.limits, model.directions, neutral)
 
     def start(self) -> dict[str, float]:
         """Return the start value of each state."""

@@ -13,10 +13,10 @@ import numpy as np
 from cosim.base.units import unit_product
 from cosim.logs.log import Log
 from cosim.model.quantities import Parameter, Quantity
-from cosim.probing.fmu_structure import Connection, Pair, ProbedParameter, Structure
+from cosim.probing.fmu_structure import Connection, Damping, Pair, Port, ProbedParameter, Structure
 from cosim.terms.catalogue import bound_terms, delay_of, sensor_errors
 from cosim.terms.fmu_model import Dependencies, FmuModel, fmu_model
-from cosim.terms.language import Opposite, Place, with_place
+from cosim.terms.language import Direction, Opposite, Place, with_place
 
 HORIZON_ROWS, HORIZON_SHARE = 50, 0.1  # duration of replays: least in rows, and usual share of a log
 LATEST = 20  # longest delay of the inputs, in rows
@@ -107,7 +107,7 @@ class ProbedModel:
 
     def _place_of_pair(self, pair: Pair) -> Place | None:
         """Return the place of forces at a pair; None in co-simulation without a port."""
-        port = next((p for p in (*(p for p in pair.ports if p.is_alone), *pair.ports)), None)
+        port, damping = self._way_of_forces(pair)
         if self.is_stepped and port is None:
             return None
         names, v, q = [s.name for s in self.states], pair.velocity, pair.position
@@ -116,11 +116,38 @@ class ProbedModel:
         sizes = {"u": self.rate(v), "v": self.size(v), "q": self.size(q), "d": travel}
         resolution = RESOLVED * self.rate(v) * self.step
         place = Place(with_place(v), units, sizes, -1, names.index(q), names.index(v), resolution=resolution)
+        if damping is not None:
+            direction = self._direction(damping)
+            units["u"] = unit_product([(self.units[v], 1), (self._parameters[damping.parameter].unit, 1)])
+            sizes["u"] = self.rate(v) / damping.gain
+            return replace(place, direction=direction, is_driven=bool(pair.ports))
         if port is None:
             return place
         units["u"], sizes["u"] = self.units[port.input], self.rate(v) / abs(port.gain)
         inputs = [s.name for s in self.structure.inputs]
         return replace(place, input=inputs.index(port.input), sign=math.copysign(1.0, port.gain))
+
+    def _way_of_forces(self, pair: Pair) -> tuple[Port | None, Damping | None]:
+        """Return the input by which forces come in, or the damping that tells how they act; neither for one rate."""
+        port = next((p for p in (*(p for p in pair.ports if p.is_alone), *pair.ports)), None)
+        damping = next((d for d in self.structure.dampings if d.pair == pair), None)
+        if damping is None or damping.port:
+            return next((p for p in pair.ports if damping and p.input == damping.port), port), None
+        if damping.is_constant:
+            return None, None
+        return (None, damping) if damping.in_step else (port, None)
+
+    @property
+    def _parameters(self) -> dict[str, Quantity]:
+        """Return the parameters of the FMU by name."""
+        return {p.name: p.quantity for p in self.structure.parameters}
+
+    def _direction(self, d: Damping) -> Direction:
+        """Return the direction of forces that a damping tells."""
+        names, (_, high) = [s.name for s in self.structure.states], self._parameters[d.parameter].bounds
+        rates = tuple(names.index(name) for name in d.rates)
+        number, state = self.structure.directions.index(d), names.index(d.pair.velocity)
+        return Direction(number, d.parameter, d.change, high, state, d.speed, rates)
 
     def _place_of_connection(self, c: Connection) -> Place:
         """Return the place of forces between two pairs, in units of the first one's acceleration."""

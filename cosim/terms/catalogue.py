@@ -366,10 +366,12 @@ def _fits(kind: type[Any], place: Place) -> bool:
     """Return whether a term can act at a place."""
     if place.opposite is not None:
         return kind in OF_CONNECTIONS or (kind in OF_SPRINGS and "k" in place.sizes)
+    if kind is Viscous and place.direction is not None:
+        return False  # a linear force again
     if place.position >= 0 and kind is Gap:
         return False
     if place.position >= 0:
-        return issubclass(kind, Force) and (kind is not Offset or place.input < 0)
+        return issubclass(kind, Force) and (kind is not Offset or not (place.is_driven or place.input >= 0))
     return issubclass(kind, RateTerm if place.state >= 0 else InputTerm)
 
 

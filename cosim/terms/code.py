@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from cosim.model.quantities import Parameter
+from cosim.terms.language import Direction
 
 Hook = Literal["shape_all", "port_inputs", "added_rates", "readings"]
 HOOKS: tuple[Hook, ...] = ("shape_all", "port_inputs", "added_rates", "readings")
@@ -36,6 +37,8 @@ class TermCode:
         outputs: Real outputs, y.
         memory: Number of values in the memory m, zero at the start.
         delay: Name of a parameter [s] by which all inputs are delayed before they are shaped.
+        directions: Directions of forces; `library_direction(k, i, t, x, u, p)` in `added_rates` is the rate of state i
+            per force along the k-th, from a second instance of the original.
     """
 
     source: str
@@ -46,3 +49,4 @@ class TermCode:
     memory: int = 0
     hooks: tuple[Hook, ...] = HOOKS
     delay: str = ""
+    directions: tuple[Direction, ...] = ()

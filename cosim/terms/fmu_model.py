@@ -15,7 +15,7 @@ from cosim.base.arrays import Flags
 from cosim.model.model import Effect, Equations, Model, Number, Values, overrides
 from cosim.model.namespaces import Namespace, SymbolNamespace
 from cosim.model.quantities import Parameter, Quantity
-from cosim.terms.language import Force, RateTerm
+from cosim.terms.language import Direction, Force, RateTerm
 
 PARAMETERS = "the equations are those of a library"
 
@@ -96,12 +96,22 @@ class FmuModel(Model):
         for term in self.awake:
             if isinstance(term, Force) and term.place.input < 0:
                 force = term.force(m, *term.place.motion(state))
+                if (direction := term.place.direction) is not None:
+                    for row in direction.rates:
+                        additions[row] += force * library_direction(direction.number, row)(state[term.place.position])
+                    continue
                 additions[term.place.state] += force
                 if (other := term.place.opposite) is not None:
                     additions[other.state] -= other.ratio * force
             elif isinstance(term, RateTerm):
                 additions[term.place.state] += term.rate(m, state[term.place.state])
         return tuple(additions)
+
+    @property
+    def directions(self) -> tuple[Direction, ...]:
+        """Return the directions of the forces in the catalogue, in order."""
+        every = (kind.place.direction for kind in self.catalogue if issubclass(kind, Force))
+        return tuple(sorted({d for d in every if d is not None}, key=lambda d: d.number))
 
     def _arguments(self, m: Namespace, row: int, state: Values, command: Values) -> list[Number]:
         """Return the symbols on which a derivative or output depends, also through forces at ports."""
@@ -153,6 +163,28 @@ def library_slope(row: int, by: Any) -> Any:
 
     LibrarySlope.__name__ = f"library_slope_{row}_{by}"
     return LibrarySlope
+
+
+@cache
+def library_direction(number: int, row: int) -> Any:
+    """Return the symbolic function of a rate per force along a direction.
+
+    Its slopes are left out: in a Jacobian they are products of the added force and the curvature of the inertias.
+    """
+    import sympy
+
+    class LibraryDirection(sympy.Function):  # type: ignore[misc]
+        is_real = True
+        is_costly = True
+
+        def fdiff(self, argindex: int = 1) -> Any:
+            return sympy.Integer(0)
+
+        def _ccode(self, printer: Any) -> str:
+            return f"library_direction({number}, {row}, t, x, u, p)"
+
+    LibraryDirection.__name__ = f"library_direction_{number}_{row}"
+    return LibraryDirection
 
 
 def fmu_model(

@@ -34,6 +34,34 @@ class Opposite:
 
 
 @dataclass(frozen=True)
+class Direction:
+    """Rates per force along a velocity v, from an FMU's own damping b of it: d(x) = −(f(x; b + δ) − f(x; b))/(δ·v).
+
+    Both are evaluated with v at a usual speed, and with 0 for the velocities of other directions.
+
+    Attributes:
+        number: Number of the direction in its model.
+        parameter: Variable b of the FMU.
+        change, high: Change δ, which has the opposite sign where b would exceed its largest value.
+        state: Index of v.
+        speed: Usual speed.
+        rates: Indices of the rates that change.
+    """
+
+    number: int
+    parameter: str
+    change: float
+    high: float
+    state: int
+    speed: float
+    rates: tuple[int, ...]
+
+    def changed(self, value: float) -> float:
+        """Return the other value of the parameter."""
+        return value + self.change if value + self.change <= self.high else value - self.change
+
+
+@dataclass(frozen=True)
 class Place:
     """A place of an FMU where terms can act.
 
@@ -46,6 +74,8 @@ class Place:
         resolution: Least change of the velocity that an integration step resolves, for the transition of friction.
         sign: Sign of the port's effect on the derivative of the velocity.
         opposite: Other end of a connection; a force acts on both, along their relative position and velocity.
+        direction: Rates per force, of a force that does not change the rate of its velocity alone.
+        is_driven: True if an input acts on the velocity, be it through this place or not.
     """
 
     name: str
@@ -58,6 +88,8 @@ class Place:
     sign: float = 1.0
     resolution: float = 0.0
     opposite: Opposite | None = None
+    direction: Direction | None = None
+    is_driven: bool = False
 
     def motion(self, state: Values) -> tuple[Number, Number]:
         """Return position and velocity at a pair, or of the first end of a connection relative to the other."""
@@ -118,7 +150,7 @@ class RememberingTerm(InputTerm):
 
 @dataclass(frozen=True, kw_only=True)
 class Force(Term):
-    """A force at a pair of position and velocity; symbols of `scaled`: u (unit of the port), q and v.
+    """A force at a pair of position and velocity; symbols of `scaled`: u (unit of the port or direction), q and v.
 
     At a connection of two pairs, position and velocity are relative, and k is its stiffness.
 

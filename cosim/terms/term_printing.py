@@ -14,6 +14,7 @@ from cosim.model.symbolic.languages import C, Language, Python
 from cosim.model.symbolic.tracing_guard import number_guard
 from cosim.terms.code import Hook, TermCode
 from cosim.terms.fmu_model import FmuModel
+from cosim.terms.language import Force
 
 STEP = "h"  # last parameter of the functions: length of the substep
 
@@ -52,6 +53,7 @@ def term_code(model: FmuModel, names: Collection[str], states: Sequence[str]) ->
         states: The FMU's variables in place of the model's states.
     """
     printed = print_terms(model, names, C())
+    turned = any(e.name in names and issubclass(e, Force) and e.place.direction is not None for e in model.catalogue)
     return TermCode(
         printed.source,
         printed.parameters,
@@ -60,6 +62,7 @@ def term_code(model: FmuModel, names: Collection[str], states: Sequence[str]) ->
         memory=printed.memory,
         hooks=printed.hooks,
         delay=printed.delay,
+        directions=model.directions if turned else (),
     )
 
 

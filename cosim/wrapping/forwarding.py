@@ -77,5 +77,6 @@ def forwarding_code(header: str, fmi: int) -> str:
 def _forward(f: Function, fmi: int) -> str:
     parameters = ", ".join(f"{kind} a{k}{array}" for k, (kind, array) in enumerate(f.parameters))
     arguments = "".join(f", a{k}" for k in range(1, len(f.parameters)))
-    macro = "FORWARD" if f.name.startswith(UNRELATED) else "FORWARD_SETTLED"
-    return f"{f.result} fmi{fmi}{f.name}({parameters})\n{{\n    {macro}({f.name}, (w->component{arguments}));\n}}\n"
+    is_unrelated = f.name.startswith(UNRELATED)
+    call = f"FORWARD({f.name}{arguments})" if is_unrelated else f"FORWARD_SETTLED({f.name}, (w->component{arguments}))"
+    return f"{f.result} fmi{fmi}{f.name}({parameters})\n{{\n    {call};\n}}\n"

@@ -22,6 +22,9 @@ NO_LIBRARY = Template("E-WRP-009", "{file} has no library for {identifier}; ther
 SUBSTEP_NOT_POSITIVE = Template("E-WRP-010", "the substep is {substep:g} s; give a positive number")
 NO_START = Template("E-WRP-011", "{name} of {file} has no start value; only variables with one take another")
 NO_PARAMETER = Template("E-WRP-012", 'the delay "{name}" is no parameter of the terms')
+ONE_INSTANCE = Template(
+    "E-WRP-015", "the terms need a second instance of {file}, which allows one instance in a process"
+)
 
 # Reasons why a platform is left out
 UNKNOWN_PLATFORM = Template("W-WRP-013", "{platform} is not among the platforms to build for")

@@ -157,6 +157,12 @@ class Wrapper:
         ours = {p.name for p in self.terms.parameters}
         return {name: float(value) for name, value in self.values.items() if name not in ours}
 
+    @cached_property
+    def _dampings(self) -> dict[str, float]:
+        """Return the parameter of each direction with its start value."""
+        names = [d.parameter for d in self.terms.directions]
+        return {name: self.own.get(name, float(self.variables[name].start or 0.0)) for name in names}
+
     def check(self) -> None:
         """Raise CannotWrap if terms do not fit."""
         file, names = self.original.name, [p.name for p in self.terms.parameters]
@@ -166,6 +172,8 @@ class Wrapper:
             raise CannotWrap(messages.NO_PARAMETER(name=self.terms.delay))
         if self.substep is not None and not self.substep > 0:
             raise CannotWrap(messages.SUBSTEP_NOT_POSITIVE(substep=self.substep))
+        if self.terms.directions and self.about.modelExchange.canBeInstantiatedOnlyOncePerProcess:
+            raise CannotWrap(messages.ONE_INSTANCE(file=file))
         if "ModelExchange" in self.interfaces and self.terms.memory and self.substep is None:
             raise CannotWrap(messages.NO_SUBSTEP())
 
@@ -182,7 +190,8 @@ class Wrapper:
             states=self._references(self.terms.states) if "CoSimulation" in self.interfaces else [],
             rates=self._rates() if "ModelExchange" in self.interfaces else [],
             outputs=self._references(self.terms.outputs),
-            own={self.reference(name): value for name, value in self.own.items()},
+            own={self.reference(name): value for name, value in (self._dampings | self.own).items()},
+            dampings=[self.reference(name) for name in self._dampings],
             sizes=self._sizes(),
             substep=self.substep or 0.0,
             any_step=takes_any_step(self.about) and not self._may_pend(),

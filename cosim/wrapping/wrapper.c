@@ -30,7 +30,7 @@ typedef struct {
 struct Wrapper {
     Functions f;
     void *library;
-    FMI(Component) component;
+    FMI(Component) component, second; /* second: with other dampings, for directions of forces */
     Host host;
     int exchange;
     Course course;
@@ -56,15 +56,22 @@ static Status refuse(Wrapper *w, const char *format, ...)
     return FMI(Error);
 }
 
+/* Whether the second instance is kept in step; with dormant terms only until it is known that they are. */
+#define NEEDS_SECOND(c) (DIRECTIONS && ((c)->phase != RUNNING || (c)->awake))
+#define HAS_SECOND(w) (DIRECTIONS && (w)->second != NULL && NEEDS_SECOND(&(w)->course))
+/* A call to both instances; what it returns is that of the first. */
+#define BOTH(w, name, ...) \
+    (HAS_SECOND(w) && REFUSED((w)->f.name((w)->second, ##__VA_ARGS__)) ? FMI(Error) : (w)->f.name((w)->component, ##__VA_ARGS__))
+
 #define KNOWN(instance) \
     Wrapper *w = instance; \
     if (w == NULL) return FMI(Error)
 #define HAS(name) \
     if (w->f.name == NULL) return refuse(w, "the original has no function %s", #name)
-#define FORWARD(name, arguments) \
+#define FORWARD(name, ...) \
     KNOWN(a0); \
     HAS(name); \
-    return w->f.name arguments
+    return BOTH(w, name, ##__VA_ARGS__)
 #define FORWARD_SETTLED(name, arguments) \
     KNOWN(a0); \
     HAS(name); \
@@ -251,10 +258,33 @@ static void begin(Wrapper *w)
     wake(c);
 }
 
+#if DIRECTIONS
+static double changed_damping(const Wrapper *w, int k)
+{
+    const double damping = w->course.own[DAMPING_OWN[k]], more = damping + DAMPING_CHANGE[k];
+    return more <= DAMPING_HIGH[k] ? more : damping - DAMPING_CHANGE[k];
+}
+#endif
+
+/* The dampings of the second instance, after those of the first. */
+static Status change_dampings(Wrapper *w)
+{
+#if DIRECTIONS
+    double damping[DIRECTIONS];
+    if (w->second == NULL || w->course.phase == RUNNING) return FMI(OK);
+    for (int k = 0; k < DIRECTIONS; k++) damping[k] = changed_damping(w, k);
+    return SET_IN(w, w->second, DAMPING_REFERENCE, DIRECTIONS, damping);
+#else
+    (void)w;
+    return FMI(OK);
+#endif
+}
+
 /* Values of the original that its library does not have by itself. */
 static Status set_own(Wrapper *w)
 {
-    return OWNS ? SET(w, OWN_REFERENCE, OWNS, w->course.own) : FMI(OK);
+    const Status status = OWNS ? SET(w, OWN_REFERENCE, OWNS, w->course.own) : FMI(OK);
+    return REFUSED(status) ? status : worse(status, change_dampings(w));
 }
 
 static void dispose(Wrapper *w)
@@ -286,14 +316,20 @@ static Wrapper *created(Host host, int exchange, const char *resources)
     return w;
 }
 
+static void free_instances(Wrapper *w)
+{
+    if (w->second != NULL) w->f.FreeInstance(w->second);
+    if (w->component != NULL) w->f.FreeInstance(w->component);
+}
+
 /* The wrapper if the original is instantiated and takes its own values; otherwise NULL. */
 static Wrapper *checked(Wrapper *w)
 {
-    if (w->component != NULL) {
-        if (!REFUSED(set_own(w))) return w;
-        refuse(w, "the original does not take its own start values");
-        w->f.FreeInstance(w->component);
-    }
+    const int has_all = w->component != NULL && (w->second != NULL || !(DIRECTIONS && w->exchange));
+    if (has_all && !REFUSED(set_own(w))) return w;
+    if (has_all) refuse(w, "the original does not take its own start values");
+    else if (w->component != NULL) refuse(w, "the original gives no second instance, which forces need");
+    free_instances(w);
     dispose(w);
     return NULL;
 }
@@ -316,7 +352,7 @@ void FMI(FreeInstance)(FMI(Component) a0)
 {
     Wrapper *w = a0;
     if (w == NULL) return;
-    w->f.FreeInstance(w->component);
+    free_instances(w);
     dispose(w);
 }
 
@@ -327,7 +363,7 @@ Status FMI(ExitInitializationMode)(FMI(Component) a0)
     Course *c = &w->course;
     Status status = settle(w);
     if (REFUSED(status)) return status;
-    status = worse(status, w->f.ExitInitializationMode(w->component));
+    status = worse(status, BOTH(w, ExitInitializationMode));
     if (REFUSED(status)) return status;
     c->phase = RUNNING;
     c->in_event = w->exchange;
@@ -344,7 +380,8 @@ Status FMI(Reset)(FMI(Component) a0)
 {
     KNOWN(a0);
     HAS(Reset);
-    const Status status = w->f.Reset(w->component);
+    w->course.phase = INSTANTIATED; /* so that both are reset */
+    const Status status = BOTH(w, Reset);
     if (REFUSED(status)) return status;
     begin(w);
     return worse(status, set_own(w));
@@ -397,12 +434,40 @@ static Status read_outputs(Wrapper *w, double *out)
 }
 #endif
 
+#if DIRECTIONS
+/* Rates per force, behind the states in x, from both instances with the velocity at a usual speed and those of the other
+ * directions at 0. Outside continuous-time mode states may not be set: with the velocities as they are, or NAN at rest. */
+static Status find_directions(Wrapper *w, double *x)
+{
+    const Course *c = &w->course;
+    const int may_move = c->phase == RUNNING && !c->in_event;
+    double moved[NX], rates[2][NX];
+    Status status = FMI(OK);
+    memcpy(moved, x, sizeof moved);
+    for (int k = 0; k < DIRECTIONS && !REFUSED(status); k++) {
+        const double change = changed_damping(w, k) - c->own[DAMPING_OWN[k]];
+        for (int j = 0; may_move && j < DIRECTIONS; j++) moved[BRAKED[j]] = j == k ? SPEED[k] : 0.0;
+        if (may_move) status = BOTH(w, SetContinuousStates, moved, NX);
+        if (!REFUSED(status)) status = worse(status, w->f.GetDerivatives(w->second, rates[1], NX));
+        if (!REFUSED(status)) status = worse(status, w->f.GetDerivatives(w->component, rates[0], NX));
+        const double v = moved[BRAKED[k]], is_told = may_move || (DIRECTIONS == 1 && fabs(v) > SHORT * SPEED[k]);
+        for (int i = 0; i < NX; i++) x[NX * (k + 1) + i] = is_told ? (rates[1][i] - rates[0][i]) / (-change * v) : NAN;
+    }
+    return may_move ? worse(status, BOTH(w, SetContinuousStates, x, NX)) : status;
+}
+#endif
+
 #if RATES
 static Status find_added_rates(Wrapper *w, double *out)
 {
     Course *c = &w->course;
-    const Status status = find_states(w);
-    if (!REFUSED(status)) added_rates(c->time, c->x, c->shaped, c->p, out);
+    double x[NX * (1 + DIRECTIONS) + 1];
+    Status status = find_states(w);
+    memcpy(x, c->x, sizeof(double) * NX);
+#if DIRECTIONS
+    if (!REFUSED(status)) status = worse(status, find_directions(w, x));
+#endif
+    if (!REFUSED(status)) added_rates(c->time, x, c->shaped, c->p, out);
     return status;
 }
 #endif
@@ -530,7 +595,8 @@ static Status set_reals(Wrapper *w, const Reference vr[], size_t count, const do
         at += size;
     }
     if (c->phase == INITIALIZATION && c->awake) c->stale = 1; /* states may follow from what is set */
-    return kept ? SET_ALL(w, w->references, kept, w->values, kept_values) : FMI(OK);
+    const Status status = kept ? SET_ALL(w, w->references, kept, w->values, kept_values) : FMI(OK);
+    return REFUSED(status) ? status : worse(status, change_dampings(w));
 }
 
 /* -- co-simulation ------------------------------------------------------------------------------------------------- */
@@ -582,7 +648,7 @@ Status FMI(SetTime)(FMI(Component) a0, double time)
     HAS(SetTime);
     w->course.time = time;
     w->course.stale = w->course.awake;
-    return w->f.SetTime(w->component, time);
+    return BOTH(w, SetTime, time);
 }
 
 Status FMI(SetContinuousStates)(FMI(Component) a0, const double x[], size_t count)
@@ -595,14 +661,14 @@ Status FMI(SetContinuousStates)(FMI(Component) a0, const double x[], size_t coun
         c->knows_states = 1;
         if (PORTS) c->stale = 1;
     }
-    return w->f.SetContinuousStates(w->component, x, count);
+    return BOTH(w, SetContinuousStates, x, count);
 }
 
-static Status get_derivatives(Wrapper *w, FMI(Status) (*get)(FMI(Component), double[], size_t), double dx[], size_t count)
+static Status get_derivatives(Wrapper *w, double dx[], size_t count)
 {
     Status status = settle(w);
     if (REFUSED(status)) return status;
-    status = worse(status, get(w->component, dx, count));
+    status = worse(status, w->f.GetDerivatives(w->component, dx, count));
 #if RATES
     double added[NX + 1];
     if (REFUSED(status) || !w->course.awake || count != NX) return status;
@@ -620,7 +686,7 @@ Status FMI(EnterEventMode)(FMI(Component) a0)
     if (REFUSED(status)) return status;
     if (w->exchange && REFUSED(commit(w))) return FMI(Error);
     w->course.in_event = w->exchange;
-    return worse(status, w->f.EnterEventMode(w->component));
+    return worse(status, BOTH(w, EnterEventMode));
 }
 
 Status FMI(EnterContinuousTimeMode)(FMI(Component) a0)
@@ -630,7 +696,7 @@ Status FMI(EnterContinuousTimeMode)(FMI(Component) a0)
     const Status status = settle(w);
     if (REFUSED(status)) return status;
     w->course.in_event = 0;
-    return worse(status, w->f.EnterContinuousTimeMode(w->component));
+    return worse(status, BOTH(w, EnterContinuousTimeMode));
 }
 
 Status FMI(CompletedIntegratorStep)(FMI(Component) a0, FMI(Boolean) no_state_before, FMI(Boolean) *event, FMI(Boolean) *terminate)
@@ -640,7 +706,7 @@ Status FMI(CompletedIntegratorStep)(FMI(Component) a0, FMI(Boolean) no_state_bef
     const Status status = settle(w);
     if (REFUSED(status)) return status;
     if (REFUSED(commit(w))) return FMI(Error);
-    return worse(status, w->f.CompletedIntegratorStep(w->component, no_state_before, event, terminate));
+    return worse(status, BOTH(w, CompletedIntegratorStep, no_state_before, event, terminate));
 }
 
 /* Before discrete states are updated: delayed inputs that are due have arrived. */
@@ -668,13 +734,14 @@ static Status after_update(Wrapper *w, Status status, double *next)
 /* -- state --------------------------------------------------------------------------------------------------------- */
 
 typedef struct {
-    FMI(FMUstate) original;
+    FMI(FMUstate) original, second;
     Course course;
     History history;
 } Snapshot;
 
-/* Of a serialized state, before that of the original: token, course, rows of the past, and those. */
-#define HEAD (sizeof OWN_TOKEN + sizeof(Course) + sizeof(double))
+/* Of a serialized state, before those of the second instance and of the original: token, course, rows of the past, size of
+ * the state of the second instance, and the rows. */
+#define HEAD (sizeof OWN_TOKEN + sizeof(Course) + 2 * sizeof(double))
 #define PAST(s) (sizeof(double) * ROW * (s)->history.count)
 
 static Snapshot *snapshot_at(FMI(FMUstate) state)
@@ -704,6 +771,7 @@ Status FMI(GetFMUstate)(FMI(Component) a0, FMI(FMUstate) *state)
     Snapshot *s = snapshot_at(*state);
     if (s == NULL) return refuse(w, "there is no memory for a state");
     Status status = w->f.GetFMUstate(w->component, &s->original);
+    if (!REFUSED(status) && HAS_SECOND(w)) status = worse(status, w->f.GetFMUstate(w->second, &s->second));
     if (!REFUSED(status) && copy_history(&w->history, &s->history)) status = refuse(w, "there is no memory for a state");
     s->course = w->course;
     if (!REFUSED(status)) *state = s;
@@ -717,7 +785,8 @@ Status FMI(SetFMUstate)(FMI(Component) a0, FMI(FMUstate) state)
     HAS(SetFMUstate);
     const Snapshot *s = state;
     if (s == NULL) return refuse(w, "there is no such state");
-    const Status status = w->f.SetFMUstate(w->component, s->original);
+    Status status = w->f.SetFMUstate(w->component, s->original);
+    if (!REFUSED(status) && HAS_SECOND(s)) status = worse(status, w->f.SetFMUstate(w->second, s->second));
     if (REFUSED(status)) return status;
     w->course = s->course;
     return copy_history(&s->history, &w->history) ? refuse(w, "there is no memory for a state") : status;
@@ -729,10 +798,19 @@ Status FMI(FreeFMUstate)(FMI(Component) a0, FMI(FMUstate) *state)
     if (state == NULL || *state == NULL) return FMI(OK);
     HAS(FreeFMUstate);
     Snapshot *s = *state;
-    const Status status = w->f.FreeFMUstate(w->component, &s->original);
+    Status status = FMI(OK);
+    if (s->second != NULL) status = w->f.FreeFMUstate(w->second, &s->second);
+    status = worse(status, w->f.FreeFMUstate(w->component, &s->original));
     free_snapshot(s);
     *state = NULL;
     return status;
+}
+
+/* Size of the state of the second instance, 0 without one. */
+static Status size_of_second(Wrapper *w, const Snapshot *s, size_t *size)
+{
+    *size = 0;
+    return HAS_SECOND(s) ? w->f.SerializedFMUstateSize(w->second, s->second, size) : FMI(OK);
 }
 
 Status FMI(SerializedFMUstateSize)(FMI(Component) a0, FMI(FMUstate) state, size_t *size)
@@ -740,9 +818,11 @@ Status FMI(SerializedFMUstateSize)(FMI(Component) a0, FMI(FMUstate) state, size_
     KNOWN(a0);
     HAS(SerializedFMUstateSize);
     const Snapshot *s = state;
+    size_t second;
     if (s == NULL) return refuse(w, "there is no such state");
-    const Status status = w->f.SerializedFMUstateSize(w->component, s->original, size);
-    *size += HEAD + PAST(s);
+    Status status = size_of_second(w, s, &second);
+    if (!REFUSED(status)) status = worse(status, w->f.SerializedFMUstateSize(w->component, s->original, size));
+    *size += HEAD + PAST(s) + second;
     return status;
 }
 
@@ -751,25 +831,32 @@ Status FMI(SerializeFMUstate)(FMI(Component) a0, FMI(FMUstate) state, FMI(Byte) 
     KNOWN(a0);
     HAS(SerializeFMUstate);
     const Snapshot *s = state;
-    if (s == NULL || size < HEAD + PAST(s)) return refuse(w, "there is no room for the state");
-    const double rows = (double)s->history.count;
+    size_t second = 0;
+    Status status = s == NULL ? FMI(OK) : size_of_second(w, s, &second);
+    if (s == NULL || size < HEAD + PAST(s) + second) return refuse(w, "there is no room for the state");
+    const double counts[] = {(double)s->history.count, (double)second};
     FMI(Byte) *at = bytes;
     memcpy(at, OWN_TOKEN, sizeof OWN_TOKEN), at += sizeof OWN_TOKEN;
     memcpy(at, &s->course, sizeof(Course)), at += sizeof(Course);
-    memcpy(at, &rows, sizeof rows), at += sizeof rows;
+    memcpy(at, counts, sizeof counts), at += sizeof counts;
     if (s->history.count > 0) memcpy(at, row_of(&s->history, 0), PAST(s)), at += PAST(s);
-    return w->f.SerializeFMUstate(w->component, s->original, at, size - HEAD - PAST(s));
+    if (second > 0) status = worse(status, w->f.SerializeFMUstate(w->second, s->second, at, second)), at += second;
+    if (REFUSED(status)) return status;
+    return worse(status, w->f.SerializeFMUstate(w->component, s->original, at, size - HEAD - PAST(s) - second));
 }
 
-/* Course and past of a serialized state; 1 if it is of another FMU, damaged or too large. */
-static int read_head(Snapshot *s, const FMI(Byte) bytes[], size_t size)
+/* Course and past of a serialized state; 1 if it is of another FMU, damaged or too large. second: size of the state of the
+ * second instance. */
+static int read_head(Snapshot *s, const FMI(Byte) bytes[], size_t size, size_t *second)
 {
-    double rows, row[ROW];
+    double rows, row[ROW], more;
     const FMI(Byte) *at = bytes + sizeof OWN_TOKEN;
     if (size < HEAD || memcmp(bytes, OWN_TOKEN, sizeof OWN_TOKEN) != 0) return 1;
     memcpy(&s->course, at, sizeof(Course)), at += sizeof(Course);
     memcpy(&rows, at, sizeof rows), at += sizeof rows;
-    if (!(rows >= 0.0 && rows * sizeof row <= (double)(size - HEAD))) return 1;
+    memcpy(&more, at, sizeof more), at += sizeof more;
+    if (!(rows >= 0.0 && more >= 0.0 && rows * sizeof row + more <= (double)(size - HEAD))) return 1;
+    *second = (size_t)more;
     forget_all(&s->history);
     for (size_t k = 0; k < (size_t)rows; k++, at += sizeof row) {
         memcpy(row, at, sizeof row);
@@ -784,10 +871,12 @@ Status FMI(DeSerializeFMUstate)(FMI(Component) a0, const FMI(Byte) bytes[], size
     HAS(DeSerializeFMUstate);
     Snapshot *s = snapshot_at(*state);
     if (s == NULL) return refuse(w, "there is no memory for a state");
-    Status status = read_head(s, bytes, size) ? refuse(w, "this state is damaged, or of another FMU") : FMI(OK);
+    size_t second = 0;
+    Status status = read_head(s, bytes, size, &second) ? refuse(w, "this state is damaged, or of another FMU") : FMI(OK);
     if (!REFUSED(status)) {
-        const size_t head = HEAD + PAST(s);
-        status = w->f.DeSerializeFMUstate(w->component, bytes + head, size - head, &s->original);
+        const size_t past = HEAD + PAST(s), head = past + second;
+        if (second > 0) status = w->f.DeSerializeFMUstate(w->second, bytes + past, second, &s->second);
+        if (!REFUSED(status)) status = w->f.DeSerializeFMUstate(w->component, bytes + head, size - head, &s->original);
     }
     if (!REFUSED(status)) *state = s;
     else if (*state == NULL) free_snapshot(s);

@@ -1,7 +1,8 @@
 /* FMI 2.0 around an original. */
 #define FMI(name) fmi2##name
 #define GET(w, vr, count, value) (w)->f.GetReal((w)->component, vr, count, value)
-#define SET(w, vr, count, value) (w)->f.SetReal((w)->component, vr, count, value)
+#define SET(w, vr, count, value) BOTH(w, SetReal, vr, count, value)
+#define SET_IN(w, instance, vr, count, value) (w)->f.SetReal(instance, vr, count, value)
 #define GET_ALL(w, vr, count, value, values) GET(w, vr, count, value)
 #define SET_ALL(w, vr, count, value, values) SET(w, vr, count, value)
 
@@ -65,7 +66,8 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
     if (w == NULL) return NULL;
     char *inside = resources == NULL ? NULL : resources_of_original(resources, "");
     if (w->f.Instantiate != NULL && w->f.FreeInstance != NULL && w->f.GetReal != NULL && w->f.SetReal != NULL)
-        w->component = w->f.Instantiate(name, type, token_of_original(guid), inside, callbacks, visible, logging);
+        for (int k = DIRECTIONS && w->exchange; k >= 0; k--)
+            *(k ? &w->second : &w->component) = w->f.Instantiate(name, type, token_of_original(guid), inside, callbacks, visible, logging);
     else refuse(w, "the original lacks functions of FMI 2.0");
     free(inside);
     return checked(w);
@@ -76,14 +78,14 @@ fmi2Status fmi2SetupExperiment(fmi2Component a0, fmi2Boolean has_tolerance, fmi2
     KNOWN(a0);
     HAS(SetupExperiment);
     w->course.time = w->course.since = start;
-    return w->f.SetupExperiment(w->component, has_tolerance, tolerance, start, has_stop, stop);
+    return BOTH(w, SetupExperiment, has_tolerance, tolerance, start, has_stop, stop);
 }
 
 fmi2Status fmi2EnterInitializationMode(fmi2Component a0)
 {
     KNOWN(a0);
     HAS(EnterInitializationMode);
-    return after_entering_initialization(w, w->f.EnterInitializationMode(w->component));
+    return after_entering_initialization(w, BOTH(w, EnterInitializationMode));
 }
 
 fmi2Status fmi2GetReal(fmi2Component a0, const fmi2ValueReference vr[], size_t count, fmi2Real value[])
@@ -144,7 +146,7 @@ fmi2Status fmi2NewDiscreteStates(fmi2Component a0, fmi2EventInfo *info)
     double next;
     fmi2Status status = before_update(w);
     if (REFUSED(status)) return status;
-    status = after_update(w, worse(status, w->f.NewDiscreteStates(w->component, info)), &next);
+    status = after_update(w, worse(status, BOTH(w, NewDiscreteStates, info)), &next);
     if (!REFUSED(status) && isfinite(next) && !(info->nextEventTimeDefined && info->nextEventTime <= next)) {
         info->nextEventTimeDefined = fmi2True;
         info->nextEventTime = next;
@@ -156,5 +158,5 @@ fmi2Status fmi2GetDerivatives(fmi2Component a0, fmi2Real dx[], size_t count)
 {
     KNOWN(a0);
     HAS(GetDerivatives);
-    return get_derivatives(w, w->f.GetDerivatives, dx, count);
+    return get_derivatives(w, dx, count);
 }

@@ -1,9 +1,10 @@
 /* FMI 3.0 around an original. */
 #define FMI(name) fmi3##name
 #define GET(w, vr, count, value) (w)->f.GetFloat64((w)->component, vr, count, value, count)
-#define SET(w, vr, count, value) (w)->f.SetFloat64((w)->component, vr, count, value, count)
+#define SET(w, vr, count, value) BOTH(w, SetFloat64, vr, count, value, count)
+#define SET_IN(w, instance, vr, count, value) (w)->f.SetFloat64(instance, vr, count, value, count)
 #define GET_ALL(w, vr, count, value, values) (w)->f.GetFloat64((w)->component, vr, count, value, values)
-#define SET_ALL(w, vr, count, value, values) (w)->f.SetFloat64((w)->component, vr, count, value, values)
+#define SET_ALL(w, vr, count, value, values) BOTH(w, SetFloat64, vr, count, value, values)
 
 /* What FMI 2.0 names otherwise. */
 #define fmi3Component fmi3Instance
@@ -14,6 +15,7 @@
 #define SerializedFMUstateSize SerializedFMUStateSize
 #define SerializeFMUstate SerializeFMUState
 #define DeSerializeFMUstate DeserializeFMUState
+#define GetDerivatives GetContinuousStateDerivatives
 #define fmi3GetFMUstate fmi3GetFMUState
 #define fmi3SetFMUstate fmi3SetFMUState
 #define fmi3FreeFMUstate fmi3FreeFMUState
@@ -82,7 +84,9 @@ fmi3Instance fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi
     Wrapper *w = prepared(host, 1, resources, &inside);
     if (w == NULL) return NULL;
     if (w->f.InstantiateModelExchange != NULL)
-        w->component = w->f.InstantiateModelExchange(name, token_of_original(token), inside, visible, logging, environment, log);
+        for (int k = DIRECTIONS > 0; k >= 0; k--)
+            *(k ? &w->second : &w->component) =
+                w->f.InstantiateModelExchange(name, token_of_original(token), inside, visible, logging, environment, log);
     free(inside);
     return checked(w);
 }
@@ -119,7 +123,7 @@ fmi3Status fmi3EnterInitializationMode(fmi3Instance a0, fmi3Boolean has_toleranc
     KNOWN(a0);
     HAS(EnterInitializationMode);
     w->course.time = w->course.since = start;
-    return after_entering_initialization(w, w->f.EnterInitializationMode(w->component, has_tolerance, tolerance, start, has_stop, stop));
+    return after_entering_initialization(w, BOTH(w, EnterInitializationMode, has_tolerance, tolerance, start, has_stop, stop));
 }
 
 fmi3Status fmi3GetFloat64(fmi3Instance a0, const fmi3ValueReference vr[], size_t count, fmi3Float64 value[], size_t values)
@@ -186,7 +190,7 @@ fmi3Status fmi3UpdateDiscreteStates(fmi3Instance a0, fmi3Boolean *again, fmi3Boo
     double next;
     fmi3Status status = before_update(w);
     if (REFUSED(status)) return status;
-    status = worse(status, w->f.UpdateDiscreteStates(w->component, again, terminate, nominals, values, due, when));
+    status = worse(status, BOTH(w, UpdateDiscreteStates, again, terminate, nominals, values, due, when));
     status = after_update(w, status, &next);
     if (!REFUSED(status) && isfinite(next) && !(*due && *when <= next)) *due = fmi3True, *when = next;
     return status;
@@ -196,5 +200,5 @@ fmi3Status fmi3GetContinuousStateDerivatives(fmi3Instance a0, fmi3Float64 dx[], 
 {
     KNOWN(a0);
     HAS(GetContinuousStateDerivatives);
-    return get_derivatives(w, w->f.GetContinuousStateDerivatives, dx, count);
+    return get_derivatives(w, dx, count);
 }

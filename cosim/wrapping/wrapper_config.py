@@ -32,7 +32,8 @@ class WrapperConfig:
         inputs: Value references and start values of the terms' inputs.
         states: Value references of the terms' states.
         rates: Value references of the derivatives, in model exchange.
-        own: Value reference → start value that the original's library does not have.
+        own: Value reference → start value that the original's library does not have, or that the host may change.
+        dampings: Value reference of the parameter of each direction, also in `own`.
         sizes: Value reference → number of elements of an array.
         any_step: Whether the original takes steps of any length.
     """
@@ -45,6 +46,7 @@ class WrapperConfig:
     rates: Sequence[int]
     outputs: Sequence[int]
     own: Mapping[int, float] = field(default_factory=dict)
+    dampings: Sequence[int] = ()
     sizes: Mapping[int, int] = field(default_factory=dict)
     substep: float = 0.0
     any_step: bool = False
@@ -70,6 +72,7 @@ class WrapperConfig:
             "PARAMETERS": len(parameters),
             "OWNS": len(self.own),
             "SPECIALS": len(specials),
+            "DIRECTIONS": len(terms.directions),
             "FIRST_PARAMETER": f"{self.first_parameter}u",
             "DELAY": f"({delay})",
             "SUBSTEP": number(self.substep),
@@ -94,6 +97,7 @@ class WrapperConfig:
                 _numbers("OWN_START", self.own.values()),
                 _numbers("PARAMETER_START", starts),
                 _numbers("PARAMETER_NEUTRAL", map(_neutral, parameters)),
+                *self._directions(),
                 f"static const char *const PARAMETER_NAME[] = {{{names}}};",
                 "",
                 "/* Places of a variable among inputs, outputs, derivatives and own values, and its elements. */",
@@ -108,6 +112,22 @@ class WrapperConfig:
                 "",
             ]
         )
+
+    def _directions(self) -> list[str]:
+        """Return the tables of the directions; none without any."""
+        directions = self.terms.directions
+        if not directions:
+            return []
+        return [
+            "/* Of each direction: damping with its place among own values, change, largest value; state, speed. */",
+            _references("DAMPING_REFERENCE", self.dampings),
+            _references("DAMPING_OWN", [[*self.own].index(reference) for reference in self.dampings]),
+            _numbers("DAMPING_CHANGE", [d.change for d in directions]),
+            _numbers("DAMPING_HIGH", [d.high for d in directions]),
+            _references("BRAKED", [d.state for d in directions]),
+            _numbers("SPEED", [d.speed for d in directions]),
+            "#define library_direction(k, i, t, x, u, p) ((x)[NX * ((k) + 1) + (i)]) /* behind the states */",
+        ]
 
     def specials(self) -> list[tuple[int, Special]]:
         """Return the special variables by value reference."""

@@ -67,7 +67,7 @@ class Pair:
     """Velocity with its position: usual force, speed and distance, and kinds of effects.
 
     port:    an input is a force at this velocity, hence effects act in co-simulation too
-    inertia: parameter by which a force is divided where the claim is a rate; without it the claim has no counterpart
+    inertia: parameter by which a force is divided where the claim is a rate; without it the claim is a force
     period:  range of the cogging's period
     """
 

@@ -178,20 +178,15 @@ def _fmu(plant: str, version: int, way: str, exporter: str = OWN_C) -> Path:
 def claimed(study: FmuStudy) -> dict[str, dict[str, float]]:
     """Return the truth in the units of a claim.
 
-    A force without a port is claimed as a rate: it is divided by the true inertia. Parameters without a counterpart are
-    left out, names stay.
+    A force without a port is claimed as a rate: it is divided by the true inertia. Where a damping of the FMU tells how
+    forces act, the claim is a force.
     """
     rig, told = study.rig, {}
     assert isinstance(rig, FmuRig)
     for name, values in study.truth.items():
         pair = rig.pairs.get(name.partition("_at_")[2])
-        if pair is None or pair.port:
-            told[name] = values
-        elif pair.inertia:
-            inertia = study.base[pair.inertia]
-            told[name] = {p: v if p in ("speed", "period") else v / inertia for p, v in values.items()}
-        else:
-            told[name] = {}
+        inertia = study.base[pair.inertia] if pair and pair.inertia else 1.0
+        told[name] = {p: v if p in ("speed", "period") else v / inertia for p, v in values.items()}
     return told
 
 

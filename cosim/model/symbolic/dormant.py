@@ -19,7 +19,7 @@ CHEAP = (-2, -1, 2, 0.5, -0.5)  # exponents that compilers turn into products, q
 
 def _costly(f: Any) -> bool:
     """Return True for a function or power much slower than a branch."""
-    return type(f).__name__ in COSTLY or (f.is_Pow and f.exp not in CHEAP)
+    return type(f).__name__ in COSTLY or getattr(f, "is_costly", False) or (f.is_Pow and f.exp not in CHEAP)
 
 
 def find_skippable(lines: Sequence[Line], terms: Sequence[Term]) -> dict[Any, Term]:

@@ -1,0 +1,219 @@
+"""Forces at a coordinate that accelerate others too: their direction is that of a settable damping of the FMU."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cosim.base.arrays import Array
+from cosim.blocks.derivatives import DifferentiableFmu
+from cosim.blocks.description import read_description
+from cosim.kernel.kernel import Data
+from cosim.logs.log import Log
+from cosim.probing.fmu_structure import Structure
+from cosim.probing.probe_structure import probe_structure
+from cosim.subject.fmu_subject import FmuSubject
+from cosim.terms.term_printing import term_code
+from cosim.wrapping.wrap import wrap
+from tests.blind.fmu_build import PLANTS, build
+from tests.native import NEEDS_COMPILER
+
+pytestmark = NEEDS_COMPILER
+VERSIONS = pytest.mark.parametrize("version", [2, pytest.param(3, marks=pytest.mark.thorough)])
+NUMBERS = {p.name: p.start for p in PLANTS["pendulum"].parameters}
+LEVEL, DRAG, SOFTNESS = 0.04, 0.003, 0.02
+FORCES = {"coulomb_at_w.level": LEVEL, "coulomb_at_w.softness": SOFTNESS, "quadratic_drag_at_w.coefficient": DRAG}
+POINTS = np.random.default_rng(4).uniform(-1.0, 1.0, (20, 4)) * [1.0, 1.0, 3.0, 4.0]
+STEP = 0.02
+
+
+def rates(x: Any, force: float, forces: bool = True, hinge: float = NUMBERS["hinge"]) -> Array:
+    """Return the derivatives by the mass matrix, with dry friction and drag at the hinge."""
+    p, (_, v, phi, w) = NUMBERS, x
+    sin, cos, bob, length = np.sin(phi), np.cos(phi), NUMBERS["bob"], NUMBERS["length"]
+    mass = [[p["cart"] + bob, bob * length * cos], [bob * length * cos, bob * length**2]]
+    push = force - p["spring"] * x[0] - p["rub"] * v + bob * length * sin * w * w
+    turn = -bob * 9.81 * length * sin - hinge * w
+    if forces:
+        turn -= LEVEL * np.tanh(w / SOFTNESS) + DRAG * w * abs(w)
+    dv, dw = np.linalg.solve(mass, [push, turn])
+    return np.array([v, dv, w, dw])
+
+
+def log_of_sines() -> Log:
+    time = STEP * np.arange(400)
+    force = 2.0 * np.sin(2.1 * time) + np.sin(5.3 * time)
+    return Log(Path("a.csv"), time, {"force": force}, {}, {}, STEP, {}, {})
+
+
+def structure_of(path: Path, plant: str = "pendulum", version: int = 2, fault: str = "") -> Structure:
+    logs = [log_of_sines()] if plant == "pendulum" else ()
+    return probe_structure(build(path / f"{plant}.fmu", plant, version, fault=fault), logs)
+
+
+def wrapped(folder: Path, version: int, **values: float) -> Path:
+    structure = structure_of(folder, version=version)
+    model = FmuSubject.of_fmu(structure, [log_of_sines()]).model
+    code = term_code(model, {n.partition(".")[0] for n in FORCES}, [q.name for q in structure.states])  # type: ignore[arg-type]
+    wrap(structure.fmu, code, {**FORCES, **values}, folder / "wrapped.fmu")
+    return folder / "wrapped.fmu"
+
+
+@contextmanager
+def opened(path: Path, *, begins: bool = True, **start: float) -> Iterator[DifferentiableFmu]:
+    block = DifferentiableFmu("plant", path, read_description(path), start, frozenset())
+    block.bind_nothing()
+    block.open(0.0, 1.0)
+    if begins:
+        block.start()
+    try:
+        yield block
+    finally:
+        block.close()
+
+
+def rates_of(block: DifferentiableFmu, x: Array, force: float) -> Array:
+    u = np.array([force])
+    return block.rates(block.move(0.5, x, u), u)[:4]
+
+
+# -- probing ----------------------------------------------------------------------------------------
+
+
+def test_a_friction_at_a_hinge_tells_how_forces_act_there(tmp_path: Path) -> None:
+    structure = structure_of(tmp_path)
+    rub, hinge = structure.dampings
+    assert (rub.parameter, rub.pair.velocity, rub.port, rub.rates) == ("rub", "v", "force", ("v", "w"))
+    assert (hinge.parameter, hinge.pair.velocity, hinge.port, hinge.rates) == ("hinge", "w", "", ("v", "w"))
+    assert structure.directions == (hinge,)
+    assert hinge.in_step
+    assert not hinge.is_constant
+
+
+def test_forces_at_a_hinge_have_units_and_sizes_of_its_friction(tmp_path: Path) -> None:
+    structure = structure_of(tmp_path)
+    kinds = {k.name: k for k in FmuSubject.of_fmu(structure, [log_of_sines()]).model.catalogue}
+    dry = kinds["coulomb_at_w"]
+    assert "viscous_at_w" not in kinds  # it is the parameter
+    assert "viscous_at_v" in kinds
+    assert "offset_at_w" not in kinds  # the input acts there, too
+    assert dry.place.units["u"] == "N.m"
+    assert dry.place.sizes["u"] == pytest.approx(structure.scales["der(w)"] / structure.dampings[1].gain)
+    assert kinds["coulomb_at_v"].place.direction is None
+    assert kinds["coulomb_at_v"].place.units["u"] == "N"
+
+
+@pytest.mark.parametrize("plant", ["drive", "dc_motor", pytest.param("coupled", marks=pytest.mark.thorough)])
+def test_a_force_that_changes_its_own_rate_alone_has_no_direction(tmp_path: Path, plant: str) -> None:
+    structure = structure_of(tmp_path, plant)
+    assert structure.directions == ()
+    assert [d.parameter for d in structure.dampings] == (["d2"] if plant == "coupled" else [])
+
+
+def test_an_fmu_with_events_cannot_be_kept_in_step(tmp_path: Path) -> None:
+    structure = structure_of(tmp_path, fault="step_events")
+    (hinge,) = structure.directions
+    assert not hinge.in_step
+    model = FmuSubject.of_fmu(structure, [log_of_sines()]).model
+    assert model.directions == ()  # type: ignore[attr-defined]
+
+
+# -- filter -----------------------------------------------------------------------------------------
+
+
+@VERSIONS
+def test_the_filter_moves_by_the_equations_with_the_forces(tmp_path: Path, version: int) -> None:
+    log = log_of_sines()
+    subject = FmuSubject.of_fmu(structure_of(tmp_path, version=version), [log])
+    kernel = subject.kernel(["x", "phi"])
+    values = {**subject.values, **FORCES, "hinge": 0.02}
+    p = np.array([values.get(n, 1.0) for n in kernel.layout.parameters])
+    x0 = np.zeros(len(kernel.layout.states))
+    x0[:4] = 0.1, 0.0, 0.8, 0.0
+    u = log.inputs["force"][:, None]
+    data = Data(STEP, 0.0, u, np.full((len(u), 2), np.nan), 4, interpolated=frozenset())
+    memory = np.zeros(kernel.layout.memory)
+    run = kernel.simulate(data, p, x0, memory)
+    x, h, expected = x0[:4], STEP / 4, [x0[:4]]
+    for k in range(len(u) - 1):
+        for _ in range(4):
+            k1 = rates(x, u[k, 0], hinge=0.02)
+            k2 = rates(x + 0.5 * h * k1, u[k, 0], hinge=0.02)
+            k3 = rates(x + 0.5 * h * k2, u[k, 0], hinge=0.02)
+            k4 = rates(x + h * k3, u[k, 0], hinge=0.02)
+            x = x + h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
+        expected.append(x)
+    assert np.abs(run.states[:, :4] - expected).max() < 1e-9
+    still = dict.fromkeys(FORCES, 0.0)
+    p = np.array([{**values, **still}.get(n, 1.0) for n in kernel.layout.parameters])
+    assert np.abs(kernel.simulate(data, p, x0, memory).states[:, :4] - expected).max() > 0.1
+
+
+# -- delivered FMU ----------------------------------------------------------------------------------
+
+
+@VERSIONS
+def test_derivatives_of_the_delivered_fmu_are_those_of_the_equations(tmp_path: Path, version: int) -> None:
+    path = wrapped(tmp_path, version, hinge=0.01)
+    for hinge, start in ((0.01, {}), (0.3, {"hinge": 0.3})):
+        with opened(path, **start) as block:
+            for x in (*POINTS, np.zeros(4), np.array([0.0, 0.0, 1.0, 0.0])):
+                expected = rates(x, 1.5, hinge=hinge)
+                assert rates_of(block, x, 1.5) == pytest.approx(expected, rel=1e-9, abs=1e-9)
+                assert block.current_point()[0].tolist() == x.tolist()
+
+
+@VERSIONS
+def test_dormant_it_equals_the_original_to_the_last_bit(tmp_path: Path, version: int) -> None:
+    path = wrapped(tmp_path, version)
+    still = {"coulomb_at_w.level": 0.0, "quadratic_drag_at_w.coefficient": 0.0}
+    with opened(path, **still) as dormant, opened(tmp_path / "pendulum.fmu") as original:
+        for x in POINTS:
+            assert rates_of(dormant, x, 1.5).tolist() == rates_of(original, x, 1.5).tolist()
+
+
+@VERSIONS
+def test_states_are_saved_and_instances_are_apart(tmp_path: Path, version: int) -> None:
+    path, (x, other) = wrapped(tmp_path, version), POINTS[:2]
+    with opened(path) as one, opened(path, hinge=0.3) as two:
+        first, second = rates_of(one, x, 1.0), rates_of(two, x, 1.0)
+        assert first == pytest.approx(rates(x, 1.0), rel=1e-9)
+        assert second == pytest.approx(rates(x, 1.0, hinge=0.3), rel=1e-9)
+        fmu = one.instance.fmu
+        state = fmu.getFMUState()
+        data = fmu.serializeFMUState(state)
+        for restore in (lambda: state, lambda: fmu.deserializeFMUState(data)):
+            rates_of(one, other, -2.0)
+            fmu.setFMUState(restore())
+            assert one.current_point()[0].tolist() == x.tolist()
+            assert one.rates(x, np.array([1.0]))[:4].tolist() == first.tolist()
+        assert rates_of(two, x, 1.0).tolist() == second.tolist()
+        fmu.freeFMUState(state)
+
+
+@VERSIONS
+def test_after_a_reset_the_friction_is_that_of_the_file(tmp_path: Path, version: int) -> None:
+    with opened(wrapped(tmp_path, version), hinge=0.3, **{"coulomb_at_w.level": 0.0}) as block:
+        rates_of(block, POINTS[0], 1.0)
+        fmu = block.instance.fmu
+        fmu.reset()
+        if version == 2:
+            fmu.setupExperiment(startTime=0.0)
+        fmu.enterInitializationMode()
+        fmu.exitInitializationMode()
+        assert rates_of(block, POINTS[1], 1.0) == pytest.approx(rates(POINTS[1], 1.0), rel=1e-9)
+
+
+def test_before_continuous_time_the_motion_tells_the_direction(tmp_path: Path) -> None:
+    path = wrapped(tmp_path, 2)
+    found = []
+    for w in (1.2, 0.0):
+        with opened(path, begins=False, phi=0.7, w=w) as block:
+            found.append(block.rates(np.array([0.0, 0.0, 0.7, w]), np.zeros(1)))
+    assert found[0][:4] == pytest.approx(rates([0.0, 0.0, 0.7, 1.2], 0.0), rel=1e-7)
+    assert np.isnan(found[1][[1, 3]]).all()  # nothing tells it at rest: not silently wrong
