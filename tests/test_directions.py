@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,10 +17,12 @@ from cosim.blocks.description import read_description
 from cosim.kernel.kernel import Data
 from cosim.logs.log import Log
 from cosim.probing.fmu_structure import Structure
+from cosim.probing.messages import NOT_IN_STEP
+from cosim.probing.places import probe_places
 from cosim.probing.probe_structure import probe_structure
 from cosim.subject.fmu_subject import FmuSubject
 from cosim.terms.term_printing import term_code
-from cosim.wrapping.wrap import wrap
+from cosim.wrapping.wrap import CannotWrap, wrap
 from tests.blind.fmu_build import PLANTS, build
 from tests.native import NEEDS_COMPILER
 
@@ -123,6 +126,24 @@ def test_an_fmu_with_events_cannot_be_kept_in_step(tmp_path: Path) -> None:
     assert model.directions == ()  # type: ignore[attr-defined]
 
 
+def test_an_fmu_that_allows_one_instance_has_no_second(tmp_path: Path) -> None:
+    structure, path = structure_of(tmp_path), tmp_path / "single.fmu"
+    with zipfile.ZipFile(structure.fmu) as old, zipfile.ZipFile(path, "w") as new:
+        for name in old.namelist():
+            data = old.read(name)
+            if name == "modelDescription.xml":
+                data = data.replace(b"<ModelExchange ", b'<ModelExchange canBeInstantiatedOnlyOncePerProcess="true" ')
+            new.writestr(name, data)
+    places = probe_places(path, [log_of_sines()])
+    assert [d["parameter"] for d in places.as_json()["dampings"]] == ["rub", "hinge"]
+    assert [d.in_step for d in places.structure.directions] == [False]
+    assert NOT_IN_STEP.code in [finding.code for finding in places.findings]
+    model = FmuSubject.of_fmu(structure, [log_of_sines()]).model
+    code = term_code(model, {"coulomb_at_w"}, [q.name for q in structure.states])  # type: ignore[arg-type]
+    with pytest.raises(CannotWrap, match="need a second instance"):
+        wrap(path, code, {}, tmp_path / "wrapped.fmu")
+
+
 # -- filter -----------------------------------------------------------------------------------------
 
 
@@ -194,6 +215,8 @@ def test_states_are_saved_and_instances_are_apart(tmp_path: Path, version: int) 
             assert one.rates(x, np.array([1.0]))[:4].tolist() == first.tolist()
         assert rates_of(two, x, 1.0).tolist() == second.tolist()
         fmu.freeFMUState(state)
+        two.instance.fmu.setFMUState(two.instance.fmu.deserializeFMUState(data))  # with the friction of the first
+        assert rates_of(two, x, 1.0).tolist() == first.tolist()
 
 
 @VERSIONS

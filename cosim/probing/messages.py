@@ -84,7 +84,7 @@ OWN_STEP_TOO_LONG = Template(
 
 NOT_IN_STEP = Template(
     "W-PRB-031",
-    "{parameter} brakes {velocity} and would tell how forces there change the other rates, but a second instance "
-    "cannot be kept in step: events occur, or a process holds one instance only; forces change the rate of {velocity} "
-    "alone",
+    "{parameter} brakes {velocity} and would tell how forces there change other rates, but a second instance cannot be "
+    "kept in step: events occur, or a process holds one instance only; forces at {velocity} act through an input, or "
+    "on its rate alone",
 )
