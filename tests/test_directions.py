@@ -5,7 +5,9 @@ from __future__ import annotations
 import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
+from shutil import copyfile
 from typing import Any
 
 import numpy as np
@@ -23,6 +25,7 @@ from cosim.probing.probe_structure import probe_structure
 from cosim.subject.fmu_subject import FmuSubject
 from cosim.terms.term_printing import term_code
 from cosim.wrapping.wrap import CannotWrap, wrap
+from tests.blind import fmu_build
 from tests.blind.fmu_build import PLANTS, build
 from tests.native import NEEDS_COMPILER
 
@@ -54,17 +57,24 @@ def log_of_sines() -> Log:
     return Log(Path("a.csv"), time, {"force": force}, {}, {}, STEP, {}, {})
 
 
-def structure_of(path: Path, plant: str = "pendulum", version: int = 2, fault: str = "") -> Structure:
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("pendulum")
+
+
+@cache
+def structure_of(folder: Path, plant: str = "pendulum", version: int = 2, fault: str = "") -> Structure:
     logs = [log_of_sines()] if plant == "pendulum" else ()
-    return probe_structure(build(path / f"{plant}.fmu", plant, version, fault=fault), logs)
+    return probe_structure(build(folder / f"{plant}{version}{fault}.fmu", plant, version, fault=fault), logs)
 
 
 def wrapped(folder: Path, version: int, **values: float) -> Path:
     structure = structure_of(folder, version=version)
     model = FmuSubject.of_fmu(structure, [log_of_sines()]).model
     code = term_code(model, {n.partition(".")[0] for n in FORCES}, [q.name for q in structure.states])  # type: ignore[arg-type]
-    wrap(structure.fmu, code, {**FORCES, **values}, folder / "wrapped.fmu")
-    return folder / "wrapped.fmu"
+    path = folder / f"wrapped{version}{values}.fmu"
+    wrap(structure.fmu, code, {**FORCES, **values}, path)
+    return path
 
 
 @contextmanager
@@ -88,8 +98,8 @@ def rates_of(block: DifferentiableFmu, x: Array, force: float) -> Array:
 # -- probing ----------------------------------------------------------------------------------------
 
 
-def test_a_friction_at_a_hinge_tells_how_forces_act_there(tmp_path: Path) -> None:
-    structure = structure_of(tmp_path)
+def test_a_friction_at_a_hinge_tells_how_forces_act_there(folder: Path) -> None:
+    structure = structure_of(folder)
     rub, hinge = structure.dampings
     assert (rub.parameter, rub.pair.velocity, rub.port, rub.rates) == ("rub", "v", "force", ("v", "w"))
     assert (hinge.parameter, hinge.pair.velocity, hinge.port, hinge.rates) == ("hinge", "w", "", ("v", "w"))
@@ -98,8 +108,8 @@ def test_a_friction_at_a_hinge_tells_how_forces_act_there(tmp_path: Path) -> Non
     assert not hinge.is_constant
 
 
-def test_forces_at_a_hinge_have_units_and_sizes_of_its_friction(tmp_path: Path) -> None:
-    structure = structure_of(tmp_path)
+def test_forces_at_a_hinge_have_units_and_sizes_of_its_friction(folder: Path) -> None:
+    structure = structure_of(folder)
     kinds = {k.name: k for k in FmuSubject.of_fmu(structure, [log_of_sines()]).model.catalogue}
     dry = kinds["coulomb_at_w"]
     assert "viscous_at_w" not in kinds  # it is the parameter
@@ -112,22 +122,22 @@ def test_forces_at_a_hinge_have_units_and_sizes_of_its_friction(tmp_path: Path) 
 
 
 @pytest.mark.parametrize("plant", ["drive", "dc_motor", pytest.param("coupled", marks=pytest.mark.thorough)])
-def test_a_force_that_changes_its_own_rate_alone_has_no_direction(tmp_path: Path, plant: str) -> None:
-    structure = structure_of(tmp_path, plant)
+def test_a_force_that_changes_its_own_rate_alone_has_no_direction(folder: Path, plant: str) -> None:
+    structure = structure_of(folder, plant)
     assert structure.directions == ()
     assert [d.parameter for d in structure.dampings] == (["d2"] if plant == "coupled" else [])
 
 
-def test_an_fmu_with_events_cannot_be_kept_in_step(tmp_path: Path) -> None:
-    structure = structure_of(tmp_path, fault="step_events")
+def test_an_fmu_with_events_cannot_be_kept_in_step(folder: Path) -> None:
+    structure = structure_of(folder, fault="step_events")
     (hinge,) = structure.directions
     assert not hinge.in_step
     model = FmuSubject.of_fmu(structure, [log_of_sines()]).model
     assert model.directions == ()  # type: ignore[attr-defined]
 
 
-def test_an_fmu_that_allows_one_instance_has_no_second(tmp_path: Path) -> None:
-    structure, path = structure_of(tmp_path), tmp_path / "single.fmu"
+def test_an_fmu_that_allows_one_instance_has_no_second(folder: Path) -> None:
+    structure, path = structure_of(folder), folder / "single.fmu"
     with zipfile.ZipFile(structure.fmu) as old, zipfile.ZipFile(path, "w") as new:
         for name in old.namelist():
             data = old.read(name)
@@ -141,16 +151,16 @@ def test_an_fmu_that_allows_one_instance_has_no_second(tmp_path: Path) -> None:
     model = FmuSubject.of_fmu(structure, [log_of_sines()]).model
     code = term_code(model, {"coulomb_at_w"}, [q.name for q in structure.states])  # type: ignore[arg-type]
     with pytest.raises(CannotWrap, match="need a second instance"):
-        wrap(path, code, {}, tmp_path / "wrapped.fmu")
+        wrap(path, code, {}, folder / "wrapped.fmu")
 
 
 # -- filter -----------------------------------------------------------------------------------------
 
 
 @VERSIONS
-def test_the_filter_moves_by_the_equations_with_the_forces(tmp_path: Path, version: int) -> None:
+def test_the_filter_moves_by_the_equations_with_the_forces(folder: Path, version: int) -> None:
     log = log_of_sines()
-    subject = FmuSubject.of_fmu(structure_of(tmp_path, version=version), [log])
+    subject = FmuSubject.of_fmu(structure_of(folder, version=version), [log])
     kernel = subject.kernel(["x", "phi"])
     values = {**subject.values, **FORCES, "hinge": 0.02}
     p = np.array([values.get(n, 1.0) for n in kernel.layout.parameters])
@@ -179,8 +189,8 @@ def test_the_filter_moves_by_the_equations_with_the_forces(tmp_path: Path, versi
 
 
 @VERSIONS
-def test_derivatives_of_the_delivered_fmu_are_those_of_the_equations(tmp_path: Path, version: int) -> None:
-    path = wrapped(tmp_path, version, hinge=0.01)
+def test_derivatives_of_the_delivered_fmu_are_those_of_the_equations(folder: Path, version: int) -> None:
+    path = wrapped(folder, version, hinge=0.01)
     for hinge, start in ((0.01, {}), (0.3, {"hinge": 0.3})):
         with opened(path, **start) as block:
             for x in (*POINTS, np.zeros(4), np.array([0.0, 0.0, 1.0, 0.0])):
@@ -190,17 +200,17 @@ def test_derivatives_of_the_delivered_fmu_are_those_of_the_equations(tmp_path: P
 
 
 @VERSIONS
-def test_dormant_it_equals_the_original_to_the_last_bit(tmp_path: Path, version: int) -> None:
-    path = wrapped(tmp_path, version)
+def test_dormant_it_equals_the_original_to_the_last_bit(folder: Path, version: int) -> None:
+    path = wrapped(folder, version)
     still = {"coulomb_at_w.level": 0.0, "quadratic_drag_at_w.coefficient": 0.0}
-    with opened(path, **still) as dormant, opened(tmp_path / "pendulum.fmu") as original:
+    with opened(path, **still) as dormant, opened(structure_of(folder, version=version).fmu) as original:
         for x in POINTS:
             assert rates_of(dormant, x, 1.5).tolist() == rates_of(original, x, 1.5).tolist()
 
 
 @VERSIONS
-def test_states_are_saved_and_instances_are_apart(tmp_path: Path, version: int) -> None:
-    path, (x, other) = wrapped(tmp_path, version), POINTS[:2]
+def test_states_are_saved_and_instances_are_apart(folder: Path, version: int) -> None:
+    path, (x, other) = wrapped(folder, version), POINTS[:2]
     with opened(path) as one, opened(path, hinge=0.3) as two:
         first, second = rates_of(one, x, 1.0), rates_of(two, x, 1.0)
         assert first == pytest.approx(rates(x, 1.0), rel=1e-9)
@@ -220,8 +230,8 @@ def test_states_are_saved_and_instances_are_apart(tmp_path: Path, version: int) 
 
 
 @VERSIONS
-def test_after_a_reset_the_friction_is_that_of_the_file(tmp_path: Path, version: int) -> None:
-    with opened(wrapped(tmp_path, version), hinge=0.3, **{"coulomb_at_w.level": 0.0}) as block:
+def test_after_a_reset_the_friction_is_that_of_the_file(folder: Path, version: int) -> None:
+    with opened(wrapped(folder, version), hinge=0.3, **{"coulomb_at_w.level": 0.0}) as block:
         rates_of(block, POINTS[0], 1.0)
         fmu = block.instance.fmu
         fmu.reset()
@@ -232,11 +242,65 @@ def test_after_a_reset_the_friction_is_that_of_the_file(tmp_path: Path, version:
         assert rates_of(block, POINTS[1], 1.0) == pytest.approx(rates(POINTS[1], 1.0), rel=1e-9)
 
 
-def test_before_continuous_time_the_motion_tells_the_direction(tmp_path: Path) -> None:
-    path = wrapped(tmp_path, 2)
+def test_before_continuous_time_the_motion_tells_the_direction(folder: Path) -> None:
+    path = wrapped(folder, 2)
     found = []
     for w in (1.2, 0.0):
         with opened(path, begins=False, phi=0.7, w=w) as block:
             found.append(block.rates(np.array([0.0, 0.0, 0.7, w]), np.zeros(1)))
     assert found[0][:4] == pytest.approx(rates([0.0, 0.0, 0.7, 1.2], 0.0), rel=1e-7)
     assert np.isnan(found[1][[1, 3]]).all()  # nothing tells it at rest: not silently wrong
+
+
+# -- two directions ---------------------------------------------------------------------------------
+
+ARM = """
+static void rates(const double *p, double t, const double *x, const double *u, double *dx) {
+    const double c = cos(x[2]), s = sin(x[2]), a = 0.5 + 0.2 * c, b = 0.1 + 0.1 * c, d = 0.1;
+    const double first = u[0] * cos(x[0]) - p[0] * x[1] - sin(x[0]) + 0.1 * s * x[3] * (2.0 * x[1] + x[3]);
+    const double second = 0.3 * u[0] - p[1] * x[3] - sin(x[0] + x[2]) - 0.1 * s * x[1] * x[1];
+    dx[0] = x[1], dx[2] = x[3];
+    dx[1] = (d * first - b * second) / (a * d - b * b);
+    dx[3] = (a * second - b * first) / (a * d - b * b);
+}
+static void readings(const double *p, double t, const double *x, const double *u, double *y) {}
+"""
+ARM_FORCES = {"coulomb_at_w1.level": 0.1, "coulomb_at_w1.softness": 0.05, "quadratic_drag_at_w2.coefficient": 0.02}
+
+
+def arm_rates(x: Any, u: float) -> Array:
+    """Return the derivatives of a double pendulum in relative angles, with both forces."""
+    (q1, w1, q2, w2), bend = x, 0.1 * np.sin(x[2])
+    mass = np.array([[0.5 + 0.2 * np.cos(q2), 0.1 + 0.1 * np.cos(q2)], [0.1 + 0.1 * np.cos(q2), 0.1]])
+    first = u * np.cos(q1) - 0.02 * w1 - np.sin(q1) + bend * w2 * (2.0 * w1 + w2) - 0.1 * np.tanh(w1 / 0.05)
+    second = 0.3 * u - 0.01 * w2 - np.sin(q1 + q2) - bend * w1 * w1 - 0.02 * w2 * abs(w2)
+    (v1, v2) = np.linalg.solve(mass, [first, second])
+    return np.array([w1, v1, w2, v2])
+
+
+def test_two_joints_have_directions_of_their_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    names, units = ("q1", "w1", "q2", "w2"), ("rad", "rad/s") * 2
+    states = tuple(fmu_build.Variable(n, 0.1, unit, "state") for n, unit in zip(names, units, strict=True))
+    frictions = tuple(fmu_build.Variable(n, b, "N.m.s/rad", "friction") for n, b in (("b1", 0.02), ("b2", 0.01)))
+    force = (fmu_build.Variable("force", 0.0, "N", "force"),)
+    (tmp_path / "arm.c").write_text(ARM)
+    copyfile(fmu_build.SOURCES / "runtime.c", tmp_path / "runtime.c")
+    monkeypatch.setattr(fmu_build, "SOURCES", tmp_path)
+    monkeypatch.setitem(PLANTS, "arm", fmu_build.Plant("Arm", force, states, names, frictions, 1e-3))
+    log = log_of_sines()
+    structure = probe_structure(build(tmp_path / "arm.fmu", "arm"), [log])
+    assert [(d.parameter, d.pair.velocity) for d in structure.directions] == [("b1", "w1"), ("b2", "w2")]
+    subject = FmuSubject.of_fmu(structure, [log])
+    code = term_code(subject.model, {n.partition(".")[0] for n in ARM_FORCES}, names)  # type: ignore[arg-type]
+    wrap(structure.fmu, code, ARM_FORCES, tmp_path / "wrapped.fmu")
+    with opened(tmp_path / "wrapped.fmu") as block:
+        for x in POINTS:
+            assert rates_of(block, x, 1.5) == pytest.approx(arm_rates(x, 1.5), rel=1e-9)
+    kernel = subject.kernel(list(names))
+    p = np.array([{**subject.values, **ARM_FORCES}.get(n, 1.0) for n in kernel.layout.parameters])
+    h, data = 1e-4, Data(1e-4, 0.0, np.full((2, 1), 1.5), np.full((2, 4), np.nan), 1)
+    for x in POINTS:
+        x0 = np.concatenate([x, np.zeros(len(kernel.layout.states) - 4)])
+        moved = kernel.simulate(data, p, x0, np.zeros(kernel.layout.memory)).states[1, :4]
+        middle = arm_rates(x + 0.5 * h * arm_rates(x + 0.5 * h * arm_rates(x, 1.5), 1.5), 1.5)  # midpoint rule
+        assert (moved - x) / h == pytest.approx(middle, rel=1e-4, abs=1e-4)
