@@ -48,7 +48,7 @@ def kernel(
         try:
             if isinstance(model, FmuModel) and fmu is not None:
                 variables = {p.name: model.variables[p.name] for p in model.parameters}
-                stepped = generate_stepped(model, measured) if model.stepped else None
+                stepped = generate_stepped(model, measured, unnamed) if model.stepped else None
                 _kernels[key] = RemoteLibraryKernel(stepped or generate(model, measured, unnamed), fmu, variables)
             else:
                 _kernels[key] = CompiledKernel(generate(model, measured, unnamed, constant))

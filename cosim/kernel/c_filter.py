@@ -115,6 +115,7 @@ def _source(generated: Generated) -> str:
         before = [_text(FOLDER / name) for name in names]
     if stepped:
         layout = generated.layout
+        sizes["UNNAMED"] = str(int(generated.unnamed))
         sizes["LASTING"] = f"({layout.parameters.index(MEMORY)})"
         sizes["POSITIONS"] = f"({len(layout.positions)})"
         places = {

@@ -1,10 +1,11 @@
 /* Unknown deviations of the outputs of a free run, and unknown start states, in place of a filter over states.
  *
  * The deviations d of the outputs go on from row to row as those by start states do, and an unknown input w of each drives them:
- *   d+ = Phi d + Psi d- + h w,  w a Gauss-Markov process, w' = -w/T + noise
+ *   d+ = Phi d + Psi d- + h (w + c),  w a Gauss-Markov process, w' = -w/T + noise
  * Phi and Psi are those of a row, since they depend on where the run is. The deviations d- of the row before stand for hidden states, such as velocities. Without these, Psi is 0 and d- is left out. A
  * change z of a start state changes the outputs by its slopes times z. A Kalman filter estimates all from the readings. The last
- * NS states are d-, w, d, all in the order of the outputs, and the start states. */
+ * NS states are d-, w, d, all in the order of the outputs, and the start states. Unnamed terms c, if any, depend on the outputs as
+ * estimated up to the row, and on their rates, of which the covariance knows nothing. */
 #define NW NY
 #define ND (2 * NY)
 #define NZ (3 * NY)
@@ -121,6 +122,22 @@ static void follow(const Log *log, int k, const double *p, const double *z, doub
     memcpy(run_memories + NM * k, memory, sizeof(double) * NM);
 }
 
+#if UNNAMED
+/* Unnamed terms in row k; known: the outputs there and their rates, which become those of the row. */
+static void unnamed_terms(const Log *log, int k, const double *p, const double *z, double *known, double *out)
+{
+    double command[NU + 1];
+    for (int j = 0; j < NY; j++) {
+        double now = run_outputs[NY * k + j] + z[ND + j];
+        for (int i = 0; i < NK; i++) now += run_slopes[NK * (NY * k + j) + i] * z[NZ + i];
+        known[NY + j] = k > 0 ? (now - known[j]) / log->step : 0.0;
+        known[j] = now;
+    }
+    row_command(log, k, command);
+    add_unnamed(log->start + k * log->step, known, command, p, out);
+}
+#endif
+
 int filter(const Log *log, const double *p, const double *x0, const double *P0, const double *q, const double *r,
            double *errors, double *variances, double *states, double *memories, double *covariances)
 {
@@ -128,6 +145,9 @@ int filter(const Log *log, const double *p, const double *x0, const double *P0, 
     const double fades = exp(-log->step / p[LASTING]);
     const int hidden = has_hidden(log->rows), first = hidden ? 0 : NW;
     double x[NX + 1], memory[NM + 1] = {0.0};
+#if UNNAMED
+    double known[2 * NY] = {0.0}, unnamed[NY];
+#endif
     memcpy(x, x0, sizeof(double) * NX);
     memcpy(P, P0, sizeof(double) * NS * NS);
     Lags lags = lags_of(log);
@@ -154,7 +174,13 @@ int filter(const Log *log, const double *p, const double *x0, const double *P0, 
             before[j] = now;
         }
         if (k > 0 && k <= log->settle) memcpy(P, P0, sizeof(double) * NS * NS);
+#if UNNAMED
+        if (k > 0) unnamed_terms(log, k - 1, p, z, known, unnamed);
+#endif
         if (k > 0) go_on(k - 1, z, 0, 1, hidden, fades, log->step);
+#if UNNAMED
+        for (int j = 0; k > 0 && j < NY; j++) z[ND + j] += log->step * unnamed[j];
+#endif
         if (k > 0 && k > log->settle) {
             go_on(k - 1, P, first, NS, hidden, fades, log->step);
             transposed(P);

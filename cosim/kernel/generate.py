@@ -17,7 +17,7 @@ from itertools import chain
 from typing import Any
 
 from cosim.kernel.kernel import CONSTANT, DEVIATION, DISTURBANCE, EARLIER, MEMORY, START, Layout
-from cosim.kernel.nameless import PREFIX, SLOTS, LocalShape, bases, local_shape, local_signals
+from cosim.kernel.nameless import PREFIX, RATE, SLOTS, Known, LocalShape, bases, local_shape, local_signals
 from cosim.model.model import STIFF, Model
 from cosim.model.namespaces import SymbolNamespace
 from cosim.model.quantities import parameters_of
@@ -39,6 +39,7 @@ class Generated:
         stiff: True for a stiff integrator, with `state_jacobian(t, x, u, p, J)` of all states.
         library: Number of states, inputs and outputs of an FMU's library; None without one.
         stepped: True for a library of co-simulation, with the outputs in place of states.
+        unnamed: True if its free runs have unnamed terms.
     """
 
     layout: Layout
@@ -46,6 +47,7 @@ class Generated:
     stiff: bool = False
     library: tuple[int, int, int] | None = None
     stepped: bool = False
+    unnamed: bool = False
 
 
 @dataclass(frozen=True)
@@ -78,7 +80,10 @@ def generate(model: Model, measured: Sequence[str], unnamed: bool = False, const
 
     body, reach = Body.of(model), _reach(model, measured)
     rates = _rates(body)
-    shapes = _add_nameless(body, reach) if unnamed else []
+    shapes: list[LocalShape] = []
+    if unnamed:
+        sums, shapes = _nameless(body, Known.of(body.symbols, excluded=reach.drifting), reach.forced)
+        body.derivative.update({state: body.derivative[state] + sums[state] for state in reach.forced})
     _add_sensor_errors(body, model)
     body = _add_disturbances(body, reach)
     body, carrying = _with_constants(body, reach, measured, constant)
@@ -113,21 +118,32 @@ def generate(model: Model, measured: Sequence[str], unnamed: bool = False, const
     return Generated(layout, text, stiff, counts if isinstance(model, FmuModel) else None)
 
 
-def generate_stepped(model: FmuModel, measured: Sequence[str]) -> Generated:
+def generate_stepped(model: FmuModel, measured: Sequence[str], unnamed: bool = False) -> Generated:
     """Return the C functions for free runs of an FMU for co-simulation.
 
     Random states are the deviations of the outputs in the row before, an unknown input of each output, the deviations
     of the outputs, which it drives, and the start states, which do not change.
+
+    Args:
+        unnamed: Add terms outside the catalogue to each unknown input: `add_unnamed(t, x, u, p, out)`, where x holds
+            the measured outputs and then their rates.
     """
     import sympy
 
     body = Body.of(model)
+    known = Known.of(body.symbols, measured)
     _add_sensor_errors(body, model)
     body.parameter(MEMORY)
+    sums, shapes = _nameless(body, known, measured) if unnamed else ({}, [])
     names = [q.name for q in model.outputs]
     values = [sympy.sympify(body.outputs[n]) for n in measured]
     texts = [body.function(C(), "measure", values), body.shaping_function(C(), "shape_all")]
     texts.append(body.function(C(), "library_inputs", _library_inputs(body)))
+    if unnamed:
+        near = {q.name: symbol for q, symbol in known.states}
+        x = [near.get(prefix + n, sympy.Symbol(f"no {prefix}{n}")) for prefix in ("", RATE) for n in measured]
+        of_outputs = replace(body, symbols=replace(body.symbols, state=tuple(x)))
+        texts.append(of_outputs.function(C(), "add_unnamed", [*sums.values()], _stages(shapes)))
     along, places = _forces_along_positions(model)
     prefixes = (EARLIER, DISTURBANCE, DEVIATION)
     states = (*names, *(prefix + n for prefix in prefixes for n in measured), *(START + n for n in model.starts))
@@ -140,11 +156,14 @@ def generate_stepped(model: FmuModel, measured: Sequence[str]) -> Generated:
         noisy=tuple(range(len(measured), 2 * len(measured))),
         memory=len(body.shaping.remembered),
         delay=body.delay,
+        rates=known.rates,
         is_free_run=True,
         along=along,
         positions=tuple(measured.index(n) for n in places if n in measured),
     )
-    return Generated(layout, "\n".join(texts), library=(0, len(model.inputs), len(names)), stepped=True)
+    return Generated(
+        layout, "\n".join(texts), library=(0, len(model.inputs), len(names)), stepped=True, unnamed=unnamed
+    )
 
 
 def _forces_along_positions(model: FmuModel) -> tuple[dict[str, float], list[str]]:
@@ -201,24 +220,32 @@ def _print_functions(
     }
     if stiff:
         functions["state_jacobian"] = [_slope(e, xj, shapes) for e in f for xj in body.symbols.state]
-    stages = [
-        dict(chain.from_iterable(s.items() for s in stage)) for stage in zip(*(s.stages for s in shapes), strict=True)
-    ]
+    stages = _stages(shapes)
     first = {"deriv": stages, "jacobian": stages, "state_jacobian": stages}
     texts = [body.function(C(), name, e, first.get(name, ())) for name, e in functions.items()]
     return "\n".join((*texts, body.shaping_function(C(), "shape_all")))
 
 
-def _add_nameless(body: Body, reach: Reach) -> list[LocalShape]:
-    for name, basis in bases(body.symbols, reach.drifting).items():
-        for state in reach.forced:
-            body.derivative[state] += body.parameter(f"{PREFIX}.{state}.{name}") * basis
-    signals = local_signals(body.symbols, reach.drifting)
-    shapes = [local_shape(slot, signals, reach.forced, body.parameter) for slot in range(1, SLOTS + 1)]
+def _nameless(body: Body, known: Known, forced: Sequence[str]) -> tuple[dict[str, Any], list[LocalShape]]:
+    """Return the unnamed terms of each forced equation, and their local shapes; their parameters are added."""
+    import sympy
+
+    sums: dict[str, Any] = dict.fromkeys(forced, sympy.Integer(0))
+    for name, basis in bases(known).items():
+        for state in forced:
+            sums[state] += body.parameter(f"{PREFIX}.{state}.{name}") * basis
+    signals = local_signals(known)
+    shapes = [local_shape(slot, signals, forced, body.parameter) for slot in range(1, SLOTS + 1)]
     for shape in shapes:
-        for state, term in zip(reach.forced, shape.terms, strict=True):
-            body.derivative[state] += term
-    return shapes
+        for state, term in zip(forced, shape.terms, strict=True):
+            sums[state] += term
+    return sums, shapes
+
+
+def _stages(shapes: Sequence[LocalShape]) -> list[dict[Any, Any]]:
+    """Return the stages of all local shapes."""
+    stages = zip(*(s.stages for s in shapes), strict=True)
+    return [dict(chain.from_iterable(s.items() for s in stage)) for stage in stages]
 
 
 def _slope(expression: Any, by: Any, shapes: Sequence[LocalShape]) -> Any:

@@ -24,6 +24,7 @@ from cosim.isolation.limits import Limits
 from cosim.kernel.c_filter import CompiledKernel
 from cosim.kernel.generate import Generated
 from cosim.kernel.kernel import MEMORY, Begin, Data, Filtered, Inputs, Simulated, steps_one_by_one
+from cosim.kernel.nameless import LOCAL, PREFIX
 from cosim.terms.language import Direction
 
 NAME = "model"  # component name in messages
@@ -140,6 +141,8 @@ class LibraryKernel(CompiledKernel):
         order = self.layout.parameters
         self._turned = {order.index(n): v for n, v in fmu.neutral.items() if n in order}
         self._along = {order.index(n): v for n, v in self.layout.along.items() if self.layout.positions}
+        shapes = f"{PREFIX}.", f"{LOCAL}."
+        self._not_of_run = [k for k, n in enumerate(order) if n == MEMORY or n.startswith(shapes)]
         self._runs: deque[tuple[Any, Simulated]] = deque(maxlen=RUNS)
         self._slopes: deque[tuple[Any, tuple[Array, Array]]] = deque(maxlen=RUNS)
 
@@ -183,7 +186,7 @@ class LibraryKernel(CompiledKernel):
     def _free_run(self, data: Data, p: Array, x0: Array) -> Simulated:
         """Return the free run at parameter values; the last ones are kept, since noise levels change more often."""
         acting = p.copy()
-        acting[self.layout.parameters.index(MEMORY)] = 0.0
+        acting[self._not_of_run] = 0.0
         key = data.u.tobytes(), data.start, data.substeps, acting.tobytes(), x0.tobytes()
         for known, run in self._runs:
             if known == key:

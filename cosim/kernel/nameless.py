@@ -9,27 +9,73 @@ bump falls from 1 to 0 within 2, rise climbs from 0 to 1 between −1 and 1. Wit
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Container, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
+from cosim.base.units import unit_product
+from cosim.model.quantities import Quantity
 from cosim.model.symbolic.symbols import SymbolicModel
+from cosim.terms.fmu_model import FmuModel
 
 PREFIX = "unnamed"  # prefix of coefficients: `unnamed.state.basis`
+RATE = "rate of "  # prefix of the rate of an output in co-simulation
 LOCAL = "local"  # prefix of a local shape's parameters: `local.1.of.position`, and `local.1.of.1` of the constant
 SLOTS, KNOTS = 2, 8  # simultaneous local shapes, and bumps of each
 ROLES = ("of", "by")
 REACH = 2.0  # ζ at which a bump reaches 0
 
 
-def bases(s: SymbolicModel, excluded: Container[str] = ()) -> dict[str, Any]:
+@dataclass(frozen=True)
+class Known:
+    """Signals on which unnamed terms may depend, with their symbols.
+
+    Attributes:
+        states: States; in co-simulation outputs and their rates.
+        rates: State → state that equals its derivative.
+    """
+
+    time: Any
+    states: Sequence[tuple[Quantity, Any]]
+    commands: Sequence[tuple[Quantity, Any]]
+    rates: Mapping[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, s: SymbolicModel, measured: Container[str] | None = None, excluded: Container[str] = ()) -> Known:
+        """Return the signals of a model.
+
+        Args:
+            measured: Outputs that stand in place of states in co-simulation, by default all of them.
+            excluded: States that drift unobserved, which cannot be regressors.
+        """
+        states = [(q, x) for q, x in zip(s.model.base_states, s.state, strict=False) if q.name not in excluded]
+        commands = [*zip(s.model.inputs, s.command, strict=True)]
+        if not (isinstance(s.model, FmuModel) and s.model.stepped):
+            return cls(s.time, states, commands)
+        states = [(q, x) for q, x in states if measured is None or q.name in measured]
+        names, known = [q.name for q in s.model.base_states], {q.name for q, _ in states}
+        rates = {names[k]: names[v] for k, v in s.model.rates.items() if {names[k], names[v]} <= known}
+        new = [_rate_of(q) for q, _ in states if q.name not in {*rates, *rates.values()}]
+        rates |= {q.name.removeprefix(RATE): q.name for q, _ in new}
+        return cls(s.time, [*states, *new], commands, rates)
+
+
+def _rate_of(q: Quantity) -> tuple[Quantity, Any]:
+    """Return the rate of an output as a signal with its symbol."""
+    import sympy
+
+    unit = unit_product([(q.unit, 1), ("s", -1)])
+    rate = Quantity(f"{RATE}{q.name}", unit, f"rate of {q.doc or q.name}")
+    return rate, sympy.Symbol(f"state:{rate.name}", real=True)
+
+
+def bases(known: Known) -> dict[str, Any]:
     """Return name → basis function of time, a state, a velocity, an angle or a command, and the constant."""
     import sympy
 
-    functions: dict[str, Any] = {"1": sympy.Integer(1), "time": s.time}
-    for q, x in zip(s.model.base_states, s.state, strict=False):
-        if q.name in excluded:  # a state that drifts unobserved cannot be a regressor
-            continue
+    functions: dict[str, Any] = {"1": sympy.Integer(1), "time": known.time}
+    inputs = {q.name for q, _ in known.commands}
+    for q, x in known.states:
         functions[q.name] = x
         if q.unit in {"m/s", "rad/s"}:
             functions[f"{q.name}·|{q.name}|"] = x * sympy.sqrt(x * x)
@@ -37,30 +83,29 @@ def bases(s: SymbolicModel, excluded: Container[str] = ()) -> dict[str, Any]:
             functions[f"|{q.name}|"] = sympy.sqrt(x * x)
             functions[f"{q.name} where positive"] = (x + sympy.sqrt(x * x)) / 2
             functions[f"{q.name} where negative"] = (x - sympy.sqrt(x * x)) / 2
-            functions[f"time·{q.name}"] = s.time * x
-        if q.unit == "rad" and not any(q.name == i.name for i in s.model.inputs):
+            functions[f"time·{q.name}"] = known.time * x
+        if q.unit == "rad" and q.name not in inputs:
             functions |= {
                 f"sin {q.name}": sympy.sin(x),
                 f"cos {q.name}": sympy.cos(x),
                 f"cos 2{q.name}": sympy.cos(2 * x),
             }
-    for q, u in zip(s.model.inputs, s.command, strict=True):
+    for q, u in known.commands:
         functions[f"command {q.name}"] = u
         if q.unit == "rad":
             functions[f"command {q.name}·|{q.name}|"] = u * sympy.sqrt(u * u)
     return functions
 
 
-def local_signals(s: SymbolicModel, excluded: Container[str] = ()) -> dict[str, Any]:
-    """Return the signals of local shapes: time, observed states, sine and cosine of angles, commands."""
+def local_signals(known: Known) -> dict[str, Any]:
+    """Return the signals of local shapes: time, states, sine and cosine of angles, commands."""
     import sympy
 
-    states = [(q, x) for q, x in zip(s.model.base_states, s.state, strict=False) if q.name not in excluded]
-    signals = {"time": s.time} | {q.name: x for q, x in states}
-    for q, x in states:
+    signals = {"time": known.time} | {q.name: x for q, x in known.states}
+    for q, x in known.states:
         if q.unit == "rad":
             signals |= {f"cos {q.name}": sympy.cos(x), f"sin {q.name}": sympy.sin(x)}
-    return signals | {f"command {q.name}": u for q, u in zip(s.model.inputs, s.command, strict=True)}
+    return signals | {f"command {q.name}": u for q, u in known.commands}
 
 
 @dataclass(frozen=True)

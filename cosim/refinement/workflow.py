@@ -17,6 +17,7 @@ import numpy as np
 
 from cosim.base.errors import Fault, TimedOut, refuse
 from cosim.base.text import counted, join_names, plain
+from cosim.base.units import unit_product
 from cosim.estimation.fit import Fit, initial_fit
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.per_log import drop_own_parameters
@@ -26,6 +27,7 @@ from cosim.estimation.problem import Problem
 from cosim.estimation.sensor_noise import at_rest, cell_warnings, first_noise, noise_warnings
 from cosim.estimation.start_states import with_likely_starts
 from cosim.isolation.limits import Limits
+from cosim.kernel.nameless import RATE
 from cosim.loading.refined import ANSWER, NEAREST, REFINED, SSPS
 from cosim.logs.log import Log
 from cosim.refinement import messages
@@ -280,11 +282,12 @@ def _judge_best(study: Study, a: Attribution, result: SearchResult, progress: Pr
     progress("looking for what has no name", 0.0)
     bare = build_problem(subject, study.logs, True, study.content.noise, study.settings)
     if bare.layout.is_free_run:
-        bare = replace(bare, x0=search.problem.x0)
+        bare = replace(search.problem, kernel=bare.kernel, values={**bare.values, **search.problem.values})
     trusted = search.problem.trusted
     coarse, scatter = coarsen(bare, a.best.fit.values), search.problem.scatter
     nameless = replace(coarse, sensing=a.best.fit.noise, trusted=trusted, scatter=scatter)
     units = {"time": "s", **{q.name: q.unit for q in subject.states}}
+    units |= {f"{RATE}{q.name}": unit_product([(q.unit, 1), ("s", -1)]) for q in subject.states}
     units |= {f"command {q.name}": q.unit for q in subject.inputs}
     leftover = find_unnamed_terms(nameless, a.best.fit, search.price, units)
     if leftover.fit is not None and not _is_steady(nameless, leftover, leftover.fit, a.best.fit, subject.horizon):

@@ -54,7 +54,10 @@ WAYS = {
     "model-exchange": "model exchange: a filter over the states of the FMU",
     "co-simulation": "co-simulation: free runs of the FMU, with estimated deviations of the outputs",
 }
-NO_ACCESS = "Effects inside the FMU, away from its inputs and outputs, could not be tried in co-simulation."
+NO_ACCESS = (
+    "Effects inside the FMU, away from its inputs and outputs, could not be tried in co-simulation; "
+    "an FMU for model exchange would allow it."
+)
 
 
 class FmuSubject(ModelSubject):

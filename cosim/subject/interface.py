@@ -225,11 +225,8 @@ class Subject(Protocol):
         """Return a one-step predictor for the detection of outliers; None to use neighbours."""
         return None
 
-    def nameless(self, signal: str) -> tuple[Callable[..., Any], Sequence[str]] | None:
-        """Return an unnamed term as a function, and its signals; None without such terms.
-
-        The function takes time, all states and all inputs in order.
-        """
+    def nameless(self, signal: str) -> tuple[Callable[..., Any], Mapping[str, str]] | None:
+        """Return an unnamed term as a function, and its arguments: name of a signal → unit; None without such terms."""
         return None
 
     def quick_replayer(self, place: Workplace) -> Replayer | None:

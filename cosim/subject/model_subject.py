@@ -14,7 +14,7 @@ from cosim.base.registry import entry_of
 from cosim.fmi.fmu_build import build
 from cosim.kernel.backend import kernel
 from cosim.kernel.kernel import Kernel
-from cosim.kernel.nameless import bases
+from cosim.kernel.nameless import Known, bases
 from cosim.kernel.settling import settling
 from cosim.loading.build_native import class_fmu
 from cosim.loading.file import LoadedModel, write_model
@@ -132,20 +132,18 @@ class ModelSubject(Subject):
         """Return a one-step predictor of a log's rows."""
         return partial(predicted_outputs, self.model, log)
 
-    def nameless(self, signal: str) -> tuple[Callable[..., Any], Sequence[str]] | None:
+    def nameless(self, signal: str) -> tuple[Callable[..., Any], Mapping[str, str]] | None:
         """Return a basis function of the kernel's unnamed terms."""
         import sympy
 
-        s = symbolic(self.model)
-        basis = bases(s).get(signal)
+        known = Known.of(symbolic(self.model))
+        basis = bases(known).get(signal)
         if basis is None:
             return None
-        symbols = [s.time, *s.state[: len(self.model.base_states)], *s.command]
-        names = ["time", *(q.name for q in self.model.base_states), *(f"command {q.name}" for q in self.inputs)]
-        free = [
-            name for name, symbol in zip(names, symbols, strict=True) if symbol in sympy.sympify(basis).free_symbols
-        ]
-        return sympy.lambdify(symbols, basis, "numpy"), free
+        named = [("time", "s", known.time), *((q.name, q.unit, x) for q, x in known.states)]
+        named += [(f"command {q.name}", q.unit, u) for q, u in known.commands]
+        used = [entry for entry in named if entry[2] in sympy.sympify(basis).free_symbols]
+        return sympy.lambdify([x for *_, x in used], basis, "numpy"), {name: unit for name, unit, _ in used}
 
     def refined(self, claims: Mapping[str, float]) -> ModelSubject:
         """Return the model with the claimed values; values of sensor errors are stored separately."""

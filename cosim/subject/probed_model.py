@@ -189,7 +189,7 @@ class ProbedModel:
             rates=self._rates(),
             variables={with_place(q.name): q.name for q in listed},
             sensors=tuple(e for q in signals[2] for e in self._sensors(q)),
-            forced=tuple(q.name for k, q in enumerate(signals[0]) if k not in self._rates()),
+            forced=tuple(q.name for k, q in enumerate(signals[0]) if self.is_stepped or k not in self._rates()),
             calibrated=tuple(p.name for p in parameters),
             suspect=dict.fromkeys((p.name for p in parameters), self._moved_inputs()),
             horizon=math.inf if self.is_stepped else self._horizon(),
@@ -207,8 +207,8 @@ class ProbedModel:
 
     def _rates(self) -> dict[int, int]:
         """Return position → velocity that equals its derivative, by index."""
-        names = [q.name for q in self.structure.states]
-        pairs = [pair for pair in self.structure.pairs if pair.gain == 1.0 and not self.is_stepped]
+        names = [q.name for q in self.states]
+        pairs = [pair for pair in self.structure.pairs if pair.gain == 1.0]
         return {names.index(pair.position): names.index(pair.velocity) for pair in pairs}
 
     def _shown(self) -> dict[int, int]:

@@ -457,9 +457,12 @@ def _misfit(a: Attribution, leftover: Leftover, forced: Sequence[str]) -> dict[s
     inflated = {name: entry["gain"] for name, entry in noise.items() if entry["inflated"]}
     terms = leftover.terms if leftover.is_stable else ()
     where = terms[0].equation if terms else max(inflated, key=lambda k: inflated[k], default=None)
+    signals = list(dict.fromkeys(u.signal for u in terms if u.equation == where))
+    if not leftover.is_placed:
+        where, signals = None if terms else where, signals[:1]
     return {
         "equation": where,
-        "signals": list(dict.fromkeys(u.signal for u in terms if u.equation == where)),
+        "signals": signals,
         "share": terms[0].share if terms else None,
         "process_noise": noise,
         "terms": [u.entry for u in leftover.terms],

@@ -31,6 +31,7 @@ DISTURBED = "Nothing is missing: what the model does not explain is a disturbanc
 NO_HYPOTHESIS = "No hypothesis holds on logs it was not fitted on."
 NOT_AFTER_REPLAYS = "No hypothesis explains what the model misses."
 IN_PART = "This explains only a part of the error"
+OUTSIDE, NOT_TRIED = "Something outside the catalogue", "Something that was not tried"
 NO_TERM = "no term in a state, an input or time explains even"
 
 
@@ -42,7 +43,7 @@ def sentence(c: Claims, subject: Subject) -> str:
         c.risen, units, subject.main_file(name) if c.written else f"the {name} object"
     )  # a reader must know it before the answer
     opening = rise or _improvement_text(c)
-    untried = subject.untried if c.claimed is not None else ""
+    untried = subject.untried if c.claimed is not None or c.name == "unexplained" else ""
     missed = (missed_by_all_text(*miss) for miss in c.missed.items())
     shares = *_share_texts(c, _units(subject)), *missed
     texts = (opening, _answer_text(c, subject), *shares, untried, *_remark_texts(c, subject))
@@ -113,6 +114,7 @@ def improvement_text(i: Improvement, names: Sequence[str] = (), whole: str = "Th
 
 def _answer_text(c: Claims, subject: Subject) -> str:
     """Return the text of the verdict without remarks."""
+    something = NOT_TRIED if subject.untried else OUTSIDE
     if c.name == "ambiguous" and c.claimed is None:
         return little_excitation_text(len(c.unshown), c.experiment, still=c.still)
     if c.name == "ambiguous" and c.claimed is not None:
@@ -127,8 +129,9 @@ def _answer_text(c: Claims, subject: Subject) -> str:
     if c.doubt is not None and c.doubt.kind in ("varying", "refused"):
         return f"{doubt_text(c.doubt, _units(subject))} Best candidates, not confirmed: {join_names(c.rivals)}."
     if c.doubt is not None:
-        return f"{unexplained_text(c.misfit, c.rivals, NOT_AFTER_REPLAYS)} {doubt_text(c.doubt, _units(subject))}"
-    return unexplained_text(c.residual, c.rivals)
+        doubt = doubt_text(c.doubt, _units(subject))
+        return f"{unexplained_text(c.misfit, c.rivals, NOT_AFTER_REPLAYS, something)} {doubt}"
+    return unexplained_text(c.residual, c.rivals, something=something)
 
 
 def _share_texts(c: Claims, units: Mapping[str, str]) -> Iterator[str]:
@@ -235,11 +238,15 @@ def rivals_text(names: Sequence[str], experiment: str, certain: str, subject: Su
     return f"{opening} cannot {apart}. An experiment that may decide: {experiment}.{designed}"
 
 
-def unexplained_text(residual: Mapping[str, Any], nearest: Sequence[str], otherwise: str = NO_HYPOTHESIS) -> str:
+def unexplained_text(
+    residual: Mapping[str, Any], nearest: Sequence[str], otherwise: str = NO_HYPOTHESIS, something: str = OUTSIDE
+) -> str:
     """Return the verdict on an unnamed effect: its equation, its signals and the nearest hypotheses."""
     where = residual["equation"]
     if residual["signals"]:
-        text = f"Something outside the catalogue acts on {where}; it {_residual_text(residual)}."
+        acts = f"acts on {where}; it {_residual_text(residual)}"
+        unplaced = f"{_residual_text(residual)}; on what it acts, the logs do not agree"
+        text = f"{something} {acts if where else unplaced}."
         # a term may promise likelihood where noise, not its own share, fills what is missing
         if share := residual["share"]:
             who = NO_TERM.capitalize() if share < LITTLE else "This dependence explains"

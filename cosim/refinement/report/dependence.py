@@ -118,9 +118,7 @@ def unnamed_term(
     basis = subject.nameless(signal)
     if basis is None:
         return None
-    evaluate, depends = basis
-    units = {"time": "s", **{q.name: q.unit for q in subject.states if _is_own(subject, q.name)}}
-    units |= {f"command {q.name}": q.unit for q in subject.inputs}
+    evaluate, units = basis
     values = np.broadcast_to(evaluate(*(signals[name] for name in units)), signals["time"].shape)
-    chosen = depends[0] if depends else "time"
-    return Regressor(chosen, units[chosen], signals[chosen]), coefficient * values
+    chosen = next(iter(units), "time")
+    return Regressor(chosen, units.get(chosen, "s"), signals[chosen]), coefficient * values

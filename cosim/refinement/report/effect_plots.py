@@ -23,6 +23,7 @@ from cosim.refinement.search.missing import (
     loosen_noise,
     scale_to_missing,
     smooth_logs,
+    smooth_unknown_inputs,
     smoothed_logs,
 )
 from cosim.subject.candidates import Candidate
@@ -130,7 +131,7 @@ def _term(subject: Subject, problem: Problem, c: Candidate, without: Fit, with_i
 def _draw_residual(r: Refinement) -> EffectComparison:
     """Compare the missing acceleration beside the best hypothesis with the most promising unnamed term."""
     subject, problem, best = r.study.subject, r.problem, r.attribution.best.fit
-    parts, value, sigma = smooth_logs(problem, best)
+    parts, value, sigma = smooth_unknown_inputs(problem, best)
     residual, equations = r.verdict.residual, parts[0][1].equations
     column = int(np.argmax(value.std(axis=0) / np.median(sigma, axis=0)))
     if residual.get("equation") in equations:

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cosim.base.arrays import Array, Rows
+from cosim.base.arrays import Array, Flags, Rows
 from cosim.base.linear_algebra import least_squares, solution
 from cosim.estimation.data import count_unscored
 from cosim.estimation.fit import DIFFERENCE, Fit
@@ -87,7 +87,7 @@ def smooth_log(problem: Problem, base: Fit, index: int, every: int = 1) -> Missi
     run = problem.run({**problem.values, **base.values}, noise, index, states=True)
     rows = min(len(data.u), MOST_ROWS)
     if layout.is_free_run:
-        return _deviations(problem, run, rows, index)
+        return _deviations(problem, run, slice(count_unscored(data), rows), index)
     model = _linear(problem, Steps(problem, index, base.values), run.states, run.memory, rows, every)
     readings = problem.data({**problem.values, **base.values}, index).y[:rows]
     value, sigma = _smooth(problem, model, run.states, noise, index, readings)
@@ -96,15 +96,101 @@ def smooth_log(problem: Problem, base: Fit, index: int, every: int = 1) -> Missi
     return MissingInput(time[scored], layout.forced, value[scored], sigma[scored], run.states[:rows][scored])
 
 
-def _deviations(problem: Problem, run: Filtered, rows: int, index: int) -> MissingInput:
+def _deviations(problem: Problem, run: Filtered, rows: slice, index: int) -> MissingInput:
     """Return the filtered deviations of the outputs of a free run."""
-    layout, data, scored = problem.layout, problem.logs[index], slice(count_unscored(problem.logs[index]), rows)
+    layout, data, places = problem.layout, problem.logs[index], problem.layout.deviation_places
     assert run.covariances is not None
-    places = layout.deviation_places
-    variances = np.diagonal(run.covariances, axis1=1, axis2=2)[scored, [layout.stochastic.index(k) for k in places]]
+    variances = np.diagonal(run.covariances, axis1=1, axis2=2)[rows, [layout.stochastic.index(k) for k in places]]
+    time = data.start + data.step * np.arange(len(data.u), dtype=np.float64)
+    return MissingInput(time[rows], layout.forced, run.states[rows, places], np.sqrt(variances), run.states[rows])
+
+
+def smooth_unknown_inputs(problem: Problem, base: Fit, every: int = 1) -> tuple[Smoothed, Array, Array]:
+    """Return the missing inputs as `smooth_logs` does; of free runs not the deviations, but what drives them."""
+    if not problem.layout.is_free_run:
+        return smooth_logs(problem, base, every)
+    return _stacked([(k, _drive_of_deviations(problem, base, k)) for k in smoothed_logs(problem)])
+
+
+def _drive_of_deviations(problem: Problem, base: Fit, index: int) -> MissingInput:
+    """Return the smoothed unknown inputs of a free run, with given start states."""
+    layout, values, noise = problem.layout, {**problem.values, **base.values}, loosen_noise(problem, base.noise)
+    run, data = problem.run(values, noise, index, states=True), problem.data(values, index)
+    rows = min(len(data.u), MOST_ROWS)
+    places = [layout.states.index(name) for name in layout.outputs]
+    F, C = deviations_of(problem, values, noise, index)
+    nothing = np.zeros((rows, F.shape[1]))
+    model = _Linear(F[:rows], nothing, C[:rows], run.states[:rows, places])
+    value, sigma = _smooth(problem, model, np.zeros_like(run.states), noise, index, data.y[:rows])
+    scored = slice(min(count_unscored(data), rows - 1), rows - 1)
     time = data.start + data.step * np.arange(rows, dtype=np.float64)
-    value = run.states[scored, places]
-    return MissingInput(time[scored], layout.forced, value, np.sqrt(variances), run.states[scored])
+    return MissingInput(time[scored], layout.forced, value[scored], sigma[scored], run.states[:rows][scored])
+
+
+def deviations_of(problem: Problem, values: Mapping[str, float], noise: Noise, index: int) -> tuple[Array, Array]:
+    """Return the linear model of a free run's random states in each row: transition to the next row, and readings.
+
+    Start states are as given.
+    """
+    layout, data = problem.layout, problem.data(values, index)
+    rows, ny, n = len(data.u), len(layout.outputs), len(layout.stochastic)
+    F, C = np.zeros((rows, n, n)), np.zeros((rows, ny, n))
+    earlier, drive, deviation = (slice(k * ny, (k + 1) * ny) for k in range(3))
+    propagation = problem.kernel.propagation(data, problem.start(values, index)[0])  # type: ignore[attr-defined]
+    F[:, earlier, deviation] = C[:, :, deviation] = np.eye(ny)
+    F[:, drive, drive] = math.exp(-data.step / math.exp(noise.memory)) * np.eye(ny)
+    F[:, deviation, deviation], F[:, deviation, earlier] = propagation[:, :, :ny], propagation[:, :, ny:]
+    F[:, deviation, drive] = data.step * np.eye(ny)
+    return F, C
+
+
+def of_every_row(problem: Problem, at: Fit, index: int) -> MissingInput:
+    """Return the states and filtered deviations of a free run in every row of a log."""
+    run = problem.run({**problem.values, **at.values}, at.noise, index, states=True)
+    return _deviations(problem, run, slice(0, len(run.states)), index)
+
+
+class DriveResponses:
+    """Changes of a free run's innovations by additions to its unknown inputs.
+
+    The additions are small enough that the filter, with all its gains, stays the same.
+    """
+
+    def __init__(self, problem: Problem, at: Fit) -> None:
+        self.problem, self.scored = problem, problem.score({**problem.values, **at.values}, at.noise)
+        self.filters = [self._filter(at, k) for k in range(len(problem.logs))]
+
+    def _filter(self, at: Fit, index: int) -> Array:
+        """Return the transition of the random states from before one row's readings to before the next one's."""
+        problem, values, noise = self.problem, {**self.problem.values, **at.values}, at.noise
+        data, places, n = problem.data(values, index), list(problem.layout.noisy), 3 * len(problem.layout.outputs)
+        F, C = (a[..., :n] for a in deviations_of(problem, values, noise, index))
+        F, Q = F[:, :n], np.diag(problem.densities(noise)[:n]) * data.step
+        r, P0 = np.broadcast_to(problem.variances(noise, index), data.y.shape), problem.P0[:n, :n].copy()
+        P0[places, places] = np.exp(noise.power)
+        P, moves = P0, np.empty_like(F)
+        for k in range(len(F)):
+            gain, after = _gain(P0 if k <= data.settle else P, C[k], np.isfinite(data.y[k]), r[k])
+            moves[k] = F[k] @ (np.eye(n) - gain @ C[k])
+            P = F[k] @ after @ F[k].T + Q
+        return moves
+
+    def __call__(self, equation: int, columns: Sequence[Array]) -> Array:
+        """Return the changes of the scored innovations per standard deviation, shape (innovations, columns).
+
+        Args:
+            columns: Additions to the unknown input of an equation in each row, one array (rows, columns) for each log.
+        """
+        changes, ny = [], len(self.problem.layout.outputs)
+        for k, (moves, added) in enumerate(zip(self.filters, columns, strict=True)):
+            x, change = np.zeros((3 * ny, added.shape[1])), np.empty((len(moves), ny, added.shape[1]))
+            added = self.problem.logs[k].step * added
+            for row in range(len(moves)):
+                change[row] = -x[2 * ny :]
+                x = moves[row] @ x
+                x[2 * ny + equation] += added[row]
+            changes.append(change.reshape(-1, added.shape[1])[self.problem.readings[k].places])
+        return np.asarray(np.concatenate(changes) / np.sqrt(self.scored.variances)[:, None])
 
 
 def smoothed_logs(problem: Problem) -> range:
@@ -114,7 +200,11 @@ def smoothed_logs(problem: Problem) -> range:
 
 def smooth_logs(problem: Problem, base: Fit, every: int = 1) -> tuple[Smoothed, Array, Array]:
     """Smooth the first logs; return the results of each log, and all values and standard deviations stacked."""
-    parts = [(k, smooth_log(problem, base, k, every)) for k in smoothed_logs(problem)]
+    return _stacked([(k, smooth_log(problem, base, k, every)) for k in smoothed_logs(problem)])
+
+
+def _stacked(parts: Smoothed) -> tuple[Smoothed, Array, Array]:
+    """Return smoothed logs, and all values and standard deviations stacked."""
     return parts, np.vstack([m.value for _, m in parts]), np.vstack([m.sigma for _, m in parts])
 
 
@@ -193,11 +283,11 @@ def scale_to_missing(problem: Problem, at: Fit, column: int, term: Array, lackin
     """Return a term scaled by regression to the missing input.
 
     The part that parameters without prior can imitate is projected out, because the fit has already used it. A term
-    with the wrong sign scales to zero.
+    with the wrong sign scales to zero. What parameters of a free run do to an unknown input is not known.
     """
     rows = []
     for f in at.free:
-        if f.prior is None:
+        if f.prior is None and not problem.layout.is_free_run:
             step = DIFFERENCE * f.size * (1.0 if at.values[f.name] + DIFFERENCE * f.size <= f.high else -1.0)
             nudged = replace(at, values={**at.values, f.name: at.values[f.name] + step})
             added = [contributions(problem, at, nudged, k)[:, column] for k in smoothed_logs(problem)]
@@ -266,14 +356,18 @@ def _smooth(problem: Problem, model: _Linear, states: Array, noise: Noise, index
 
 def _update(x: Array, P: Array, C: Array, e: Array, r: Array) -> tuple[Array, Array]:
     """Return state and covariance after a row's measurements."""
-    wide = np.zeros((len(e), len(x)))
+    measured, wide = np.isfinite(e), np.zeros((len(e), len(x)))
     wide[:, : C.shape[1]] = C
-    measured = np.isfinite(e)
+    K, P = _gain(P, wide, measured, r)
+    return x + K[:, measured] @ (e[measured] - wide[measured] @ x), P
+
+
+def _gain(P: Array, C: Array, measured: Flags, r: Array) -> tuple[Array, Array]:
+    """Return the gain of a row's measurements, 0 for a missing one, and the covariance after them."""
+    K = np.zeros((len(P), len(C)))
     if not measured.any():
-        return x, P
-    H = wide[measured]
-    S = H @ P @ H.T + np.diag(r[measured])
-    K = solution(S, H @ P).T
-    x = x + K @ (e[measured] - H @ x)
-    P = P - K @ H @ P
-    return x, 0.5 * (P + P.T)
+        return K, P
+    H = C[measured]
+    K[:, measured] = solution(H @ P @ H.T + np.diag(r[measured]), H @ P).T
+    P = P - K[:, measured] @ H @ P
+    return K, 0.5 * (P + P.T)

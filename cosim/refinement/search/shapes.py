@@ -8,20 +8,20 @@ selects the most promising shapes for a filter run.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import accumulate, combinations
 from typing import Any
 
 import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.linear_algebra import least_squares, orthonormal
-from cosim.estimation.fit import Fit
 from cosim.estimation.problem import Problem
-from cosim.kernel.kernel import CONSTANT, DISTURBANCE
-from cosim.kernel.nameless import KNOTS, LOCAL, bump, clip, rise
-from cosim.refinement.search.missing import Smoothed, smooth_logs
+from cosim.estimation.screen import ScoreTest
+from cosim.kernel.kernel import CONSTANT, DEVIATION, DISTURBANCE
+from cosim.kernel.nameless import KNOTS, LOCAL, RATE, bump, clip, rise
+from cosim.refinement.search.missing import DriveResponses, Smoothed, of_every_row, smooth_logs
 
 HALF = 2.0 * np.sqrt(1.0 - 0.5 ** (1.0 / 3.0))  # ζ at which a bump has half its height
 INSIDE = (2.0, 98.0)  # percentiles of the rows that bound the places
@@ -31,6 +31,7 @@ SLIP = 0.05  # share of its range within which the sign of a velocity turns
 FEWEST = 30  # least number of rows within a width
 KEPT = 3  # bumps and steps of an equation that get a filter run; only one spline does
 TWICE = 0.9  # correlation from which two shapes count as one
+AT_ONCE = 500  # shapes with one pass of a free run's filter
 EVERY = 4  # rows between linearizations, sufficient for a regression
 TURN = 2.0 * np.pi
 DIFFERENCE = " − "
@@ -152,62 +153,117 @@ def signals_of(problem: Problem, parts: Smoothed) -> dict[str, Array]:
     """Return name → values of the signals for local shapes."""
     layout, states = problem.layout, np.vstack([m.states for _, m in parts])
     commands = np.vstack([problem.logs[k].u[m.rows(problem.logs[k])] for k, m in parts])
-    time, named = np.concatenate([m.time for _, m in parts]), zip(layout.states, states.T, strict=True)
-    own = {n: z for n, z in named if not n.startswith((DISTURBANCE, CONSTANT))}
+    time, named = np.concatenate([m.time for _, m in parts]), dict(zip(layout.states, states.T, strict=True))
+    own = {n: z for n, z in named.items() if not n.startswith((DISTURBANCE, CONSTANT))}
+    if layout.is_free_run:
+        own = {n: named[n] + named[DEVIATION + n] for n in layout.outputs}
+        ends = np.cumsum([len(m.time) for _, m in parts])[:-1]
+        for rate in (n for n in layout.rates.values() if n.startswith(RATE)):
+            each = np.split(own[rate.removeprefix(RATE)], ends)
+            steps = [problem.logs[k].step for k, _ in parts]
+            rates = [np.diff(z, prepend=z[:1]) / step for z, step in zip(each, steps, strict=True)]
+            own[rate] = np.concatenate(rates)
     return {"time": time, **own, **{f"command {n}": u for n, u in zip(layout.inputs, commands.T, strict=True)}}
 
 
-def promising_shapes(problem: Problem, at: Fit, units: Mapping[str, str], worth: float) -> tuple[list[Shape], int]:
+def promising_shapes(test: ScoreTest, units: Mapping[str, str], worth: float) -> tuple[list[Shape], int]:
     """Return promising shapes, and the number of shapes tried.
 
     Args:
+        test: Score test at the fit beside which shapes are tried.
         units: Units of the signals; two states with equal units also give a difference signal.
-        worth: Log-likelihood gain that a shape must promise, assuming independent rows.
+        worth: Log-likelihood gain that a shape must promise.
     """
-    prefix = f"{LOCAL}.1.of."
+    problem, prefix = test.problem, f"{LOCAL}.1.of."
     names = {n.removeprefix(prefix) for n in problem.layout.parameters if n.startswith(prefix)}
     if not names or not problem.layout.forced:
         return [], 0
     with np.errstate(invalid="ignore", over="ignore"):
-        parts, lacking, sigma = smooth_logs(problem, at, EVERY)
-    signals = {n: z for n, z in signals_of(problem, parts).items() if n in names}
-    if not all(np.isfinite(z).all() for z in (lacking, *signals.values())):
+        ways = _of_free_run(test) if problem.layout.is_free_run else _of_missing_input(test)
+    signals = {n: z for n, z in ways.signals.items() if n in names}
+    if not all(np.isfinite(z).all() for z in (*ways.lacking, *signals.values())):
         return [], 0
     shapes: list[Shape] = []
     tried = 0
     for column, equation in enumerate(problem.layout.forced):
-        weight = 1.0 / np.sqrt(np.mean(sigma[:, column] ** 2))
-        own = [signals[equation]] if equation in signals else []
-        best = _Selection(lacking[:, column] * weight, own, worth)
-        for ground in _grounds(problem, equation, signals, units):
-            for shape in ground.shapes():
-                tried += len(shape.coefficients(1))
-                best.try_one(shape, shape.columns(signals))
+        best = _Selection(ways.lacking[column], ways.plain(column, signals.get(equation)), worth)
+        every = [s for ground in _grounds(problem, equation, signals, units) for s in ground.shapes()]
+        for some in (every[k : k + AT_ONCE] for k in range(0, len(every), AT_ONCE)):
+            columns = [shape.columns(signals) for shape in some]
+            tried += sum(c.shape[1] for c in columns)
+            best.try_all(some, [c.shape[1] for c in columns], ways.respond(column, np.hstack(columns)))
         shapes += best.select()
     return shapes, tried
 
 
-class _Selection:
-    """Selection of the best shapes for an equation, by regression together with a constant and further signals."""
+@dataclass(frozen=True, eq=False)
+class _Ways:
+    """What the shapes of each equation are compared with.
 
-    def __init__(self, lacking: Array, others: Sequence[Array], worth: float) -> None:
-        self.plain = orthonormal(np.column_stack([np.ones(len(lacking)), *others]))
+    Attributes:
+        signals: Signals of the shapes.
+        lacking: What each equation lacks.
+        plain: Function of an equation and its own signal that returns regressors beside any shape.
+        respond: Function of an equation and columns over the rows that returns regressors.
+    """
+
+    signals: Signals
+    lacking: Sequence[Array]
+    plain: Callable[[int, Array | None], Array]
+    respond: Callable[[int, Array], Array]
+
+
+def _of_missing_input(test: ScoreTest) -> _Ways:
+    """Return a regression of the smoothed missing input, as if its rows were independent."""
+    parts, lacking, sigma = smooth_logs(test.problem, test.at, EVERY)
+    weights = 1.0 / np.sqrt(np.mean(sigma**2, axis=0))
+
+    def plain(column: int, own: Array | None) -> Array:
+        return np.column_stack([np.ones(len(lacking)), *([] if own is None else [own])])
+
+    signals = signals_of(test.problem, parts)
+    return _Ways(signals, [*(lacking * weights).T], plain, lambda column, columns: columns)
+
+
+def _of_free_run(test: ScoreTest) -> _Ways:
+    """Return the score test with every shape as an addition to the unknown inputs of a free run."""
+    problem, responses = test.problem, DriveResponses(test.problem, test.at)
+    parts = [(k, of_every_row(problem, test.at, k)) for k in range(len(problem.logs))]
+    ends = np.cumsum([len(m.time) for _, m in parts])[:-1]
+    count = len(responses.scored.errors)
+    plain = test.basis[:count]
+
+    def respond(column: int, columns: Array) -> Array:
+        return responses(column, np.split(columns, ends))
+
+    lacking = [test.residual[:count]] * len(problem.layout.forced)
+    return _Ways(signals_of(problem, parts), lacking, lambda column, own: plain, respond)
+
+
+class _Selection:
+    """Selection of the best shapes for an equation, by regression together with further regressors."""
+
+    def __init__(self, lacking: Array, others: Array, worth: float) -> None:
+        self.plain = orthonormal(others)
         self.lacking, self.worth = self._project(lacking), worth
         self.single: list[tuple[float, Shape, Array]] = []
         self.groups: list[tuple[float, Shape, Array]] = []
 
     def _project(self, columns: Array) -> Array:
-        """Return columns orthogonal to constant and further signals."""
+        """Return columns orthogonal to the further regressors."""
         return np.asarray(columns - self.plain @ (self.plain.T @ columns))
 
-    def try_one(self, shape: Shape, columns: Array) -> None:
-        """Keep a shape if its predicted gain is sufficient."""
-        basis = self._project(columns)
-        products = basis.T @ basis
-        sizes = least_squares(products, basis.T @ self.lacking, rcond=1e-9)
-        gain = 0.5 * float(sizes @ products @ sizes)
-        if gain > self.worth * len(sizes):
-            (self.groups if len(sizes) > 1 else self.single).append((gain, shape, basis @ sizes))
+    def try_all(self, shapes: Sequence[Shape], counts: Sequence[int], columns: Array) -> None:
+        """Keep the shapes with a sufficient predicted gain; each has a number of the columns."""
+        projected = self._project(columns)
+        against, ends = projected.T @ self.lacking, [*accumulate(counts)]
+        for shape, count, end in zip(shapes, counts, ends, strict=True):
+            basis, target = projected[:, end - count : end], against[end - count : end]
+            products = basis.T @ basis
+            sizes = least_squares(products, target, rcond=1e-9)
+            gain = 0.5 * float(sizes @ products @ sizes)
+            if gain > self.worth * len(sizes):
+                (self.groups if len(sizes) > 1 else self.single).append((gain, shape, basis @ sizes))
 
     def select(self) -> list[Shape]:
         """Return the most promising distinct shapes."""
@@ -277,7 +333,7 @@ class _Ground:
 
 def _grounds(problem: Problem, equation: str, signals: Signals, units: Mapping[str, str]) -> Iterator[_Ground]:
     """Yield the signals for shapes in an equation."""
-    states = [n for n in signals if n in problem.layout.states]
+    states = [n for n in signals if n in {*problem.layout.states, *problem.layout.rates.values()}]
     pairs = [(a, b) for a, b in combinations(states, 2) if units.get(a, a) == units.get(b, b)]
     for of in (*((n,) for n in signals), *pairs):
         z = _difference(signals, of)

@@ -102,7 +102,8 @@ class Leftover:
         gain: Log-likelihood gain of all terms together.
         cost: Required gain of a simple term.
         among: Number of terms tried.
-        is_stable: Whether the first term also leads without any one log, and with other sensor noise.
+        is_stable: Whether a term of the same signal leads without any one log, and with other sensor noise.
+        is_placed: Whether this term is always one of the same equation.
     """
 
     terms: tuple[UnnamedTerm, ...]
@@ -111,6 +112,7 @@ class Leftover:
     cost: float
     among: int = 1
     is_stable: bool = True
+    is_placed: bool = True
 
     @property
     def first(self) -> UnnamedTerm | None:
@@ -145,10 +147,13 @@ def find_unnamed_terms(
         refitted = [_with_coefficients(u, fitted) for u in chosen]
         if all(test.net(u) > 0.0 for u in refitted):
             refitted.sort(key=test.net, reverse=True)
-            refitted[0] = replace(refitted[0], share=_share(problem, at, refitted[0]))
+            refitted[0] = replace(refitted[0], share=_share(problem, at, refitted[0], fitted))
             gain = without.objective - fitted.objective
             tried = test.number_tried(refitted)
-            return Leftover(tuple(refitted), fitted, gain, test.cost, tried, test.leads_everywhere(refitted[0]))
+            first, leaders = refitted[0], test.leaders(refitted[0])
+            steady = all(signal == first.signal for _, signal, _ in leaders)
+            placed = all(equation == first.equation for equation, _, _ in leaders)
+            return Leftover(tuple(refitted), fitted, gain, test.cost, tried, steady, placed)
         del chosen[min(range(len(chosen)), key=lambda k: test.net(refitted[k]))]
     return Leftover((), None, 0.0, test.cost)
 
@@ -202,7 +207,7 @@ class _Terms:
 
     def local(self, units: Mapping[str, str]) -> list[LocalTerm]:
         """Return promising local shapes as terms, with the effect of their coefficients on the innovations."""
-        shapes, self.tried = promising_shapes(self.problem, self.at, units, self.cost)
+        shapes, self.tried = promising_shapes(self.test, units, self.cost)
 
         def term(shape: Shape) -> LocalTerm:
             names, settings = shape.coefficients(1), shape.settings(1)
@@ -237,24 +242,25 @@ class _Terms:
                 selected.append(u)
         return selected
 
-    def leads_everywhere(self, first: UnnamedTerm) -> bool:
-        """Return True if a term stays the best when any log is left out and when the sensor noise changes.
+    def leaders(self, first: UnnamedTerm) -> list[Key]:
+        """Return the best term if any log is left out, and if the sensor noise changes.
 
-        The best term is the one whose gain exceeds its cost by most; an equivalent term counts as the same.
+        The best term is the one whose gain exceeds its cost by most; `first` counts in place of an equivalent one of
+        the same equation.
         """
         costs = {key: self._cost_of_shape(len(rows)) if key[2] else self.cost for key, rows in self.rows.items()}
 
-        def leads_without(part: int) -> bool:
-            return _is_leader(first, self.rows, costs, lambda rows: self.test.gain_without(rows, part))
+        def without(part: int) -> Key:
+            return _leader(first, self.rows, costs, lambda rows: self.test.gain_without(rows, part))
 
-        def leads_with_noise(factor: float) -> bool:
+        def with_noise(factor: float) -> Key:
             noise = replace(self.at.noise, sensors=self.at.noise.sensors + 2.0 * math.log(factor))
             test = ScoreTest(self.problem, replace(self.at, noise=noise))
             rows = in_parallel(lambda item: (item[0], [*map(test.row, item[1])]), list(self.moves.items()))
-            return _is_leader(first, dict(rows), costs, lambda of_term: test.gain(of_term)[0])
+            return _leader(first, dict(rows), costs, lambda of_term: test.gain(of_term)[0])
 
         parts = range(max(2, len(self.problem.logs)))
-        return all(in_parallel(leads_without, list(parts))) and all(map(leads_with_noise, NOISE_FACTORS))
+        return [*in_parallel(without, list(parts)), *map(with_noise, NOISE_FACTORS)]
 
     def net(self, u: UnnamedTerm) -> float:
         """Return a term's predicted gain minus its cost."""
@@ -272,16 +278,15 @@ class _Terms:
         return step, self.test.row({**settings, name: step})
 
 
-def _is_leader(
+def _leader(
     first: UnnamedTerm, effects: Effects, costs: Mapping[Key, float], gain: Callable[[Sequence[Array]], float]
-) -> bool:
-    """Return True if a term, or one with an equivalent effect on the same equation, gains most beyond its cost."""
+) -> Key:
+    """Return the term that gains most beyond its cost, or the first one in place of an equivalent one."""
     net = {key: gain(rows) - costs[key] for key, rows in effects.items()}
-    leader = max(net, key=lambda key: net[key])
-    if leader[:2] == (first.equation, first.signal):
-        return True
-    own, other = effects[first.equation, first.signal, first.shape][0], effects[leader][0]
-    return leader[0] == first.equation and bool(abs(own @ other) > ALIKE * np.linalg.norm(own) * np.linalg.norm(other))
+    leader, own = max(net, key=lambda key: net[key]), (first.equation, first.signal, first.shape)
+    one, other = effects[own][0], effects[leader][0]
+    is_alike = abs(one @ other) > ALIKE * np.linalg.norm(one) * np.linalg.norm(other)
+    return own if leader[0] == first.equation and is_alike else leader
 
 
 def _with_slots(terms: Sequence[UnnamedTerm]) -> list[UnnamedTerm]:
@@ -324,11 +329,18 @@ def _without_equivalents(terms: Sequence[tuple[UnnamedTerm, Array]]) -> list[Unn
     return distinct
 
 
-def _share(problem: Problem, at: Fit, u: UnnamedTerm) -> float | None:
+def _share(problem: Problem, at: Fit, u: UnnamedTerm, fitted: Fit) -> float | None:
     """Return 1 − Σ(d − t)²/Σd² on the first logs; None if a filter diverges.
 
-    Here d is the smoothed missing input of the equation, t the term scaled by regression.
+    Here d is the smoothed missing input of the equation, t the term scaled by regression. In a free run, the fitted
+    variance of the unknown input takes the place of both.
+
+    Args:
+        fitted: Fit with the term.
     """
+    if problem.layout.is_free_run:
+        column = problem.layout.forced.index(u.equation)
+        return 1.0 - math.exp(float(fitted.noise.power[column] - at.noise.power[column]))
     with_term = replace(at, values={**at.values, **u.kernel_settings, **u.coefficients})
     with np.errstate(invalid="ignore", over="ignore"):
         parts, value, _ = smooth_logs(problem, at)
