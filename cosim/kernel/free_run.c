@@ -126,15 +126,13 @@ static void follow(const Log *log, int k, const double *p, const double *z, doub
 /* Unnamed terms in row k; known: the outputs there and their rates, which become those of the row. */
 static void unnamed_terms(const Log *log, int k, const double *p, const double *z, double *known, double *out)
 {
-    double command[NU + 1];
     for (int j = 0; j < NY; j++) {
         double now = run_outputs[NY * k + j] + z[ND + j];
         for (int i = 0; i < NK; i++) now += run_slopes[NK * (NY * k + j) + i] * z[NZ + i];
         known[NY + j] = k > 0 ? (now - known[j]) / log->step : 0.0;
         known[j] = now;
     }
-    row_command(log, k, command);
-    add_unnamed(log->start + k * log->step, known, command, p, out);
+    add_unnamed(log->start + k * log->step, known, log->u + NU * k, p, out); /* the command from the row on */
 }
 #endif
 

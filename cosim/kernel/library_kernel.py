@@ -154,7 +154,7 @@ class LibraryKernel(CompiledKernel):
         follows = any(p[k] != neutral for k, neutral in self._along.items())
         run = self._nothing(len(data.u)) if follows and not _asks_past(data) else self._free_run(data, p, x0)
         own = run.outputs, self._bends(data, p, x0, run.outputs), run.states, run.memory
-        arrays = [np.array(a, np.float64, order="C") for a in (*own, *self._responses(data, x0))]
+        arrays = [np.array(a, np.float64, order="C") for a in (*own, *self.responses(data, x0))]
         if follows:
             self._use(p, data, x0)
         self._library.use_run(*(a.ctypes.data_as(ctypes.c_void_p) for a in arrays), int(follows))
@@ -177,7 +177,7 @@ class LibraryKernel(CompiledKernel):
 
     def propagation(self, data: Data, x0: Array) -> Array:
         """Return the matrices by which deviations of a free run go on that no reading corrects, as `propagations`."""
-        return _lasting(self._responses(data, x0)[1])
+        return _lasting(self.responses(data, x0)[1])
 
     def step(self, data: Data, p: Array, points: tuple[Rows, Array, Array], back: int) -> tuple[Array, Array]:
         """Return single steps from rows of a log, as `single_steps`."""
@@ -216,7 +216,7 @@ class LibraryKernel(CompiledKernel):
         bends[1:] = between - 0.5 * (outputs[:-1] + outputs[1:])
         return np.asarray(np.nan_to_num(bends, posinf=0.0, neginf=0.0))
 
-    def _responses(self, data: Data, x0: Array) -> tuple[Array, Array]:
+    def responses(self, data: Data, x0: Array) -> tuple[Array, Array]:
         """Return the slopes of the outputs by each start state (rows, outputs, start states), and the propagations.
 
         They are those at given parameter values, and change little with the parameters. Without start states, pulses of

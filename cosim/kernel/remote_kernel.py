@@ -240,6 +240,11 @@ class RemoteLibraryKernel:
             return [self.simulate(*each[:5], first=each[5]) for each in begins]
         return simulated
 
+    def responses(self, data: Data, x0: Array) -> tuple[Array, Array]:
+        """Return slopes by start states, and propagations, as `LibraryKernel.responses`."""
+        slopes, propagation = workers.call(self, "responses", (data, x0))
+        return np.asarray(slopes), np.asarray(propagation)
+
     def propagation(self, data: Data, x0: Array) -> Array:
         """Return the matrices by which deviations of the outputs of a free run go on, as `propagation`."""
         return np.asarray(workers.call(self, "propagation", (data, x0)))

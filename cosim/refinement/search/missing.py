@@ -113,7 +113,7 @@ def smooth_unknown_inputs(problem: Problem, base: Fit, every: int = 1) -> tuple[
 
 
 def _drive_of_deviations(problem: Problem, base: Fit, index: int) -> MissingInput:
-    """Return the smoothed unknown inputs of a free run, with given start states."""
+    """Return the smoothed unknown inputs of a free run."""
     layout, values, noise = problem.layout, {**problem.values, **base.values}, loosen_noise(problem, base.noise)
     run, data = problem.run(values, noise, index, states=True), problem.data(values, index)
     rows = min(len(data.u), MOST_ROWS)
@@ -128,16 +128,15 @@ def _drive_of_deviations(problem: Problem, base: Fit, index: int) -> MissingInpu
 
 
 def deviations_of(problem: Problem, values: Mapping[str, float], noise: Noise, index: int) -> tuple[Array, Array]:
-    """Return the linear model of a free run's random states in each row: transition to the next row, and readings.
-
-    Start states are as given.
-    """
+    """Return the linear model of a free run's random states in each row: transition to the next row, and readings."""
     layout, data = problem.layout, problem.data(values, index)
     rows, ny, n = len(data.u), len(layout.outputs), len(layout.stochastic)
     F, C = np.zeros((rows, n, n)), np.zeros((rows, ny, n))
     earlier, drive, deviation = (slice(k * ny, (k + 1) * ny) for k in range(3))
-    propagation = problem.kernel.propagation(data, problem.start(values, index)[0])  # type: ignore[attr-defined]
+    begin = problem.start(values, index)[0]
+    slopes, propagation = problem.kernel.responses(data, begin)  # type: ignore[attr-defined]
     F[:, earlier, deviation] = C[:, :, deviation] = np.eye(ny)
+    F[:, 3 * ny :, 3 * ny :], C[:, :, 3 * ny :] = np.eye(n - 3 * ny), slopes
     F[:, drive, drive] = math.exp(-data.step / math.exp(noise.memory)) * np.eye(ny)
     F[:, deviation, deviation], F[:, deviation, earlier] = propagation[:, :, :ny], propagation[:, :, ny:]
     F[:, deviation, drive] = data.step * np.eye(ny)
@@ -160,20 +159,24 @@ class DriveResponses:
         self.problem, self.scored = problem, problem.score({**problem.values, **at.values}, at.noise)
         self.filters = [self._filter(at, k) for k in range(len(problem.logs))]
 
-    def _filter(self, at: Fit, index: int) -> Array:
-        """Return the transition of the random states from before one row's readings to before the next one's."""
+    def _filter(self, at: Fit, index: int) -> tuple[Array, Array]:
+        """Return the transition of the random states from before one row's readings to the next, and the readings."""
         problem, values, noise = self.problem, {**self.problem.values, **at.values}, at.noise
-        data, places, n = problem.data(values, index), list(problem.layout.noisy), 3 * len(problem.layout.outputs)
-        F, C = (a[..., :n] for a in deviations_of(problem, values, noise, index))
-        F, Q = F[:, :n], np.diag(problem.densities(noise)[:n]) * data.step
-        r, P0 = np.broadcast_to(problem.variances(noise, index), data.y.shape), problem.P0[:n, :n].copy()
+        data, places = problem.data(values, index), list(problem.layout.noisy)
+        F, C = deviations_of(problem, values, noise, index)
+        Q = np.diag(problem.densities(noise)) * data.step
+        r, P0 = np.broadcast_to(problem.variances(noise, index), data.y.shape), problem.P0.copy()
         P0[places, places] = np.exp(noise.power)
         P, moves = P0, np.empty_like(F)
         for k in range(len(F)):
-            gain, after = _gain(P0 if k <= data.settle else P, C[k], np.isfinite(data.y[k]), r[k])
-            moves[k] = F[k] @ (np.eye(n) - gain @ C[k])
+            before, measured = P0 if k <= data.settle else P, np.isfinite(data.y[k])
+            gain, after = _gain(before, C[k], measured, r[k])
+            moves[k] = F[k] - F[k] @ gain @ C[k]
             P = F[k] @ after @ F[k].T + Q
-        return moves
+            H = C[k, measured]  # The filter takes the readings of a row one after the other.
+            root = np.linalg.cholesky(H @ before @ H.T + np.diag(r[k, measured]))
+            C[k, measured] = np.linalg.solve(root / np.diag(root), H)
+        return moves, C
 
     def __call__(self, equation: int, columns: Sequence[Array]) -> Array:
         """Return the changes of the scored innovations per standard deviation, shape (innovations, columns).
@@ -182,11 +185,11 @@ class DriveResponses:
             columns: Additions to the unknown input of an equation in each row, one array (rows, columns) for each log.
         """
         changes, ny = [], len(self.problem.layout.outputs)
-        for k, (moves, added) in enumerate(zip(self.filters, columns, strict=True)):
-            x, change = np.zeros((3 * ny, added.shape[1])), np.empty((len(moves), ny, added.shape[1]))
+        for k, ((moves, C), added) in enumerate(zip(self.filters, columns, strict=True)):
+            x, change = np.zeros((moves.shape[1], added.shape[1])), np.empty((len(moves), ny, added.shape[1]))
             added = self.problem.logs[k].step * added
             for row in range(len(moves)):
-                change[row] = -x[2 * ny :]
+                change[row] = -C[row] @ x
                 x = moves[row] @ x
                 x[2 * ny + equation] += added[row]
             changes.append(change.reshape(-1, added.shape[1])[self.problem.readings[k].places])
