@@ -45,7 +45,14 @@ from cosim.refinement.decision.sentences import floor_warning
 from cosim.refinement.decision.trust import attribute
 from cosim.refinement.proof.agreement import compare_with_predictions
 from cosim.refinement.proof.carried import carry_sealed_logs
-from cosim.refinement.proof.measure import FLOOR_SEED, Evidence, final_log_parameters, noise_floor, rmse
+from cosim.refinement.proof.measure import (
+    FLOOR_SEED,
+    Evidence,
+    final_log_parameters,
+    noise_floor,
+    predicted_floor,
+    rmse,
+)
 from cosim.refinement.proof.nearest import held_out_improvement, ladder, nearest
 from cosim.refinement.proof.prediction_search import search_nearest
 from cosim.refinement.proof.proof_replays import LogSets, Proof, warnings_of
@@ -153,8 +160,10 @@ def refine(
         claims = replace(claims, risen=_rises(claims, played, subject), written=bool(files))
         claims = _with_sealed_improvement(claims, played, floors, subject)
         claims = _with_miss_of_rivals(study, claims, problem, sealed, played, floors)
-        if sealed and (checked := check_on_sealed_logs(claims, floors["validation"].level)) is not claims:
-            claims, variants["nearest"] = checked, variants["after"]
+        before = claims
+        claims = _check_on_sealed_logs(claims, played, floors, (quiet, problem, sealed), rng)
+        if claims.grade != before.grade:
+            variants["nearest"] = variants["after"]
             played = {**played, "nearest": played["after"]}
             files += variants["nearest"].subject.write(scratch, folder, "nearest")
         ends = final_log_parameters(variants["after"], problem, sealed)
@@ -397,6 +406,33 @@ def _with_sealed_improvement(claims: Claims, played: Replayed, floors: Floors, s
     sealed = {name: parts["validation"][subject.horizon] for name, parts in played.items()}
     improvement = sealed_improvement(claims, sealed, floors["validation"].level)
     return replace(claims, improvement=improvement) if improvement else claims
+
+
+def _check_on_sealed_logs(
+    claims: Claims,
+    played: Replayed,
+    floors: Floors,
+    posed: tuple[Variant, Problem, Sequence[Log]],
+    rng: np.random.Generator,
+) -> Claims:
+    """Return the claims, as a part of the answer if they miss sealed logs by more than their own uncertainty.
+
+    Args:
+        posed: Claimed variant with the noise of its fit, fitting problem and sealed logs.
+    """
+    variant, problem, sealed = posed
+    if not sealed or claims.claimed is None:
+        return claims
+    checked = check_on_sealed_logs(claims, floors["validation"].level)
+    if checked is claims:
+        return claims
+    level = predicted_floor(floors["validation"], variant, problem, sealed, claims.claimed.fit, rng)
+    errors = {name: parts["validation"][variant.subject.horizon] for name, parts in played.items()}
+    improvement = sealed_improvement(claims, errors, level)
+    is_missed = check_on_sealed_logs(replace(claims, improvement=improvement), level).grade == "part"
+    if is_missed or checked.part is None:
+        return checked
+    return replace(claims, divided=checked.part.channel)
 
 
 def _with_miss_of_rivals(

@@ -170,6 +170,8 @@ class Claims:
         recalibrated: Base parameters moved beyond their tolerances.
         doubt: Reason for a withdrawn claim.
         part: Remaining error if the claim explains only a part.
+        divided: Channel that sealed logs do not judge: there, estimates within their intervals differ as much as the
+            claim misses it.
         left_of: Output of a table with a systematic residual, and the input on which the residual depends.
         left_share: Remaining share of the mean square if the claim explains only a part.
         nearest: Nearest model; None if the claim is complete (from held-out and sealed logs, as the rest).
@@ -211,6 +213,7 @@ class Claims:
     recalibrated: tuple[MovedParameter, ...] = ()
     doubt: Doubt | None = None
     part: Part | None = None
+    divided: str = ""
     left_of: tuple[str, str] | None = None
     left_share: float | None = None
 

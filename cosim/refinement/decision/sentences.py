@@ -30,6 +30,7 @@ NOTHING = "Nothing is missing: the model, within its tolerances, explains these 
 DISTURBED = "Nothing is missing: what the model does not explain is a disturbance that follows no signal."
 NO_HYPOTHESIS = "No hypothesis holds on logs it was not fitted on."
 NOT_AFTER_REPLAYS = "No hypothesis explains what the model misses."
+DIVIDED = "Sealed logs do not judge {}: estimates within their intervals differ there as much as it is missed."
 IN_PART = "This explains only a part of the error"
 OUTSIDE, NOT_TRIED = "Something outside the catalogue", "Something that was not tried"
 NO_TERM = "no term in a state, an input or time explains even"
@@ -142,6 +143,8 @@ def _share_texts(c: Claims, units: Mapping[str, str]) -> Iterator[str]:
     if c.part is not None and c.part.sealed:
         kept = "nearly all" if c.part.share >= NEARLY_ALL else percent(c.part.share)
         yield f"{IN_PART}: on sealed logs replays keep {kept} of the excess error of {c.part.channel}."
+    elif c.divided:
+        yield DIVIDED.format(c.divided)
     elif c.part is not None:
         yield part_text(c.misfit, f"replays keep {percent(c.part.share)} of the excess error of {c.part.channel}")
     if incomplete := [*_incomplete_texts(c, units)]:

@@ -18,6 +18,7 @@ import numpy as np
 from cosim.base.arrays import Array, Rows
 from cosim.base.linear_algebra import square_roots
 from cosim.estimation.data import count_unscored, data_of
+from cosim.estimation.fit import Fit, inverse
 from cosim.estimation.past_readings import past_reading, replayed
 from cosim.estimation.per_log import own, spread
 from cosim.estimation.posing import origins, start_covariance
@@ -38,7 +39,7 @@ from cosim.subject.start_state import start_state
 
 FLOOR_SEED = 20121
 
-DRAWS = 20
+DRAWS, DRAWS_OF_VALUES = 20, 8
 PARTS = 8  # parts of a free run, each counted as one replay
 CALMER, UNLIKE = 1.2, 3.0  # ratio of floor to error, and its log per scatter, from which a floor is too high
 
@@ -251,6 +252,30 @@ def noise_floor(variant: Variant, problem: Problem, logs: Sequence[Log], rng: np
     return Floor(level, {n: float(np.std(np.log(s), ddof=1)) for n, s in sizes.items() if len(s) > 1})
 
 
+def predicted_floor(
+    floor: Floor, variant: Variant, problem: Problem, logs: Sequence[Log], fit: Fit, rng: np.random.Generator
+) -> dict[str, float]:
+    """Return the noise floor together with the change of the replays by random errors of the estimates.
+
+    Where a motion divides, for example where a pendulum may pass over the top, estimates within their intervals predict
+    quite other motions. A floor above the standard deviation of its channel is omitted, as in `noise_floor`.
+    """
+    problem, count = _begun(variant, problem, logs), len(fit.free)
+    covariance = inverse(fit.information)[:count, :count] if fit.scattered is None else fit.scattered
+    random = rng.standard_normal((DRAWS_OF_VALUES, count)) @ square_roots(covariance[None])[0].T
+    moved = [
+        {f.name: min(max(fit.values[f.name] + by, f.low), f.high) for f, by in zip(fit.free, draw, strict=True)}
+        for draw in random
+    ]
+    changes = []
+    for index, log in enumerate(logs):
+        replays = _KernelReplays.of(variant, problem, log, index, problem.data(variant.values, index))
+        changes += [replays.change(values) for values in moved]
+    sizes = _root_mean_squares(problem, changes)
+    level = {name: math.hypot(size, sizes[name]) for name, size in floor.level.items()}
+    return {name: size for name, size in level.items() if not size > _standard_deviation(logs, name)}
+
+
 def _standard_deviation(logs: Sequence[Log], name: str) -> float:
     """Return the standard deviation of an output over all logs; infinite with fewer than two readings."""
     readings = [log.outputs[name][np.isfinite(log.outputs[name])] for log in logs if name in log.outputs]
@@ -322,6 +347,12 @@ class _KernelReplays:
         if self.data.table:
             return np.asarray(self.filtered.errors / self.gains)
         return np.asarray((self.data.y - self._predict()) / self.gains)
+
+    def change(self, values: Mapping[str, float]) -> Array:
+        """Return the change of the replays, from the same starts, with other parameter values."""
+        starts = {k: self.problem.begin_replay(self.filtered, k) for k in self.rows}
+        other = self._simulate({**self.variant.values, **values}, starts)
+        return np.asarray(np.where(np.isnan(self.data.y), np.nan, other - self._predict()) / self.gains)
 
     def random_errors(self, rng: np.random.Generator) -> Array:
         """Return the errors against a simulation with random noise and random deviations of the starts."""
