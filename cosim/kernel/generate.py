@@ -80,10 +80,7 @@ def generate(model: Model, measured: Sequence[str], unnamed: bool = False, const
 
     body, reach = Body.of(model), _reach(model, measured)
     rates = _rates(body)
-    shapes: list[LocalShape] = []
-    if unnamed:
-        sums, shapes = _nameless(body, Known.of(body.symbols, excluded=reach.drifting), reach.forced)
-        body.derivative.update({state: body.derivative[state] + sums[state] for state in reach.forced})
+    shapes = _add_nameless(body, reach) if unnamed else []
     _add_sensor_errors(body, model)
     body = _add_disturbances(body, reach)
     body, carrying = _with_constants(body, reach, measured, constant)
@@ -224,6 +221,12 @@ def _print_functions(
     first = {"deriv": stages, "jacobian": stages, "state_jacobian": stages}
     texts = [body.function(C(), name, e, first.get(name, ())) for name, e in functions.items()]
     return "\n".join((*texts, body.shaping_function(C(), "shape_all")))
+
+
+def _add_nameless(body: Body, reach: Reach) -> list[LocalShape]:
+    sums, shapes = _nameless(body, Known.of(body.symbols, excluded=reach.drifting), reach.forced)
+    body.derivative.update({state: body.derivative[state] + term for state, term in sums.items()})
+    return shapes
 
 
 def _nameless(body: Body, known: Known, forced: Sequence[str]) -> tuple[dict[str, Any], list[LocalShape]]:

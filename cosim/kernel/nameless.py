@@ -10,7 +10,7 @@ bump falls from 1 to 0 within 2, rise climbs from 0 to 1 between −1 and 1. Wit
 from __future__ import annotations
 
 from collections.abc import Callable, Container, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from cosim.base.units import unit_product
@@ -49,15 +49,17 @@ class Known:
             excluded: States that drift unobserved, which cannot be regressors.
         """
         states = [(q, x) for q, x in zip(s.model.base_states, s.state, strict=False) if q.name not in excluded]
-        commands = [*zip(s.model.inputs, s.command, strict=True)]
-        if not (isinstance(s.model, FmuModel) and s.model.stepped):
-            return cls(s.time, states, commands)
-        states = [(q, x) for q, x in states if measured is None or q.name in measured]
-        names, known = [q.name for q in s.model.base_states], {q.name for q, _ in states}
-        rates = {names[k]: names[v] for k, v in s.model.rates.items() if {names[k], names[v]} <= known}
+        known = cls(s.time, states, [*zip(s.model.inputs, s.command, strict=True)])
+        return known._of_outputs(s.model, measured) if isinstance(s.model, FmuModel) and s.model.stepped else known
+
+    def _of_outputs(self, model: FmuModel, measured: Container[str] | None) -> Known:
+        """Return the signals with measured outputs and their rates as states."""
+        states = [(q, x) for q, x in self.states if measured is None or q.name in measured]
+        names, known = [q.name for q in model.base_states], {q.name for q, _ in states}
+        rates = {names[k]: names[v] for k, v in model.rates.items() if {names[k], names[v]} <= known}
         new = [_rate_of(q) for q, _ in states if q.name not in {*rates, *rates.values()}]
         rates |= {q.name.removeprefix(RATE): q.name for q, _ in new}
-        return cls(s.time, [*states, *new], commands, rates)
+        return replace(self, states=[*states, *new], rates=rates)
 
 
 def _rate_of(q: Quantity) -> tuple[Quantity, Any]:

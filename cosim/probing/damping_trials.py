@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,44 +54,60 @@ class _Change:
 def dampings(
     prober: Prober, course: Course, points: Points, pairs: Sequence[Pair], parameters: Sequence[ProbedParameter]
 ) -> tuple[Damping, ...]:
-    """Return a parameter that brakes the velocity of each pair, if there is one; none where an input acts on it alone.
+    """Return the settable damping of each pair on which no input acts alone.
 
     With another value of it, the rates change in proportion to this velocity and to the change of the parameter,
     whatever the other velocities and the inputs are, and no output changes directly.
     """
     states, inputs, _ = prober.fmu.names
     velocities = [states.index(p.velocity) for p in pairs]
-    shared = [p for p in pairs if not any(port.is_alone for port in p.ports)]
-    trials = [t for p in shared if (t := _trial_of(p, (states, inputs), velocities, points))]
+    shared = (p for p in pairs if not any(port.is_alone for port in p.ports))
+    trials = [*filter(None, (_trial_of(p, (states, inputs), velocities, points) for p in shared))]
     able = [p for p in parameters if p.acts and not p.starts and not p.failure]
     if not trials or not able:
         return ()
-    places = [place for trial in trials for place in trial.places]
-
-    def react(values: Mapping[str, float]) -> Array:
-        table: Array = prober.call(reactions, prober.with_values(values), course, places)[1]
-        return table.reshape(len(trials), -1, 4, table.shape[1])
-
-    def judged(once: Array, twice: Array, by: _Change) -> Iterator[Damping]:
-        yield from filter(None, (_damping(*each, by) for each in zip(once, twice, trials, strict=True)))
-
+    react = _Reactions(prober, course, trials)
     base, found = react({}), dict[str, Damping]()
     for parameter in able:
         value = float(prober.values.get(parameter.name, parameter.quantity.start))
-        change = _change_of(parameter, value)
-        if not change:
-            continue
-        by = _Change(parameter.name, change, points.size, states)
-        try:
-            once = react({parameter.name: value + change}) - base
-            if not any(judged(once, 2.0 * once, by)):
-                continue
-            twice = react({parameter.name: value + 2.0 * change}) - base
-        except SimulationError:
-            continue
-        for damping in judged(once, twice, by):
-            found.setdefault(damping.pair.velocity, damping)
+        by = _Change(parameter.name, _change_of(parameter, value), points.size, states)
+        with suppress(SimulationError):
+            for damping in _of_parameter(react, base, value, by):
+                found.setdefault(damping.pair.velocity, damping)
     return tuple(found.values())
+
+
+@dataclass(frozen=True)
+class _Reactions:
+    """Reactions of the FMU at the places of all trials."""
+
+    prober: Prober
+    course: Course
+    trials: Sequence[_Trial]
+
+    def __call__(self, values: Mapping[str, float]) -> Array:
+        """Return the reactions with parameter values, shape (trials, points, 4, columns)."""
+        places = [place for trial in self.trials for place in trial.places]
+        table: Array = self.prober.call(reactions, self.prober.with_values(values), self.course, places)[1]
+        return table.reshape(len(self.trials), -1, 4, table.shape[1])
+
+
+def _of_parameter(react: _Reactions, base: Array, value: float, by: _Change) -> list[Damping]:
+    """Return the dampings that a parameter is; none without a change that its bounds allow.
+
+    Args:
+        base: Reactions with the given value.
+    """
+
+    def judged(once: Array, twice: Array) -> list[Damping]:
+        return [*filter(None, (_damping(*each, by) for each in zip(once, twice, react.trials, strict=True)))]
+
+    if not by.change:
+        return []
+    once = react({by.parameter: value + by.change}) - base
+    if not judged(once, 2.0 * once):
+        return []
+    return judged(once, react({by.parameter: value + 2.0 * by.change}) - base)
 
 
 def _trial_of(

@@ -415,7 +415,7 @@ def _check_on_sealed_logs(
     posed: tuple[Variant, Problem, Sequence[Log]],
     rng: np.random.Generator,
 ) -> Claims:
-    """Return the claims, as a part of the answer if they miss sealed logs by more than their own uncertainty.
+    """Return the claims, graded by sealed logs and their own uncertainty.
 
     Args:
         posed: Claimed variant with the noise of its fit, fitting problem and sealed logs.

@@ -255,8 +255,9 @@ def noise_floor(variant: Variant, problem: Problem, logs: Sequence[Log], rng: np
 def predicted_floor(
     floor: Floor, variant: Variant, problem: Problem, logs: Sequence[Log], fit: Fit, rng: np.random.Generator
 ) -> dict[str, float]:
-    """Return the noise floor together with the change of the replays by random errors of the estimates.
+    """Return the noise floor of uncertain estimates.
 
+    The change of the replays by random errors of the estimates adds to the floor.
     Where a motion divides, for example where a pendulum may pass over the top, estimates within their intervals predict
     quite other motions. A floor above the standard deviation of its channel is omitted, as in `noise_floor`.
     """

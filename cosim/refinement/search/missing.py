@@ -106,7 +106,7 @@ def _deviations(problem: Problem, run: Filtered, rows: slice, index: int) -> Mis
 
 
 def smooth_unknown_inputs(problem: Problem, base: Fit, every: int = 1) -> tuple[Smoothed, Array, Array]:
-    """Return the missing inputs as `smooth_logs` does; of free runs not the deviations, but what drives them."""
+    """Return the smoothed missing inputs; of free runs what drives the deviations, not the deviations themselves."""
     if not problem.layout.is_free_run:
         return smooth_logs(problem, base, every)
     return _stacked([(k, _drive_of_deviations(problem, base, k)) for k in smoothed_logs(problem)])
@@ -128,7 +128,7 @@ def _drive_of_deviations(problem: Problem, base: Fit, index: int) -> MissingInpu
 
 
 def deviations_of(problem: Problem, values: Mapping[str, float], noise: Noise, index: int) -> tuple[Array, Array]:
-    """Return the linear model of a free run's random states in each row: transition to the next row, and readings."""
+    """Return a free run's random states as linear model: transition from each row to the next, and readings."""
     layout, data = problem.layout, problem.data(values, index)
     rows, ny, n = len(data.u), len(layout.outputs), len(layout.stochastic)
     F, C = np.zeros((rows, n, n)), np.zeros((rows, ny, n))
@@ -144,7 +144,7 @@ def deviations_of(problem: Problem, values: Mapping[str, float], noise: Noise, i
 
 
 def of_every_row(problem: Problem, at: Fit, index: int) -> MissingInput:
-    """Return the states and filtered deviations of a free run in every row of a log."""
+    """Return a free run's states and deviations in every row."""
     run = problem.run({**problem.values, **at.values}, at.noise, index, states=True)
     return _deviations(problem, run, slice(0, len(run.states)), index)
 
@@ -160,7 +160,7 @@ class DriveResponses:
         self.filters = [self._filter(at, k) for k in range(len(problem.logs))]
 
     def _filter(self, at: Fit, index: int) -> tuple[Array, Array]:
-        """Return the transition of the random states from before one row's readings to the next, and the readings."""
+        """Return the filter's transition between rows, and the readings."""
         problem, values, noise = self.problem, {**self.problem.values, **at.values}, at.noise
         data, places = problem.data(values, index), list(problem.layout.noisy)
         F, C = deviations_of(problem, values, noise, index)
@@ -179,7 +179,9 @@ class DriveResponses:
         return moves, C
 
     def __call__(self, equation: int, columns: Sequence[Array]) -> Array:
-        """Return the changes of the scored innovations per standard deviation, shape (innovations, columns).
+        """Return changes of the scored innovations per standard deviation.
+
+        The shape is (innovations, columns).
 
         Args:
             columns: Additions to the unknown input of an equation in each row, one array (rows, columns) for each log.

@@ -10,7 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import accumulate, combinations
+from functools import partial
+from itertools import accumulate, chain, combinations, islice
 from typing import Any
 
 import numpy as np
@@ -156,14 +157,19 @@ def signals_of(problem: Problem, parts: Smoothed) -> dict[str, Array]:
     time, named = np.concatenate([m.time for _, m in parts]), dict(zip(layout.states, states.T, strict=True))
     own = {n: z for n, z in named.items() if not n.startswith((DISTURBANCE, CONSTANT))}
     if layout.is_free_run:
-        own = {n: named[n] + named[DEVIATION + n] for n in layout.outputs}
-        ends = np.cumsum([len(m.time) for _, m in parts])[:-1]
-        for rate in (n for n in layout.rates.values() if n.startswith(RATE)):
-            each = np.split(own[rate.removeprefix(RATE)], ends)
-            steps = [problem.logs[k].step for k, _ in parts]
-            rates = [np.diff(z, prepend=z[:1]) / step for z, step in zip(each, steps, strict=True)]
-            own[rate] = np.concatenate(rates)
+        own = _outputs_and_rates(problem, parts, named)
     return {"time": time, **own, **{f"command {n}": u for n, u in zip(layout.inputs, commands.T, strict=True)}}
+
+
+def _outputs_and_rates(problem: Problem, parts: Smoothed, named: Signals) -> dict[str, Array]:
+    """Return the outputs of a free run with their rates."""
+    layout = problem.layout
+    own = {n: named[n] + named[DEVIATION + n] for n in layout.outputs}
+    ends, steps = np.cumsum([len(m.time) for _, m in parts])[:-1], [problem.logs[k].step for k, _ in parts]
+    for rate in (n for n in layout.rates.values() if n.startswith(RATE)):
+        each = zip(np.split(own[rate.removeprefix(RATE)], ends), steps, strict=True)
+        own[rate] = np.concatenate([np.diff(z, prepend=z[:1]) / step for z, step in each])
+    return own
 
 
 def promising_shapes(test: ScoreTest, units: Mapping[str, str], worth: float) -> tuple[list[Shape], int]:
@@ -176,22 +182,17 @@ def promising_shapes(test: ScoreTest, units: Mapping[str, str], worth: float) ->
     """
     problem, prefix = test.problem, f"{LOCAL}.1.of."
     names = {n.removeprefix(prefix) for n in problem.layout.parameters if n.startswith(prefix)}
-    if not names or not problem.layout.forced:
+    ways = _ways(test) if names and problem.layout.forced else None
+    if ways is None or not all(np.isfinite(z).all() for z in (*ways.lacking, *ways.signals.values())):
         return [], 0
-    with np.errstate(invalid="ignore", over="ignore"):
-        ways = _of_free_run(test) if problem.layout.is_free_run else _of_missing_input(test)
     signals = {n: z for n, z in ways.signals.items() if n in names}
-    if not all(np.isfinite(z).all() for z in (*ways.lacking, *signals.values())):
-        return [], 0
     shapes: list[Shape] = []
     tried = 0
     for column, equation in enumerate(problem.layout.forced):
         best = _Selection(ways.lacking[column], ways.plain(column, signals.get(equation)), worth)
-        every = [s for ground in _grounds(problem, equation, signals, units) for s in ground.shapes()]
-        for some in (every[k : k + AT_ONCE] for k in range(0, len(every), AT_ONCE)):
-            columns = [shape.columns(signals) for shape in some]
-            tried += sum(c.shape[1] for c in columns)
-            best.try_all(some, [c.shape[1] for c in columns], ways.respond(column, np.hstack(columns)))
+        every = chain.from_iterable(ground.shapes() for ground in _grounds(problem, equation, signals, units))
+        while some := [*islice(every, AT_ONCE)]:
+            tried += best.try_all(some, signals, partial(ways.respond, column))
         shapes += best.select()
     return shapes, tried
 
@@ -213,8 +214,14 @@ class _Ways:
     respond: Callable[[int, Array], Array]
 
 
+def _ways(test: ScoreTest) -> _Ways:
+    """Return what shapes are compared with."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        return _of_free_run(test) if test.problem.layout.is_free_run else _of_missing_input(test)
+
+
 def _of_missing_input(test: ScoreTest) -> _Ways:
-    """Return a regression of the smoothed missing input, as if its rows were independent."""
+    """Return the regression of a smoothed missing input."""
     parts, lacking, sigma = smooth_logs(test.problem, test.at, EVERY)
     weights = 1.0 / np.sqrt(np.mean(sigma**2, axis=0))
 
@@ -226,7 +233,7 @@ def _of_missing_input(test: ScoreTest) -> _Ways:
 
 
 def _of_free_run(test: ScoreTest) -> _Ways:
-    """Return the score test with every shape as an addition to the unknown inputs of a free run."""
+    """Return the score test of additions to unknown inputs."""
     problem, responses = test.problem, DriveResponses(test.problem, test.at)
     parts = [(k, of_every_row(problem, test.at, k)) for k in range(len(problem.logs))]
     ends = np.cumsum([len(m.time) for _, m in parts])[:-1]
@@ -253,17 +260,19 @@ class _Selection:
         """Return columns orthogonal to the further regressors."""
         return np.asarray(columns - self.plain @ (self.plain.T @ columns))
 
-    def try_all(self, shapes: Sequence[Shape], counts: Sequence[int], columns: Array) -> None:
-        """Keep the shapes with a sufficient predicted gain; each has a number of the columns."""
-        projected = self._project(columns)
-        against, ends = projected.T @ self.lacking, [*accumulate(counts)]
-        for shape, count, end in zip(shapes, counts, ends, strict=True):
-            basis, target = projected[:, end - count : end], against[end - count : end]
+    def try_all(self, shapes: Sequence[Shape], signals: Signals, respond: Callable[[Array], Array]) -> int:
+        """Keep promising shapes; return the number of coefficients tried."""
+        columns = [shape.columns(signals) for shape in shapes]
+        projected = self._project(respond(np.hstack(columns)))
+        against, ends = projected.T @ self.lacking, [*accumulate(c.shape[1] for c in columns)]
+        for shape, end, before in zip(shapes, ends, [0, *ends], strict=False):
+            basis, target = projected[:, before:end], against[before:end]
             products = basis.T @ basis
             sizes = least_squares(products, target, rcond=1e-9)
             gain = 0.5 * float(sizes @ products @ sizes)
             if gain > self.worth * len(sizes):
                 (self.groups if len(sizes) > 1 else self.single).append((gain, shape, basis @ sizes))
+        return ends[-1] if ends else 0
 
     def select(self) -> list[Shape]:
         """Return the most promising distinct shapes."""

@@ -243,7 +243,7 @@ class _Terms:
         return selected
 
     def leaders(self, first: UnnamedTerm) -> list[Key]:
-        """Return the best term if any log is left out, and if the sensor noise changes.
+        """Return the best terms without each log, and with other sensor noise.
 
         The best term is the one whose gain exceeds its cost by most; `first` counts in place of an equivalent one of
         the same equation.
@@ -281,7 +281,7 @@ class _Terms:
 def _leader(
     first: UnnamedTerm, effects: Effects, costs: Mapping[Key, float], gain: Callable[[Sequence[Array]], float]
 ) -> Key:
-    """Return the term that gains most beyond its cost, or the first one in place of an equivalent one."""
+    """Return the term with the largest net gain, or the first one in place of an equivalent one."""
     net = {key: gain(rows) - costs[key] for key, rows in effects.items()}
     leader, own = max(net, key=lambda key: net[key]), (first.equation, first.signal, first.shape)
     one, other = effects[own][0], effects[leader][0]
