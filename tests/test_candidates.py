@@ -8,6 +8,7 @@ import pytest
 
 from cosim.model import Equations, Model, Namespace, parameter
 from cosim.subject.base_parameters import base_parameters
+from cosim.subject.candidates import values_of_special_case
 from cosim.subject.model_subject import ModelSubject, neutral_values
 from plant.hovercraft import Hovercraft
 
@@ -89,3 +90,16 @@ def test_every_name_told_apart_is_one_that_is_tried() -> None:
     craft = Hovercraft()
     tried = {c.name for c in ModelSubject.of(craft).candidates([q.name for q in craft.inputs])}
     assert set().union(*craft.told_apart_by) <= tried
+
+
+def test_an_effect_takes_the_values_at_which_it_equals_a_simpler_one() -> None:
+    model = ModelSubject.of(Hovercraft())
+    dry, peaked, drag = (
+        next(c for c in model.candidates(()) if c.name == name)
+        for name in ("coulomb_friction", "stribeck_friction", "quadratic_drag")
+    )
+    at = {"coulomb_friction.force": 0.04, "quadratic_drag.coefficient": 0.3}
+    same = {"stribeck_friction.force": 0.04, "stribeck_friction.static_force": 0.04}
+    assert values_of_special_case(peaked, dry, at) == same
+    assert values_of_special_case(dry, peaked, at) == {}
+    assert values_of_special_case(peaked, drag, at) == {}

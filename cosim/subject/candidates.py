@@ -110,3 +110,21 @@ class Free:
     group: str = ""
     above: str = ""
     resolved: bool = False
+
+
+def values_of_special_case(rich: Candidate, simple: Candidate, values: Mapping[str, float]) -> dict[str, float]:
+    """Return values at which one effect equals another one; empty if it has no such values.
+
+    A parameter that is at least another one, such as a breakaway force and a friction force, makes no difference where
+    both are equal. The simple effect has a parameter of the same name as that other one.
+
+    Args:
+        values: Parameter values of the simple effect.
+    """
+    named = {name.rpartition(".")[2]: values[name] for name in simple.parameters if name in values}
+    equal: dict[str, float] = {}
+    for f in rich.free:
+        least = f.above.rpartition(".")[2]
+        if f.above and least in named:
+            equal |= {f.name: named[least], f.above: named[least]}
+    return equal if simple.kind == rich.kind and len(simple.free) < len(rich.free) else {}

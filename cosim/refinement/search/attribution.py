@@ -15,6 +15,7 @@ from itertools import chain, combinations
 
 import numpy as np
 
+from cosim.estimation.fit import Fit
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.posing import coarsen
 from cosim.estimation.problem import Problem
@@ -25,7 +26,7 @@ from cosim.refinement.decision.judgement import SIGNIFICANT, loss_without
 from cosim.refinement.search.fits import SCREEN_ITERATIONS, Parts, Progress, Search, SearchResult, Trial, key_of
 from cosim.refinement.search.hypotheses import Hypothesis, best_hypothesis
 from cosim.refinement.search.periods import with_likely_periods
-from cosim.subject.candidates import Candidate
+from cosim.subject.candidates import Candidate, values_of_special_case
 from cosim.subject.interface import Subject
 from cosim.terms.alike import are_alike
 
@@ -269,6 +270,7 @@ class Attributor:
         if (ahead := self._leader(best)) is not best:
             best = best_hypothesis((best, *search.fit_again([ahead])))
         best = self._with_replacement(self._with_addition(best))
+        best = best_hypothesis((best, *search.fit_again(self._beyond_special_cases(best))))
         search.bound = refit.fit.objective
         for _ in range(2):  # A new best hypothesis has its own rivals.
             rivals = [h for h in self._finalists(best) if h.names and not h.ended]
@@ -287,6 +289,19 @@ class Attributor:
         tried = sorted(self.search.tried.values(), key=lambda h: h.score)
         larger = [h for h in tried if set(h.names) > set(best.names) and h.score - best.score < NEAR]
         return best_hypothesis((best, *self.search.fit_again(larger[:MOST_ENLARGED])))
+
+    def _beyond_special_cases(self, best: Hypothesis) -> list[Hypothesis]:
+        """Return hypotheses near the best with an effect in place of its special case, from the values of these."""
+        search, starts = self.search, dict[tuple[str, ...], tuple[Parts, Fit]]()
+        near = sorted((h for h in search.tried.values() if h.score - best.score < NEAR), key=lambda h: h.score)
+        for h, simple, rich in [(of, c, other) for of in near for c in of.candidates for other in self.candidates]:
+            values = values_of_special_case(rich, simple, h.fit.values)
+            if values and rich.name not in h.names:
+                parts = (*(c for c in h.candidates if c is not simple), rich)
+                free = (*h.fit.free, *rich.free)
+                starts.setdefault(key_of(parts), (parts, replace(h.fit, values={**h.fit.values, **values}, free=free)))
+        fitted = in_parallel(lambda start: search.hypothesis(*start, loosen=False), [*starts.values()])
+        return [h for h in fitted if h.names not in search.tried or h.score < search.tried[h.names].score]
 
     def _fine_enough(self, best: Hypothesis) -> Problem:
         """Return the problem with enough substeps for a hypothesis."""
