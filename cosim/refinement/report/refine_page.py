@@ -217,7 +217,7 @@ def _next_step(r: Refinement) -> str:
     if r.verdict.name == "unexplained" and r.verdict.rivals:
         return (
             "Next step: look at the figure of the remainder for what an effect of your own would have to do. "
-            "model.yaml is the model as it was. Best candidates, not confirmed:"
+            f"{r.study.subject.main_file('refined')} is the model as it was. Best candidates, not confirmed:"
         )
     return ""
 
@@ -400,7 +400,8 @@ def _provenance(r: Refinement) -> list[Row]:
     sensors, claim = study.subject.sensor_parameters, r.verdict.claimed
     stated = any(study.subject.values[n] != float(p.default) for n, p in sensors.items())
     if stated or any(c.kind == "sensor" for c in (claim.candidates if claim else ())):
-        rows.append(Row("Sensors", "errors stand in model.yaml; the FMU says what is there, not what is read"))
+        place = "refine.json" if study.subject.probed else "model.yaml"
+        rows.append(Row("Sensors", f"errors stand in {place}; the FMU says what is there, not what is read"))
     return [*rows, Row("Made by", f"cosim {__version__}, Python {platform.python_version()}, numpy {np.__version__}")]
 
 
