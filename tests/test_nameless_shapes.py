@@ -17,6 +17,7 @@ from cosim.logs.log import read_log
 from cosim.model import Equations, Model, Namespace, Quantity, parameter
 from cosim.refinement.decision.sentences import dependence_text, unexplained_text
 from cosim.refinement.search.fits import Search
+from cosim.refinement.search.laws import law_of
 from cosim.refinement.search.shapes import Shape
 from cosim.refinement.search.unnamed import Leftover, UnnamedTerm, _Terms, find_unnamed_terms
 from cosim.subject.model_subject import ModelSubject
@@ -181,3 +182,37 @@ def test_a_sentence_says_where_and_how_wide() -> None:
     assert dependence_text("x_world", replace(shape, kind="spline")) == "depends on x_world, by no simple law"
     rubbing = replace(shape, times=("vx",), dry=True, slip=0.1)
     assert dependence_text("x_world", rubbing).endswith(", times the sign of vx")
+
+
+@pytest.mark.parametrize(
+    ("law", "is_rate", "words"),
+    [
+        (np.sign, True, "dry friction"),
+        (lambda z: z * np.abs(z), True, "drag with the square of the speed"),
+        (lambda z: np.clip(z, -0.2, 0.2), False, "free play"),
+        (lambda z: z**3, False, "a spring with the cube of the deflection"),
+        (lambda z: np.cos(9.0 * z), False, ""),
+        (lambda z: 3.0 * z + 1.0, False, ""),
+    ],
+    ids=["dry", "square", "play", "cubic", "wave", "line"],
+)
+def test_a_spline_is_told_by_the_law_that_it_resembles_beside_a_line(
+    law: Callable[[np.ndarray], np.ndarray], is_rate: bool, words: str
+) -> None:
+    z = np.random.default_rng(3).uniform(-1.0, 1.0, 2000)
+    spline = Shape("speed", ("place",), "spline", -1.0, 2.0 / (KNOTS - 1))
+    columns = spline.columns({"place": z})
+    sizes = np.linalg.lstsq(columns, law(z) - 0.5 * z, rcond=None)[0]
+    assert words in law_of([(spline, sizes)], {"place": z}, is_rate=is_rate).split(" or ")
+
+
+def test_a_sentence_says_what_a_shape_is_like() -> None:
+    shape = Shape("phi1", ("phi1", "phi2"), "spline", -1.0, 0.3, unit="rad")
+    assert dependence_text("phi1 − phi2", shape, "free play") == "depends on phi1 − phi2, like free play"
+    term = UnnamedTerm("phi1", "phi1 − phi2", 30.0, 0.1, 30.0, 0.5, shape, (0.1,) * KNOTS, like="free play")
+    assert term.entry["like"] == "free play"
+    residual = {"equation": None, "signals": ["phi1 − phi2"], "share": 0.5, "terms": [term.entry]}
+    assert unexplained_text(residual, (), something="Something that was not tried") == (
+        "Something that was not tried depends on phi1 − phi2, like free play; on what it acts, the logs do not agree. "
+        "This dependence explains 50\u00a0% of what is missing."
+    )

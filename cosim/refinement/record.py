@@ -159,6 +159,7 @@ class NamelessTerm(_Entry):
     place: Finite | None = Field(default=None, description="of a local shape: where on its signal it acts")
     width: Finite | None = Field(default=None, description="of a local shape: how wide it is there")
     local: LocalShape | None = Field(default=None, description="the whole of a local shape")
+    like: str = Field(default="", description="of a local shape: the law that it resembles, such as dry friction")
 
 
 class Residual(_Entry):

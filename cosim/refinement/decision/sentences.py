@@ -402,10 +402,17 @@ def held_out_rows_text(c: Claims, subject: Subject) -> str:
     return f"On held-out rows {who} is off by {after}. {without} it is off by {before}."
 
 
-def dependence_text(signal: str, shape: Shape | None = None) -> str:
-    """Return a phrase on the dependence of a term on its signal; signal `1` is the constant."""
+def dependence_text(signal: str, shape: Shape | None = None, like: str = "") -> str:
+    """Return a phrase on the dependence of a term on its signal.
+
+    Args:
+        signal: `1` for the constant.
+        like: Law that the shape resembles.
+    """
     if shape is None:
         return "is constant" if signal == "1" else f"depends on {signal}"
+    if like:
+        return f"depends on {signal}, like {like}"
     place, width = amount(shape.place, shape.unit), amount(shape.width, shape.unit, 2)
     if shape.kind == "spline":
         return f"depends on {signal}, by no simple law"
@@ -418,7 +425,7 @@ def _residual_text(residual: Mapping[str, Any]) -> str:
     """Return a phrase on the dependence of the residual on a signal, from its first term."""
     first = residual["terms"][0] if residual["terms"] else {}
     shape = Shape.of_entry(first["equation"], first["local"]) if first.get("local") else None
-    return dependence_text(residual["signals"][0], shape)
+    return dependence_text(residual["signals"][0], shape, first.get("like", ""))
 
 
 OPENINGS = {  # kind → before up to three names, and in place of more
@@ -489,5 +496,6 @@ def remainder_text(term: UnnamedTerm, gained: float) -> str:
     """Return sentences on an unnamed term beside a claim."""
     if term.share is not None and term.share < LITTLE:
         return f"Something remains in the equation of {term.equation}; {NO_TERM} {percent(LITTLE)} of it."
-    rest = f"Something remains in the equation of {term.equation} that {dependence_text(term.signal, term.shape)}."
+    depends = dependence_text(term.signal, term.shape, term.like)
+    rest = f"Something remains in the equation of {term.equation} that {depends}."
     return f"{rest} A term without a name would add {percent(term.gain / gained)} to the claim's gain."

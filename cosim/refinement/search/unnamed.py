@@ -23,8 +23,9 @@ from cosim.estimation.problem import Problem
 from cosim.estimation.screen import ScoreTest
 from cosim.kernel.nameless import PREFIX, SLOTS
 from cosim.refinement.search.fits import ENTRY, SCREEN_ITERATIONS
-from cosim.refinement.search.missing import contributions, scale_to_missing, smooth_logs
-from cosim.refinement.search.shapes import Shape, promising_shapes
+from cosim.refinement.search.laws import law_of
+from cosim.refinement.search.missing import contributions, scale_to_missing, smooth_logs, smooth_unknown_inputs
+from cosim.refinement.search.shapes import EVERY, Shape, promising_shapes, signals_of
 from cosim.subject.candidates import Free
 
 SMALL = 0.1  # share of a plainly detected disturbance within a second, for the difference step of a term
@@ -50,6 +51,7 @@ class UnnamedTerm:
         shape: Local shape.
         sizes: Coefficients of the shape's bumps.
         slot: Number of the local shape in the kernel's parameters.
+        like: Law that the local shape resembles, in words; "" for none.
     """
 
     equation: str
@@ -61,6 +63,7 @@ class UnnamedTerm:
     shape: Shape | None = None
     sizes: tuple[float, ...] = ()
     slot: int = 1
+    like: str = ""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -84,7 +87,8 @@ class UnnamedTerm:
         if self.shape is None:
             return entry
         local = {**self.shape.entry, "sizes": list(self.sizes)}
-        return entry | {"place": self.shape.place, "width": self.shape.width, "local": local}
+        like = {"like": self.like} if self.like else {}
+        return entry | {"place": self.shape.place, "width": self.shape.width, "local": local} | like
 
 
 Key = tuple[str, str, Shape | None]  # equation, signal and shape of a term
@@ -151,6 +155,7 @@ def find_unnamed_terms(
             gain = without.objective - fitted.objective
             tried = test.number_tried(refitted)
             first, leaders = refitted[0], test.leaders(refitted[0])
+            refitted[0] = _with_law(problem, at, first, refitted)
             steady = all(signal == first.signal for _, signal, _ in leaders)
             placed = all(equation == first.equation for equation, _, _ in leaders)
             return Leftover(tuple(refitted), fitted, gain, test.cost, tried, steady, placed)
@@ -313,6 +318,16 @@ def _with_coefficients(u: UnnamedTerm, fitted: Fit) -> UnnamedTerm:
     sizes = [fitted.values[name] for name in u.names]
     gain = 0.5 * float(np.array(sizes) @ fitted.marginal(u.names) @ np.array(sizes))
     return replace(u, gain=gain, most=gain, coefficient=max(sizes, key=abs), sizes=tuple(sizes) if u.shape else ())
+
+
+def _with_law(problem: Problem, at: Fit, first: UnnamedTerm, terms: Sequence[UnnamedTerm]) -> UnnamedTerm:
+    """Return the first term with the law that its local shape resembles, with all shapes of its equation and signal."""
+    shapes = [(u.shape, u.sizes) for u in terms if u.shape and (u.equation, u.signal) == (first.equation, first.signal)]
+    if first.shape is None:
+        return first
+    parts, *_ = smooth_unknown_inputs(problem, at, EVERY)
+    is_rate = {*problem.layout.rates.values()}.issuperset(first.shape.of)
+    return replace(first, like=law_of(shapes, signals_of(problem, parts), is_rate=is_rate))
 
 
 def _without_equivalents(terms: Sequence[tuple[UnnamedTerm, Array]]) -> list[UnnamedTerm]:
