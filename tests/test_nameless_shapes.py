@@ -17,7 +17,7 @@ from cosim.logs.log import read_log
 from cosim.model import Equations, Model, Namespace, Quantity, parameter
 from cosim.refinement.decision.sentences import dependence_text, unexplained_text
 from cosim.refinement.search.fits import Search
-from cosim.refinement.search.laws import law_of
+from cosim.refinement.search.resemblance import law_of
 from cosim.refinement.search.shapes import Shape
 from cosim.refinement.search.unnamed import Leftover, UnnamedTerm, _Terms, find_unnamed_terms
 from cosim.subject.model_subject import ModelSubject

@@ -23,8 +23,8 @@ from cosim.estimation.problem import Problem
 from cosim.estimation.screen import ScoreTest
 from cosim.kernel.nameless import PREFIX, SLOTS
 from cosim.refinement.search.fits import ENTRY, SCREEN_ITERATIONS
-from cosim.refinement.search.laws import law_of
 from cosim.refinement.search.missing import contributions, scale_to_missing, smooth_logs, smooth_unknown_inputs
+from cosim.refinement.search.resemblance import law_of
 from cosim.refinement.search.shapes import EVERY, Shape, promising_shapes, signals_of
 from cosim.subject.candidates import Free
 
