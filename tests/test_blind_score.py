@@ -122,6 +122,7 @@ def test_excess_is_what_remains_above_the_floor_of_what_was() -> None:
     e = errors({"a": 17**0.5, "b": 3.0}, {"a": 5**0.5, "b": 0.9}, {"a": 1.0, "b": 1.0})
     assert score.excess_left(known(COULOMB, "effect_found", **e)) == pytest.approx(0.125)
     assert score.excess_left(known(COULOMB, "no_effect", **errors({"a": 1.0}, {"a": 1.0}, {"a": 1.0}))) is None
+    assert score.excess_left(known(COULOMB, "no_effect", **errors({"a": 9.0}, {"a": 1.0}, {}))) is None
     assert score.excess_left(known(COULOMB, "failed")) == 1.0
 
 

@@ -109,7 +109,8 @@ def is_misnamed(line: Line) -> bool:
 def excess_left(line: Line) -> float | None:
     """Return the share of the avoidable error left on the sealed log, mean over channels; 1 for a failed study.
 
-    (after² − floor²)/(before² − floor²), not below 0, for channels with before > 2·floor; None without such channels.
+    (after² − floor²)/(before² − floor²), not below 0, for channels with a floor and before > 2·floor; None without such
+    channels. Channels with a floor above their own spread have none.
     """
     if line["verdict"] == "failed":
         return 1.0
@@ -117,7 +118,7 @@ def excess_left(line: Line) -> float | None:
     shares = [
         max(0.0, (after[c] ** 2 - floor[c] ** 2) / (before[c] ** 2 - floor[c] ** 2))
         for c in before
-        if before[c] > 2.0 * floor[c]
+        if c in floor and before[c] > 2.0 * floor[c]
     ]
     return statistics.fmean(shares) if shares else None
 
