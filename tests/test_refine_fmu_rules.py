@@ -16,9 +16,11 @@ from cosim.estimation.fit import Fit
 from cosim.logs.log import read_log
 from cosim.model.quantities import Quantity
 from cosim.probing.fmu_structure import ProbedParameter
+from cosim.refinement import workflow
 from cosim.refinement.decision import judgement, trust
-from cosim.refinement.decision.claims import Claims
+from cosim.refinement.decision.claims import Claims, Improvement
 from cosim.refinement.proof import replay_check
+from cosim.refinement.proof.measure import Floor
 from cosim.refinement.search.fits import SearchResult
 from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.subject import probed_model
@@ -264,3 +266,20 @@ def test_a_richer_term_at_a_limit_is_followed_by_its_special_case_and_is_no_riva
     special = search.tried["coulomb_at_v",]
     monkeypatch.setattr(judgement, "_refutes", lambda *hypotheses: False)
     assert not judgement._is_rival(search, special, best)
+
+
+@pytest.mark.parametrize(("level", "grade", "divided"), [({}, "claimed", "phi"), ({"phi": 0.1}, "part", "")])
+def test_sealed_logs_do_not_grade_a_claim_by_less_than_its_own_uncertainty(
+    monkeypatch: pytest.MonkeyPatch, level: dict[str, float], grade: str, divided: str
+) -> None:
+    missed = Improvement({"phi": 0.9}, "recalibrated")
+    claims = Claims("effect_found", hypothesis({"dry": (1.0, 0.1)}), grade="claimed", improvement=missed)
+    monkeypatch.setattr(workflow, "predicted_floor", lambda *given: level)
+    monkeypatch.setattr(workflow, "sealed_improvement", lambda claims, errors, floor: missed if floor else None)
+    variant: Any = SimpleNamespace(subject=SimpleNamespace(horizon=np.inf))
+    problem: Any = None
+    log: Any = None
+    floors: Any = {"validation": Floor({"phi": 0.1}, {})}
+    posed = variant, problem, [log]
+    graded = workflow._check_on_sealed_logs(claims, {}, floors, posed, np.random.default_rng(0))
+    assert (graded.grade, graded.divided) == (grade, divided)
