@@ -259,6 +259,11 @@ def square_unit(unit: str) -> str:
     return unit_product([(unit, 2)])
 
 
+def unit_of_rate(unit: str) -> str:
+    """Return the unit of a derivative by time: `rad/s` for `rad`."""
+    return unit_product([(unit, 1), ("s", -1)])
+
+
 def unit_product(factors: Iterable[tuple[str, int]]) -> str:
     """Return a product of powers of units, "" without dimension or with an unknown unit: `N.s/m` for N over m/s."""
     powers: dict[str, int] = {}

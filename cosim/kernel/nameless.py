@@ -13,7 +13,7 @@ from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from cosim.base.units import unit_product
+from cosim.base.units import unit_of_rate
 from cosim.model.quantities import Quantity
 from cosim.model.symbolic.symbols import SymbolicModel
 from cosim.terms.fmu_model import FmuModel
@@ -66,8 +66,7 @@ def _rate_of(q: Quantity) -> tuple[Quantity, Any]:
     """Return the rate of an output as a signal with its symbol."""
     import sympy
 
-    unit = unit_product([(q.unit, 1), ("s", -1)])
-    rate = Quantity(f"{RATE}{q.name}", unit, f"rate of {q.doc or q.name}")
+    rate = Quantity(f"{RATE}{q.name}", unit_of_rate(q.unit), f"rate of {q.doc or q.name}")
     return rate, sympy.Symbol(f"state:{rate.name}", real=True)
 
 

@@ -16,11 +16,8 @@ from cosim.probing.log_runs import SAME, Course
 from cosim.probing.prober import Prober
 
 NEARLY = 1e-6  # relative difference up to which a change is proportional to velocity and parameter
-CHANGES = (
-    1.0,
-    0.1,
-    -0.25,
-)  # of a parameter, as multiples of its size; twice the first one that its bounds allow is tried
+# Changes of a parameter as multiples of its size; the first is taken that the bounds allow twice.
+CHANGES = (1.0, 0.1, -0.25)
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +138,7 @@ def _trial_of(
 
 
 def _change_of(parameter: ProbedParameter, value: float) -> float:
-    """Return a change of a parameter that its bounds allow twice; 0 without one."""
+    """Return the change to try; 0 if the bounds allow none."""
     low, high = parameter.quantity.bounds
     size = abs(value) or abs(parameter.tried)
     return next((c * size for c in CHANGES if low <= value + 2.0 * c * size <= high), 0.0)

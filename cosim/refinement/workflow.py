@@ -17,7 +17,7 @@ import numpy as np
 
 from cosim.base.errors import Fault, TimedOut, refuse
 from cosim.base.text import counted, join_names, plain
-from cosim.base.units import unit_product
+from cosim.base.units import unit_of_rate
 from cosim.estimation.fit import Fit, initial_fit
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.per_log import drop_own_parameters
@@ -296,7 +296,7 @@ def _judge_best(study: Study, a: Attribution, result: SearchResult, progress: Pr
     coarse, scatter = coarsen(bare, a.best.fit.values), search.problem.scatter
     nameless = replace(coarse, sensing=a.best.fit.noise, trusted=trusted, scatter=scatter)
     units = {"time": "s", **{q.name: q.unit for q in subject.states}}
-    units |= {f"{RATE}{q.name}": unit_product([(q.unit, 1), ("s", -1)]) for q in subject.states}
+    units |= {f"{RATE}{q.name}": unit_of_rate(q.unit) for q in subject.states}
     units |= {f"command {q.name}": q.unit for q in subject.inputs}
     leftover = find_unnamed_terms(nameless, a.best.fit, search.price, units)
     if leftover.fit is not None and not _is_steady(nameless, leftover, leftover.fit, a.best.fit, subject.horizon):

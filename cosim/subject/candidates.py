@@ -113,7 +113,9 @@ class Free:
 
 
 def values_of_special_case(rich: Candidate, simple: Candidate, values: Mapping[str, float]) -> dict[str, float]:
-    """Return values at which one effect equals another one; empty if it has no such values.
+    """Return values that make a rich effect a simple one.
+
+    There are none if neither contains the other.
 
     A parameter that is at least another one, such as a breakaway force and a friction force, makes no difference where
     both are equal. The simple effect has a parameter of the same name as that other one.

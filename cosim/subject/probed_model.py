@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.units import unit_product
+from cosim.base.units import unit_of_rate, unit_product
 from cosim.logs.log import Log
 from cosim.model.quantities import Parameter, Quantity
 from cosim.probing.fmu_structure import Connection, Damping, Pair, Port, ProbedParameter, Structure
@@ -163,7 +163,7 @@ class ProbedModel:
         return Place(name, units, sizes, -1, *ends, resolution=resolution, opposite=other)
 
     def _rate_unit(self, name: str) -> str:
-        return unit_product([(self.units[name], 1), ("s", -1)])
+        return unit_of_rate(self.units[name])
 
     # -- model --------------------------------------------------------------------------------------
 
@@ -206,7 +206,7 @@ class ProbedModel:
         return [replace(q, name=with_place(self.structure.shown_as(q.name))) for q in self.states]
 
     def _rates(self) -> dict[int, int]:
-        """Return position → velocity that equals its derivative, by index."""
+        """Return position → its velocity, both by index."""
         names = [q.name for q in self.states]
         pairs = [pair for pair in self.structure.pairs if pair.gain == 1.0]
         return {names.index(pair.position): names.index(pair.velocity) for pair in pairs}

@@ -1,7 +1,7 @@
 """An FMU for model exchange as a model: derivatives and outputs come from its library, terms are added as equations.
 
 The equations are for symbols only. Each derivative and output of the library is a function of the states on which it
-depends, printed in C as a call; `cosim/kernel/binary.c` evaluates the library.
+depends, printed in C as a call; `cosim/kernel/library.c` evaluates the library.
 """
 
 from __future__ import annotations

@@ -74,7 +74,8 @@ def _is_imitated(search: Search, truth: Hypothesis, adapted: Hypothesis, times: 
     priors = [(k, *f.prior) for k, f in enumerate(free) if f.prior]
     start = given | _enlarged(adapted, search.problem, times)
 
-    def left(theta: Array) -> Array:
+    def residuals(theta: Array) -> Array:
+        """Return differences of predictions, and pulls of tolerances."""
         values = start | {f.name: float(v) for f, v in zip(free, theta, strict=True)}
         errors = np.nan_to_num((course.outputs(values) - wanted) / scale, nan=1e9, posinf=1e9, neginf=-1e9)
         return np.concatenate([errors.ravel(), [PULL * (theta[k] - mean) / sigma for k, mean, sigma in priors]])
@@ -85,7 +86,7 @@ def _is_imitated(search: Search, truth: Hypothesis, adapted: Hypothesis, times: 
     margin = np.where(np.isfinite(high - low), 1e-9 * (high - low), 0.0)
     begin = np.clip([start[f.name] for f in free], low + margin, high - margin)
     sizes = np.array([f.size for f in free])
-    done = least_squares(left, begin, bounds=(low, high), x_scale=sizes, max_nfev=EVALUATIONS)
+    done = least_squares(residuals, begin, bounds=(low, high), x_scale=sizes, max_nfev=EVALUATIONS)
     errors, pulls = np.split(done.fun, [wanted.size])
     before = sum((given[free[k].name] - mean) ** 2 / sigma**2 for k, mean, sigma in priors)
     return bool(np.linalg.norm(errors) < 1.0 and pulls @ pulls < PULL**2 * (before + WITHIN**2))

@@ -182,28 +182,28 @@ def promising_shapes(test: ScoreTest, units: Mapping[str, str], worth: float) ->
     """
     problem, prefix = test.problem, f"{LOCAL}.1.of."
     names = {n.removeprefix(prefix) for n in problem.layout.parameters if n.startswith(prefix)}
-    ways = _ways(test) if names and problem.layout.forced else None
-    if ways is None or not all(np.isfinite(z).all() for z in (*ways.lacking, *ways.signals.values())):
+    compared = _compared(test) if names and problem.layout.forced else None
+    if compared is None or not all(np.isfinite(z).all() for z in (*compared.lacking, *compared.signals.values())):
         return [], 0
-    signals = {n: z for n, z in ways.signals.items() if n in names}
+    signals = {n: z for n, z in compared.signals.items() if n in names}
     shapes: list[Shape] = []
     tried = 0
     for column, equation in enumerate(problem.layout.forced):
-        best = _Selection(ways.lacking[column], ways.plain(column, signals.get(equation)), worth)
+        best = _Selection(compared.lacking[column], compared.plain(column, signals.get(equation)), worth)
         every = chain.from_iterable(ground.shapes() for ground in _grounds(problem, equation, signals, units))
         while some := [*islice(every, AT_ONCE)]:
-            tried += best.try_all(some, signals, partial(ways.respond, column))
+            tried += best.try_all(some, signals, partial(compared.respond, column))
         shapes += best.select()
     return shapes, tried
 
 
 @dataclass(frozen=True, eq=False)
-class _Ways:
-    """What the shapes of each equation are compared with.
+class _Comparison:
+    """Data and regressors with which shapes are compared.
 
     Attributes:
         signals: Signals of the shapes.
-        lacking: What each equation lacks.
+        lacking: Missing input of each equation, or residuals of the fit.
         plain: Function of an equation and its own signal that returns regressors beside any shape.
         respond: Function of an equation and columns over the rows that returns regressors.
     """
@@ -214,13 +214,13 @@ class _Ways:
     respond: Callable[[int, Array], Array]
 
 
-def _ways(test: ScoreTest) -> _Ways:
-    """Return what shapes are compared with."""
+def _compared(test: ScoreTest) -> _Comparison:
+    """Return the data and regressors for this kind of fit."""
     with np.errstate(invalid="ignore", over="ignore"):
         return _of_free_run(test) if test.problem.layout.is_free_run else _of_missing_input(test)
 
 
-def _of_missing_input(test: ScoreTest) -> _Ways:
+def _of_missing_input(test: ScoreTest) -> _Comparison:
     """Return the regression of a smoothed missing input."""
     parts, lacking, sigma = smooth_logs(test.problem, test.at, EVERY)
     weights = 1.0 / np.sqrt(np.mean(sigma**2, axis=0))
@@ -229,10 +229,10 @@ def _of_missing_input(test: ScoreTest) -> _Ways:
         return np.column_stack([np.ones(len(lacking)), *([] if own is None else [own])])
 
     signals = signals_of(test.problem, parts)
-    return _Ways(signals, [*(lacking * weights).T], plain, lambda column, columns: columns)
+    return _Comparison(signals, [*(lacking * weights).T], plain, lambda column, columns: columns)
 
 
-def _of_free_run(test: ScoreTest) -> _Ways:
+def _of_free_run(test: ScoreTest) -> _Comparison:
     """Return the score test of additions to unknown inputs."""
     problem, responses = test.problem, DriveResponses(test.problem, test.at)
     parts = [(k, of_every_row(problem, test.at, k)) for k in range(len(problem.logs))]
@@ -244,7 +244,7 @@ def _of_free_run(test: ScoreTest) -> _Ways:
         return responses(column, np.split(columns, ends))
 
     lacking = [test.residual[:count]] * len(problem.layout.forced)
-    return _Ways(signals_of(problem, parts), lacking, lambda column, own: plain, respond)
+    return _Comparison(signals_of(problem, parts), lacking, lambda column, own: plain, respond)
 
 
 class _Selection:
