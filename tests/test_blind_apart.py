@@ -26,7 +26,7 @@ def test_sizes_of_replacements_turn_back_into_parameters(plant: str, way: str) -
 def test_a_replacement_adapts_and_keeps_its_side_and_its_shape() -> None:
     entry = Entry(("time",), 1.0, (0.1, 10.0), shape={"damping": (0.4, 0.8)})
     moved = fmu_apart._moved(entry, {"time": 2.0, "damping": 0.6}, [-100.0, 100.0])
-    assert moved == {"time": fmu_apart.LEAST * 2.0, "damping": 0.8}
+    assert moved == {"time": fmu_apart.SMALLEST * 2.0, "damping": 0.8}
     rows = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
     assert fmu_apart._adapted(rows @ [2.0, -3.0], rows, 0) == pytest.approx([-2.0, 3.0])
 

@@ -68,10 +68,10 @@ def test_a_force_along_a_position_acts_where_the_filter_sees_the_machine(tmp_pat
 @pytest.mark.parametrize("cycles", [37.0, 311.0])
 def test_a_period_far_below_the_travel_is_a_line_of_the_innovations(cycles: float) -> None:
     rng, travel = np.random.default_rng(2), 250.0
-    positions = [np.cumsum(rng.choice([-1.0, 1.0], 3000).cumsum() * 0.002) % travel for _ in range(2)]
+    positions = [np.cumsum(rng.choice([-1.0, 1.0], 3001).cumsum() * 0.002) % travel for _ in range(2)]
     positions[0][0], positions[1][0] = 0.0, travel
     answers = [
-        np.column_stack([0.4 * np.sin(2.0 * math.pi * cycles * q / travel + 1.0), np.zeros(3000)])
+        np.column_stack([0.4 * np.sin(math.pi * cycles * (q[:-1] + q[1:]) / travel + 1.0), np.zeros(3000)])
         + rng.standard_normal((3000, 2))
         for q in positions
     ]
@@ -82,14 +82,28 @@ def test_a_period_far_below_the_travel_is_a_line_of_the_innovations(cycles: floa
     assert min(abs(travel / line - cycles) for line in lines) < 0.5
 
 
+def test_a_force_that_repeats_within_a_row_tells_nothing_there() -> None:
+    """A motor turns by up to 1.2 periods a row; the force shows where it is slow, for a third of the time."""
+    rng, rows, cycles, travel = np.random.default_rng(5), 6000, 640.0, 660.0
+    speeds = np.repeat(rng.permutation(np.linspace(-1.0, 1.0, rows // 50)), 50)
+    position = np.concatenate([[0.0], np.cumsum(1.2 * speeds)])
+    position = (position - position.min()) * travel / np.ptp(position)
+    fine = np.interp(np.arange(20 * rows) / 20.0, np.arange(rows + 1), position).reshape(rows, 20)
+    mean = np.sin(2.0 * math.pi * cycles * fine / travel).mean(axis=1)
+    at_once = np.ones((periods.LASTING, 1)) * (np.arange(periods.LASTING)[:, None] == 0)
+    answers = [0.35 * mean[:, None] + rng.standard_normal((rows, 1))]
+    best = next(periods._lines([position], answers, at_once, 0.3, 0.5 * travel))
+    assert abs(travel / best - cycles) < 0.5
+
+
 def test_a_line_shows_through_slow_answers_of_several_sensors() -> None:
     """A force of 13.5 periods, which the innovations answer over tens of rows, far below their noise in each row."""
     rng, rows, true = np.random.default_rng(7), 1500, 6.0 / 13.5
-    position = 3.0 + 3.0 * np.sin(0.011 * np.arange(rows)) * np.cos(0.0037 * np.arange(rows))
+    position = 3.0 + 3.0 * np.sin(0.011 * np.arange(rows + 1)) * np.cos(0.0037 * np.arange(rows + 1))
     decays = np.exp(-np.arange(rows)[:, None] / np.array([6.0, 15.0])) * [0.2, -0.1]
 
     def answered(period: float) -> Any:
-        force = np.sin(2.0 * math.pi * position / period)
+        force = np.sin(math.pi * (position[:-1] + position[1:]) / period)
         return np.stack([np.convolve(force, decay)[:rows] for decay in decays.T], axis=1)
 
     probes = [0.05, 0.2, 0.8]
@@ -106,8 +120,8 @@ def test_a_period_is_varied_only_if_the_term_may_be_fitted(
 ) -> None:
     """The truth lies between two usual periods, half a cycle over the travel from one, and no line shows it."""
     q, true, sigma = np.linspace(0.0, 1.0, 2000), 1.0 / 6.5, 1e-3
-    monkeypatch.setattr(periods, "_along", lambda test, along: ([q], sigma, [np.zeros((q.size, 1))]))
-    monkeypatch.setattr(periods, "_by_row", lambda test, numbers: [numbers[:, None]])
+    monkeypatch.setattr(periods, "_along", lambda test, along: ([q], sigma, [np.zeros((q.size - 1, 1))]))
+    monkeypatch.setattr(periods, "_by_row", lambda test, numbers: [numbers[1:, None]])
     names, asked = ("cogging.sine", "cogging.cosine", "cogging.period"), set[float]()
     residual = amplitude * np.sin(2.0 * math.pi * q / true) / math.sqrt(q.size) * 5.0
 

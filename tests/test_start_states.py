@@ -14,7 +14,7 @@ from cosim.estimation.posing import build_problem, halve_log, with_equations_tru
 from cosim.estimation.problem import Problem
 from cosim.estimation.start_states import with_likely_starts
 from cosim.kernel.kernel import Begin, simulate_all
-from cosim.kernel.library_kernel import _lasting, propagations
+from cosim.kernel.propagation import lasting, propagations
 from cosim.kernel.remote_kernel import RemoteLibraryKernel
 from cosim.refinement.decision.evidence import Replays
 from cosim.refinement.search.missing import unknown_inputs
@@ -148,8 +148,32 @@ def test_deviations_go_on_as_the_place_of_the_run_demands(missed: int) -> None:
         float(np.std(other[2:] - np.sum(of * pairs, axis=1))) for of in (found[1:-1, 0], found[:, 0].mean(axis=0))
     ]
     assert errors[0] < 0.1 * errors[1]
-    both = np.concatenate([_lasting(found), np.broadcast_to(np.eye(1, 2), (len(run), 1, 2))], axis=1)
+    both = np.concatenate([lasting(found), np.broadcast_to(np.eye(1, 2), (len(run), 1, 2))], axis=1)
     assert np.abs(np.linalg.eigvals(both)).max() < 1.0 + 1e-9  # nothing grows without end in any row
+
+
+def test_deviations_that_fade_away_stay_so_wherever_the_run_is() -> None:
+    """Two tanks lose a deviation in a tenth of the run: what it shows there must not let another one grow later."""
+    step, rows, parts = 1.0, 1000, 5
+    pumped = 0.5 + 0.4 * np.repeat(np.random.default_rng(1).uniform(-1.0, 1.0, (rows // 50, 2)), 50, axis=0)
+
+    def levels(begin: tuple[float, float]) -> np.ndarray:
+        level, course = np.array(begin), []
+        for pump in pumped:
+            course.append(level)
+            for _ in range(parts):
+                between, out = np.sqrt(np.abs(level[0] - level[1]) + 1e-3), np.sqrt(level[1])
+                between *= np.sign(level[0] - level[1])
+                level = level + step / parts * np.array([0.02 * pump[0] - 0.02 * between, 0.02 * (between - out)])
+                level = np.maximum(level + step / parts * np.array([0.0, 0.02 * pump[1]]), 1e-3)
+        return np.array(course)
+
+    run = levels((0.8, 0.5))
+    tried = [(levels((0.8 + 1e-4, 0.5)) - run) / 1e-4, (levels((0.8, 0.5 + 1e-4)) - run) / 1e-4]
+    found = propagations(np.stack(tried, axis=-1), run)
+    both = np.concatenate([found, np.broadcast_to(np.eye(2, 4), (rows, 2, 4))], axis=1)
+    growth = np.abs(np.linalg.eigvals(both)).max(axis=1)
+    assert growth[rows // 2 :].max() < 1.1
 
 
 def test_a_deviation_of_both_angles_stays_and_a_twist_fades(problem: Problem) -> None:

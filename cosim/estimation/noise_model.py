@@ -95,7 +95,7 @@ def noise_range(variances: Callable[[Array, bool], Array], count: int) -> NoiseR
     nothing = np.full(count, GRID[0])
     levels = np.empty((4, count))
     for rows, marks, longest in (([0], [SMALLEST], True), ([1, 2, 3], [QUIET, PLAIN, LARGEST], False)):
-        least = np.log(variances(nothing, longest))
+        least = np.log(np.abs(variances(nothing, longest)))  # rounding may give a negative variance
         for k in range(count):
             rises = []
             for level in GRID:

@@ -65,6 +65,9 @@ ORIGIN = {  # by module and name; what is not here was set by hand, and nobody w
     "logs.channel_noise.NORMAL_95": "normal distribution, 95 %",
 }
 DECIDING = {  # module below cosim → thresholds that decide a verdict
+    "refinement.decision.constancy": ("VARIES",),
+    "refinement.decision.equivalence": ("NIL",),
+    "refinement.search.resemblance": ("LIKE",),
     "refinement.decision.claims": ("MUCH", "MOVED", "LARGE"),
     "refinement.decision.judgement": ("RIVAL", "REFUTED", "NEAR", "SIGNIFICANT", "PLAIN", "PLAINLY", "BETTER"),
     "refinement.decision.trust": ("CLEARLY",),

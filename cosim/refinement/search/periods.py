@@ -4,8 +4,8 @@ A force that repeats many times over the travel promises nothing at another peri
 A matched filter (North 1943) turns the innovations of the base fit into estimates of the force in each row; its
 coefficients are the response of the innovations to forces that repeat fast. The estimates, ordered by position, show
 the period as a line of their spectrum (a periodogram at unequal distances), relative to the spectrum of white noise
-after the same filter. A score test of the strongest lines and of the usual periods decides, and climbs from the best if
-that can lead to a fit.
+after the same filter. A score test of the strongest lines and of the usual periods decides, and climbs from
+those that can lead to a fit.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ SEED = 0  # seed of these noises
 FINE = 4  # cells of the shortest period, and points of the spectrum for each cycle over the travel
 AROUND = 2  # cycles over the travel on each side, over which the background is smoothed
 MOST_CELLS = 2**18
+SHORT = 1e-3  # least number of cells over which a force is spread
 FARTHEST, NEAREST, MOST_STEPS = 2.0, 0.5, 12  # cycles over the travel by which a period is then varied; and how often
 OFF = 0.4  # least share of the gain within half a cycle over the travel, from the next line or cycle: sinc²(½)
 
@@ -73,38 +74,40 @@ def _with_period(test: ScoreTest, c: Candidate, required: Callable[[Candidate], 
         return test.gain([row(value, f) for f in sizes])[0]
 
     among = max(1, round(travel / period.low))  # periods apart by a cycle over the travel
-    best, most = _best(gain, [*tried])
-    if most > OFF * required(replace(c, among=among)):
-        best = _climbed(gain, best, most, period, travel)
+    gains = in_parallel(gain, [*tried])
+    climbs = [pair for pair in zip(tried, gains, strict=True) if pair[1] > OFF * required(replace(c, among=among))]
+    peaks = [_climbed(gain, *pair, period, travel) for pair in climbs] or zip(tried, gains, strict=True)
+    best, _ = max(peaks, key=_by_gain)
     test.values[name] = best
     size = best**2 / (2.0 * math.pi * travel)  # moves the phase over the travel by 1
     free = tuple(replace(period, size=size) if f.name == name else f for f in c.free)
     return replace(c, free=free, among=among, starts=({**c.starts[0], name: best},))
 
 
-def _climbed(gain: Callable[[float], float], best: float, most: float, period: Free, travel: float) -> float:
-    """Return the period of a local maximum of the gain, near one whose gain is known."""
+def _climbed(
+    gain: Callable[[float], float], best: float, most: float, period: Free, travel: float
+) -> tuple[float, float]:
+    """Return the period of a local maximum of the gain, and this gain, near a period whose gain is known."""
     apart = FARTHEST
     for _ in range(MOST_STEPS):
         others = [1.0 / (1.0 / best + cycles / travel) for cycles in (-apart, apart)]
-        other, more = _best(gain, [value for value in others if period.low <= value <= period.high] or [best])
+        inside = [value for value in others if period.low <= value <= period.high] or [best]
+        other, more = max(zip(inside, in_parallel(gain, inside), strict=True), key=_by_gain)
         if more > most:
             best, most = other, more
         elif apart > NEAREST:
             apart *= 0.5
         else:
             break
-    return best
+    return best, most
 
 
-def _best(gain: Callable[[float], float], periods: Sequence[float]) -> tuple[float, float]:
-    """Return the period with the largest predicted gain, and this gain."""
-    gains = in_parallel(gain, periods)
-    return max(zip(periods, gains, strict=True), key=lambda pair: pair[1])
+def _by_gain(pair: tuple[float, float]) -> float:
+    return pair[1]
 
 
 def _along(test: ScoreTest, name: str) -> tuple[list[Array], float, list[Array]]:
-    """Return the positions in the middle of the rows of each log, and the normalised innovations at their ends.
+    """Return the positions in all rows of each log, and the normalised innovations in all but the first.
 
     Between them stands the standard deviation of the position: that of its sensor, or of the filtered state if larger.
     Along a finer force, the filter does not know the phase, and its slopes only stand for process noise.
@@ -118,7 +121,7 @@ def _along(test: ScoreTest, name: str) -> tuple[list[Array], float, list[Array]]
     variances = [np.median(np.concatenate(known).sum(axis=(1, 2)))] if known and own else []
     variances += [np.exp(test.noise.sensors[layout.outputs.index(name)])] if name in layout.outputs else []
     sigma = math.sqrt(max(0.0, *map(float, variances))) if variances else 0.0
-    return [0.5 * (q[:-1] + q[1:]) for q in at], sigma, _by_row(test, test.residual)
+    return at, sigma, _by_row(test, test.residual)
 
 
 def _by_row(test: ScoreTest, numbers: Array) -> list[Array]:
@@ -140,17 +143,33 @@ def _response(positions: Sequence[Array], periods: Sequence[float], answers: Seq
     """Return the response of the innovations to a force in a row, shape (LASTING, outputs), by least squares.
 
     Args:
+        positions: In all rows of each log.
         periods: Periods of sines along the position.
         answers: For each period, the innovations of each log.
     """
     products, against = np.zeros((LASTING, LASTING)), np.zeros((LASTING, answers[0][0].shape[1]))
     for period, of_logs in zip(periods, answers, strict=True):
         for q, answer in zip(positions, of_logs, strict=True):
-            force = np.sin(2.0 * math.pi * q / period)
+            force = np.sin(math.pi * (q[:-1] + q[1:]) / period) * np.sinc(np.diff(q) / period)  # mean over the row
             late = np.stack([np.pad(force, (k, 0))[: len(force)] for k in range(LASTING)])
             products += late @ late.T
             against += late @ answer
     return least_squares(products, against, rcond=1e-6)
+
+
+def _spread(amounts: Array, ends: Array, count: int) -> Array:
+    """Return amounts spread evenly over the cells from each end to the next, for a spectrum.
+
+    The mean of a force over a row shows nothing of a force that repeats within the row; so does the spread amount.
+    """
+    from_, to = np.minimum(ends[:-1], ends[1:]), np.maximum(ends[:-1], ends[1:])
+    to = np.maximum(to, from_ + SHORT)
+    density, bends = amounts / (to - from_), np.zeros(count + 2)
+    for at, sign in ((from_, 1.0), (to, -1.0)):  # the integral bends at both ends
+        cell = at.astype(np.intp)
+        bends += sign * np.bincount(cell, density * (cell + 1 - at), len(bends))
+        bends += sign * np.bincount(cell + 1, density * (at - cell), len(bends))
+    return np.asarray(np.cumsum(bends)[:count])
 
 
 def _lines(
@@ -160,15 +179,15 @@ def _lines(
     first = min(float(p.min()) for p in positions)
     travel = max(float(p.max()) for p in positions) - first
     width = max(low / FINE, travel / MOST_CELLS)
-    count = int(travel / width) + 1
+    count = int(travel / width) + 2
     points = 2 ** math.ceil(math.log2(FINE * count))
 
     def spectrum(tables: Sequence[Array]) -> Array:
         cells = np.zeros(count)
         for at, table in zip(positions, tables, strict=True):
             late = np.pad(table, ((0, LASTING), (0, 0)))
-            force = sum(late[k : k + len(at)] @ response[k] for k in range(LASTING))
-            cells += np.bincount(((at - first) / width).astype(np.intp), force, count)
+            force = np.sum([late[k : k + len(table)] @ response[k] for k in range(LASTING)], axis=0)
+            cells += _spread(force, (at - first) / width, count)
         return np.abs(np.fft.rfft(cells, points)) ** 2
 
     from scipy.ndimage import uniform_filter1d
