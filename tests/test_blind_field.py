@@ -378,6 +378,7 @@ def test_runs_of_a_study_differ_and_the_pushes_are_of_its_size() -> None:
 # -- counting ----------------------------------------------------------------------------------------------
 
 COULOMB, PAIR = {"cart_coulomb": {"level": 0.1}}, {"cart_coulomb": {"level": 0.1}, "gyro_bias": {"value": 0.01}}
+OPEN = [{"name": "cart_stribeck", "in_place_of": "cart_coulomb"}]
 
 
 def line(kind: str, truth: dict[str, Any], verdict: str, *names: str, **more: Any) -> dict[str, Any]:
@@ -410,6 +411,10 @@ RIGHT, IN_SET, WRONG, NONE = (True, True, False), (False, True, False), (False, 
         (COULOMB, "ambiguous", [], {"rivals": ["a", "b", "c", "cart_coulomb"]}, NONE),
         (PAIR, "ambiguous", ["gyro_bias"], {"rivals": ["cart_coulomb", "cart_drag"], "grade": "part"}, IN_SET),
         (COULOMB, "failed", [], {}, NONE),
+        ({"cart_stribeck": {}}, "effect_found", ["cart_coulomb"], {}, WRONG),
+        ({"cart_stribeck": {}}, "effect_found", ["cart_coulomb"], {"not_excluded": OPEN}, IN_SET),
+        ({"cart_drag": {}}, "effect_found", ["cart_coulomb"], {"not_excluded": OPEN}, WRONG),
+        (COULOMB, "effect_found", ["cart_coulomb"], {"not_excluded": OPEN}, RIGHT),
     ],
 )
 def test_known_studies_are_judged_by_what_is_claimed(

@@ -121,8 +121,17 @@ class Fit:
         """
         names = [f.name for f in self.free]
         k, fixed = names.index(name), [names.index(n) for n in held]
-        known = [inverse(self.information), *([] if self.scattered is None else [self.scattered])]
-        return float(np.sqrt(max(0.0, *(_variance(covariance, k, fixed) for covariance in known))))
+        return float(np.sqrt(max(0.0, *(_variance(covariance, k, fixed) for covariance in self._covariances))))
+
+    def sigma_between(self, one: str, other: str) -> float:
+        """Return the standard deviation of a difference, likewise."""
+        names = [f.name for f in self.free]
+        j, k = names.index(one), names.index(other)
+        return float(np.sqrt(max(0.0, *(c[j, j] + c[k, k] - 2.0 * c[j, k] for c in self._covariances))))
+
+    @property
+    def _covariances(self) -> list[Array]:
+        return [inverse(self.information), *([] if self.scattered is None else [self.scattered])]
 
 
 def _variance(covariance: Array, k: int, fixed: Sequence[int]) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -62,6 +62,16 @@ class EffectEntry(_Entry):
     name: str = Field(description="as in the catalogue; a base parameter by its own name")
     kind: Kind = Field(description="`sensor`: an error of the readings, which model.yaml has and an FMU has not")
     parameters: dict[str, Estimate] = Field(description="by name; base parameters and sensors have one, `value`")
+
+
+class NotExcludedEntry(_Entry):
+    """An effect possible in place of a claimed special case."""
+
+    name: str
+    in_place_of: str = Field(description="name in `effects`")
+    parameter: str = Field(description="in which both differ")
+    up_to: Finite = Field(description="largest value in its 95 % interval")
+    unit: str
 
 
 class Followed(_Entry):
@@ -273,6 +283,9 @@ class Record(_Entry):
         description="groups of names that act alike for every input, so that no experiment separates them; the first "
         "of each is in `effects` or `rivals`, `a + b` are two together",
     )
+    not_excluded: list[NotExcludedEntry] = Field(
+        default=[], description="effects in place of claimed ones that are their special cases; the logs do not decide"
+    )
     nearest: list[str] = Field(
         description="what the nearest model has more than the given one, where not all is claimed; none where "
         "it is that model, recalibrated or as it was"
@@ -334,6 +347,10 @@ class Measurements:
     seconds: float = 0.0
 
 
+def _not_excluded(claims: Claims) -> list[NotExcludedEntry]:
+    return [NotExcludedEntry.model_validate(asdict(other)) for other in claims.not_excluded]
+
+
 def record(
     study: Study, a: Attribution, claims: Claims, problem: Problem, between: Between, proof: Measurements
 ) -> Record:
@@ -357,6 +374,7 @@ def record(
         rivals=list(claims.rivals) if claims.name == "ambiguous" else [],
         experiment=claims.experiment,
         alike=claims.namesakes,
+        not_excluded=_not_excluded(claims),
         nearest=list(claims.nearest.names) if claims.nearest else [],
         ladder=_rungs(claims.ladder),
         per_log=per_log(study, claimed.fit if claimed else a.unfitted, proof.ends),

@@ -42,6 +42,7 @@ from cosim.refinement.decision.evidence import (
 )
 from cosim.refinement.decision.judgement import BETTER, decide, halving_subset
 from cosim.refinement.decision.sentences import floor_warning
+from cosim.refinement.decision.special_cases import not_excluded
 from cosim.refinement.decision.trust import attribute
 from cosim.refinement.proof.agreement import compare_with_predictions
 from cosim.refinement.proof.carried import carry_sealed_logs
@@ -311,6 +312,7 @@ def _judge_best(study: Study, a: Attribution, result: SearchResult, progress: Pr
         claims = compare_with_predictions(search, a, claims)
     progress("replaying with the claim and without", 0.0)
     claims = check_constancy(search, a, check_with_replays(study, a, claims, result, problem))
+    claims = replace(claims, not_excluded=not_excluded(search, claims, _candidates(study)))
     return add_dependence(claims, a, problem, subject) if subject.static else claims
 
 

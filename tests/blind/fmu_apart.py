@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tests.blind.field_cost import Values, base_deviations, flat, innovations, left_out, nudge, remaining
+from tests.blind.field_cost import Conditions, Values, base_deviations, flat, innovations, left_out, nudge, remaining
 from tests.blind.field_rig import Entry
 from tests.blind.field_study import LEAST, conditions
 from tests.blind.field_visibility import middling
@@ -107,6 +107,7 @@ def _nearest(study: FmuStudy, name: str) -> tuple[str, float]:
         for other in sorted(set(rig.entries) - set(study.truth))
         for share in (0.2, 1.0)
     ]
+    rivals += _as_large(rig, p, without, rivals[::2], conditions(study))
     best = ("", np.inf)
     for kept in (*KEPT, 0):
         cases, first = [*common], []
@@ -130,6 +131,21 @@ def _nearest(study: FmuStudy, name: str) -> tuple[str, float]:
         ahead.sort(key=lambda entry: entry[0])
         rivals = [(other, sizes) for _, other, sizes in ahead[:kept]]
     return best
+
+
+def _as_large(
+    rig: FmuRig, p: Values, without: Values, rivals: Sequence[tuple[str, Values]], given: Conditions
+) -> list[tuple[str, Values]]:
+    """Return replacements at sizes that change the innovations about as much as the effect does."""
+    cases = [without | flat(other, _values(rig.entries[other], sizes)) for other, sizes in rivals]
+    missing, *changed = innovations(rig, p, [without, *cases], given).T
+    scaled = []
+    for (other, sizes), white in zip(rivals, changed, strict=True):
+        change = float(np.linalg.norm(white - missing))
+        if np.isfinite(change) and change > 0.0:
+            times, shape = float(np.linalg.norm(missing)) / change, rig.entries[other].shape
+            scaled.append((other, {q: s if q in shape else times * s for q, s in sizes.items()}))
+    return scaled
 
 
 def _adapted(what: np.ndarray, free: np.ndarray, with_prior: int) -> np.ndarray:

@@ -130,7 +130,7 @@ def _verdict(path: Path) -> dict[str, Any]:
             "error": error,
             "noise_floor": found["noise_floor"],
         }
-        line |= {"grade": found["grade"]} if found.get("grade") else {}
+        line |= {name: found[name] for name in ("grade", "not_excluded") if found.get(name)}
         score.excess_left(line)  # what cannot be counted is found here, not after two hundred studies
         return line
     except (OSError, ValueError, KeyError, TypeError) as e:

@@ -57,8 +57,12 @@ def named_parts(line: Line) -> set[str]:
 
 
 def wrong_parts(line: Line) -> set[str]:
-    """Return names that a verdict claims, wholly or in part, and that are not true effects of the catalogue."""
-    return put_forward(line) - parts(line)
+    """Return names that a verdict claims, wholly or in part, and that are not true effects of the catalogue.
+
+    A special case beside which the verdict does not exclude the true effect is not wrong.
+    """
+    open_cases = {x["in_place_of"] for x in line.get("not_excluded", ()) if x["name"] in parts(line)}
+    return put_forward(line) - parts(line) - open_cases
 
 
 def is_due(line: Line) -> bool:

@@ -52,6 +52,11 @@ def alternatives(line: Line) -> list[set[str]]:
     return [set(re.split(r"\s*[+,&]\s*", rival.strip())) for rival in line["rivals"]]
 
 
+def left_open(line: Line) -> list[set[str]]:
+    """Return sets of the claimed names, with an effect of `not_excluded` in place of its special case."""
+    return [(named(line) - {x["in_place_of"]}) | {x["name"]} for x in line.get("not_excluded", ())]
+
+
 def share(hits: int, of: int) -> float | None:
     """Return a fraction with four digits; None without cases."""
     return round(hits / of, 4) if of else None

@@ -83,6 +83,22 @@ class Part:
 
 
 @dataclass(frozen=True)
+class NotExcluded:
+    """An effect possible in place of a claimed special case.
+
+    Attributes:
+        parameter: Name of the parameter in which both differ, without that of the effect.
+        up_to: Largest value in its 95 % interval.
+    """
+
+    name: str
+    in_place_of: str
+    parameter: str
+    up_to: float
+    unit: str
+
+
+@dataclass(frozen=True)
 class Nearest:
     """The best predictor of held-out logs beside an incomplete claim; None stands for the given model.
 
@@ -163,6 +179,7 @@ class Claims:
         disagreeing: Parts of the best hypothesis for which a fit to predictions gives other values.
         beside: Parts of the best hypothesis that do not halve the held-out error, as those of the claim do.
         alike: Groups of names that act alike for every input, the first of them from the best hypothesis or a rival.
+        not_excluded: Effects of which claimed ones are special cases, as far as the logs leave a difference open.
         others: Rivals of an ambiguous verdict besides the claimed hypothesis.
         varying: Parameter of the best hypothesis that varies with its own effect.
         further: Other base parameters outside their tolerances beside a claim (from replays, as up to `left_share`).
@@ -205,6 +222,7 @@ class Claims:
     disagreeing: tuple[str, ...] = ()
     beside: tuple[str, ...] = ()
     alike: tuple[tuple[str, ...], ...] = ()
+    not_excluded: tuple[NotExcluded, ...] = ()
     others: tuple[Hypothesis, ...] = ()
     varying: Doubt | None = None
 

@@ -15,7 +15,7 @@ from cosim.base.text import MOST_NAMED, amount, append_unit, counted, finer, joi
 from cosim.loading.refined import NEAREST
 from cosim.logs.channel_noise import NORMAL_95
 from cosim.refinement import messages
-from cosim.refinement.decision.claims import Claims, Doubt, Improvement, MovedParameter, Nearest
+from cosim.refinement.decision.claims import Claims, Doubt, Improvement, MovedParameter, Nearest, NotExcluded
 from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.refinement.search.shapes import Shape
 from cosim.refinement.search.unnamed import UnnamedTerm
@@ -170,6 +170,7 @@ def _incomplete_texts(c: Claims, units: Mapping[str, str]) -> Iterator[str]:
 def _remark_texts(c: Claims, subject: Subject) -> Iterator[str]:
     """Yield sentences to follow the verdict."""
     yield from map(alike_text, c.namesakes)
+    yield from map(not_excluded_text, c.not_excluded)
     if c.claimed is not None and c.term is not None:
         yield remainder_text(c.term, c.gained)
     if c.claimed is not None and c.further:
@@ -191,6 +192,12 @@ def _remark_texts(c: Claims, subject: Subject) -> Iterator[str]:
 def alike_text(names: Sequence[str]) -> str:
     """Return a sentence on names that act alike for every input."""
     return f"{' or '.join(names)}: these {'two' if len(names) == 2 else len(names)} act alike for every input."
+
+
+def not_excluded_text(other: NotExcluded) -> str:
+    """Return a sentence on a richer effect."""
+    value = append_unit(f"{other.parameter} up to {plain(other.up_to, 2)}", written(other.unit))
+    return f"These logs do not exclude {other.name} in place of {other.in_place_of}, with {value}."
 
 
 def _units(subject: Subject) -> Mapping[str, str]:

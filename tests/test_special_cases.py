@@ -1,0 +1,68 @@
+"""Effects that contain a claimed one as their special case, and that the logs do not exclude."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cosim.estimation.fit import Fit
+from cosim.refinement.decision.claims import Claims, NotExcluded
+from cosim.refinement.decision.sentences import not_excluded_text
+from cosim.refinement.decision.special_cases import not_excluded
+from cosim.refinement.search.hypotheses import Hypothesis
+from cosim.subject.candidates import Candidate, Free
+
+LEVEL = Free("coulomb_at_w.level", 0.0, 9.0, 0.1, neutral=0.0)
+RICH = (
+    Free("stribeck_at_w.level", 0.0, 9.0, 0.1, neutral=0.0),
+    Free("stribeck_at_w.breakaway", 0.0, 9.0, 0.1, neutral=0.0, above="stribeck_at_w.level"),
+)
+COULOMB = Candidate("coulomb_at_w", "effect", (LEVEL,), ({},))
+STRIBECK = Candidate("stribeck_at_w", "effect", RICH, ({},))
+DRAG = Candidate("drag_at_w", "effect", (Free("drag_at_w.coefficient", 0.0, 9.0, 0.1, neutral=0.0),), ({},))
+
+
+def fitted(c: Candidate, values: dict[str, float], covariance: Any) -> Hypothesis:
+    noise: Any = None
+    information = np.linalg.inv(np.atleast_2d(covariance))
+    return Hypothesis((c,), Fit(values, noise, c.free, (0.0,), 0.0, information, 1, True), 0.0)
+
+
+def found(breakaway: float, sigma: float, *, tried: bool = True) -> tuple[NotExcluded, ...]:
+    """Return the result for a claimed level of 2; the other friction has level and breakaway that vary together."""
+    simple = fitted(COULOMB, {LEVEL.name: 2.0}, 0.01)
+    together = 0.3**2  # both are uncertain, their difference is not
+    covariance = [[together, together], [together, together + sigma**2]]
+    rich = fitted(STRIBECK, {RICH[0].name: 2.0, RICH[1].name: breakaway}, covariance)
+    declared = {f.name: SimpleNamespace(unit="N.m") for f in (*RICH, LEVEL)}
+    known = {rich.names: rich} if tried else {}
+    search: Any = SimpleNamespace(tried=known, subject=SimpleNamespace(declared=declared))
+    return not_excluded(search, Claims("effect_found", simple), [COULOMB, STRIBECK, DRAG])
+
+
+@pytest.mark.parametrize(
+    ("breakaway", "sigma", "largest"), [(2.0, 0.05, None), (2.0, 0.5, 2.98), (3.0, 0.1, 3.196), (2.0, 50.0, 9.0)]
+)
+def test_a_friction_that_decreases_with_speed_is_excluded_only_by_logs_that_show_its_breakaway(
+    breakaway: float, sigma: float, largest: float | None
+) -> None:
+    told = found(breakaway, sigma)
+    assert [(x.name, x.in_place_of, x.parameter) for x in told] == (
+        [("stribeck_at_w", "coulomb_at_w", "breakaway")] if largest else []
+    )
+    assert [x.up_to for x in told] == pytest.approx([largest] if largest else [])
+
+
+def test_an_effect_that_was_not_fitted_is_not_said_to_be_open() -> None:
+    assert found(3.0, 1.0, tried=False) == ()
+    assert not_excluded(SimpleNamespace(), Claims("unexplained"), [STRIBECK]) == ()  # type: ignore[arg-type]
+
+
+def test_the_sentence_names_both_and_the_value_that_remains_possible() -> None:
+    (other,) = found(2.0, 0.5)
+    text = not_excluded_text(other)
+    assert text.startswith("These logs do not exclude stribeck_at_w in place of coulomb_at_w, with breakaway up to 3")
+    assert text.endswith("N·m.")
