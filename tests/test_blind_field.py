@@ -441,6 +441,7 @@ def test_nothing_and_outside_are_judged_by_names_put_forward(
     assert field_score.is_false_alarm(line("nothing", {}, verdict, "bob_drag", grade=grade)) is alarm
     outside = line("outside", {"magnet": {}}, verdict, "bob_drag", grade=grade)
     assert (field_score.is_flagged(outside), field_score.is_misnamed(outside)) == (flagged, misnamed)
+    assert not field_score.is_misnamed(line("outside", {"bob_drag": {}}, verdict, "bob_drag", grade=grade))
 
 
 def test_the_sealed_ratio_is_of_the_claim_or_else_of_what_is_nearest() -> None:

@@ -60,12 +60,16 @@ def inflow(time: Array) -> Array:
     return np.where(ROW * np.floor(time / ROW + 1e-9) % 8.0 < 4.0, 0.05, 0.01)
 
 
-def tank(flow: Array, level: float = 1.0) -> Array:
-    """Return the level of examples/tanks/tank.py at each step, from the flow over each step."""
+def tank(flow: Array, level: float = 1.0, leak: float = 0.0) -> Array:
+    """Return the level of examples/tanks/tank.py at each step, from the flow over each step.
+
+    Args:
+        leak: Loss of the level, relative to it [1/s].
+    """
     levels, parts = [level], round(STEP / 0.01)
     for q in flow[:-1]:
         for _ in range(parts):
-            level += STEP / parts * (q - 0.02 * math.sqrt(max(level, 0.0))) / 0.5
+            level += STEP / parts * ((q - 0.02 * math.sqrt(max(level, 0.0))) / 0.5 - leak * level)
         levels.append(level)
     return np.array(levels)
 
@@ -98,6 +102,13 @@ def free_run(subject: FmuSubject, folder: Path) -> Array:
         replayer = subject.replayer(place)
         assert isinstance(replayer, SspReplayer)
         return np.asarray(replayer.free_run(data, {})[:, 0])
+
+
+@pytest.mark.usefixtures("no_compiler")
+def test_a_leak_comes_in_through_the_inflow(study: Study, tmp_path: Path) -> None:
+    level = free_run(subject_of(study, leak_at_level__coefficient=0.05), tmp_path)
+    assert level == pytest.approx(tank(inflow(TIME), leak=0.05)[::PARTS], abs=2.0 * STEP * 0.05)  # late
+    assert np.abs(level - tank(inflow(TIME))[::PARTS]).max() > 0.1
 
 
 @pytest.mark.usefixtures("no_compiler")

@@ -119,6 +119,24 @@ def test_a_lag_between_a_voltage_and_a_speed_hides_no_port(tmp_path: Path) -> No
     assert {port.input: port.gain for port in pair.ports} == {"load_torque": pytest.approx(-5000.0, rel=1e-2)}
 
 
+@pytest.mark.parametrize(
+    ("plant", "feeds"),
+    [
+        ("tanks", {"gauge_left": ("pump_left", 3e-4), "gauge_right": ("pump_right", 3e-4)}),
+        ("dc_motor", {}),  # the current follows the voltage within a row
+        ("cylinder", {}),  # the valve changes both pressures
+    ],
+)
+def test_a_storage_of_co_simulation_has_an_input_of_its_own(
+    tmp_path: Path, plant: str, feeds: dict[str, tuple[str, float]]
+) -> None:
+    structure = probe_structure(build(tmp_path / "a.fmu", plant, ways=WAYS), [log_for(plant)], way=STEPS)
+    assert structure.storages == tuple(feeds)
+    for name, (port, gain) in feeds.items():
+        assert structure.feeds[name].input == port
+        assert structure.feeds[name].gain == pytest.approx(gain, rel=0.02)
+
+
 def test_levels_that_other_outputs_show_are_shown(tmp_path: Path) -> None:
     structure = probe_structure(build(tmp_path / "a.fmu", "tanks"))
     assert structure.shown == {"left.h": "gauge_left", "right.h": "gauge_right"}

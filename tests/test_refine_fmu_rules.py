@@ -21,7 +21,7 @@ from cosim.refinement.decision import judgement, trust
 from cosim.refinement.decision.claims import Claims, Improvement
 from cosim.refinement.proof import replay_check
 from cosim.refinement.proof.measure import Floor
-from cosim.refinement.search.fits import SearchResult
+from cosim.refinement.search.fits import Search, SearchResult
 from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.subject import probed_model
 from cosim.subject.base_parameters import spread_of_base
@@ -283,3 +283,15 @@ def test_sealed_logs_do_not_grade_a_claim_by_less_than_its_own_uncertainty(
     posed = variant, problem, [log]
     graded = workflow._check_on_sealed_logs(claims, {}, floors, posed, np.random.default_rng(0))
     assert (graded.grade, graded.divided) == (grade, divided)
+
+
+@pytest.mark.parametrize(("promised", "begun"), [(0.8, 0.8), (2.2, 1.1), (5.0, 1.25), (-8.0, -2.0)])
+def test_a_fit_begins_no_further_away_than_the_logs_bear(promised: float, begun: float) -> None:
+    """The likelihood is best at a size of 1; the shape keeps its promised value."""
+    search = Search.__new__(Search)
+    problem: Any = SimpleNamespace(score=lambda values, noise: SimpleNamespace(nll=(values["leak.size"] - 1.0) ** 2))
+    search.problem, noise = problem, None
+    free = [Free("leak.size", -9.0, 9.0, 0.1, neutral=0.0), Free("leak.level", 0.0, 9.0, 0.1)]
+    base = {"leak.size": 0.0, "leak.level": 1.0, "mass": 3.0}
+    values = search._toward({"leak.size": promised, "leak.level": 2.0}, base, free, noise, 1.0)  # type: ignore[arg-type]
+    assert values == {"leak.size": pytest.approx(begun), "leak.level": 2.0, "mass": 3.0}

@@ -26,7 +26,7 @@ from cosim.model.symbolic.languages import C
 from cosim.model.symbolic.tracing_guard import number_guard
 from cosim.storage.cache import fingerprint, load_or_make
 from cosim.terms.fmu_model import FmuModel
-from cosim.terms.language import Force
+from cosim.terms.language import Force, RateTerm
 
 
 @dataclass(frozen=True)
@@ -170,15 +170,16 @@ def _forces_along_positions(model: FmuModel) -> tuple[dict[str, float], list[str
     m, at, speed = SymbolNamespace(), sympy.Symbol("position", real=True), sympy.Symbol("velocity", real=True)
     sizes, places = dict[str, float](), dict[str, None]()
     for kind in model.catalogue:
-        if not issubclass(kind, Force):
+        if not issubclass(kind, (Force, RateTerm)):
             continue
         declared = parameters_of(kind)
-        symbols = {p.name: sympy.Symbol(f"p:{p.name}", real=True) for p in declared}
+        term = kind(**{p.name: sympy.Symbol(f"p:{p.name}", real=True) for p in declared})
         with number_guard(smooth=True):
-            force = sympy.sympify(kind(**symbols).force(m, at, speed))
+            force = sympy.sympify(term.force(m, at, speed) if isinstance(term, Force) else term.rate(m, at))
         if at in force.free_symbols:
             sizes |= {f"{kind.name}.{p.name}": p.neutral for p in declared if p.neutral is not None}
-            places[model.outputs[kind.place.position].name] = None
+            place = kind.place.position if issubclass(kind, Force) else kind.place.state
+            places[model.outputs[place].name] = None
     return sizes, [*places]
 
 

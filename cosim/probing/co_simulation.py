@@ -31,6 +31,7 @@ STEPS = (0.2, 0.5, 0.8)  # places of input steps, as shares of a course
 PARTS = 32  # of a step, in the search for lags
 MOST_GAIN = 4.0  # gain over a part relative to that over a step, beyond which the FMU makes steps of its own
 DIRECT = 2.8  # response after two steps over that after one: about 2 through one integrator, 4 through two
+LASTS = 1.4  # least such ratio of a stored quantity; 1 without an integrator, 2 for one that loses nothing
 
 
 def outputs_along(fmu: Fmu, course: Course) -> tuple[Array, SimulationError | None]:
@@ -60,6 +61,7 @@ def co_simulation_structure(prober: Prober, courses: Sequence[Course]) -> Struct
     responses = Responses(prober, short, base, size)
     chosen = separate_pairs(_fits(good))
     ports = responses.ports(inputs, [v for _, v, _ in chosen])
+    feeds = _feeds(responses, inputs, outputs, chosen)
     spreads = {name: float(np.std(_input_values(name, good))) for name in inputs}
     return Structure(
         fmu=prober.path,
@@ -72,7 +74,8 @@ def co_simulation_structure(prober: Prober, courses: Sequence[Course]) -> Struct
         state_in_output=no_flags(len(outputs), 0),
         input_in_output=responses.flags(inputs),
         pairs=tuple(Pair(outputs[q], outputs[v], gain, ports[v]) for q, v, gain in chosen),
-        storages=(),
+        storages=tuple(feeds),
+        feeds=feeds,
         shown={},
         largest_rate=0.0,
         slowest=0.0,
@@ -82,6 +85,19 @@ def co_simulation_structure(prober: Prober, courses: Sequence[Course]) -> Struct
         starts=start_values(prober, outputs_along, short, base[: short.time.size], responses.noise),
         stops=tuple(str(stop) for _, stop in runs if stop),
     )
+
+
+def _feeds(
+    responses: Responses, inputs: Sequence[str], outputs: Sequence[str], pairs: Sequence[tuple[int, int, float]]
+) -> dict[str, Port]:
+    """Return storage → the first input that changes it alone.
+
+    Args:
+        pairs: Position, velocity and gain; their outputs are no storages.
+    """
+    paired = {k for position, velocity, _ in pairs for k in (position, velocity)}
+    ports = responses.ports(inputs, [k for k in range(len(outputs)) if k not in paired], LASTS)
+    return {outputs[k]: port for k, found in ports.items() for port in found[::-1] if port.is_alone}
 
 
 def _parameters(prober: Prober, course: Course, size: Array) -> tuple[ProbedParameter, ...]:
@@ -186,11 +202,17 @@ class Responses:
             columns.append((np.abs(difference) > self.noise).any(axis=0))
         return np.column_stack(columns) if columns else no_flags(self._size.size, 0)
 
-    def ports(self, inputs: Sequence[str], velocities: Sequence[int]) -> dict[int, tuple[Port, ...]]:
-        """Return the inputs that change a velocity by as much in the second step as in the first."""
+    def ports(
+        self, inputs: Sequence[str], velocities: Sequence[int], least: float = 0.0
+    ) -> dict[int, tuple[Port, ...]]:
+        """Return the inputs that change a velocity or storage by as much in the second step as in the first.
+
+        Args:
+            least: Least response after two steps, relative to that after one.
+        """
         if not velocities:
             return {}
-        gains = {(v, name): self._gain(name, v) for v in velocities for name in inputs}
+        gains = {(v, name): self._gain(name, v, least) for v in velocities for name in inputs}
         ports = {}
         for v in velocities:
             mine = [name for name in inputs if gains[v, name]]
@@ -198,19 +220,19 @@ class Responses:
             ports[v] = tuple(Port(name, gains[v, name], alone[name]) for name in mine)
         return ports
 
-    def _gain(self, name: str, velocity: int) -> float:
+    def _gain(self, name: str, velocity: int, least: float) -> float:
         """Return the rate of a velocity per unit of an input that acts through one integrator, else 0.
 
         Parts of a step show a lag that a whole step hides. An FMU that makes whole steps instead of parts has another
         gain there, which is not used.
         """
-        whole = self._gain_over(name, velocity, 1)
+        whole = self._gain_over(name, velocity, 1, least)
         if not whole or not takes_any_step(self._prober.description):
             return whole
-        fine = self._gain_over(name, velocity, PARTS)
+        fine = self._gain_over(name, velocity, PARTS, least)
         return whole if abs(fine) > MOST_GAIN * abs(whole) else fine
 
-    def _gain_over(self, name: str, velocity: int, parts: int) -> float:
+    def _gain_over(self, name: str, velocity: int, parts: int, least: float) -> float:
         """Return the gain over a part of a step, the median over the places."""
         gains = []
         for share in STEPS:
@@ -219,7 +241,7 @@ class Responses:
             if len(difference) <= row + 2:
                 continue
             once, twice = difference[row + 1 : row + 3, velocity]
-            if abs(once) > self.noise[velocity] and abs(twice) < DIRECT * abs(once):
+            if abs(once) > self.noise[velocity] and least * abs(once) < abs(twice) < DIRECT * abs(once):
                 gains.append(float(once) / (size * float(course.time[row + 1] - course.time[row])))
         return float(np.median(gains)) if 2 * len(gains) > len(STEPS) else 0.0
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from cosim.base.arrays import Flags
@@ -13,7 +13,7 @@ from cosim.model.quantities import Quantity
 
 @dataclass(frozen=True)
 class Port:
-    """An input that changes the rate of a velocity and not the rate of its position.
+    """An input that changes the rate of a velocity, and not the rate of its position, or of a storage.
 
     Attributes:
         gain: ∂v'/∂u, the median over the points.
@@ -166,7 +166,9 @@ class Structure:
         input_in_rate, state_in_output, input_in_output: As `state_in_rate`. In co-simulation an input is in an output
             if it changes the output at any later time.
         pairs: Positions with their velocities.
-        storages: States in no pair with a rate that an input or another state changes.
+        storages: States in no pair with a rate that an input or another state changes; in co-simulation, outputs in
+            no pair that have an input of their own, which acts through one integrator.
+        feeds: In co-simulation, storage → this input.
         shown: State → output that equals it.
         largest_rate: Largest |eigenvalue| over the points [1/s]; 0 for co-simulation.
         slowest: Smallest |eigenvalue| [1/s] that is not zero to rounding; 0 without any.
@@ -199,6 +201,7 @@ class Structure:
     parameters: tuple[ProbedParameter, ...] = ()
     connections: tuple[Connection, ...] = ()
     dampings: tuple[Damping, ...] = ()
+    feeds: Mapping[str, Port] = field(default_factory=dict)
     starts: tuple[StartValue, ...] = ()
     stops: tuple[str, ...] = ()
 

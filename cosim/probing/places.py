@@ -55,7 +55,8 @@ class Places:
             "pairs": [asdict(pair) for pair in s.pairs],
             "connections": [asdict(connection) for connection in s.connections],
             "dampings": [asdict(damping) for damping in s.dampings],
-            "storages": [_entry(s.states, name) for name in s.storages],
+            "storages": [_entry(s.states or s.outputs, name) for name in s.storages],
+            "feeds": {name: asdict(port) for name, port in s.feeds.items()},
             "sensors": [{**_entry(s.outputs, q.name), "shows": _shown(s, q.name)} for q in s.outputs],
             "inputs": [_entry(s.inputs, q.name) for q in s.inputs],
             "parameters": [

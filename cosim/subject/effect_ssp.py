@@ -72,14 +72,12 @@ class EffectSsp:
         """Raise NotInSsp for an original or a term that an SSP cannot express."""
         if self.description.coSimulation is None:
             raise NotInSsp(messages.NO_CO_SIMULATION(file=self.structure.fmu.name))
-        inside = [e.name for e in self.acting if isinstance(e, RateTerm) or _lacks_port(e)]
+        inside = [e.name for e in self.acting if _lacks_port(e)]
         if inside:
             raise NotInSsp(messages.INSIDE(names=", ".join(inside)))
         shown, hidden = self._shown, [k for k in self._states if k not in self._shown]
         if hidden:
-            names = [
-                e.name for e in self.acting if isinstance(e, Force) and {e.place.position, e.place.state} - {*shown}
-            ]
+            names = [e.name for e in self.acting if {*_read(e)} - {*shown}]
             states = ", ".join(self.model.base_states[k].name for k in hidden)
             raise NotInSsp(messages.HIDDEN_STATES(names=", ".join(names), states=states))
 
@@ -112,9 +110,8 @@ class EffectSsp:
 
     @property
     def _states(self) -> list[int]:
-        """Return the states that forces read, by index."""
-        forces = [e.place for e in self.acting if isinstance(e, Force)]
-        return sorted({k for place in forces for k in (place.position, place.state)})
+        """Return the states that terms read, by index."""
+        return sorted({k for e in self.acting for k in _read(e)})
 
     @cached_property
     def _shown(self) -> dict[int, Quantity]:
@@ -226,6 +223,13 @@ def _renumbered(source: str, places: Mapping[str, str]) -> str:
     return source
 
 
+def _read(term: Any) -> tuple[int, ...]:
+    """Return the states on which a term depends, by index."""
+    if isinstance(term, Force):
+        return term.place.position, term.place.state
+    return (term.place.state,) if isinstance(term, RateTerm) else ()
+
+
 def _lacks_port(term: Any) -> bool:
-    """Return whether a term is a force that no input of the original can bring in."""
-    return isinstance(term, Force) and term.place.input < 0
+    """Return whether a term acts on a rate and no input of the original can bring it in."""
+    return isinstance(term, (Force, RateTerm)) and term.place.input < 0

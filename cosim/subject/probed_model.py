@@ -103,7 +103,10 @@ class ProbedModel:
             index = names.index(name)
             units = {"q": self.units[name], "r": self._rate_unit(name)}
             sizes = {"q": self.size(name), "r": self.rate(name)}
-            yield Place(with_place(name), units, sizes, state=index, middle=self.middle(self.states[index]))
+            place = Place(with_place(name), units, sizes, state=index, middle=self.middle(self.states[index]))
+            port = self.structure.feeds.get(name)
+            inputs = [q.name for q in self.structure.inputs]
+            yield replace(place, input=inputs.index(port.input), gain=port.gain) if port else place
 
     def _place_of_pair(self, pair: Pair) -> Place | None:
         """Return the place of forces at a pair; None in co-simulation without a port."""

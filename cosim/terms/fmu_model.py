@@ -78,7 +78,7 @@ class FmuModel(Model):
         return Equations(derivative, output)
 
     def library_inputs(self, m: Namespace, state: Values, command: Values) -> Values:
-        """Return the inputs of the library: the command as transmitted, plus the forces at ports."""
+        """Return the inputs of the library: the command as transmitted, plus what acts through ports."""
         names = [q.name for q in self.inputs]
         values: Mapping[str, Number] = dict(zip(names, command, strict=True))
         for term in overrides(self.awake, "transmit", Effect):
@@ -88,6 +88,9 @@ class FmuModel(Model):
             if isinstance(term, Force) and term.place.input >= 0:
                 place = term.place
                 inputs[place.input] += place.sign * term.force(m, *place.motion(state))
+            elif isinstance(term, RateTerm) and term.place.input >= 0:
+                place = term.place
+                inputs[place.input] += term.rate(m, state[place.state]) / place.gain
         return tuple(inputs)
 
     def added_rates(self, m: Namespace, state: Values) -> Values:
@@ -103,7 +106,7 @@ class FmuModel(Model):
                 additions[term.place.state] += force
                 if (other := term.place.opposite) is not None:
                     additions[other.state] -= other.ratio * force
-            elif isinstance(term, RateTerm):
+            elif isinstance(term, RateTerm) and term.place.input < 0:
                 additions[term.place.state] += term.rate(m, state[term.place.state])
         return tuple(additions)
 

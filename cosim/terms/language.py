@@ -68,11 +68,12 @@ class Place:
     Attributes:
         name: Name in the terms' names: that of the input, of the velocity, or of the state.
         units, sizes: Symbol of `scaled` → unit, and usual size along the logs.
-        input: Index of the input of an input term, or of the port of a force; −1 for a force on a rate.
+        input: Index of the input of an input term, or of the port of a force or rate; −1 for a term on a rate.
         position, state: Indices of the position, and of the velocity or storage state.
         middle: Mean of the storage state.
         resolution: Least change of the velocity that an integration step resolves, for the transition of friction.
         sign: Sign of the port's effect on the derivative of the velocity.
+        gain: Derivative of the storage per unit of the port.
         opposite: Other end of a connection; a force acts on both, along their relative position and velocity.
         direction: Rates per force, of a force that does not change the rate of its velocity alone.
         is_driven: True if an input acts on the velocity, be it through this place or not.
@@ -86,6 +87,7 @@ class Place:
     state: int = -1
     middle: float = 0.0
     sign: float = 1.0
+    gain: float = 1.0
     resolution: float = 0.0
     opposite: Opposite | None = None
     direction: Direction | None = None

@@ -13,7 +13,7 @@ from cosim.verbs.terminal import say, say_json, some, table
 
 if TYPE_CHECKING:
     from cosim.blocks.summary import Summary, Variable
-    from cosim.probing.fmu_structure import Pair, ProbedParameter
+    from cosim.probing.fmu_structure import Pair, Port, ProbedParameter, Structure
     from cosim.probing.places import Places
 
 SECTIONS = {"inputs": ("input",), "outputs": ("output",), "parameters": ("parameter", "structuralParameter")}
@@ -84,11 +84,9 @@ def _places(p: Places) -> list[str]:
         (f"  {c.first.position}", c.second.position, f"{c.stiffness:.6g}", f"{c.damping:.6g}") for c in s.connections
     ]
     lines += _titled("connections", ("  position", "and", "spring", "damper"), joined) if joined else []
-    states = {q.name: q for q in s.states}
     braked = [(f"  {d.parameter}", d.pair.velocity, f"{d.gain:.6g}", ", ".join(d.rates)) for d in s.dampings]
     lines += _titled("dampings", ("  parameter", "velocity", "gain", "changes the rates of"), braked) if braked else []
-    storages = [(f"  {name}", states[name].unit, f"{states[name].start:.6g}") for name in s.storages]
-    lines += _titled("storages", ("  state", "unit", "start"), storages)
+    lines += _storages(s)
     shows = {output: state for state, output in s.shown.items()}
     sensors = [(f"  {q.name}", q.unit, shows.get(q.name, "")) for q in s.outputs]
     lines += _titled("sensors", ("  output", "unit", "shows the state"), sensors)
@@ -100,12 +98,23 @@ def _places(p: Places) -> list[str]:
     return [*lines, f"findings: {len(p.findings) or 'none'}", *(finding.after("  ") for finding in p.findings)]
 
 
+def _storages(s: Structure) -> list[str]:
+    header = ("  output", "unit", "start", "input (gain)") if s.feeds else ("  state", "unit", "start")
+    stored = [q for q in s.states or s.outputs if q.name in s.storages]
+    rows = [(f"  {q.name}", q.unit, f"{q.start:.6g}", *_feed(s.feeds.get(q.name))) for q in stored]
+    return _titled("storages", header, rows)
+
+
 def _titled(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     return [f"{title}: {len(rows)}", *table(header, rows)] if rows else [f"{title}: none"]
 
 
 def _ports(pair: Pair) -> str:
-    return ", ".join(f"{port.input} ({port.gain:.4g})" for port in pair.ports) or "none"
+    return ", ".join(name for port in pair.ports for name in _feed(port)) or "none"
+
+
+def _feed(port: Port | None) -> tuple[str, ...]:
+    return (f"{port.input} ({port.gain:.4g})",) if port else ()
 
 
 def _acting(parameter: ProbedParameter) -> str:

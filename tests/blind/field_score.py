@@ -79,8 +79,8 @@ def is_false_alarm(line: Line) -> bool:
 
 
 def is_misnamed(line: Line) -> bool:
-    """Return whether a study with an effect outside the catalogue gets any name."""
-    return bool(put_forward(line))
+    """Return whether a study with an effect outside the catalogue gets any name but that of the effect."""
+    return not put_forward(line) <= set(line["truth"])
 
 
 def is_flagged(line: Line) -> bool:

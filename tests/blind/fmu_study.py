@@ -35,7 +35,7 @@ from tests.blind.field_study import LEAST, OUTSIDE_COST, Study, base_numbers, ca
 from tests.blind.fmu_apart import can_be_told
 from tests.blind.fmu_build import PLANTS as DECLARED
 from tests.blind.fmu_build import WAYS, build, build_slave
-from tests.blind.fmu_rig import FmuRig, ModelExchange, place
+from tests.blind.fmu_rig import CoSimulation, FmuRig, ModelExchange, place
 from tests.blind.fmu_truths import CLASSES, RIGS
 
 PLANTS = tuple(rig.name for rig in CLASSES)
@@ -189,14 +189,19 @@ def claimed(study: FmuStudy) -> dict[str, dict[str, float]]:
     """Return the truth in the units of a claim.
 
     A force without a port is claimed as a rate: it is divided by the true inertia. Where a damping of the FMU tells how
-    forces act, the claim is a force.
+    forces act, the claim is a force. In co-simulation an effect at a storage has the name of the output that shows it.
     """
     rig, told = study.rig, {}
     assert isinstance(rig, FmuRig)
+    states = [place(v.name) for v in DECLARED[study.plant].states]
+    shown = {states[y.state]: place(name) for name, y in rig.plants_outputs.items() if study.way == CoSimulation}
     for name, values in study.truth.items():
-        pair = rig.pairs.get(name.partition("_at_")[2])
+        kind, _, at = name.partition("_at_")
+        pair = rig.pairs.get(at)
         inertia = study.base[pair.inertia] if pair and pair.inertia else 1.0
-        told[name] = {p: v if p in ("speed", "period") else v / inertia for p, v in values.items()}
+        told[f"{kind}_at_{shown[at]}" if at in rig.storages and at in shown else name] = {
+            p: v if p in ("speed", "period") else v / inertia for p, v in values.items()
+        }
     return told
 
 

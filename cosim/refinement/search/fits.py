@@ -30,6 +30,7 @@ ENTRY = 3.0  # score cost of a candidate in addition to its parameters
 NEGLIGIBLE, NEEDED = 1.0, 30.0  # distance of ln input power from the minimum; NLL loss that rules out removal
 LEADING, DONE = 8, 0.5  # iterations of a fit without an unknown input, and its least gain
 TO_THE_END = 60  # iterations within which all fits so far have converged
+BACKTRACKING = (1.0, 0.5, 0.25)  # shares of promised sizes, tried one after the other
 
 Parts = tuple[Candidate, ...]
 Trial = tuple[Parts, Mapping[str, float] | None]  # candidates and start values of their fit
@@ -121,9 +122,9 @@ class Search:
         moved = {f.name for f in start.free} & {f.name for f in free}
         base = {**problem.values, **{name: start.values[name] for name in moved}}
         begins = [{**base, **values} for values in starts_of(parts, moved)]
-        if promised:
-            begins = [{**base, **promised}, *(begins if len(begins) > 1 else ())]
         noise = self._noise_at_start(start.noise, loosen=loosen)
+        if promised:
+            begins = [self._toward(promised, base, free, noise, start.nll), *(begins if len(begins) > 1 else ())]
         bound = self.bound_within(parts) if patient else np.inf
         fits = []
         for values in begins:
@@ -131,6 +132,21 @@ class Search:
             fits.append(fit(problem, free, values, noise, None, iterations, patience=patience, sensing=sensing))
         best = min(fits, key=lambda f: f.objective)
         return Hypothesis(parts, best, best.objective + self.cost(parts), ended=sensing and iterations == TO_THE_END)
+
+    def _toward(
+        self, promised: Mapping[str, float], base: Mapping[str, float], free: Sequence[Free], noise: Noise, nll: float
+    ) -> dict[str, float]:
+        """Return the values from `base` to the promised ones: sizes are halved until the logs are no less likely.
+
+        A score test promises along a straight line, and too much where unknown inputs explain most of an effect.
+        """
+        sizes, found = {f.name for f in free if f.neutral is not None}, []
+        for share in BACKTRACKING:
+            values = {n: base[n] + share * (v - base[n]) if n in sizes else v for n, v in promised.items()}
+            found.append(({**base, **values}, self.problem.score({**base, **values}, noise).nll))
+            if found[-1][1] <= nll:
+                break
+        return min(found, key=lambda pair: pair[1])[0]
 
     def _noise_at_start(self, noise: Noise, *, loosen: bool) -> Noise:
         """Return the noise at the start of a fit."""
