@@ -19,7 +19,7 @@ from cosim.probing.fmu_structure import ProbedParameter
 from cosim.refinement import workflow
 from cosim.refinement.decision import judgement, trust
 from cosim.refinement.decision.claims import Claims, Improvement
-from cosim.refinement.proof import replay_check
+from cosim.refinement.proof import measure, replay_check
 from cosim.refinement.proof.measure import Floor
 from cosim.refinement.search.fits import Search, SearchResult
 from cosim.refinement.search.hypotheses import Hypothesis
@@ -295,3 +295,15 @@ def test_a_fit_begins_no_further_away_than_the_logs_bear(promised: float, begun:
     base = {"leak.size": 0.0, "leak.level": 1.0, "mass": 3.0}
     values = search._toward({"leak.size": promised, "leak.level": 2.0}, base, free, noise, 1.0)  # type: ignore[arg-type]
     assert values == {"leak.size": pytest.approx(begun), "leak.level": 2.0, "mass": 3.0}
+
+
+def test_the_highest_floor_holds_the_scatter_of_its_draws(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A position drifts away with noise: one sealed log may miss it by far more than the mean of the draws."""
+    monkeypatch.setattr(measure, "_begun", lambda variant, problem, logs: problem)
+    monkeypatch.setattr(measure, "_root_mean_squares", lambda problem, changes: {"angle": 0.75, "speed": 0.0})
+    monkeypatch.setattr(measure, "_standard_deviation", lambda logs, name: np.inf)
+    floor = Floor({"angle": 1.0, "speed": 2.0}, {"angle": 0.3})
+    posed: Any = SimpleNamespace()
+    fit = hypothesis({"a": (1.0, 0.1)}).fit
+    level = measure.predicted_floor(floor, posed, posed, [], fit, np.random.default_rng(0))
+    assert level == {"angle": pytest.approx(np.hypot(np.exp(0.9), 0.75)), "speed": 2.0}

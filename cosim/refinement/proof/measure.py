@@ -255,9 +255,9 @@ def noise_floor(variant: Variant, problem: Problem, logs: Sequence[Log], rng: np
 def predicted_floor(
     floor: Floor, variant: Variant, problem: Problem, logs: Sequence[Log], fit: Fit, rng: np.random.Generator
 ) -> dict[str, float]:
-    """Return the noise floor of uncertain estimates.
+    """Return the highest noise floor that is no surprise, of uncertain estimates.
 
-    The change of the replays by random errors of the estimates adds to the floor.
+    It is UNLIKE scatters above the mean of the draws. The change of the replays by random errors of the estimates adds.
     Where a motion divides, for example where a pendulum may pass over the top, estimates within their intervals predict
     quite other motions. A floor above the standard deviation of its channel is omitted, as in `noise_floor`.
     """
@@ -273,7 +273,8 @@ def predicted_floor(
         replays = _KernelReplays.of(variant, problem, log, index, problem.data(variant.values, index))
         changes += [replays.change(values) for values in moved]
     sizes = _root_mean_squares(problem, changes)
-    level = {name: math.hypot(size, sizes[name]) for name, size in floor.level.items()}
+    highest = {name: size * math.exp(UNLIKE * floor.scatter.get(name, 0.0)) for name, size in floor.level.items()}
+    level = {name: math.hypot(size, sizes[name]) for name, size in highest.items()}
     return {name: size for name, size in level.items() if not size > _standard_deviation(logs, name)}
 
 
