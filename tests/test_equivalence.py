@@ -52,6 +52,9 @@ class Exchanger(Model):
         return Equations(derivative, lambda t, state, command: state)
 
 
+BAND = {"dead_band_at_voltage.width": 0.3}
+
+
 def search_of(subject: Subject, problem: Problem) -> Search:
     return Search(subject, problem, 30, lambda stage, share: None)
 
@@ -122,12 +125,22 @@ def test_a_failing_fmu_shows_no_equivalence(motor: Search, monkeypatch: pytest.M
 
 def test_inputs_go_beyond_the_logs_and_are_the_same_each_time(motor: Search) -> None:
     def course(times: float) -> Data:
-        return equivalence._Course.exciting(motor.problem, times).data
+        return equivalence._Course.exciting(motor.problem, times, both_signs=True).data
 
     logged = np.concatenate([log.u for log in motor.problem.logs])
     ratios = np.ptp(course(3.0).u, axis=0) / np.ptp(logged, axis=0)
     assert ratios == pytest.approx(3.0, rel=0.1)
     assert np.array_equal(course(3.0).u, course(3.0).u)
+
+
+def test_a_dead_band_is_no_bias_where_an_input_could_change_its_sign(motor: Search) -> None:
+    """The voltage of the logs is from 30 V up, far above the width; below zero, both differ."""
+    logs = [replace(log, u=log.u + np.array([30.0 - log.u[:, 0].min(), 0.0])) for log in motor.problem.logs]
+    search = search_of(motor.subject, replace(motor.problem, logs=logs))
+    course = equivalence._Course.exciting(search.problem, 1.0, both_signs=False).data
+    assert course.u[:, 0].min() > 29.0
+    bias, band = (supposed(search, values) for values in ({"bias_at_voltage.value": -0.3}, BAND))
+    assert not act_alike(search, bias, band)
 
 
 def test_one_of_each_group_of_alikes_stays_a_rival(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -253,6 +253,11 @@ class Claims:
         return {**self.misfit, "equation": output, "signals": [signal]}
 
     @property
+    def is_doubtful(self) -> bool:
+        """Return whether the claim may only imitate what is missing: it, or a base parameter beside it, says so."""
+        return self.grade == "part" and (self.varying is not None or bool(self.further))
+
+    @property
     def nearest_hypothesis(self) -> Hypothesis | None:
         """Return the nearest model's hypothesis, by default the claim."""
         return self.claimed if self.nearest is None else self.nearest.hypothesis

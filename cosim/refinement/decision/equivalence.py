@@ -63,9 +63,12 @@ def _own(h: Hypothesis) -> tuple[str, ...]:
 
 def _is_imitated(search: Search, truth: Hypothesis, adapted: Hypothesis, times: float) -> bool:
     """Return True if a hypothesis can adapt to the predictions of another one, both with enlarged effects."""
-    course = _Course.exciting(search.problem, min(times, ENLARGED))
     given = {**truth.fit.values, **{n: search.problem.values[n] for n in _own(truth)}}
-    wanted, without = course.outputs(given | _enlarged(truth, search.problem, times)), course.outputs(given)
+    for both_signs in (True, False):  # an FMU may fail with inputs of a sign that it never gets
+        course = _Course.exciting(search.problem, min(times, ENLARGED), both_signs=both_signs)
+        wanted, without = course.outputs(given | _enlarged(truth, search.problem, times)), course.outputs(given)
+        if np.isfinite(wanted).all() and np.isfinite(without).all():
+            break
     effect = float(np.linalg.norm((wanted - without) / course.sigma))
     if not 0.0 < effect < np.inf:
         return False
@@ -126,11 +129,12 @@ class _Course:
     sigma: Array
 
     @classmethod
-    def exciting(cls, problem: Problem, times: float) -> _Course:
+    def exciting(cls, problem: Problem, times: float, *, both_signs: bool) -> _Course:
         """Return simulations along levels of random duration over the ranges of the inputs in the logs.
 
         Args:
             times: Factor on the ranges.
+            both_signs: Let inputs with one sign have the other one, too, since a threshold at zero shows there only.
         """
         first = problem.logs[0].rows(0, MOST_ROWS)
         rng, rows = np.random.default_rng(SEED), len(first.u)
@@ -140,6 +144,8 @@ class _Course:
             low, high = min(c.min() for c in columns), max(c.max() for c in columns)
             middle, half = 0.5 * (low + high), 0.5 * times * (high - low) or 0.1 * abs(high) or 1.0
             holds = np.exp(rng.uniform(0.0, np.log(max(2.0, LONGEST_HOLD * rows)), rows)).astype(int)
+            if both_signs and abs(middle) > half:
+                middle, half = 0.0, abs(middle) + half
             u[:, k] = np.repeat(middle + half * rng.uniform(-1.0, 1.0, rows), holds)[:rows]
         return cls(problem, replace(first, u=u, late=None), np.exp(0.5 * problem.plain.sensors))
 

@@ -119,12 +119,13 @@ def _answer_text(c: Claims, subject: Subject) -> str:
     if c.name == "ambiguous" and c.claimed is None:
         return little_excitation_text(len(c.unshown), c.experiment, still=c.still)
     if c.name == "ambiguous" and c.claimed is not None:
-        certain = claim_text(c.claimed, c.certain, subject) if c.certain else ""
+        certain = claim_text(c.claimed, c.certain, subject, is_doubtful=c.is_doubtful) if c.certain else ""
         return rivals_text(c.apart, c.experiment, certain, subject)
     if c.name == "no_effect":
         return no_effect_text(c.unshown, c.moves) + small_gains_text(c.small)
     if c.claimed is not None:
-        return claim_text(c.claimed, c.claimed.candidates, subject) + small_gains_text(c.small)
+        text = claim_text(c.claimed, c.claimed.candidates, subject, is_doubtful=c.is_doubtful)
+        return text + small_gains_text(c.small)
     if c.missed_channel is not None:
         return missed_channel_text(*c.missed_channel, c.recalibrated, _units(subject))
     if c.doubt is not None and c.doubt.kind in ("varying", "refused"):
@@ -174,7 +175,7 @@ def _remark_texts(c: Claims, subject: Subject) -> Iterator[str]:
     if c.claimed is not None and c.term is not None:
         yield remainder_text(c.term, c.gained)
     if c.claimed is not None and c.further:
-        yield further_text(c.further, _units(subject))
+        yield further_text(c.further, _units(subject), is_doubtful=c.is_doubtful)
     if c.left_of is not None and c.claimed is not None and c.left_share is None:
         output, signal = c.left_of
         yield f"A part of {output} remains unexplained; it {dependence_text(signal)}."
@@ -331,9 +332,10 @@ def missed_by_all_text(channel: str, times: float) -> str:
     return f"Every rival misses the sealed logs: the best misses {channel} by {plain(times, 2)} times the noise floor."
 
 
-def further_text(parameters: Sequence[MovedParameter], units: Mapping[str, str]) -> str:
+def further_text(parameters: Sequence[MovedParameter], units: Mapping[str, str], *, is_doubtful: bool = False) -> str:
     """Return a sentence on further parameters outside their tolerances."""
-    return f"Beside it, recalibrated beyond tolerance: {_moved_text(parameters, units)}."
+    doubt = "; something else is missing, or a tolerance is too small" if is_doubtful else ""
+    return f"Beside it, recalibrated beyond tolerance: {_moved_text(parameters, units)}{doubt}."
 
 
 def _moved_text(parameters: Sequence[MovedParameter], units: Mapping[str, str]) -> str:
@@ -440,27 +442,39 @@ OPENINGS = {  # kind → before up to three names, and in place of more
     "parameter": ("the model has a wrong", "the model has {} wrong parameters"),
     "sensor": ("the sensors have", "the sensors have {} errors"),
 }
+RESEMBLING = {  # the same where a claim may only imitate what is missing
+    "effect": ("what the model lacks resembles", "what the model lacks resembles {} effects"),
+    "parameter": ("what is wrong resembles another", "what is wrong resembles other values of {} parameters"),
+    "sensor": ("the sensors seem to have", "the sensors seem to have {} errors"),
+}
 
 
-def claim_text(best: Hypothesis, candidates: Sequence[Candidate], subject: Subject) -> str:
-    """Return sentences on claimed candidates with values and intervals."""
+def claim_text(
+    best: Hypothesis, candidates: Sequence[Candidate], subject: Subject, *, is_doubtful: bool = False
+) -> str:
+    """Return sentences on claimed candidates with values and intervals.
+
+    Args:
+        is_doubtful: Say that they resemble what is missing.
+    """
+    openings = RESEMBLING if is_doubtful else OPENINGS
     kinds = {c.name: kind_within(c, subject) for c in candidates}
     values = {c.name: [_estimate_text(best, f, subject) for f in c.free] for c in candidates}
     for c in candidates:
         if kinds[c.name] != c.kind and not best.is_away(c, NORMAL_95):
             values[c.name][-1] += "; the logs show none"
-    text = _kinds_text(kinds, {name: f"{name} ({', '.join(parts)})" for name, parts in values.items()})
+    text = _kinds_text(kinds, {name: f"{name} ({', '.join(parts)})" for name, parts in values.items()}, openings)
     if len(candidates) > MOST_NAMED or len(text.split()) > MOST_WORDS:
         sentences = chain(*map(_value_sentences, values.items()))
-        text = " ".join((_kinds_text(kinds, {name: name for name in values}), *sentences))
+        text = " ".join((_kinds_text(kinds, {name: name for name in values}, openings), *sentences))
     moving = " The fit was still moving when it ended: these intervals are too narrow."
     return f"{text}{'' if best.fit.converged else moving}"
 
 
-def _kinds_text(kinds: Mapping[str, str], texts: Mapping[str, str]) -> str:
+def _kinds_text(kinds: Mapping[str, str], texts: Mapping[str, str], openings: Mapping[str, tuple[str, str]]) -> str:
     """Return a phrase for each kind of claimed candidate, with names or, for more than three, their number."""
     parts = []
-    for kind, (opening, several) in OPENINGS.items():
+    for kind, (opening, several) in openings.items():
         names = [text for name, text in texts.items() if kinds[name] == kind]
         if names:
             parts.append(several.format(len(names)) if len(names) > MOST_NAMED else f"{opening} {join_names(names)}")

@@ -71,7 +71,9 @@ def check_with_replays(study: Study, a: Attribution, claims: Claims, result: Sea
     claims = check_claim(claims, error, floor, a.support, alternative=alternative, halves=a.halves_error)
     if claims.claimed is None or claims.claimed.is_of_sensors or claims.further:
         return claims
-    return replace(claims, further=beyond_tolerance(claims.claimed.fit))
+    further = beyond_tolerance(claims.claimed.fit)
+    is_stated = not study.settings.tolerance.keys().isdisjoint(m.name for m in further)
+    return replace(claims, further=further, grade="part" if is_stated else claims.grade)
 
 
 def _beyond_tolerance_checked(claims: Claims, a: Attribution, study: Study, result: SearchResult) -> Claims:
