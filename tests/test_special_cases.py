@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -31,12 +32,13 @@ def fitted(c: Candidate, values: dict[str, float], covariance: Any) -> Hypothesi
     return Hypothesis((c,), Fit(values, noise, c.free, (0.0,), 0.0, information, 1, True), 0.0)
 
 
-def found(breakaway: float, sigma: float, *, tried: bool = True) -> tuple[NotExcluded, ...]:
+def found(breakaway: float, sigma: float, *, tried: bool = True, behind: float = 0.0) -> tuple[NotExcluded, ...]:
     """Return the result for a claimed level of 2; the other friction has level and breakaway that vary together."""
     simple = fitted(COULOMB, {LEVEL.name: 2.0}, 0.01)
     together = 0.3**2  # both are uncertain, their difference is not
     covariance = [[together, together], [together, together + sigma**2]]
     rich = fitted(STRIBECK, {RICH[0].name: 2.0, RICH[1].name: breakaway}, covariance)
+    rich = replace(rich, fit=replace(rich.fit, penalty=behind))
     declared = {f.name: SimpleNamespace(unit="N.m") for f in (*RICH, LEVEL)}
     known = {rich.names: rich} if tried else {}
     search: Any = SimpleNamespace(tried=known, subject=SimpleNamespace(declared=declared))
@@ -59,6 +61,11 @@ def test_a_friction_that_decreases_with_speed_is_excluded_only_by_logs_that_show
 def test_an_effect_that_was_not_fitted_is_not_said_to_be_open() -> None:
     assert found(3.0, 1.0, tried=False) == ()
     assert not_excluded(SimpleNamespace(), Claims("unexplained"), [STRIBECK]) == ()  # type: ignore[arg-type]
+
+
+def test_an_effect_of_another_place_explains_less() -> None:
+    assert found(3.0, 1.0, behind=0.5)
+    assert found(3.0, 1.0, behind=2.0) == ()
 
 
 def test_the_sentence_names_both_and_the_value_that_remains_possible() -> None:

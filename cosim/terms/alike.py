@@ -39,7 +39,8 @@ ALIKE: tuple[tuple[frozenset[str], str], ...] = (
 )
 
 
-SPECIAL_CASES = {"coulomb": "stribeck"}  # kind of term → kind that equals it at some values
+# kind of term → kind that equals it at some values; of a storage that is never negative, an overflow does at level 0
+SPECIAL_CASES = {"coulomb": "stribeck", "leak": "overflow"}
 
 
 def contains(rich: str, simple: str) -> bool:

@@ -15,6 +15,8 @@ from cosim.refinement.search.fits import Search, key_of
 from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.subject.candidates import Candidate, Free, values_of_special_case
 
+ENDED = 1.0  # nats by which an effect may fall behind its special case where fits end
+
 
 def not_excluded(search: Search, claims: Claims, candidates: Sequence[Candidate]) -> tuple[NotExcluded, ...]:
     """Return effects possible in place of claimed special cases."""
@@ -28,7 +30,7 @@ def not_excluded(search: Search, claims: Claims, candidates: Sequence[Candidate]
 def _differences(search: Search, h: Hypothesis, simple: Candidate, rich: Candidate) -> Iterator[NotExcluded]:
     equal = values_of_special_case(rich, simple, h.fit.values)
     other = search.tried.get(key_of([*(c for c in h.candidates if c is not simple), rich])) if equal else None
-    if other is None:
+    if other is None or other.fit.objective > h.fit.objective + ENDED:  # of another place
         return
     for f in (f for f in rich.free if f.above):
         value, largest = equal[f.name], _largest(other, f)
