@@ -18,7 +18,7 @@ from cosim.model.quantities import Quantity
 from cosim.probing.fmu_structure import ProbedParameter
 from cosim.refinement import workflow
 from cosim.refinement.decision import judgement, trust
-from cosim.refinement.decision.claims import Claims, Improvement
+from cosim.refinement.decision.claims import Claims, Improvement, MovedParameter
 from cosim.refinement.proof import measure, replay_check
 from cosim.refinement.proof.measure import Floor
 from cosim.refinement.search.fits import Search, SearchResult
@@ -307,3 +307,28 @@ def test_the_highest_floor_holds_the_scatter_of_its_draws(monkeypatch: pytest.Mo
     fit = hypothesis({"a": (1.0, 0.1)}).fit
     level = measure.predicted_floor(floor, posed, posed, [], fit, np.random.default_rng(0))
     assert level == {"angle": pytest.approx(np.hypot(np.exp(0.9), 0.75)), "speed": 2.0}
+
+
+@pytest.mark.parametrize(
+    ("stated", "grade", "expected"),
+    [
+        ({"magnet": 0.05}, "claimed", "part"),
+        ({"mass": 0.05}, "claimed", "claimed"),  # the tolerance of the magnet is an assumption
+        ({"magnet": 0.05}, "nearest", "nearest"),
+    ],
+)
+def test_a_claim_beside_which_a_stated_tolerance_is_left_is_a_part(
+    monkeypatch: pytest.MonkeyPatch, stated: dict[str, float], grade: Any, expected: str
+) -> None:
+    moved = (MovedParameter("magnet", 1.0, 0.9),)
+    monkeypatch.setattr(replay_check, "_replay_errors", lambda *given: ({}, {}))
+    monkeypatch.setattr(replay_check, "_alternative", lambda *given: "")
+    monkeypatch.setattr(replay_check, "check_claim", lambda claims, *given, **options: claims)
+    monkeypatch.setattr(replay_check, "beyond_tolerance", lambda fit: moved if fit else ())
+    claimed: Any = SimpleNamespace(is_of_sensors=False, fit="fitted")
+    study: Any = SimpleNamespace(settings=SimpleNamespace(tolerance=stated))
+    a: Any = SimpleNamespace(base=SimpleNamespace(fit=None), support={}, halves_error=False)
+    result: Any = SimpleNamespace(free_noise=None)
+    claims = replay_check.check_with_replays(study, a, Claims("effect_found", claimed, grade=grade), result, result)
+    assert (claims.grade, claims.further) == (expected, moved)
+    assert claims.is_doubtful is (expected == "part")

@@ -19,7 +19,7 @@ def propagations(responses: Array, run: Array) -> Array:
 
     Any small deviation obeys the same dynamics. Φ and Ψ are their least-squares estimates. An output of which the row
     before tells a hidden state, e.g. the velocity of a position, has a column in Ψ; the others have zeros there. Where
-    they then predict whole responses far better, Φ and Ψ depend on where the run is, with all squares of its outputs
+    they then predict whole responses better, Φ and Ψ depend on where the run is, with all squares of its outputs
     and their changes: a pendulum swings faster near the bottom. Growing deviations are scaled to lasting ones. Without
     responses, both are 0.
 

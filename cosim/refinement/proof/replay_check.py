@@ -71,9 +71,13 @@ def check_with_replays(study: Study, a: Attribution, claims: Claims, result: Sea
     claims = check_claim(claims, error, floor, a.support, alternative=alternative, halves=a.halves_error)
     if claims.claimed is None or claims.claimed.is_of_sensors or claims.further:
         return claims
-    further = beyond_tolerance(claims.claimed.fit)
-    is_stated = not study.settings.tolerance.keys().isdisjoint(m.name for m in further)
-    return replace(claims, further=further, grade="part" if is_stated else claims.grade)
+    return _with_further(claims, beyond_tolerance(claims.claimed.fit), study.settings.tolerance)
+
+
+def _with_further(claims: Claims, further: tuple[MovedParameter, ...], stated: Mapping[str, float]) -> Claims:
+    """Return the claims with base parameters outside their tolerances, as a part if the study states one of these."""
+    is_left = any(m.name in stated for m in further) and claims.grade == "claimed"
+    return replace(claims, further=further, grade="part" if is_left else claims.grade)
 
 
 def _beyond_tolerance_checked(claims: Claims, a: Attribution, study: Study, result: SearchResult) -> Claims:
