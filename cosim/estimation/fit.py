@@ -124,7 +124,10 @@ class Fit:
         return float(np.sqrt(max(0.0, *(_variance(covariance, k, fixed) for covariance in self._covariances))))
 
     def sigma_between(self, one: str, other: str) -> float:
-        """Return the standard deviation of a difference, likewise."""
+        """Return the standard deviation of a difference.
+
+        As in `sigma`, the larger of two values counts.
+        """
         names = [f.name for f in self.free]
         j, k = names.index(one), names.index(other)
         return float(np.sqrt(max(0.0, *(c[j, j] + c[k, k] - 2.0 * c[j, k] for c in self._covariances))))

@@ -164,7 +164,7 @@ def generate_stepped(model: FmuModel, measured: Sequence[str], unnamed: bool = F
 
 
 def _forces_along_positions(model: FmuModel) -> tuple[dict[str, float], list[str]]:
-    """Return parameter → neutral value of the forces that depend on a position, and the names of these positions."""
+    """Return parameter → neutral value of the terms that depend on a position or level, and the names of these."""
     import sympy
 
     m, at, speed = SymbolNamespace(), sympy.Symbol("position", real=True), sympy.Symbol("velocity", real=True)

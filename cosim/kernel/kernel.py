@@ -40,8 +40,8 @@ class Layout:
         carrying: Indices of stochastic states whose only random source is a constant state.
         rates: State → state equal to its derivative.
         is_free_run: True if unknown inputs drive deviations of the outputs of a free run.
-        along: Parameter → neutral value of each force of a free run that depends on a position.
-        positions: Indices of the measured outputs that are these positions.
+        along: Parameter → neutral value of each term of a free run that depends on a position or level.
+        positions: Indices of the measured outputs that are these positions and levels.
     """
 
     parameters: tuple[str, ...]

@@ -30,7 +30,7 @@ def not_excluded(search: Search, claims: Claims, candidates: Sequence[Candidate]
 def _differences(search: Search, h: Hypothesis, simple: Candidate, rich: Candidate) -> Iterator[NotExcluded]:
     equal = values_of_special_case(rich, simple, h.fit.values)
     other = search.tried.get(key_of([*(c for c in h.candidates if c is not simple), rich])) if equal else None
-    if other is None or other.fit.objective > h.fit.objective + ENDED:  # of another place
+    if other is None or other.fit.objective > h.fit.objective + ENDED:  # an effect of another place explains less
         return
     for f in (f for f in rich.free if f.above):
         value, largest = equal[f.name], _largest(other, f)
@@ -40,9 +40,9 @@ def _differences(search: Search, h: Hypothesis, simple: Candidate, rich: Candida
 
 
 def _largest(h: Hypothesis, f: Free) -> float:
-    """Return the largest value in an interval.
+    """Return the upper end of a 95 % interval.
 
-    The interval is that of the distance from the lower bound, 95 %.
+    It is the interval of the parameter's distance from its lower bound.
     """
     values = h.fit.values
     beyond = values[f.name] - values[f.above] + NORMAL_95 * h.fit.sigma_between(f.name, f.above)

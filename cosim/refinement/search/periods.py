@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from operator import itemgetter
 
 import numpy as np
 
@@ -77,7 +78,7 @@ def _with_period(test: ScoreTest, c: Candidate, required: Callable[[Candidate], 
     gains = in_parallel(gain, [*tried])
     climbs = [pair for pair in zip(tried, gains, strict=True) if pair[1] > OFF * required(replace(c, among=among))]
     peaks = [_climbed(gain, *pair, period, travel) for pair in climbs] or zip(tried, gains, strict=True)
-    best, _ = max(peaks, key=_by_gain)
+    best, _ = max(peaks, key=itemgetter(1))
     test.values[name] = best
     size = best**2 / (2.0 * math.pi * travel)  # moves the phase over the travel by 1
     free = tuple(replace(period, size=size) if f.name == name else f for f in c.free)
@@ -92,7 +93,7 @@ def _climbed(
     for _ in range(MOST_STEPS):
         others = [1.0 / (1.0 / best + cycles / travel) for cycles in (-apart, apart)]
         inside = [value for value in others if period.low <= value <= period.high] or [best]
-        other, more = max(zip(inside, in_parallel(gain, inside), strict=True), key=_by_gain)
+        other, more = max(zip(inside, in_parallel(gain, inside), strict=True), key=itemgetter(1))
         if more > most:
             best, most = other, more
         elif apart > NEAREST:
@@ -100,10 +101,6 @@ def _climbed(
         else:
             break
     return best, most
-
-
-def _by_gain(pair: tuple[float, float]) -> float:
-    return pair[1]
 
 
 def _along(test: ScoreTest, name: str) -> tuple[list[Array], float, list[Array]]:
@@ -160,7 +157,7 @@ def _response(positions: Sequence[Array], periods: Sequence[float], answers: Seq
 def _spread(amounts: Array, ends: Array, count: int) -> Array:
     """Return amounts spread evenly over the cells from each end to the next, for a spectrum.
 
-    The mean of a force over a row shows nothing of a force that repeats within the row; so does the spread amount.
+    A force that repeats within a row has no mean over the row, and spread over its cells no line in the spectrum.
     """
     from_, to = np.minimum(ends[:-1], ends[1:]), np.maximum(ends[:-1], ends[1:])
     to = np.maximum(to, from_ + SHORT)
