@@ -179,20 +179,24 @@ class Problem:
         """
         step = self.logs[0].step
         rows = round((UNSCORED * slowness(step) + max(RANGE_FROM, RANGE_ROWS * step)) / step)
-        logs = [log.rows(0, rows) for log in self.logs]
-        measured = [np.isfinite(log.y).any(axis=0) for log in logs]
+        measured = [np.isfinite(log.y[:rows]).any(axis=0) for log in self.logs]
         # the first log, and logs with further outputs
-        chosen = [k for k in range(len(logs)) if k == 0 or np.any(measured[k] & ~measured[0])]
-        short = replace(
-            self,
-            logs=[logs[k] for k in chosen],
-            readings=[readings_of(logs[k].y, count_unscored(logs[k])) for k in chosen],
-            x0=[self.x0[k] for k in chosen],
-            origins=[self.origins[k] for k in chosen if self.origins],
-            sensing=None,  # limits must not depend on fitted noise
-        )
+        chosen = [k for k in range(len(self.logs)) if k == 0 or np.any(measured[k] & ~measured[0])]
+        short = replace(self._first_rows(rows, chosen), sensing=None)  # limits must not depend on fitted noise
         # A filter that has lost the measurements says nothing of its variances; on its own outputs it cannot.
         return short if short._follows_all() else short._on_own_outputs()
+
+    def first_rows(self, rows: int) -> Problem:
+        """Return the problem with the first rows of each log, and the same range of process noise."""
+        short = self._first_rows(rows, range(len(self.logs)))
+        short.ranges.append((short._matter, self.noise))
+        return short
+
+    def _first_rows(self, rows: int, chosen: Sequence[int]) -> Problem:
+        logs = [self.logs[k].rows(0, rows) for k in chosen]
+        readings = [readings_of(log.y, count_unscored(log)) for log in logs]
+        origins = [self.origins[k] for k in chosen if self.origins]
+        return replace(self, logs=logs, readings=readings, x0=[self.x0[k] for k in chosen], origins=origins)
 
     def _follows_all(self) -> bool:
         """Return True if the filter with the least process noise follows all logs."""

@@ -68,7 +68,7 @@ class Attributor:
         """
         search = self.search
         self.progress("recalibrating the base model", 0.0)
-        base = self._with_stamp_errors(self._with_stated_noise(search.hypothesis((), None)))
+        base = self._with_stamp_errors(self._with_stated_noise(search.from_first_rows(search.hypothesis((), None))))
         result = self._search_from(base)
         settled = search.tried[()]
         if result.best.candidates or search.problem.trusted or settled.fit.objective > base.fit.objective - NEAR:

@@ -15,6 +15,7 @@ from typing import TypeVar
 import numpy as np
 
 from cosim.estimation.fit import FAIR, Fit, Patience, fit, initial_fit
+from cosim.estimation.growing import fit_growing, leaves_the_motion
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.parallel import in_parallel
 from cosim.estimation.plateaus import values_beside_plateaus
@@ -132,6 +133,14 @@ class Search:
             fits.append(fit(problem, free, values, noise, None, iterations, patience=patience, sensing=sensing))
         best = min(fits, key=lambda f: f.objective)
         return Hypothesis(parts, best, best.objective + self.cost(parts), ended=sensing and iterations == TO_THE_END)
+
+    def from_first_rows(self, base: Hypothesis) -> Hypothesis:
+        """Return the base model, refitted to more and more rows if large unknown inputs keep free runs at the logs."""
+        if self.problem.trusted or not leaves_the_motion(self.problem, base.fit):
+            return base
+        other = fit_growing(self.problem, self.free(()), self.problem.values)
+        better = other.objective < base.fit.objective - DONE
+        return replace(base, fit=other, score=other.objective) if better else base
 
     def _toward(
         self, promised: Mapping[str, float], base: Mapping[str, float], free: Sequence[Free], noise: Noise, nll: float
