@@ -415,6 +415,8 @@ RIGHT, IN_SET, WRONG, NONE = (True, True, False), (False, True, False), (False, 
         ({"cart_stribeck": {}}, "effect_found", ["cart_coulomb"], {"not_excluded": OPEN}, IN_SET),
         ({"cart_drag": {}}, "effect_found", ["cart_coulomb"], {"not_excluded": OPEN}, WRONG),
         (COULOMB, "effect_found", ["cart_coulomb"], {"not_excluded": OPEN}, RIGHT),
+        (COULOMB, "effect_found", ["tilt"], {"alike": [["tilt", "cart_coulomb"]]}, IN_SET),
+        (COULOMB, "effect_found", ["bob_drag"], {"alike": [["tilt", "cart_coulomb"]]}, WRONG),
     ],
 )
 def test_known_studies_are_judged_by_what_is_claimed(

@@ -51,7 +51,7 @@ def is_in_set(line: Line) -> bool:
     """Return whether a known study is right, or ambiguous with the truth in a small set.
 
     The truth is one of at most three alternatives, or within at most three names of all alternatives together. A claim
-    of a special case beside which the truth is `not_excluded` is in the set, too.
+    in whose place the verdict leaves the truth open (`not_excluded`, `alike`) is in the set, too.
     """
     if is_right(line) or (grade(line) == "claimed" and set(line["truth"]) in left_open(line)):
         return True
@@ -67,7 +67,7 @@ def is_in_set(line: Line) -> bool:
 def is_wrong(line: Line) -> bool:
     """Return whether a known study gets a name, claimed wholly or in part, that is not in the truth.
 
-    A special case beside which the verdict does not exclude the true effect is not wrong.
+    A name in whose place the verdict leaves the true effect open is not wrong.
     """
     truth = set(line["truth"])
     return not put_forward(line) <= truth and not any(names <= truth for names in left_open(line))

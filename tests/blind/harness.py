@@ -130,7 +130,7 @@ def _verdict(path: Path) -> dict[str, Any]:
             "error": error,
             "noise_floor": found["noise_floor"],
         }
-        line |= {name: found[name] for name in ("grade", "not_excluded") if found.get(name)}
+        line |= {name: found[name] for name in ("grade", "not_excluded", "alike") if found.get(name)}
         score.excess_left(line)  # what cannot be counted is found here, not after two hundred studies
         return line
     except (OSError, ValueError, KeyError, TypeError) as e:

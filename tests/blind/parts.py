@@ -16,7 +16,7 @@ from tests.blind import field_study
 from tests.blind.field_rig import Rig
 from tests.blind.field_score import put_forward
 from tests.blind.field_study import Study
-from tests.blind.score import LARGEST_SET, Line, alternatives, share, wilson
+from tests.blind.score import LARGEST_SET, Line, alternatives, replaceable, share, wilson
 
 HALVED = 0.5  # of the sealed error of the yardstick, from which friction has to be named
 
@@ -59,9 +59,9 @@ def named_parts(line: Line) -> set[str]:
 def wrong_parts(line: Line) -> set[str]:
     """Return names that a verdict claims, wholly or in part, and that are not true effects of the catalogue.
 
-    A special case beside which the verdict does not exclude the true effect is not wrong.
+    A name in whose place the verdict leaves the true effect open is not wrong.
     """
-    open_cases = {x["in_place_of"] for x in line.get("not_excluded", ()) if x["name"] in parts(line)}
+    open_cases = {claimed for claimed, other in replaceable(line) if other in parts(line)}
     return put_forward(line) - parts(line) - open_cases
 
 

@@ -12,6 +12,7 @@ import re
 import statistics
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Sequence
+from itertools import permutations
 from typing import Any
 
 from tests.blind.truth_study import BASE, SENSORS
@@ -53,8 +54,15 @@ def alternatives(line: Line) -> list[set[str]]:
 
 
 def left_open(line: Line) -> list[set[str]]:
-    """Return sets of the claimed names, with an effect of `not_excluded` in place of its special case."""
-    return [(named(line) - {x["in_place_of"]}) | {x["name"]} for x in line.get("not_excluded", ())]
+    """Return sets of the claimed names, with one replaced by an effect that the verdict leaves open in its place."""
+    return [(named(line) - {claimed}) | {other} for claimed, other in replaceable(line)]
+
+
+def replaceable(line: Line) -> list[tuple[str, str]]:
+    """Return pairs of a claimed name and of an effect that is `not_excluded` in its place, or acts `alike`."""
+    special = [(x["in_place_of"], x["name"]) for x in line.get("not_excluded", ())]
+    alike = [(name, other) for group in line.get("alike", ()) for name, other in permutations(group, 2)]
+    return special + [(name, other) for name, other in alike if name in named(line)]
 
 
 def share(hits: int, of: int) -> float | None:
