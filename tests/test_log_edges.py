@@ -318,7 +318,7 @@ def test_the_step_is_the_slope_of_the_times_by_their_number() -> None:
     late = 0.02 * k + 1e-3 * np.random.default_rng(1).uniform(0.0, 1.0, 1000)
     assert usual_step(late) == pytest.approx(0.02, rel=2e-5)
     assert usual_step(late[np.setdiff1d(k, range(300, 340))]) == pytest.approx(0.02, rel=2e-5)
-    assert [slowness(step) for step in (0.001, 0.05, 0.054, 0.06, 0.1, 0.5, 1.0)] == [1, 1, 1, 2, 2, 10, 20]
+    assert [slowness(step) for step in (5e-5, 0.001, 0.05, 0.054, 0.06, 0.1, 0.5, 1.0)] == [0.05, 1, 1, 1, 2, 2, 10, 20]
 
 
 def test_a_clock_of_two_spacings_keeps_the_time_of_its_rows() -> None:

@@ -25,7 +25,7 @@ from cosim.storage.table import read_table
 from cosim.storage.table_columns import Column, Faults, Heading
 from cosim.storage.yaml_file import closest, did_you_mean, short
 
-USUAL = 0.05  # [s] row spacing up to which fixed times apply; see `slowness`
+FAST, USUAL = 0.001, 0.05  # [s] row spacings from and up to which fixed times apply; see `slowness`
 GAP = 0.5  # [s] without a row; shorter holes are dropouts
 LOST = 10  # least number of rows lost in a pause
 USUALLY = 3.0  # multiple of the usual measurement spacing beyond which a pause begins
@@ -93,8 +93,8 @@ class Log:
         return self.time.size
 
     @property
-    def slowness(self) -> int:
-        """Return the factor by which checks extend durations for a long step, 1 for a usual step."""
+    def slowness(self) -> float:
+        """Return the factor by which checks extend durations for a long step; see `slowness`."""
         return slowness(self.step)
 
     @property
@@ -378,12 +378,13 @@ def usual_step(time: Array) -> float:
     return float(f"{step:.9g}")
 
 
-def slowness(step: float) -> int:
-    """Return the factor by which checks extend durations for a log with a long step [s], 1 for a usual step.
+def slowness(step: float) -> float:
+    """Return the factor by which checks extend durations for a log with a long step [s].
 
-    Durations such as 0.15 s or 1 s would otherwise contain too few rows, e.g. of a tank logged every 0.5 s.
+    It is 1 for a usual step, and smaller for a short one. Durations such as 0.15 s or 1 s would otherwise contain too
+    few rows, e.g. of a tank logged every 0.5 s, or last longer than a log, e.g. of a converter logged every 50 us.
     """
-    return max(1, math.ceil(step / USUAL - 0.1))
+    return min(1.0, step / FAST) if step < USUAL else max(1, math.ceil(step / USUAL - 0.1))
 
 
 def _measured_ranges(log: Log, first: int, end: int) -> list[tuple[int, int]]:
