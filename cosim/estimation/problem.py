@@ -187,7 +187,10 @@ class Problem:
         return short if short._follows_all() else short._on_own_outputs()
 
     def first_rows(self, rows: int) -> Problem:
-        """Return the problem with the first rows of each log, and the same range of process noise."""
+        """Return the problem with logs cut short.
+
+        The range of process noise stays that of the whole logs.
+        """
         short = self._first_rows(rows, range(len(self.logs)))
         short.ranges.append((short._matter, self.noise))
         return short

@@ -135,7 +135,10 @@ class Search:
         return Hypothesis(parts, best, best.objective + self.cost(parts), ended=sensing and iterations == TO_THE_END)
 
     def from_first_rows(self, base: Hypothesis) -> Hypothesis:
-        """Return the base model, refitted to more and more rows if large unknown inputs keep free runs at the logs."""
+        """Return the base model, refitted to growing logs.
+
+        This is done if large unknown inputs keep its free runs at the logs, and counts if it is better.
+        """
         if self.problem.trusted or not leaves_the_motion(self.problem, base.fit):
             return base
         other = fit_growing(self.problem, self.free(()), self.problem.values)
