@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy.signal import lfilter
-from scipy.special import stdtrit
+from scipy.special import ndtr, stdtrit
 
 from cosim.estimation.fit import Fit
 from cosim.estimation.plateaus import values_beside_plateaus, with_flat_directions
@@ -19,8 +19,8 @@ from cosim.refinement.decision.evidence import (
     deviations_from,
     gain_per_chance,
     gain_per_scatter,
+    refuting_deviations,
 )
-from cosim.refinement.decision.judgement import REFUTED
 from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.subject.candidates import Free
 from tests.cases import some
@@ -161,8 +161,15 @@ def test_a_true_rival_is_seldom_refuted() -> None:
             true, other = alike(rng)
             noise = lfilter([1.0], [1.0, -colour], rng.normal(size=true.size))
             worse, better = (fitted(term, 2.8 / (1.0 - colour) * true + noise)[1] for term in (true, other))
-            wrong.append(worse.nll - better.nll > 3.0 and deviations_from(BLOCK, worse, better) > REFUTED)
+            wrong.append(
+                worse.nll - better.nll > 3.0 and deviations_from(BLOCK, worse, better) > refuting_deviations(1)
+            )
     assert np.mean(wrong) < 0.02
+
+
+def test_a_rival_of_several_parts_is_refuted_as_seldom() -> None:
+    assert refuting_deviations(1) == pytest.approx(2.326, abs=1e-3)
+    assert ndtr(-refuting_deviations(4)) == pytest.approx(0.01 / 4)
 
 
 def test_some_nats_refute_a_rival() -> None:
@@ -173,7 +180,7 @@ def test_some_nats_refute_a_rival() -> None:
         y = 4.8 * true + rng.normal(size=true.size)
         better, worse = (fitted(term, y)[1] for term in (true, other))
         if 3.0 < worse.nll - better.nll < 8.0:
-            refuted.append(deviations_from(BLOCK, worse, better) > REFUTED)
+            refuted.append(deviations_from(BLOCK, worse, better) > refuting_deviations(1))
             by_scatter.append(gain_per_scatter(BLOCK, worse, better, 0.0) > 2.0)
     assert np.mean(refuted) > 0.8
     assert np.mean(by_scatter) < 0.4  # a gain G scatters by √(2·G), so that 8 nats would be needed
@@ -186,4 +193,4 @@ def test_a_single_event_refutes_no_rival() -> None:
     for _ in range(50):
         y = 4.8 * true + event + rng.normal(size=true.size)
         worse, better = (fitted(term, y)[1] for term in (true, other))
-        assert not deviations_from(BLOCK, worse, better) > REFUTED
+        assert not deviations_from(BLOCK, worse, better) > refuting_deviations(1)

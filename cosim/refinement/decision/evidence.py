@@ -254,6 +254,16 @@ def deviations_by_chance(tried: int) -> float:
     return float(-ndtri(0.5 * BY_CHANCE / max(1, tried)))
 
 
+def refuting_deviations(parts: int) -> float:
+    """Return the standard deviations at which the logs refute a rival.
+
+    In 1 % of all true hypotheses, one of so many parts is refuted by chance (Bonferroni).
+    """
+    from scipy.special import ndtri
+
+    return float(-ndtri(BY_CHANCE / max(1, parts)))
+
+
 def chance_limit(problem: Problem, f: Fit, tried: int) -> float:
     """Return the least gain per scatter beyond chance.
 

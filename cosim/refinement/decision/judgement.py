@@ -19,6 +19,7 @@ from cosim.refinement.decision.evidence import (
     fit_given_model,
     held_out_gains,
     refutation,
+    refuting_deviations,
     steadiness,
     with_intervals,
 )
@@ -39,7 +40,6 @@ from cosim.subject.candidates import Candidate, Free
 from cosim.terms.alike import are_alike, contains
 
 RIVAL = 3.0  # score difference within which another hypothesis explains the logs equally well
-REFUTED = 2.33  # standard deviations at which the logs refute a rival
 BY_CHANCE = 0.05  # probability below which the gain of a richer term that looks alike is no chance
 NEAR = 8.0  # score difference beyond which no hypothesis is a rival, whatever the scatter
 SIGNIFICANT = 3.0  # standard deviations from the neutral value
@@ -181,7 +181,8 @@ def _refutes(search: Search, rich: Hypothesis, simple: Hypothesis) -> bool:
     more = sum(len(c.free) for c in rich.candidates) - sum(len(c.free) for c in simple.candidates)
     if more < 1 or len(rich.candidates) != len(simple.candidates):
         return False
-    return refutation(search.problem, rich.fit, simple.fit, -more * search.problem.scatter) >= REFUTED
+    deviations = refutation(search.problem, rich.fit, simple.fit, -more * search.problem.scatter)
+    return deviations >= refuting_deviations(len(simple.candidates))
 
 
 def _remainder(search: Search, best: Hypothesis) -> _Remainder:
@@ -457,7 +458,8 @@ def _is_rival(search: Search, best: Hypothesis, h: Hypothesis) -> bool:
     if any(_with_tolerance(h, t, weight) + cost < _with_tolerance(best, t, weight) + least for t in TOLERANCES):
         return True
     # The larger cost of a richer hypothesis counts against it; otherwise every extension of the best would be a rival.
-    return refutation(search.problem, best.fit, h.fit, max(0.0, cost - least)) < REFUTED
+    deviations = refutation(search.problem, best.fit, h.fit, max(0.0, cost - least))
+    return deviations < refuting_deviations(len(h.candidates))
 
 
 def _is_richer_twin(search: Search, best: Hypothesis, h: Hypothesis) -> bool:
