@@ -19,6 +19,7 @@ from cosim.kernel.remote_kernel import RemoteLibraryKernel
 from cosim.refinement.decision.evidence import Replays
 from cosim.refinement.search.missing import unknown_inputs
 from cosim.refinement.study import Study, read_study
+from cosim.refinement.workflow import _build_problem
 from cosim.residuals.drive import Drive, log_of_fmu
 from cosim.subject.candidates import Free
 from cosim.subject.fmu_subject import FmuSubject
@@ -69,6 +70,13 @@ def test_a_free_run_leaves_no_more_than_the_noise(problem: Problem) -> None:
     noise = problem.at(problem.noise.smallest)
     errors, variances = problem.innovations(problem.values, noise, 0)
     assert np.nanmean(errors[100:] ** 2 / variances[100:]) == pytest.approx(1.0, abs=0.2)
+
+
+def test_a_stated_noise_that_is_far_too_small_limits_no_fit(study: Study) -> None:
+    content = study.content.model_copy(update={"noise": {name: 0.1 * sigma for name, sigma in NOISE.items()}})
+    limits = _build_problem(replace(study, content=content)).limits
+    highest = dict(zip(NOISE, np.exp(0.5 * limits.high[-2 * len(NOISE) : -len(NOISE)]), strict=True))
+    assert {name for name, sigma in NOISE.items() if highest[name] > sigma} == {*NOISE}
 
 
 def test_predictions_are_parts_of_the_free_run(study: Study, problem: Problem) -> None:

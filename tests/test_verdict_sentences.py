@@ -31,6 +31,7 @@ from cosim.refinement.decision.sentences import (
     remainder_text,
     rise_text,
     rivals_text,
+    sentence,
     small_gains_text,
     unexplained_text,
 )
@@ -345,3 +346,13 @@ def test_a_floor_is_above_an_error_only_beyond_what_it_scatters() -> None:
     assert floor.channels_above({"x": 1.0, "y": 1.0, "z": 1.0}) == {"x": (2.0, 1.0)}
     assert Floor({"x": 2.0}, {}).channels_above({"x": 1.0}) == {"x": (2.0, 1.0)}
     assert floor.channels_above({"x": 0.0}) == {}
+
+
+def test_inputs_between_rows_are_named_only_where_something_is_unexplained() -> None:
+    claims, words = (
+        Claims("no_effect", inputs="`inputs: interpolated`"),
+        "with `inputs: interpolated` these logs are likelier",
+    )
+    subject = ModelSubject.of(CRAFT)
+    assert words not in sentence(claims, subject)
+    assert words in sentence(replace(claims, name="unexplained", misfit={"equation": "", "signals": []}), subject)

@@ -86,6 +86,7 @@ class Problem:
     Attributes:
         readings: Scored readings, slopes and resolutions of each log.
         r: Variance of each output.
+        shown: Variance of each output's noise that its readings show; 0 if unknown, None for all.
         stated: True for each output with a stated variance.
         adjusted: True for each output whose variance is free in a fit.
         settle: Time [s] after which an unknown start state of the given model is negligible.
@@ -107,6 +108,7 @@ class Problem:
     lagging: Mapping[str, Sequence[int]]
     stated: Flags
     adjusted: Flags
+    shown: Array | None = None
     sensing: Noise | None = None  # fitted sensor noise; None for stated noise
     trusted: bool = False  # equations are trusted: no unknown input is free
     scatter: float = 1.0  # scatter of estimates relative to a white residual; scales the priors
@@ -240,7 +242,8 @@ class Problem:
         low = np.log(np.maximum(least, finest**2 / 12.0))
         high = np.maximum(np.log(np.maximum(spread**2, 1e-300)), stated + np.log(100.0))
         if self.layout.is_free_run:  # errors of the model are for unknown inputs to explain
-            low, high = np.maximum(low, stated - np.log(WITHIN)), np.minimum(high, stated + np.log(WITHIN))
+            most = np.log(np.maximum(self.r, 0.0 if self.shown is None else self.shown))
+            low, high = np.maximum(low, stated - np.log(WITHIN)), np.minimum(high, most + np.log(WITHIN))
         low, high = (np.where(self.adjusted, limit, stated) for limit in (np.minimum(low, high), high))
         timed = np.isfinite(now.timing)
         shortest, longest = (

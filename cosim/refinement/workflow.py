@@ -24,7 +24,7 @@ from cosim.estimation.per_log import drop_own_parameters
 from cosim.estimation.posing import build_problem, coarsen, varied_inputs
 from cosim.estimation.predictability import predictable_horizon
 from cosim.estimation.problem import Problem
-from cosim.estimation.sensor_noise import at_rest, cell_warnings, first_noise, noise_warnings
+from cosim.estimation.sensor_noise import at_rest, cell_warnings, first_noise, noise_warnings, sensor_noise
 from cosim.estimation.start_states import with_likely_starts
 from cosim.isolation.limits import Limits
 from cosim.kernel.nameless import RATE
@@ -141,6 +141,7 @@ def refine(
     attribution, claims = _judge(study, decide(result), result, limited)
     claims = _add_nearest(study, claims, result, attribution, problem, limited)
     between = between_rows(result.search.problem, attribution.base)
+    claims = replace(claims, inputs=between.other_line if between.is_otherwise else "")
     noise = log_noise(attribution.best.fit.noise, result.free_noise)
     warnings = [*noise_warnings(problem, noise, subject), *_input_warnings(result, attribution, between)]
     if subject.probed:
@@ -230,6 +231,8 @@ def _build_problem(study: Study) -> Problem:
     problem = build_problem(study.subject, study.logs, noise=noise, settings=study.settings)
     stated = {*study.subject.sensor_variance, *noise}
     problem = problem.with_noise({n: s for n, s in first_noise(problem).items() if n not in stated and s > 0.0})
+    shown = sensor_noise(problem)  # a stated level may be too small
+    problem = replace(problem, shown=np.array([shown.get(name, 0.0) ** 2 for name in problem.layout.outputs]))
     return with_likely_starts(problem)
 
 

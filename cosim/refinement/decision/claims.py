@@ -182,6 +182,7 @@ class Claims:
         not_excluded: Effects of which claimed ones are special cases, as far as the logs leave a difference open.
         others: Rivals of an ambiguous verdict besides the claimed hypothesis.
         varying: Parameter of the best hypothesis that varies with its own effect.
+        inputs: Line of a study that takes inputs between rows the other way, if that is clearly likelier.
         further: Other base parameters outside their tolerances beside a claim (from replays, as up to `left_share`).
         missed_channel: Channel and its error with the unchanged model, as a multiple of the noise floor.
         recalibrated: Base parameters moved beyond their tolerances.
@@ -225,6 +226,7 @@ class Claims:
     not_excluded: tuple[NotExcluded, ...] = ()
     others: tuple[Hypothesis, ...] = ()
     varying: Doubt | None = None
+    inputs: str = ""
 
     further: tuple[MovedParameter, ...] = ()
     missed_channel: tuple[str, float] | None = None

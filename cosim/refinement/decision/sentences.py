@@ -170,6 +170,8 @@ def _incomplete_texts(c: Claims, units: Mapping[str, str]) -> Iterator[str]:
 
 def _remark_texts(c: Claims, subject: Subject) -> Iterator[str]:
     """Yield sentences to follow the verdict."""
+    if c.inputs and (c.name == "unexplained" or c.is_doubtful):
+        yield f"Inputs between rows may be the reason: with {c.inputs} these logs are likelier."
     yield from map(alike_text, c.namesakes)
     yield from map(not_excluded_text, c.not_excluded)
     if c.claimed is not None and c.term is not None:

@@ -39,19 +39,29 @@ class Between:
     steady: float
 
     @property
-    def warnings(self) -> tuple[str, ...]:
-        """Return a warning if the opposite choice is clearly likelier."""
-        if not (self.gain > LIKELIER and self.steady > STEADILY):
-            return ()
+    def is_otherwise(self) -> bool:
+        """Return whether the opposite choice is clearly likelier."""
+        return self.gain > LIKELIER and self.steady > STEADILY
+
+    @property
+    def other_line(self) -> str:
+        """Return the line of a study with the opposite choice."""
         opposite = {name: "held" if way == "interpolated" else "interpolated" for name, way in self.ways.items()}
         setting = opposite[next(iter(opposite))]
         if len(set(opposite.values())) > 1:
             setting = f"{{{', '.join(f'{name}: {way}' for name, way in opposite.items())}}}"
+        return f"`inputs: {setting}`"
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Return a warning if the opposite choice is clearly likelier."""
+        if not self.is_otherwise:
+            return ()
         inputs = []
         for way in dict.fromkeys(self.ways.values()):
             names = [name for name in self.ways if self.ways[name] == way]
             inputs.append(f"{' and '.join(names)} {'is' if len(names) == 1 else 'are'} taken as {way}")
-        texts = {"gain": plain(self.gain), "steadiness": plain(self.steady, 2), "line": f"`inputs: {setting}`"}
+        texts = {"gain": plain(self.gain), "steadiness": plain(self.steady, 2), "line": self.other_line}
         return (messages.LIKELIER_INTERPOLATION(inputs=" and ".join(inputs), **texts),)
 
 
