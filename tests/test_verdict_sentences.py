@@ -349,10 +349,7 @@ def test_a_floor_is_above_an_error_only_beyond_what_it_scatters() -> None:
 
 
 def test_inputs_between_rows_are_named_only_where_something_is_unexplained() -> None:
-    claims, words = (
-        Claims("no_effect", inputs="`inputs: interpolated`"),
-        "with `inputs: interpolated` these logs are likelier",
-    )
-    subject = ModelSubject.of(CRAFT)
+    line, subject = "`inputs: interpolated`", ModelSubject.of(CRAFT)
+    claims, words = Claims("no_effect", inputs=line), f"with {line} these logs are likelier"
     assert words not in sentence(claims, subject)
     assert words in sentence(replace(claims, name="unexplained", misfit={"equation": "", "signals": []}), subject)

@@ -47,7 +47,7 @@ def sentence(c: Claims, subject: Subject) -> str:
     untried = subject.untried if c.claimed is not None or c.name == "unexplained" else ""
     missed = (missed_by_all_text(*miss) for miss in c.missed.items())
     shares = *_share_texts(c, _units(subject)), *missed
-    texts = (opening, _answer_text(c, subject), *shares, untried, *_remark_texts(c, subject))
+    texts = (opening, _answer_text(c, subject), *shares, _inputs_text(c), untried, *_remark_texts(c, subject))
     return " ".join(filter(None, texts))
 
 
@@ -154,6 +154,12 @@ def _share_texts(c: Claims, units: Mapping[str, str]) -> Iterator[str]:
         yield doubt_text(c.varying, units)
 
 
+def _inputs_text(c: Claims) -> str:
+    """Return a sentence on inputs between rows as a reason of what remains; "" if they are none."""
+    is_reason = c.inputs and (c.name == "unexplained" or c.is_doubtful)
+    return f"Inputs between rows may be the reason: with {c.inputs} these logs are likelier." if is_reason else ""
+
+
 def _incomplete_texts(c: Claims, units: Mapping[str, str]) -> Iterator[str]:
     """Yield phrases on the signs of an incomplete claim."""
     if c.disturbed:
@@ -170,8 +176,6 @@ def _incomplete_texts(c: Claims, units: Mapping[str, str]) -> Iterator[str]:
 
 def _remark_texts(c: Claims, subject: Subject) -> Iterator[str]:
     """Yield sentences to follow the verdict."""
-    if c.inputs and (c.name == "unexplained" or c.is_doubtful):
-        yield f"Inputs between rows may be the reason: with {c.inputs} these logs are likelier."
     yield from map(alike_text, c.namesakes)
     yield from map(not_excluded_text, c.not_excluded)
     if c.claimed is not None and c.term is not None:
