@@ -126,6 +126,11 @@ class Data:
     lags: Array | None = None
     table: bool = False
 
+    @property
+    def times(self) -> Array:
+        """Return the time of each row [s]."""
+        return self.start + self.step * np.arange(len(self.u), dtype=np.float64)
+
     def rows(self, first: int, end: int) -> Data:
         """Return the part of the log from row `first` to before row `end`."""
         rows = slice(first, end)

@@ -203,10 +203,10 @@ def _readings(problem: Problem, c: Candidate, with_it: Fit, index: int, kind: ty
     with_error = Steps(problem, index, with_it.values)
     count = min(len(data.u), MOST_ROWS) - 1
     clean, wrong = (s.outputs_along(run, count) for s in (without, with_error))
-    k = np.arange(count, dtype=np.float64)
+    times = data.times[:count]
     if kind.depends_on_past():
         sensor = kind(value=with_it.values[c.parameters[0]])
-        wrong = np.column_stack([past_reading(sensor, data.step * k, column) for column in clean.T])
+        wrong = np.column_stack([past_reading(sensor, times, column) for column in clean.T])
     rate = np.gradient(clean, data.step, axis=0)
     scored = slice(min(count_unscored(data), count - 1), count)
-    return tuple(rows[scored] for rows in (data.start + data.step * k, clean, wrong, data.y[:count], rate))
+    return tuple(rows[scored] for rows in (times, clean, wrong, data.y[:count], rate))

@@ -53,7 +53,7 @@ def innovations(r: Refinement, charts: Charts) -> list[WhitenessRow]:
     outputs = r.problem.layout.outputs
     ordered = [n for n in dict.fromkeys(n for log in r.study.logs for n in log.outputs) if n in outputs]
     first = r.problem.logs[0]
-    time = (first.start + first.step * np.arange(len(first.y), dtype=np.float64))[-len(both[0][0]) :]
+    time = first.times[-len(both[0][0]) :]
     drawing, lags = charts.over(time, 4 * len(ordered)), lags_of(min(len(part) for part in both[0]), first.step)
     over = lag_drawing(charts, every_lag(lags, STEMS), first.step, 4 * len(ordered))
     return [

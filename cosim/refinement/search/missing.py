@@ -92,8 +92,7 @@ def smooth_log(problem: Problem, base: Fit, index: int, every: int = 1) -> Missi
     readings = problem.data({**problem.values, **base.values}, index).y[:rows]
     value, sigma = _smooth(problem, model, run.states, noise, index, readings)
     scored = slice(min(count_unscored(data), rows - 1), rows - 1)
-    time = data.start + data.step * np.arange(rows, dtype=np.float64)
-    return MissingInput(time[scored], layout.forced, value[scored], sigma[scored], run.states[:rows][scored])
+    return MissingInput(data.times[scored], layout.forced, value[scored], sigma[scored], run.states[:rows][scored])
 
 
 def _deviations(problem: Problem, run: Filtered, rows: slice, index: int) -> MissingInput:
@@ -101,8 +100,7 @@ def _deviations(problem: Problem, run: Filtered, rows: slice, index: int) -> Mis
     layout, data, places = problem.layout, problem.logs[index], problem.layout.deviation_places
     assert run.covariances is not None
     variances = np.diagonal(run.covariances, axis1=1, axis2=2)[rows, [layout.stochastic.index(k) for k in places]]
-    time = data.start + data.step * np.arange(len(data.u), dtype=np.float64)
-    return MissingInput(time[rows], layout.forced, run.states[rows, places], np.sqrt(variances), run.states[rows])
+    return MissingInput(data.times[rows], layout.forced, run.states[rows, places], np.sqrt(variances), run.states[rows])
 
 
 def smooth_unknown_inputs(problem: Problem, base: Fit, every: int = 1) -> tuple[Smoothed, Array, Array]:
@@ -123,8 +121,7 @@ def _drive_of_deviations(problem: Problem, base: Fit, index: int) -> MissingInpu
     model = _Linear(F[:rows], nothing, C[:rows], run.states[:rows, places])
     value, sigma = _smooth(problem, model, np.zeros_like(run.states), noise, index, data.y[:rows])
     scored = slice(min(count_unscored(data), rows - 1), rows - 1)
-    time = data.start + data.step * np.arange(rows, dtype=np.float64)
-    return MissingInput(time[scored], layout.forced, value[scored], sigma[scored], run.states[:rows][scored])
+    return MissingInput(data.times[scored], layout.forced, value[scored], sigma[scored], run.states[:rows][scored])
 
 
 def deviations_of(problem: Problem, values: Mapping[str, float], noise: Noise, index: int) -> tuple[Array, Array]:
