@@ -40,6 +40,7 @@ from cosim.refinement.report.plots import over_time, runs
 from cosim.refinement.report.rankings import noise_rows, parameter_tables
 from cosim.refinement.report.refine_page import _uncompared_text, context, write_refine_report
 from cosim.refinement.search.attribution import Attributor
+from cosim.refinement.search.fits import SearchResult
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis, Support
 from cosim.refinement.search.unnamed import Leftover, UnnamedTerm, find_unnamed_terms
 from cosim.refinement.study import LogLists, Study, StudyFile
@@ -688,7 +689,9 @@ def test_a_sentence_says_of_a_term_without_a_name_how_much_it_is(cart: Refinemen
     )
 
 
-def test_a_base_model_in_a_local_optimum_is_fitted_again_from_the_best_hypothesis(cart: Refinement) -> None:
+def test_a_base_model_in_a_local_optimum_is_fitted_again_from_the_best_hypothesis(
+    cart: Refinement, monkeypatch: pytest.MonkeyPatch
+) -> None:
     subject = cart.study.subject
     attributor = Attributor(subject, build_problem(subject, cart.study.logs), subject.candidates(()))
     base = attributor.search.hypothesis((), None)
@@ -697,6 +700,17 @@ def test_a_base_model_in_a_local_optimum_is_fitted_again_from_the_best_hypothesi
     assert attributor._better_base(base, best) is base
     stuck = replace(base, fit=replace(base.fit, nll_by_log=tuple(nll + 100.0 for nll in base.fit.nll_by_log)))
     assert attributor._better_base(stuck, best).fit.objective == pytest.approx(base.fit.objective, abs=1.0)
+    begun: list[Hypothesis] = []
+
+    def search_from(start: Hypothesis) -> SearchResult:
+        """Begin in the local optimum; only then is a candidate the best."""
+        begun.append(start)
+        attributor.search.tried = {(): start if begun[1:] else stuck}
+        return SearchResult(attributor.search, start if begun[1:] else best, (), ())
+
+    monkeypatch.setattr(attributor, "_search_from", search_from)
+    assert attributor.run().best is begun[1]
+    assert begun[1].fit.objective == pytest.approx(base.fit.objective, abs=1.0)
 
 
 @pytest.mark.thorough

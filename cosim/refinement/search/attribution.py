@@ -62,19 +62,21 @@ class Attributor:
         self.periods: dict[str, float] = {}  # of candidates that repeat along a position
 
     def run(self) -> SearchResult:
-        """Fit the base model and search; search again if nothing is found and the base model is then fitted far better.
+        """Fit the base model and search; search again if the base model is then fitted far better.
 
-        The first fit may end in a local optimum with much sensor noise, where no candidate promises anything.
+        The first fit may end in a local optimum with much sensor noise, where no candidate promises anything, or which
+        a candidate leaves without an effect of its own.
         """
         search = self.search
         self.progress("recalibrating the base model", 0.0)
         base = self._with_stamp_errors(self._with_stated_noise(search.from_first_rows(search.hypothesis((), None))))
         result = self._search_from(base)
         settled = search.tried[()]
-        if result.best.candidates or search.problem.trusted or settled.fit.objective > base.fit.objective - NEAR:
+        better, reached = (self._better_base(settled, result.best), settled) if result.best.names else (settled, base)
+        if search.problem.trusted or better.fit.objective > reached.fit.objective - NEAR:
             return result
-        search.problem, self.identifiable = coarsen(self.fine, settled.fit.values), {}
-        return self._search_from(self._with_stamp_errors(self._with_stated_noise(settled)))
+        search.problem, self.identifiable = coarsen(self.fine, better.fit.values), {}
+        return self._search_from(self._with_stamp_errors(self._with_stated_noise(better)))
 
     def _search_from(self, base: Hypothesis) -> SearchResult:
         """Fit promising sets of candidates in rounds, then the finalists; return the result."""
