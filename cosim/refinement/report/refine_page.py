@@ -215,9 +215,11 @@ def _next_step(r: Refinement) -> str:
             )
         return f"Next step: record a log with {r.verdict.experiment}. {rest}"
     if r.verdict.name == "unexplained" and r.verdict.rivals:
+        inputs, as_it_was = r.verdict.inputs, r.study.subject.main_file("refined")
+        first = f"refine again with {inputs}, if the rig commands its inputs that way; else " if inputs else ""
         return (
-            "Next step: look at the figure of the remainder for what an effect of your own would have to do. "
-            f"{r.study.subject.main_file('refined')} is the model as it was. Best candidates, not confirmed:"
+            f"Next step: {first}look at the figure of the remainder for what an effect of your own would have to do. "
+            f"{as_it_was} is the model as it was. Best candidates, not confirmed:"
         )
     return ""
 
