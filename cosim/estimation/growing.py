@@ -19,7 +19,10 @@ FIRST, GROWTH = 2.0, 1.5  # rows of the first fit, in multiples of those that ar
 
 
 def leaves_the_motion(problem: Problem, at: Fit) -> bool:
-    """Return whether large unknown inputs keep free runs at the logs."""
+    """Return whether free runs leave the logs' motion.
+
+    Large unknown inputs then keep them at the logs.
+    """
     return problem.layout.is_free_run and bool(np.any(at.noise.power > problem.noise.plain))
 
 

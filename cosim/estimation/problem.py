@@ -157,6 +157,15 @@ class Problem:
         other.ranges.append((other._matter, self.noise))
         return other
 
+    def with_starts(self, x0: Sequence[Array]) -> Problem:
+        """Return the problem with other start states.
+
+        The range of process noise stays the same.
+        """
+        other = replace(self, x0=x0)
+        other.ranges.append((other._matter, self.noise))
+        return other
+
     def _range_of_noise(self) -> NoiseRange:
         short = self._short()
         lasting = float(np.log(self.longest_memory)) if self.layout.is_coloured else None

@@ -255,7 +255,7 @@ def deviations_by_chance(tried: int) -> float:
 
 
 def refuting_deviations(parts: int) -> float:
-    """Return the standard deviations at which the logs refute a rival.
+    """Return the deviation at which logs refute a rival.
 
     In 1 % of all true hypotheses, one of so many parts is refuted by chance (Bonferroni).
     """

@@ -155,7 +155,7 @@ def _share_texts(c: Claims, units: Mapping[str, str]) -> Iterator[str]:
 
 
 def _inputs_text(c: Claims) -> str:
-    """Return a sentence on inputs between rows as a reason of what remains; "" if they are none."""
+    """Return a sentence on inputs between rows, or ""."""
     is_reason = c.inputs and (c.name == "unexplained" or c.is_doubtful)
     return f"Inputs between rows may be the reason: with {c.inputs} these logs are likelier." if is_reason else ""
 

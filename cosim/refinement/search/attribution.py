@@ -21,6 +21,7 @@ from cosim.estimation.posing import coarsen
 from cosim.estimation.problem import Problem
 from cosim.estimation.screen import Choice, Promise, ScoreTest, Terms
 from cosim.estimation.sensor_noise import erring_stamps
+from cosim.estimation.start_states import with_likely_starts
 from cosim.refinement.decision.evidence import scatter_ratio
 from cosim.refinement.decision.judgement import SIGNIFICANT, loss_without
 from cosim.refinement.search.fits import SCREEN_ITERATIONS, Parts, Progress, Search, SearchResult, Trial, key_of
@@ -36,6 +37,7 @@ TOGETHER = 4  # largest set around the base model
 NEAR = 12.0  # score difference within which a set is worth a fit, and a hypothesis is fitted to convergence
 DONE = 1.0  # score improvement below which a round has found nothing better
 ROUNDS = 10
+STARTS = 20  # fits in turn with start states
 HOPE = 2.0  # factor by which a fit may exceed the gain that a score test predicts
 SETTLING = 15  # iterations
 MOST_REPLACED, REPLACING = 6, 2  # parts of a hypothesis replaced in turn, and candidates tried for each
@@ -69,7 +71,8 @@ class Attributor:
         """
         search = self.search
         self.progress("recalibrating the base model", 0.0)
-        base = self._with_stamp_errors(self._with_stated_noise(search.from_first_rows(search.hypothesis((), None))))
+        base = self._with_likely_starts(search.from_first_rows(search.hypothesis((), None)))
+        base = self._with_stamp_errors(self._with_stated_noise(base))
         result = self._search_from(base)
         settled = search.tried[()]
         better, reached = (self._better_base(settled, result.best), settled) if result.best.names else (settled, base)
@@ -151,6 +154,23 @@ class Attributor:
     def _leader(self, best: Hypothesis) -> Hypothesis:
         """Return the best hypothesis at changed costs."""
         return best_hypothesis((best, *self.search.tried.values())) if self.search.problem.trusted else best
+
+    def _with_likely_starts(self, base: Hypothesis) -> Hypothesis:
+        """Return the base model, fitted in turn with start states.
+
+        The filter of free runs is linear in start states. Those that suit the given parameters may be far from those
+        of the fit.
+        """
+        search = self.search
+        for _ in range(STARTS):
+            posed = with_likely_starts(search.problem, base.fit.values, base.fit.noise)
+            if posed is search.problem:
+                break
+            self.fine, search.problem = (p.with_starts(posed.x0) for p in (self.fine, search.problem))
+            before, base = base, search.hypothesis((), base.fit, loosen=False)
+            if base.fit.objective > before.fit.objective - DONE:
+                break
+        return base
 
     def _with_stated_noise(self, base: Hypothesis) -> Hypothesis:
         """Fix the noise of sensors at the stated noise if the estimate is at its lower limit.
