@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from cosim.estimation.growing import leaves_the_motion
+from cosim.estimation.posing import build_problem
 from cosim.estimation.problem import Problem
+from cosim.estimation.start_states import with_likely_starts
 from cosim.refinement.search.attribution import Attributor
 from cosim.refinement.search.fits import Search
 from cosim.refinement.study import Study, read_study
-from cosim.refinement.workflow import build_problem, with_likely_starts
 from cosim.residuals.drive import Drive, log_of_fmu
 from tests.blind.fmu_build import build
 from tests.logs import write_log

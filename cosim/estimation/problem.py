@@ -153,16 +153,17 @@ class Problem:
 
     def with_shapes(self, values: Mapping[str, float]) -> Problem:
         """Return the problem with other values of parameters that do nothing as long as their effects are dormant."""
-        other = replace(self, values={**self.values, **values})
-        other.ranges.append((other._matter, self.noise))
-        return other
+        return self._with_own_range(replace(self, values={**self.values, **values}))
 
     def with_starts(self, x0: Sequence[Array]) -> Problem:
         """Return the problem with other start states.
 
         The range of process noise stays the same.
         """
-        other = replace(self, x0=x0)
+        return self._with_own_range(replace(self, x0=x0))
+
+    def _with_own_range(self, other: Problem) -> Problem:
+        """Return another problem with this range of process noise."""
         other.ranges.append((other._matter, self.noise))
         return other
 
@@ -202,9 +203,7 @@ class Problem:
 
         The range of process noise stays that of the whole logs.
         """
-        short = self._first_rows(rows, range(len(self.logs)))
-        short.ranges.append((short._matter, self.noise))
-        return short
+        return self._with_own_range(self._first_rows(rows, range(len(self.logs))))
 
     def _first_rows(self, rows: int, chosen: Sequence[int]) -> Problem:
         logs = [self.logs[k].rows(0, rows) for k in chosen]
