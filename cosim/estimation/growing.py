@@ -29,7 +29,7 @@ def leaves_the_motion(problem: Problem, at: Fit) -> bool:
 def fit_growing(problem: Problem, free: Sequence[Free], start: Mapping[str, float]) -> Fit:
     """Return a fit to all rows.
 
-    It starts from the values of fits to fewer, with unknown inputs at a detectable level.
+    It starts from the values of fits to fewer rows, with unknown inputs at a detectable level.
 
     Args:
         start: Start values of the parameters.

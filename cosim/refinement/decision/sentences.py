@@ -157,7 +157,11 @@ def _share_texts(c: Claims, units: Mapping[str, str]) -> Iterator[str]:
 def _inputs_text(c: Claims) -> str:
     """Return a sentence on inputs between rows, or ""."""
     is_reason = c.inputs and (c.name == "unexplained" or c.is_doubtful)
-    return f"Inputs between rows may be the reason: with {c.inputs} these logs are likelier." if is_reason else ""
+    return (
+        f"Inputs between rows may be the reason of what remains: with {c.inputs} these logs are likelier."
+        if is_reason
+        else ""
+    )
 
 
 def _incomplete_texts(c: Claims, units: Mapping[str, str]) -> Iterator[str]:
