@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from scipy.signal import lfilter
 from scipy.special import ndtr, stdtrit
 
 from cosim.estimation.fit import Fit
+from cosim.estimation.noise_model import Noise
 from cosim.estimation.plateaus import values_beside_plateaus, with_flat_directions
 from cosim.estimation.problem import Scored
 from cosim.refinement.decision import evidence
@@ -21,8 +23,9 @@ from cosim.refinement.decision.evidence import (
     gain_per_scatter,
     refuting_deviations,
 )
+from cosim.refinement.search.fits import Search
 from cosim.refinement.search.hypotheses import Hypothesis
-from cosim.subject.candidates import Free
+from cosim.subject.candidates import Candidate, Free
 from tests.cases import some
 
 BLOCKS, ROWS = 30, 100
@@ -113,6 +116,25 @@ def test_a_fit_that_ended_on_a_plateau_goes_on_beside_it(value, is_moved) -> Non
     assert not is_moved or 0.5 < better["lag"] < 0.7
     flat = replace(estimate, nll_by_log=(0.0,))
     assert values_beside_plateaus(Flat(), flat, [lag]) == {}
+
+
+def test_a_rival_that_ended_on_a_plateau_goes_on_beside_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    lag = Free("lag", 0.0, 10.0, 1.0, neutral=0.0)
+    candidate = Candidate("lag", "effect", (lag,), ({"lag": 4.0},))
+    noise = Noise(np.zeros(0), 0.0, np.zeros(1), np.zeros(1))
+
+    def refit(self: Search, parts: Any, start: Fit, *_: Any, **__: Any) -> Hypothesis:
+        done = replace(start, nll_by_log=(Plateau().score(start.values, noise).nll,))
+        return Hypothesis(parts, done, done.objective)
+
+    search = Search.__new__(Search)
+    search.tried, search.problem, search.progress = {}, Plateau(), lambda stage, share: None
+    monkeypatch.setattr(Search, "hypothesis", refit)
+    stuck = Fit({"lag": 0.04}, noise, (lag,), (2.0,), 0.0, np.zeros((1, 1)), 1, True)
+    rival = Hypothesis((candidate,), stuck, stuck.objective)
+    (fitted,) = search.fit_alike([rival], rival)
+    assert 0.5 < fitted.fit.values["lag"] < 0.7
+    assert search.tried[("lag",)].score < rival.score
 
 
 def estimate(value, sigma):

@@ -216,7 +216,8 @@ class Search:
         """Refit hypotheses from the noise of the hypothesis `like`."""
 
         def refit(h: Hypothesis) -> Hypothesis:
-            return self.hypothesis(h.candidates, replace(h.fit, noise=like.fit.noise), loosen=False)
+            start = replace(h.fit, noise=like.fit.noise)
+            return self._beside_plateaus(self.hypothesis(h.candidates, start, loosen=False))
 
         return self._fit_each("fitting what comes near the best", refit, hypotheses)
 
