@@ -16,7 +16,17 @@ from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
 from cosim.logs.channel_noise import NORMAL_95
 from cosim.refinement.decision import judgement
-from cosim.refinement.decision.claims import Claims, Grade, Improvement, MovedParameter, Nearest, Rung, judge, name_of
+from cosim.refinement.decision.claims import (
+    Claims,
+    Doubt,
+    Grade,
+    Improvement,
+    MovedParameter,
+    Nearest,
+    Rung,
+    judge,
+    name_of,
+)
 from cosim.refinement.decision.sentences import (
     _moved_text,
     improvement_text,
@@ -205,6 +215,16 @@ def test_what_all_rivals_contain_is_claimed_with_an_interval_over_all_of_them() 
 )
 def test_effect_found_needs_an_effect(names: tuple[str, ...], verdict: str) -> None:
     assert name_of([CANDIDATES[n] for n in names], CRAFT) == verdict
+
+
+def test_an_error_that_is_no_surprise_for_its_floor_says_nothing_of_what_remains() -> None:
+    """The pendulum passes its upright position: the error of x is that of two runs of the same model at times."""
+    claims = Claims("effect_found", fitted(FRICTION), grade="claimed")
+    errors = {"before": {"x": 10.0, "y": 10.0}, "after": {"x": 4.0, "y": 1.2}}
+    floor, support = {"x": 1.0, "y": 1.0}, {FRICTION: Support(64.0, 7.0, 60.0, -1.0)}
+    verdicts = {x: check_claim(claims, errors, floor, support, highest={"x": x}) for x in (3.9, 4.1)}
+    assert {x: c.grade for x, c in verdicts.items()} == {3.9: "nearest", 4.1: "claimed"}
+    assert verdicts[3.9].doubt == Doubt("unsteady", names=(FRICTION,))
 
 
 def test_a_claim_that_halves_the_held_out_error_is_never_withdrawn() -> None:

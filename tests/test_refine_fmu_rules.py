@@ -321,7 +321,7 @@ def test_a_claim_beside_which_a_stated_tolerance_is_left_is_a_part(
     monkeypatch: pytest.MonkeyPatch, stated: dict[str, float], grade: Any, expected: str
 ) -> None:
     moved = (MovedParameter("magnet", 1.0, 0.9),)
-    monkeypatch.setattr(replay_check, "_replay_errors", lambda *given: ({}, {}))
+    monkeypatch.setattr(replay_check, "_replay_errors", lambda *given: ({}, Floor({}, {})))
     monkeypatch.setattr(replay_check, "_alternative", lambda *given: "")
     monkeypatch.setattr(replay_check, "check_claim", lambda claims, *given, **options: claims)
     monkeypatch.setattr(replay_check, "beyond_tolerance", lambda fit: moved if fit else ())

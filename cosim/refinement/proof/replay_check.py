@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import chain
 from operator import itemgetter
 from types import MappingProxyType
@@ -35,7 +36,14 @@ from cosim.refinement.decision.judgement import (
     is_beyond_tolerance,
     is_outside_tolerance,
 )
-from cosim.refinement.proof.measure import FLOOR_SEED, errors_by_replay, noise_floor, predicted_errors
+from cosim.refinement.proof.measure import (
+    FLOOR_SEED,
+    Floor,
+    errors_by_replay,
+    noise_floor,
+    predicted_errors,
+    predicted_floor,
+)
 from cosim.refinement.proof.refined_models import Variant, log_noise, refined_subject, variant_of, variants_of
 from cosim.refinement.search.fits import Search, SearchResult
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis, Support
@@ -57,18 +65,25 @@ def check_with_replays(study: Study, a: Attribution, claims: Claims, result: Sea
     is_within, judged = not beyond_tolerance(a.base.fit), claims.name
     if judged == "no_effect":
         error, floor = _replay_errors(study, a, claims, problem, result.free_noise)
-        ratios = errors_per_floor(error["before"], floor)
-        if ratios and not (is_within and not errors_per_floor(error["recalibrated"], floor)):
+        ratios = errors_per_floor(error["before"], floor.level)
+        if ratios and not (is_within and not errors_per_floor(error["recalibrated"], floor.level)):
             claims = claim_single_number(claims, a, study.subject, result, ratios)
     elif judged == "parameter_error":
         claims = _beyond_tolerance_checked(claims, a, study, result)
     if claims.claimed is None:
         return claims
     error, floor = _replay_errors(study, a, claims, problem, result.free_noise)
-    if judged == "no_effect" and (doubt := _error_doubt(error, floor)):
+    if judged == "no_effect" and (doubt := _error_doubt(error, floor.level)):
         return claims.withdraw(doubt)
     alternative = _alternative(study, a, claims, claims.claimed, problem)
-    claims = check_claim(claims, error, floor, a.support, alternative=alternative, halves=a.halves_error)
+    check = partial(check_claim, claims, error, floor.level, a.support, alternative=alternative, halves=a.halves_error)
+    checked = check()
+    if checked.part or (checked.doubt and checked.doubt.kind == "unsteady"):
+        quiet = _claimed_variant(study, a, claims, result.free_noise)
+        rng = np.random.default_rng(FLOOR_SEED)
+        highest = predicted_floor(floor, quiet, problem, study.logs, claims.claimed.fit, rng)
+        checked = check(highest=highest)
+    claims = checked
     if claims.claimed is None or claims.claimed.is_of_sensors or claims.further:
         return claims
     return _with_further(claims, beyond_tolerance(claims.claimed.fit), study.settings.tolerance)
@@ -115,12 +130,17 @@ def _variants(study: Study, a: Attribution, claims: Claims) -> dict[str, Variant
 
 def _replay_errors(
     study: Study, a: Attribution, claims: Claims, problem: Problem, free: Noise | None
-) -> tuple[ErrorOf, Channels]:
+) -> tuple[ErrorOf, Floor]:
     """Return replay errors and their noise floor."""
-    variants = _variants(study, a, claims)
-    error = {name: predicted_errors(variant, problem, study.logs) for name, variant in variants.items()}
-    quiet = replace(variants["after"], noise=log_noise((claims.claimed or a.base).fit.noise, free))
-    return error, noise_floor(quiet, problem, study.logs, np.random.default_rng(FLOOR_SEED)).level
+    error = {name: predicted_errors(v, problem, study.logs) for name, v in _variants(study, a, claims).items()}
+    quiet = _claimed_variant(study, a, claims, free)
+    return error, noise_floor(quiet, problem, study.logs, np.random.default_rng(FLOOR_SEED))
+
+
+def _claimed_variant(study: Study, a: Attribution, claims: Claims, free: Noise | None) -> Variant:
+    """Return the variant with the claim, with the noise of its fit."""
+    after = _variants(study, a, claims)["after"]
+    return replace(after, noise=log_noise((claims.claimed or a.base).fit.noise, free))
 
 
 # -- Check of a claim --------------------------------------------------------------------------
@@ -132,6 +152,7 @@ def check_claim(
     floor: Channels,
     support: Mapping[str, Support] = MappingProxyType({}),
     *,
+    highest: Channels = MappingProxyType({}),
     alternative: str = "",
     halves: bool = False,
 ) -> Claims:
@@ -140,6 +161,8 @@ def check_claim(
     A term that reduces innovations one row ahead may still be wrong; only replays show the difference.
 
     Args:
+        highest: Highest floor that is no surprise, as of motion that grows apart from close starts; an error below it
+            says nothing of what remains.
         alternative: Variant than which the claim must be nearer to the logs on some channel; "" for none.
         halves: True if the claim halves the error on held-out logs. It is then at least a part of the answer.
     """
@@ -150,7 +173,8 @@ def check_claim(
         return claims.withdraw(doubt)
     if claims.name == "ambiguous" or claims.grade != "claimed":
         return claims
-    worst, share = max(_remaining_excess(error, floor).items(), key=itemgetter(1), default=("", 0.0))
+    excess = {n: x for n, x in _remaining_excess(error, floor).items() if not error["after"][n] <= highest.get(n, 0.0)}
+    worst, share = max(excess.items(), key=itemgetter(1), default=("", 0.0))
     if share <= PART:
         return claims
     weak = () if halves else _weak_parts(claims.claimed, support)
