@@ -15,12 +15,16 @@ from scipy.integrate import solve_ivp
 import cosim
 from cosim.estimation.fit import Slopes
 from cosim.estimation.problem import Scored
+from cosim.logs.log import read_log
+from cosim.model.symbolic.languages import Python
 from cosim.probing.places import probe_places
 from cosim.refinement.decision import constancy as module
 from cosim.refinement.decision.claims import Claims
 from cosim.refinement.decision.constancy import Constancy, check_constancy, constancy
 from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.subject.candidates import Candidate, Kind
+from cosim.subject.fmu_subject import FmuSubject
+from cosim.terms.term_printing import print_terms
 from tests.blind.fmu_build import build
 from tests.logs import write_log
 from tests.test_refine_fmu import write_study
@@ -74,7 +78,25 @@ def test_a_shaft_is_a_connection_and_a_shared_inertia_is_none(tmp_path: Path) ->
     assert (shaft.first.velocity, shaft.second.velocity) == ("motor.w", "load.w")
     assert (shaft.gear, shaft.ratio) == pytest.approx((1.0, MOTOR / LOAD))
     assert (shaft.stiffness, shaft.damping) == pytest.approx((SPRING / MOTOR, DAMPER / MOTOR))
+    assert [name for name, _, _ in shaft.powers] == ["motor.J", "load.J"]
+    assert [number for _, *numbers in shaft.powers for number in numbers] == pytest.approx([MOTOR, 1.0, LOAD, -1.0])
     assert not probe_places(build(tmp_path / "pendulum.fmu", "pendulum")).structure.connections
+
+
+@pytest.mark.parametrize(("inertia", "value"), [("motor_J", MOTOR), ("load_J", LOAD)])
+def test_a_force_in_a_shaft_turns_both_ends_by_their_own_inertias(folder: Path, inertia: str, value: float) -> None:
+    structure = probe_places(folder / "drive.fmu").structure
+    logs = [read_log(folder / "e1.csv", structure.inputs, structure.outputs)]
+    torque = []
+    for values in ({}, {inertia: 1.5 * value}):
+        model = FmuSubject.of_fmu(structure, logs).model.with_values(values)
+        functions: dict[str, Any] = {"math": math}
+        exec(print_terms(model, ["coulomb_at_motor_w_against_load_w"], Python()).source, functions)
+        rates = [0.0] * len(structure.states)
+        functions["added_rates"](0.0, [0.0, 1.0, 0.0, 0.0], [0.0], [0.5, 0.1, STEP], rates)
+        torque.append((values.get("motor_J", MOTOR) * rates[1], values.get("load_J", LOAD) * rates[3]))
+    assert torque[0] == pytest.approx((-0.5 * MOTOR, 0.5 * MOTOR))
+    assert torque[1][1] == pytest.approx(-torque[1][0])
 
 
 def test_free_play_in_a_shaft_is_named_with_its_width(folder: Path) -> None:

@@ -51,6 +51,7 @@ class Connection:
         ratio: Acceleration r of the second per opposite acceleration of the first.
         stiffness, damping: k and d, each the median over the points.
         deflection, speed: Standard deviation of q1 − i·q2 and v1 − i·v2 along the logs.
+        powers: Parameter, its value, and its power in r, as of an inertia.
     """
 
     first: Pair
@@ -61,6 +62,7 @@ class Connection:
     damping: float
     deflection: float
     speed: float
+    powers: tuple[tuple[str, float, float], ...] = ()
 
 
 @dataclass(frozen=True)

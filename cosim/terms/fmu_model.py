@@ -105,7 +105,7 @@ class FmuModel(Model):
                     continue
                 additions[term.place.state] += force
                 if (other := term.place.opposite) is not None:
-                    additions[other.state] -= other.ratio * force
+                    additions[other.state] -= other.ratio_of(self) * force
             elif isinstance(term, RateTerm) and term.place.input < 0:
                 additions[term.place.state] += term.rate(m, state[term.place.state])
         return tuple(additions)

@@ -24,13 +24,22 @@ class Opposite:
     Attributes:
         position, state: Indices of its position and velocity.
         gear: Position of the first end per position of this one without deflection.
-        ratio: Acceleration of this end per opposite acceleration of the first.
+        ratio: Acceleration of this end per opposite acceleration of the first, with the FMU's parameter values.
+        powers: Parameter of the model, its value, and its power in the ratio.
     """
 
     position: int
     state: int
     gear: float
     ratio: float
+    powers: tuple[tuple[str, float, float], ...] = ()
+
+    def ratio_of(self, model: object) -> Number:
+        """Return the ratio with the parameter values of a model."""
+        ratio: Number = self.ratio
+        for name, value, power in self.powers:
+            ratio = ratio * (getattr(model, name) / value) ** power
+        return ratio
 
 
 @dataclass(frozen=True)

@@ -36,11 +36,15 @@ class PrintedTerms(NamedTuple):
 
 
 def print_terms(model: FmuModel, names: Collection[str], language: Language) -> PrintedTerms:
-    """Return some terms of the catalogue as functions."""
+    """Return some terms of the catalogue as functions; the FMU's own parameters have the values of the model."""
     body = Body.of(model, effects=names)
     own = {n: symbol for n, symbol in body.parameters.items() if n.partition(".")[0] in names}
     places, functions = _places(body, [*own.values()]), _functions(body)
-    texts = [language.function(name, words, e, places, stages) for name, (words, e, stages) in functions.items()]
+    given = {symbol: float(getattr(model, n)) for n, symbol in body.parameters.items() if n not in own}
+    texts = [
+        language.function(name, words, [r.subs(given) for r in e], places, stages)
+        for name, (words, e, stages) in functions.items()
+    ]
     delay = next((f"{e.name}.{e.delay}" for e in body.symbols.model.awake if e.delay), "")
     parameters = tuple(replace(model.declared[n], name=n) for n in own)
     return PrintedTerms("\n".join(texts), parameters, tuple(functions), len(body.shaping.remembered), delay)
