@@ -1,12 +1,13 @@
 """Powers of an FMU's parameters in the ratio of both ends' accelerations of a connection.
 
-A force between two bodies accelerates each by its own inertia. If a fit changes a mass, the ratio changes with it.
+A force between two bodies accelerates each by the body's inertia. A fit that changes a mass changes the ratio.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,10 +22,21 @@ from cosim.probing.prober import Prober
 PLACES = 4  # points at which a ratio is measured
 
 
-def powers_of_ratio(
+def with_powers(
+    prober: Prober,
+    course: Course,
+    points: Points,
+    connections: Iterable[Connection],
+    parameters: Sequence[ProbedParameter],
+) -> tuple[Connection, ...]:
+    """Return connections with the powers of parameters in their ratios."""
+    return tuple(replace(c, powers=_powers(prober, course, points, c, parameters)) for c in connections)
+
+
+def _powers(
     prober: Prober, course: Course, points: Points, connection: Connection, parameters: Sequence[ProbedParameter]
 ) -> tuple[tuple[str, float, float], ...]:
-    """Return each parameter with a power in the ratio of a connection, its value, and the power."""
+    """Return parameters, their values and powers."""
     by_position = connection.stiffness != 0.0
     states = prober.fmu.names[0]
     ends = [states.index(p.position if by_position else p.velocity) for p in (connection.first, connection.second)]
@@ -32,7 +44,7 @@ def powers_of_ratio(
     places = _places(points, ends)
 
     def ratio(changed: dict[str, float]) -> float:
-        """Return a multiple of the ratio, of the same displacements; NaN where the FMU refuses the value."""
+        """Return a multiple of the ratio, or NaN."""
         try:
             table: Array = prober.call(reactions, prober.with_values(changed), course, places)[1]
         except SimulationError:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import chain
@@ -77,16 +77,28 @@ def check_with_replays(study: Study, a: Attribution, claims: Claims, result: Sea
         return claims.withdraw(doubt)
     alternative = _alternative(study, a, claims, claims.claimed, problem)
     check = partial(check_claim, claims, error, floor.level, a.support, alternative=alternative, halves=a.halves_error)
-    checked = check()
-    if checked.part or (checked.doubt and checked.doubt.kind == "unsteady"):
-        quiet = _claimed_variant(study, a, claims, result.free_noise)
-        rng = np.random.default_rng(FLOOR_SEED)
-        highest = predicted_floor(floor, quiet, problem, study.logs, claims.claimed.fit, rng)
-        checked = check(highest=highest)
-    claims = checked
+    quiet = _claimed_variant(study, a, claims, result.free_noise)
+    claims = _check_by_expected_floor(check, floor, quiet, problem, study.logs, claims.claimed.fit)
     if claims.claimed is None or claims.claimed.is_of_sensors or claims.further:
         return claims
     return _with_further(claims, beyond_tolerance(claims.claimed.fit), study.settings.tolerance)
+
+
+def _check_by_expected_floor(
+    check: Callable[..., Claims], floor: Floor, quiet: Variant, problem: Problem, logs: Sequence[Log], fit: Fit
+) -> Claims:
+    """Return claims, checked with the highest expected floor.
+
+    An error below the highest expected floor does not count against a claim.
+
+    Args:
+        check: Check of the claims, with the highest expected floor.
+        quiet: Variant with the claim.
+    """
+    checked = check()
+    if not (checked.part or (checked.doubt and checked.doubt.kind == "unsteady")):
+        return checked
+    return check(highest=predicted_floor(floor, quiet, problem, logs, fit, np.random.default_rng(FLOOR_SEED)))
 
 
 def _with_further(claims: Claims, further: tuple[MovedParameter, ...], stated: Mapping[str, float]) -> Claims:
@@ -161,8 +173,7 @@ def check_claim(
     A term that reduces innovations one row ahead may still be wrong; only replays show the difference.
 
     Args:
-        highest: Highest floor that is no surprise, as of motion that grows apart from close starts; an error below it
-            says nothing of what remains.
+        highest: Highest expected floor, as of an unstable motion; smaller errors count as none.
         alternative: Variant than which the claim must be nearer to the logs on some channel; "" for none.
         halves: True if the claim halves the error on held-out logs. It is then at least a part of the answer.
     """
