@@ -555,7 +555,7 @@ def test_what_rivals_have_in_common_is_said_to_be_missing(cart: Refinement) -> N
     verdict = judged(best=best, rivals=(rival,))
     assert (verdict.name, verdict.rivals) == ("ambiguous", ("dry + push", "dry + shove"))
     assert words(verdict, cart).startswith("The model lacks dry (force = 0.")
-    assert ". Beside it, these logs cannot tell push from shove. An experiment that may decide: " in words(
+    assert ". Beside this, these logs cannot tell push from shove. An experiment that may decide: " in words(
         verdict, cart
     )
     alone = judged(best=dry, rivals=(judged.single("push"),))

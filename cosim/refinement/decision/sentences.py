@@ -252,7 +252,7 @@ def rivals_text(names: Sequence[str], experiment: str, certain: str, subject: Su
         names: Rival hypotheses.
         certain: Sentence on the candidates common to all rivals, or "".
     """
-    opening = f"{certain} Beside it, these logs" if certain else "These logs"
+    opening = f"{certain} Beside this, these logs" if certain else "These logs"
     designed = "" if subject.static else " `cosim excite` designs it, and says whether any would."
     many = f"decide between {_counted_names(names, 'hypothesis')}"
     apart = f"tell {names[0]} from {names[1]}" if len(names) == 2 else many
@@ -345,7 +345,7 @@ def missed_by_all_text(channel: str, times: float) -> str:
 def further_text(parameters: Sequence[MovedParameter], units: Mapping[str, str], *, is_doubtful: bool = False) -> str:
     """Return a sentence on further parameters outside their tolerances."""
     doubt = "; something else is missing, or a tolerance is too small" if is_doubtful else ""
-    return f"Beside it, recalibrated beyond tolerance: {_moved_text(parameters, units)}{doubt}."
+    return f"Beside this, recalibrated beyond tolerance: {_moved_text(parameters, units)}{doubt}."
 
 
 def _moved_text(parameters: Sequence[MovedParameter], units: Mapping[str, str]) -> str:
