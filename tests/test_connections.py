@@ -18,12 +18,14 @@ from cosim.estimation.problem import Scored
 from cosim.logs.log import read_log
 from cosim.model.symbolic.languages import Python
 from cosim.probing.places import probe_places
+from cosim.probing.ratio_trials import _factor
 from cosim.refinement.decision import constancy as module
 from cosim.refinement.decision.claims import Claims
 from cosim.refinement.decision.constancy import Constancy, check_constancy, constancy
 from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.subject.candidates import Candidate, Kind
 from cosim.subject.fmu_subject import FmuSubject
+from cosim.terms.language import RatioFactor
 from cosim.terms.term_printing import print_terms
 from tests.blind.fmu_build import build
 from tests.logs import write_log
@@ -78,8 +80,7 @@ def test_a_shaft_is_a_connection_and_a_shared_inertia_is_none(tmp_path: Path) ->
     assert (shaft.first.velocity, shaft.second.velocity) == ("motor.w", "load.w")
     assert (shaft.gear, shaft.ratio) == pytest.approx((1.0, MOTOR / LOAD))
     assert (shaft.stiffness, shaft.damping) == pytest.approx((SPRING / MOTOR, DAMPER / MOTOR))
-    assert [name for name, _, _ in shaft.powers] == ["motor.J", "load.J"]
-    assert [number for _, *numbers in shaft.powers for number in numbers] == pytest.approx([MOTOR, 1.0, LOAD, -1.0])
+    assert shaft.factors == (RatioFactor("motor.J", MOTOR, 0.0, 1.0), RatioFactor("load.J", LOAD, 0.0, -1.0))
     assert not probe_places(build(tmp_path / "pendulum.fmu", "pendulum")).structure.connections
 
 
@@ -97,6 +98,33 @@ def test_a_force_in_a_shaft_turns_both_ends_by_their_own_inertias(folder: Path, 
         torque.append((values.get("motor_J", MOTOR) * rates[1], values.get("load_J", LOAD) * rates[3]))
     assert torque[0] == pytest.approx((-0.5 * MOTOR, 0.5 * MOTOR))
     assert torque[1][1] == pytest.approx(-torque[1][0])
+
+
+@pytest.mark.parametrize(
+    ("value", "law", "shift", "power"),
+    [
+        (2.0, lambda p: p, 0.0, 1.0),
+        (2.0, lambda p: p**-2, 0.0, -2.0),
+        (1.0, lambda p: 1.0 / (p + 3.0), 3.0, -1.0),  # an inertia beside another
+        (0.0, lambda p: p + 3.0, 3.0, 1.0),  # a payload
+    ],
+)
+def test_two_trials_tell_a_power_from_a_sum(value: float, law: Any, shift: float, power: float) -> None:
+    tried = (1.1 * value, 1.2 * value) if value else (0.1, 0.2)
+    changes = [law(v) / law(value) for v in tried]
+    (factor,) = _factor("m", value, tried, changes)
+    assert (factor.shift, factor.power) == pytest.approx((shift, power))
+    assert factor.at(3.0 * value + 1.0) == pytest.approx(law(3.0 * value + 1.0) / law(value))
+    assert factor.at(value) == 1.0
+
+
+def test_a_parameter_that_changes_no_ratio_has_no_factor() -> None:
+    assert not [*_factor("c", 2.0, (2.2, 2.4), (1.0, 1.0))]
+    assert not [*_factor("c", 2.0, (2.2, 2.4), (math.nan, 1.0))]
+
+
+def test_a_refused_trial_leaves_the_factor_of_the_other() -> None:
+    assert [*_factor("m", 2.0, (2.2, 2.4), (1.0 / 1.1,))] == [RatioFactor("m", 2.0, 0.0, -1.0)]
 
 
 def test_free_play_in_a_shaft_is_named_with_its_width(folder: Path) -> None:

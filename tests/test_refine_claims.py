@@ -217,14 +217,35 @@ def test_effect_found_needs_an_effect(names: tuple[str, ...], verdict: str) -> N
     assert name_of([CANDIDATES[n] for n in names], CRAFT) == verdict
 
 
-def test_an_error_that_is_no_surprise_for_its_floor_says_nothing_of_what_remains() -> None:
-    """The pendulum passes its upright position: the error of x is that of two runs of the same model at times."""
+@pytest.mark.parametrize(
+    ("after", "largest", "halves", "grade"),
+    [
+        (4.0, {}, False, "nearest"),
+        (4.0, {"x": 3.9}, False, "nearest"),
+        (4.0, {"x": 4.1}, False, "claimed"),  # a pendulum that passes its upright position
+        (8.0, {"x": 9.0}, False, "nearest"),  # most of the excess remains
+        (8.0, {"x": 9.0}, True, "part"),
+    ],
+)
+def test_a_claim_is_not_judged_where_two_runs_of_the_model_differ_as_much(
+    after: float, largest: dict[str, float], halves: bool, grade: Grade
+) -> None:
     claims = Claims("effect_found", fitted(FRICTION), grade="claimed")
-    errors = {"before": {"x": 10.0, "y": 10.0}, "after": {"x": 4.0, "y": 1.2}}
+    errors = {"before": {"x": 10.0, "y": 10.0}, "after": {"x": after, "y": 1.2}}
     floor, support = {"x": 1.0, "y": 1.0}, {FRICTION: Support(64.0, 7.0, 60.0, -1.0)}
-    verdicts = {x: check_claim(claims, errors, floor, support, highest={"x": x}) for x in (3.9, 4.1)}
-    assert {x: c.grade for x, c in verdicts.items()} == {3.9: "nearest", 4.1: "claimed"}
-    assert verdicts[3.9].doubt == Doubt("unsteady", names=(FRICTION,))
+    checked = check_claim(claims, errors, floor, support, largest=largest, halves=halves)
+    assert (checked.grade, checked.unjudged) == (grade, "x" if grade == "claimed" else "")
+    assert grade != "nearest" or checked.doubt == Doubt("unsteady", names=(FRICTION,))
+
+
+@pytest.mark.parametrize("doubt", ["kept", "no_nearer"])
+def test_what_would_withdraw_a_claim_that_halves_the_error_leaves_a_part(doubt: str) -> None:
+    claims = Claims("effect_found", fitted(FRICTION), grade="claimed")
+    after = {"kept": 9.0, "no_nearer": 6.0}[doubt]
+    errors = {"before": {"x": 10.0}, "recalibrated": {"x": 5.0}, "after": {"x": after}}
+    alternative = "recalibrated" if doubt == "no_nearer" else ""
+    checked = check_claim(claims, errors, {"x": 1.0}, largest={"x": 9.5}, alternative=alternative, halves=True)
+    assert (checked.grade, checked.unjudged) == ("part", "")
 
 
 def test_a_claim_that_halves_the_held_out_error_is_never_withdrawn() -> None:

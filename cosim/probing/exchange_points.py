@@ -56,8 +56,8 @@ class Points:
 
         value = at(z)
         slopes = np.zeros((value.size, z.size))
-        for k, scale in enumerate(self.scale):
-            ahead, behind, up, down = (self._moved(z, k, s * scale) for s in (SMALL, -SMALL, LARGE, -LARGE))
+        for k in range(z.size):
+            ahead, behind, up, down = (self.moved(z, k, s) for s in (SMALL, -SMALL, LARGE, -LARGE))
             rates = at(ahead)
             slopes[:, k] = (rates - at(behind)) / ((ahead[k] - behind[k]) or np.nan)
             for other in (rates, at(up), at(down)):
@@ -69,9 +69,10 @@ class Points:
         self.slopes.append(slopes)
         self.places.append((t, x, u))
 
-    def _moved(self, z: Array, k: int, by: float) -> Array:
+    def moved(self, z: Array, k: int, by: float) -> Array:
+        """Return states and inputs, one of them displaced by a multiple of its spread."""
         moved = z.copy()
-        moved[k] += by
+        moved[k] += by * self.scale[k]
         return self._inside(moved, z)
 
     def _inside(self, moved: Array, z: Array) -> Array:

@@ -30,7 +30,7 @@ from cosim.probing.fmu_structure import Connection, Pair, Port, ProbedParameter,
 from cosim.probing.log_runs import SAME, Course, Run
 from cosim.probing.parameter_trials import tried_parameters
 from cosim.probing.prober import Prober, no_flags, quantities, separate_pairs
-from cosim.probing.ratio_trials import with_powers
+from cosim.probing.ratio_trials import with_factors
 
 RATE_SHARE = 1e-6  # eigenvalue relative to the largest, below which it is zero
 STEADY = 1e-2  # share of a value that displaces an unmoved state or input
@@ -71,7 +71,7 @@ def exchange_structure(prober: Prober, courses: Sequence[Course]) -> Structure:
         state_in_output=depends[n:, :n],
         input_in_output=depends[n:, n:],
         pairs=pairs,
-        connections=with_powers(prober, courses[0], points, _connections(states, pairs, points, runs), parameters),
+        connections=with_factors(prober, courses[0], points, [*_connections(states, pairs, points, runs)], parameters),
         storages=_storages(states, pairs, depends),
         shown={states[k]: outputs[j] for k, j in found.items()},
         largest_rate=largest,

@@ -9,6 +9,7 @@ from pathlib import Path
 from cosim.base.arrays import Flags
 from cosim.blocks.description import Way
 from cosim.model.quantities import Quantity
+from cosim.terms.language import RatioFactor
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,7 @@ class Connection:
         ratio: Acceleration r of the second per opposite acceleration of the first.
         stiffness, damping: k and d, each the median over the points.
         deflection, speed: Standard deviation of q1 − i·q2 and v1 − i·v2 along the logs.
-        powers: Parameter, its value, and its power in r, as of an inertia.
+        factors: How parameters change r, as inertias do.
     """
 
     first: Pair
@@ -62,7 +63,7 @@ class Connection:
     damping: float
     deflection: float
     speed: float
-    powers: tuple[tuple[str, float, float], ...] = ()
+    factors: tuple[RatioFactor, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -1,12 +1,14 @@
-"""Powers of an FMU's parameters in the ratio of both ends' accelerations of a connection.
+"""How an FMU's parameters change the ratio of both ends' accelerations of a connection.
 
-A force between two bodies accelerates each by the body's inertia. A fit that changes a mass changes the ratio.
+A force between two bodies accelerates each by the body's inertia. A fit that changes a mass changes the ratio. Most
+inertias are products of parameters, or sums: two trials of each parameter tell a power from a sum.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+import time
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,62 +18,104 @@ from cosim.base.errors import SimulationError
 from cosim.probing.exchange_points import CONSTANT, SMALL, Points, reactions
 from cosim.probing.fmu_structure import Connection, ProbedParameter
 from cosim.probing.log_runs import Course
-from cosim.probing.parameter_trials import trial_values
 from cosim.probing.prober import Prober
+from cosim.terms.language import RatioFactor
 
-PLACES = 4  # points at which a ratio is measured
+PLACES = 4  # points at which ratios are measured
 
 
-def with_powers(
+def with_factors(
     prober: Prober,
     course: Course,
     points: Points,
-    connections: Iterable[Connection],
+    connections: Sequence[Connection],
     parameters: Sequence[ProbedParameter],
 ) -> tuple[Connection, ...]:
-    """Return connections with the powers of parameters in their ratios."""
-    return tuple(replace(c, powers=_powers(prober, course, points, c, parameters)) for c in connections)
+    """Return connections with the factors of parameters in their ratios."""
+    if not connections:
+        return ()
+    trials = _Trials(prober, course, points, connections)
+    begin = time.monotonic()
+    given = trials.ratios({})
+    found: list[list[RatioFactor]] = [[] for _ in connections]
+    with prober.hurry(time.monotonic() - begin):
+        for p in parameters:
+            value = float(prober.values.get(p.name, p.quantity.start))
+            low, high = p.quantity.bounds
+            further = value + 2.0 * (p.tried - value)
+            if not p.acts or p.tried == value:
+                continue
+            changes = [trials.changes(given, {p.name: v}) for v in (p.tried, further) if low <= v <= high]
+            for k, of_connection in enumerate(zip(*changes, strict=True)):
+                found[k] += _factor(p.name, value, (p.tried, further), of_connection)
+    return tuple(replace(c, factors=tuple(factors)) for c, factors in zip(connections, found, strict=True))
 
 
-def _powers(
-    prober: Prober, course: Course, points: Points, connection: Connection, parameters: Sequence[ProbedParameter]
-) -> tuple[tuple[str, float, float], ...]:
-    """Return parameters, their values and powers."""
-    by_position = connection.stiffness != 0.0
-    states = prober.fmu.names[0]
-    ends = [states.index(p.position if by_position else p.velocity) for p in (connection.first, connection.second)]
-    rates = [states.index(p.velocity) for p in (connection.first, connection.second)]
-    places = _places(points, ends)
+def _factor(name: str, value: float, tried: Sequence[float], changes: Sequence[float]) -> Iterator[RatioFactor]:
+    """Yield the factor of a parameter, if it changes a ratio.
 
-    def ratio(changed: dict[str, float]) -> float:
-        """Return a multiple of the ratio, or NaN."""
+    Args:
+        tried: Two values of the parameter.
+        changes: Ratio with each tried value over the given one; NaN, or only one, if refused.
+    """
+    once, twice = (*changes, math.nan)[:2]
+    if not (once > 0.0 and abs(math.log(once)) > CONSTANT):
+        return
+    factors = [_sum(name, value, tried[0], once, power) for power in (1.0, -1.0)]
+    if value and tried[0] / value > 0.0:
+        power = math.log(once) / math.log(tried[0] / value)
+        half = round(2.0 * power) / 2.0
+        factors.insert(0, RatioFactor(name, value, 0.0, half if abs(half - power) < CONSTANT else power))
+    able = [f for f in factors if f.shift + value != 0.0 and (f.shift + tried[1]) / (f.shift + value) > 0.0]
+    if math.isfinite(twice):
+        able.sort(key=lambda f: max(CONSTANT, abs(math.log(f.at(tried[1]) / twice))))
+    yield from able[:1]
+
+
+def _sum(name: str, value: float, tried: float, change: float, power: float) -> RatioFactor:
+    """Return the factor of a parameter beside others in a sum."""
+    times = change**power
+    return RatioFactor(name, value, (tried - times * value) / (times - 1.0), power)
+
+
+class _Trials:
+    """Ratios of connections at some points, with parameters changed."""
+
+    def __init__(self, prober: Prober, course: Course, points: Points, connections: Sequence[Connection]) -> None:
+        self.prober, self.course = prober, course
+        states = prober.fmu.names[0]
+        pairs = [(c.first, c.second) for c in connections]
+        self.rates = [[states.index(p.velocity) for p in both] for both in pairs]
+        displaced = [[states.index(name) for p in both for name in (p.position, p.velocity)] for both in pairs]
+        self.places: list[tuple[float, Array, Array]] = []
+        self.count = 0
+        for t, x, u in points.places[:: max(1, -(-len(points.places) // PLACES))]:
+            self.count += 1
+            for k in (k for of_connection in displaced for k in of_connection):
+                for sign in (1.0, -1.0):
+                    self.places.append((t, points.moved(np.concatenate([x, u]), k, sign * SMALL)[: x.size], u))
+
+    def ratios(self, changed: dict[str, float]) -> Array:
+        """Return multiples of the ratios from positions and from velocities, NaN without an answer of an end.
+
+        Returns:
+            Array of shape (connections, points, 2).
+        """
+        table: Array = self.prober.call(reactions, self.prober.with_values(changed), self.course, self.places)[1]
+        # point, connection, end that is displaced, position or velocity, ahead or behind, rate
+        sides = table.reshape(self.count, len(self.rates), 2, 2, 2, table.shape[1])
+        found = np.full((len(self.rates), self.count, 2), np.nan)
+        for c, (first, second) in enumerate(self.rates):
+            answers = sides[:, c, :, :, 0] - sides[:, c, :, :, 1]
+            one, other = answers[:, 1, :, first], answers[:, 0, :, second]
+            both = (one > 0.0) & (other > 0.0)
+            found[c][both] = other[both] / one[both]
+        return found
+
+    def changes(self, given: Array, changed: dict[str, float]) -> list[float]:
+        """Return the changes of all ratios, NaN where the FMU refuses the values."""
         try:
-            table: Array = prober.call(reactions, prober.with_values(changed), course, places)[1]
+            changes = self.ratios(changed) / given
         except SimulationError:
-            return math.nan
-        sides = table.reshape(-1, 2, 2, table.shape[1])  # point, end that is displaced, ahead and behind
-        one, other = (sides[:, k, 0, rates[1 - k]] - sides[:, k, 1, rates[1 - k]] for k in (1, 0))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return float(np.median(other / one))
-
-    given, powers = ratio({}), []
-    for p in parameters:
-        value = float(prober.values.get(p.name, p.quantity.start))
-        for tried in trial_values(value, p.quantity.bounds)[:1] if p.acts and not p.failure and value else ():
-            change = ratio({p.name: tried}) / given
-            power = math.log(change) / math.log(tried / value) if change > 0.0 and tried / value > 0.0 else 0.0
-            if abs(power) > CONSTANT:
-                powers.append((p.name, value, power))
-    return tuple(powers)
-
-
-def _places(points: Points, ends: Sequence[int]) -> list[tuple[float, Array, Array]]:
-    """Return points with each of two states displaced, ahead and behind."""
-    places = []
-    for t, x, u in points.places[:: max(1, -(-len(points.places) // PLACES))]:
-        for k in ends:
-            for sign in (1.0, -1.0):
-                moved = x.copy()
-                moved[k] += sign * SMALL * points.scale[k]
-                places.append((t, moved, u))
-    return places
+            return [math.nan] * len(given)
+        return [float(np.nanmedian(c)) if np.isfinite(c).any() else math.nan for c in changes]

@@ -160,8 +160,8 @@ class ProbedModel:
         sizes = {"u": c.stiffness * deflection or c.damping * speed, "v": speed, "q": deflection}
         if c.stiffness:
             units["k"], sizes["k"] = unit_product([(units["u"], 1), (units["q"], -1)]), c.stiffness
-        powers = tuple((with_place(name), value, power) for name, value, power in c.powers)
-        other = Opposite(names.index(c.second.position), names.index(c.second.velocity), c.gear, c.ratio, powers)
+        factors = tuple(replace(f, parameter=with_place(f.parameter)) for f in c.factors)
+        other = Opposite(names.index(c.second.position), names.index(c.second.velocity), c.gear, c.ratio, factors)
         name = f"{with_place(v)}_against_{with_place(c.second.velocity)}"
         resolution, ends = RESOLVED * self.rate(v) * self.step, (names.index(q), names.index(v))
         return Place(name, units, sizes, -1, *ends, resolution=resolution, opposite=other)

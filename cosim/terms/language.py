@@ -18,6 +18,23 @@ FACTOR = re.compile(r"(?P<symbol>[A-Za-z]+|1)(\^(?P<power>\d+))?")
 
 
 @dataclass(frozen=True)
+class RatioFactor:
+    """The factor ((p + shift)/(value + shift))^power of a parameter p in a ratio, 1 at the given value.
+
+    Without a shift it is a power; with one, the parameter is added to others.
+    """
+
+    parameter: str
+    value: float
+    shift: float
+    power: float
+
+    def at(self, value: Number) -> Number:
+        """Return the factor with another value of the parameter."""
+        return ((value + self.shift) / (self.value + self.shift)) ** self.power
+
+
+@dataclass(frozen=True)
 class Opposite:
     """The other end of a connection between two pairs.
 
@@ -25,20 +42,20 @@ class Opposite:
         position, state: Indices of its position and velocity.
         gear: Position of the first end per position of this one without deflection.
         ratio: Acceleration of this end per opposite acceleration of the first, with the FMU's parameter values.
-        powers: Parameter of the model, its value, and its power in the ratio.
+        factors: How parameters of the model change the ratio.
     """
 
     position: int
     state: int
     gear: float
     ratio: float
-    powers: tuple[tuple[str, float, float], ...] = ()
+    factors: tuple[RatioFactor, ...] = ()
 
     def ratio_of(self, model: object) -> Number:
         """Return the ratio with the parameter values of a model."""
         ratio: Number = self.ratio
-        for name, value, power in self.powers:
-            ratio = ratio * (getattr(model, name) / value) ** power
+        for factor in self.factors:
+            ratio = ratio * factor.at(getattr(model, factor.parameter))
         return ratio
 
 

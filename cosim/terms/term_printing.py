@@ -37,12 +37,18 @@ class PrintedTerms(NamedTuple):
 
 def print_terms(model: FmuModel, names: Collection[str], language: Language) -> PrintedTerms:
     """Return some terms of the catalogue as functions; the FMU's own parameters have the values of the model."""
+    import sympy
+
     body = Body.of(model, effects=names)
     own = {n: symbol for n, symbol in body.parameters.items() if n.partition(".")[0] in names}
     places, functions = _places(body, [*own.values()]), _functions(body)
-    given = {symbol: float(getattr(model, n)) for n, symbol in body.parameters.items() if n not in own}
+    base = {symbol: n for n, symbol in body.parameters.items() if n not in own}
+
+    def with_values(e: Any) -> Any:
+        return e.xreplace({s: sympy.Float(getattr(model, base[s])) for s in e.free_symbols & base.keys()})
+
     texts = [
-        language.function(name, words, [r.subs(given) for r in e], places, stages)
+        language.function(name, words, [*map(with_values, e)], places, stages)
         for name, (words, e, stages) in functions.items()
     ]
     delay = next((f"{e.name}.{e.delay}" for e in body.symbols.model.awake if e.delay), "")

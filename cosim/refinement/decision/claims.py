@@ -190,6 +190,7 @@ class Claims:
         part: Remaining error if the claim explains only a part.
         divided: Channel that sealed logs do not judge: there, estimates within their intervals differ as much as the
             claim misses it.
+        unjudged: Channel that replays do not judge: there, two runs of the model with noise differ as much.
         left_of: Output of a table with a systematic residual, and the input on which the residual depends.
         left_share: Remaining share of the mean square if the claim explains only a part.
         nearest: Nearest model; None if the claim is complete (from held-out and sealed logs, as the rest).
@@ -234,6 +235,7 @@ class Claims:
     doubt: Doubt | None = None
     part: Part | None = None
     divided: str = ""
+    unjudged: str = ""
     left_of: tuple[str, str] | None = None
     left_share: float | None = None
 

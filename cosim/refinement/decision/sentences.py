@@ -30,6 +30,7 @@ NOTHING = "Nothing is missing: the model, within its tolerances, explains these 
 DISTURBED = "Nothing is missing: what the model does not explain is a disturbance that follows no signal."
 NO_HYPOTHESIS = "No hypothesis holds on logs it was not fitted on."
 NOT_AFTER_REPLAYS = "No hypothesis explains what the model misses."
+UNJUDGED = "Replays do not test {}: two runs of the refined model with noise may differ as much there."
 DIVIDED = "Sealed logs do not test {}: noise and estimates within their intervals may make as much error there."
 IN_PART = "This explains only a part of the error"
 OUTSIDE, NOT_TRIED = "Something outside the catalogue", "Something that was not tried"
@@ -146,6 +147,8 @@ def _share_texts(c: Claims, units: Mapping[str, str]) -> Iterator[str]:
         yield f"{IN_PART}: on sealed logs replays keep {kept} of the excess error of {c.part.channel}."
     elif c.divided:
         yield DIVIDED.format(c.divided)
+    elif c.unjudged:
+        yield UNJUDGED.format(c.unjudged)
     elif c.part is not None:
         yield part_text(c.misfit, f"replays keep {percent(c.part.share)} of the excess error of {c.part.channel}")
     if incomplete := [*_incomplete_texts(c, units)]:
@@ -288,7 +291,7 @@ def doubt_text(doubt: Doubt, units: Mapping[str, str]) -> str:
     if doubt.kind == "kept":
         return f"With it, replays keep {plain(100 * doubt.size, 2)}\u00a0% of the excess error."
     if doubt.kind == "disturbed":
-        remains = f"Beside it remains an unknown input of {percent(doubt.size)} of the derivative of {doubt.channel}"
+        remains = f"Beside this remains an unknown input of {percent(doubt.size)} of the derivative of {doubt.channel}"
         return f"{remains}; no effect in it halves the held-out error."
     if doubt.kind == "replaced":
         return "Terms without a name may take its place."

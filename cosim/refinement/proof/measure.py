@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
@@ -221,10 +221,19 @@ class Floor:
     Attributes:
         level: Channel → root mean square error of the model against itself.
         scatter: Channel → standard deviation of the logarithm; channels with a single draw are omitted.
+        largest: Channel → largest error of a draw.
     """
 
     level: Mapping[str, float]
     scatter: Mapping[str, float]
+    largest: Mapping[str, float] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, level: Mapping[str, float], draws: Sequence[Mapping[str, float]]) -> Floor:
+        """Return the floor with the scatter of draws."""
+        sizes = {name: [size for draw in draws if (size := draw[name]) > 0.0] for name in level}
+        scatter = {name: float(np.std(np.log(s), ddof=1)) for name, s in sizes.items() if len(s) > 1}
+        return cls(level, scatter, {name: max(s, default=0.0) for name, s in sizes.items()})
 
     def channels_above(self, error: Mapping[str, float]) -> dict[str, tuple[float, float]]:
         """Return channel → floor and error, for floors clearly above the error."""
@@ -247,9 +256,7 @@ def noise_floor(variant: Variant, problem: Problem, logs: Sequence[Log], rng: np
             draw.append(replays.random_errors(rng))
     level = _root_mean_squares(problem, [errors for draw in draws for errors in draw])
     level = {name: size for name, size in level.items() if not size > _standard_deviation(logs, name)}
-    each = [_root_mean_squares(problem, draw) for draw in draws]
-    sizes = {name: [size for one in each if (size := one[name]) > 0.0] for name in level}
-    return Floor(level, {n: float(np.std(np.log(s), ddof=1)) for n, s in sizes.items() if len(s) > 1})
+    return Floor.of(level, [_root_mean_squares(problem, draw) for draw in draws])
 
 
 def predicted_floor(

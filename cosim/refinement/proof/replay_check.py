@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from itertools import chain
 from operator import itemgetter
 from types import MappingProxyType
@@ -42,7 +41,6 @@ from cosim.refinement.proof.measure import (
     errors_by_replay,
     noise_floor,
     predicted_errors,
-    predicted_floor,
 )
 from cosim.refinement.proof.refined_models import Variant, log_noise, refined_subject, variant_of, variants_of
 from cosim.refinement.search.fits import Search, SearchResult
@@ -76,29 +74,18 @@ def check_with_replays(study: Study, a: Attribution, claims: Claims, result: Sea
     if judged == "no_effect" and (doubt := _error_doubt(error, floor.level)):
         return claims.withdraw(doubt)
     alternative = _alternative(study, a, claims, claims.claimed, problem)
-    check = partial(check_claim, claims, error, floor.level, a.support, alternative=alternative, halves=a.halves_error)
-    quiet = _claimed_variant(study, a, claims, result.free_noise)
-    claims = _check_by_expected_floor(check, floor, quiet, problem, study.logs, claims.claimed.fit)
+    claims = check_claim(
+        claims,
+        error,
+        floor.level,
+        a.support,
+        largest=floor.largest,
+        alternative=alternative,
+        halves=a.halves_error,
+    )
     if claims.claimed is None or claims.claimed.is_of_sensors or claims.further:
         return claims
     return _with_further(claims, beyond_tolerance(claims.claimed.fit), study.settings.tolerance)
-
-
-def _check_by_expected_floor(
-    check: Callable[..., Claims], floor: Floor, quiet: Variant, problem: Problem, logs: Sequence[Log], fit: Fit
-) -> Claims:
-    """Return claims, checked with the highest expected floor.
-
-    An error below the highest expected floor does not count against a claim.
-
-    Args:
-        check: Check of the claims, with the highest expected floor.
-        quiet: Variant with the claim.
-    """
-    checked = check()
-    if not (checked.part or (checked.doubt and checked.doubt.kind == "unsteady")):
-        return checked
-    return check(highest=predicted_floor(floor, quiet, problem, logs, fit, np.random.default_rng(FLOOR_SEED)))
 
 
 def _with_further(claims: Claims, further: tuple[MovedParameter, ...], stated: Mapping[str, float]) -> Claims:
@@ -144,15 +131,10 @@ def _replay_errors(
     study: Study, a: Attribution, claims: Claims, problem: Problem, free: Noise | None
 ) -> tuple[ErrorOf, Floor]:
     """Return replay errors and their noise floor."""
-    error = {name: predicted_errors(v, problem, study.logs) for name, v in _variants(study, a, claims).items()}
-    quiet = _claimed_variant(study, a, claims, free)
+    variants = _variants(study, a, claims)
+    error = {name: predicted_errors(variant, problem, study.logs) for name, variant in variants.items()}
+    quiet = replace(variants["after"], noise=log_noise((claims.claimed or a.base).fit.noise, free))
     return error, noise_floor(quiet, problem, study.logs, np.random.default_rng(FLOOR_SEED))
-
-
-def _claimed_variant(study: Study, a: Attribution, claims: Claims, free: Noise | None) -> Variant:
-    """Return the variant with the claim, with the noise of its fit."""
-    after = _variants(study, a, claims)["after"]
-    return replace(after, noise=log_noise((claims.claimed or a.base).fit.noise, free))
 
 
 # -- Check of a claim --------------------------------------------------------------------------
@@ -164,7 +146,7 @@ def check_claim(
     floor: Channels,
     support: Mapping[str, Support] = MappingProxyType({}),
     *,
-    highest: Channels = MappingProxyType({}),
+    largest: Channels = MappingProxyType({}),
     alternative: str = "",
     halves: bool = False,
 ) -> Claims:
@@ -173,7 +155,8 @@ def check_claim(
     A term that reduces innovations one row ahead may still be wrong; only replays show the difference.
 
     Args:
-        highest: Highest expected floor, as of an unstable motion; smaller errors count as none.
+        largest: Channel → largest error of the model against itself, as of an unstable motion. A smaller error is not
+            judged if at most HALF of the excess remains.
         alternative: Variant than which the claim must be nearer to the logs on some channel; "" for none.
         halves: True if the claim halves the error on held-out logs. It is then at least a part of the answer.
     """
@@ -184,14 +167,23 @@ def check_claim(
         return claims.withdraw(doubt)
     if claims.name == "ambiguous" or claims.grade != "claimed":
         return claims
-    excess = {n: x for n, x in _remaining_excess(error, floor).items() if not error["after"][n] <= highest.get(n, 0.0)}
-    worst, share = max(excess.items(), key=itemgetter(1), default=("", 0.0))
+    shares = _remaining_excess(error, floor)
+    unjudged = "" if doubt else _drop_unjudged(shares, error["after"], largest)
+    worst, share = max(shares.items(), key=itemgetter(1), default=("", 0.0))
     if share <= PART:
-        return claims
+        return replace(claims, unjudged=unjudged) if unjudged else claims
     weak = () if halves else _weak_parts(claims.claimed, support)
     if weak:
         return claims.withdraw(Doubt("unsteady", names=weak))
     return replace(claims, grade="part", part=Part(worst, share))
+
+
+def _drop_unjudged(shares: dict[str, float], after: Channels, largest: Channels) -> str:
+    """Drop channels with an error as of the model against itself; return one of them, or ""."""
+    unjudged = [n for n, share in shares.items() if PART < share <= HALF and after[n] <= largest.get(n, 0.0)]
+    for name in unjudged:
+        del shares[name]
+    return unjudged[0] if unjudged else ""
 
 
 def check_on_sealed_logs(claims: Claims, floor: Channels) -> Claims:
