@@ -118,7 +118,7 @@ def _trial_of(
     """
     states, inputs = names
     n, index = len(states), states.index(pair.velocity)
-    speed, every = float(points.scale[index]), max(1, -(-len(points.places) // PLACES))
+    speed, every = float(points.scale[index]), points.spacing(PLACES)
     if not points.low[index] <= 0.0 < 2.0 * speed <= points.high[index]:
         return None
     elsewhere, places = [*(k for k in velocities if k != index), *range(n, n + len(inputs))], []

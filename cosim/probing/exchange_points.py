@@ -70,10 +70,18 @@ class Points:
         self.places.append((t, x, u))
 
     def moved(self, z: Array, k: int, by: float) -> Array:
-        """Return states and inputs, one of them displaced by a multiple of its spread."""
+        """Return a point with one state or input displaced.
+
+        Args:
+            by: Displacement in units of `scale`.
+        """
         moved = z.copy()
         moved[k] += by * self.scale[k]
         return self._inside(moved, z)
+
+    def spacing(self, count: int) -> int:
+        """Return the spacing of at most so many evenly spread places."""
+        return max(1, -(-len(self.places) // count))
 
     def _inside(self, moved: Array, z: Array) -> Array:
         """Return a displaced point within the limits, or no further outside than the point itself."""

@@ -214,8 +214,7 @@ def _parameters(
     prober: Prober, course: Course, first: Mapping[int, float], points: Points, has_events: bool
 ) -> tuple[ProbedParameter, ...]:
     """Return each settable parameter with what it changes, at points or only through events."""
-    every = max(1, -(-len(points.places) // PLACES))
-    places = points.places[::every]
+    places = points.places[:: points.spacing(PLACES)]
     tried = tried_parameters(prober, lambda fmu: prober.call(reactions, fmu, course, places), points.size)
     if not has_events:
         return tried

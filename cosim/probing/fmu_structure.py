@@ -52,7 +52,7 @@ class Connection:
         ratio: Acceleration r of the second per opposite acceleration of the first.
         stiffness, damping: k and d, each the median over the points.
         deflection, speed: Standard deviation of q1 − i·q2 and v1 − i·v2 along the logs.
-        factors: How parameters change r, as inertias do.
+        factors: Factors of r, one for each parameter of an inertia.
     """
 
     first: Pair

@@ -1,7 +1,7 @@
 """How an FMU's parameters change the ratio of both ends' accelerations of a connection.
 
 A force between two bodies accelerates each by the body's inertia. A fit that changes a mass changes the ratio. Most
-inertias are products of parameters, or sums: two trials of each parameter tell a power from a sum.
+inertias are products or sums of parameters: two trials of each parameter tell a power from a sum.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ def with_factors(
             if not p.acts or p.tried == value:
                 continue
             changes = [trials.changes(given, {p.name: v}) for v in (p.tried, further) if low <= v <= high]
-            for k, of_connection in enumerate(zip(*changes, strict=True)):
-                found[k] += _factor(p.name, value, (p.tried, further), of_connection)
+            for factors, of_ratio in zip(found, zip(*changes, strict=True), strict=True):
+                factors += _factor(p.name, value, (p.tried, further), of_ratio)
     return tuple(replace(c, factors=tuple(factors)) for c, factors in zip(connections, found, strict=True))
 
 
@@ -86,14 +86,13 @@ class _Trials:
         states = prober.fmu.names[0]
         pairs = [(c.first, c.second) for c in connections]
         self.rates = [[states.index(p.velocity) for p in both] for both in pairs]
-        displaced = [[states.index(name) for p in both for name in (p.position, p.velocity)] for both in pairs]
-        self.places: list[tuple[float, Array, Array]] = []
-        self.count = 0
-        for t, x, u in points.places[:: max(1, -(-len(points.places) // PLACES))]:
-            self.count += 1
-            for k in (k for of_connection in displaced for k in of_connection):
-                for sign in (1.0, -1.0):
-                    self.places.append((t, points.moved(np.concatenate([x, u]), k, sign * SMALL)[: x.size], u))
+        displaced = [states.index(name) for both in pairs for p in both for name in (p.position, p.velocity)]
+        self.places = [
+            (t, points.moved(np.concatenate([x, u]), k, by)[: x.size], u)
+            for t, x, u in points.places[:: points.spacing(PLACES)]
+            for k in displaced
+            for by in (SMALL, -SMALL)
+        ]
 
     def ratios(self, changed: dict[str, float]) -> Array:
         """Return multiples of the ratios from positions and from velocities, NaN without an answer of an end.
@@ -103,8 +102,8 @@ class _Trials:
         """
         table: Array = self.prober.call(reactions, self.prober.with_values(changed), self.course, self.places)[1]
         # point, connection, end that is displaced, position or velocity, ahead or behind, rate
-        sides = table.reshape(self.count, len(self.rates), 2, 2, 2, table.shape[1])
-        found = np.full((len(self.rates), self.count, 2), np.nan)
+        sides = table.reshape(-1, len(self.rates), 2, 2, 2, table.shape[1])
+        found = np.full((len(self.rates), len(sides), 2), np.nan)
         for c, (first, second) in enumerate(self.rates):
             answers = sides[:, c, :, :, 0] - sides[:, c, :, :, 1]
             one, other = answers[:, 1, :, first], answers[:, 0, :, second]

@@ -21,7 +21,7 @@ FACTOR = re.compile(r"(?P<symbol>[A-Za-z]+|1)(\^(?P<power>\d+))?")
 class RatioFactor:
     """The factor ((p + shift)/(value + shift))^power of a parameter p in a ratio, 1 at the given value.
 
-    Without a shift it is a power; with one, the parameter is added to others.
+    A shift of 0 stands for a power law; any other shift is the sum of what is added to the parameter.
     """
 
     parameter: str
@@ -42,7 +42,7 @@ class Opposite:
         position, state: Indices of its position and velocity.
         gear: Position of the first end per position of this one without deflection.
         ratio: Acceleration of this end per opposite acceleration of the first, with the FMU's parameter values.
-        factors: How parameters of the model change the ratio.
+        factors: Factors of the ratio, one for each parameter of an inertia.
     """
 
     position: int

@@ -51,7 +51,7 @@ from cosim.subject.base_parameters import WIDTHS
 from cosim.subject.interface import Subject
 
 PART = 0.1  # remaining share of the excess error from which a claim explains only a part
-HALF = 0.5  # remaining share of excess error: on the best channel a claim is withdrawn, on any sealed one a part
+HALF = 0.5  # share of excess error that withdraws a claim (best channel), leaves a part (sealed), and is always judged
 UNSURE = 2.0  # increase of replay errors per scatter, below which it is not significant
 
 Channels = Mapping[str, float]  # measured output → root mean square
@@ -167,8 +167,7 @@ def check_claim(
         return claims.withdraw(doubt)
     if claims.name == "ambiguous" or claims.grade != "claimed":
         return claims
-    shares = _remaining_excess(error, floor)
-    unjudged = "" if doubt else _drop_unjudged(shares, error["after"], largest)
+    shares, unjudged = _judged_excess(error, floor, {} if doubt else largest)
     worst, share = max(shares.items(), key=itemgetter(1), default=("", 0.0))
     if share <= PART:
         return replace(claims, unjudged=unjudged) if unjudged else claims
@@ -178,12 +177,11 @@ def check_claim(
     return replace(claims, grade="part", part=Part(worst, share))
 
 
-def _drop_unjudged(shares: dict[str, float], after: Channels, largest: Channels) -> str:
-    """Drop channels with an error as of the model against itself; return one of them, or ""."""
+def _judged_excess(error: ErrorOf, floor: Channels, largest: Channels) -> tuple[dict[str, float], str]:
+    """Return the remaining excess error of each judged channel, and the name of another channel, or ""."""
+    after, shares = error["after"], _remaining_excess(error, floor)
     unjudged = [n for n, share in shares.items() if PART < share <= HALF and after[n] <= largest.get(n, 0.0)]
-    for name in unjudged:
-        del shares[name]
-    return unjudged[0] if unjudged else ""
+    return {n: share for n, share in shares.items() if n not in unjudged}, next(iter(unjudged), "")
 
 
 def check_on_sealed_logs(claims: Claims, floor: Channels) -> Claims:
