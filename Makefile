@@ -9,7 +9,7 @@ DOCUMENTING := .venv/.documenting
 MUTATING := .venv/.mutating
 RELEASING := .venv/.releasing
 
-.PHONY: run test thorough refine bench blind blind-fmu crash kills fuzz mutants seed check docs english dist trial versions clean fmus
+.PHONY: run test thorough refine bench blind blind-fmu crash kills fuzz mutants seed check docs dist trial versions clean fmus
 N ?= 24
 CRASHES ?= 200
 KILLS ?= 200
@@ -106,10 +106,6 @@ check: $(CHECKING)
 	$(BIN)/lint-imports
 	@if command -v npm >/dev/null; then npm install --silent --no-audit --no-fund --no-package-lock && npm run --silent check; \
 	else echo "no npm: scripts of pages are not checked"; fi
-
-# measures of the prose of docstrings and documents
-english: $(RUNTIME)
-	$(BIN)/python -m tests.english
 
 # the site, docs/_site: reports of the gallery, pages, check of every link; LINKS=--external also links to other sites
 docs: $(DOCUMENTING)
