@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from fractions import Fraction
+from types import MappingProxyType
 from typing import NamedTuple
 from xml.etree.ElementTree import Element, SubElement
 
 from cosim.base import messages
 from cosim.base.messages import Message
+
+
+SI = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 
 
 class Unit(NamedTuple):
@@ -85,6 +89,7 @@ TOKEN = re.compile(r"(1|%|°[CF]?|[A-Za-zµΩ]+)(?:\^?(-?\d))?")
 NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 # A unit that begins with a digit (1/min) needs a blank before it.
 QUANTITY = re.compile(rf"({NUMBER})(?:\s*(?=[^\s\d.])|\s+)(\S.*)")
+NO_DEFINITIONS: Mapping[str, Sequence[float]] = MappingProxyType({})
 STANDARD_GRAVITY = 9.80665  # [m/s²]
 # Displayed units: unit → display unit, and display value per value.
 DEGREE = 180.0 / math.pi
@@ -131,16 +136,24 @@ class Conversion(NamedTuple):
         return self.factor * value + self.offset
 
 
-def conversion(written: str, wanted: str, *, difference: bool = False) -> Conversion | None:
+def conversion(
+    written: str, wanted: str, *, difference: bool = False, definitions: Mapping[str, Sequence[float]] = NO_DEFINITIONS
+) -> Conversion | None:
     """Return the conversion between units of the same dimension.
 
     Args:
         difference: Whether the value is a difference, e.g. a standard deviation, a tolerance or a step. The offset of
             degC then does not count.
+        definitions: Unit → exponents of `SI`, factor and offset, which take precedence over common units.
     """
     if not written or not wanted or written == wanted:
         return Conversion()
-    here, there = parse(written), parse(wanted)
+    here, there = (
+        Unit({n: int(k) for n, k in zip(SI, definition, strict=False) if k}, *definition[-2:])
+        if (definition := definitions.get(name))
+        else parse(name)
+        for name in (written, wanted)
+    )
     if written == "g" and there is not None and there.exponents == {"m": 1, "s": -2}:
         return Conversion(STANDARD_GRAVITY / there.factor)  # of an accelerometer: standard gravity, never gram
     if here is None or there is None or here.exponents != there.exponents:

@@ -8,11 +8,10 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from cosim.base.errors import SimulationError
-from cosim.base.units import parse
+from cosim.base.units import SI, parse
 
 Row = ctypes.Array[ctypes.c_double]
 PUT, ADVANCE, GET = range(3)  # calls counted in `doing`
-SI = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 
 
 class EarlyEnd(SimulationError):
@@ -56,12 +55,20 @@ class Signal:
         return self.kind not in {"", "Real", "Float32", "Float64"}
 
     def conversion(self, to: Signal) -> tuple[float, float] | None:
-        """Return factor and offset to another signal's unit. None means different dimensions."""
-        if not self.unit or not to.unit or self.unit == to.unit:
+        """Return factor and offset to another signal's unit. None means different dimensions.
+
+        Units are compared by definition: the definitions of two FMUs may give one name different sizes. A unit that
+        only one side defines is the same as one of its name on the other side.
+        """
+        is_same_name = self.unit == to.unit
+        if not self.unit or not to.unit or (is_same_name and None in (self.definition, to.definition)):
             return 1.0, 0.0
         here, there = self._meaning(), to._meaning()
-        if here is None or there is None or here[:-2] != there[:-2]:
+        if here is None or there is None:
             return None
+        powers = len(SI) - is_same_name  # Tools write angles of one unit with rad and without dimension.
+        if here == there or here[:powers] != there[:powers]:
+            return (1.0, 0.0) if here == there else None
         offset = 0.0 if self.relative and to.relative else (here[-1] - there[-1]) / there[-2]
         return here[-2] / there[-2], offset
 

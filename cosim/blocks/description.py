@@ -13,8 +13,8 @@ from xml.etree import ElementTree
 
 from cosim.base.errors import FmuError
 from cosim.base.messages import Message
+from cosim.base.units import SI
 from cosim.blocks import messages
-from cosim.blocks.component import SI
 from cosim.blocks.guard import check_fmu_file, check_identifiers, check_numbers, reason_of
 from cosim.storage.archive import DESCRIPTION
 
@@ -36,6 +36,8 @@ def read_description(path: Path) -> Any:
     """
     import fmpy
 
+    from cosim.blocks.unread_attributes import add_unread_attributes
+
     check_fmu_file(path)
     slips: tuple[str, ...] = ()
     try:
@@ -55,6 +57,10 @@ def read_description(path: Path) -> Any:
             raise FmuError(text)
     if not ways(description):
         raise FmuError(messages.UNSUPPORTED_INTERFACE(file=path, interface=_kind(description)))
+    if description.guid is None:
+        attribute = "instantiationToken" if description.fmiVersion.startswith("3") else "guid"
+        raise FmuError(messages.NO_GUID(file=path, attribute=attribute))
+    add_unread_attributes(path, description)
     _slips[description] = slips
     return description
 

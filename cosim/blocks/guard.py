@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import FmuError
+from cosim.base.units import SI
 from cosim.blocks import messages
-from cosim.blocks.component import SI
 from cosim.storage.archive import BadArchive, check_archive, check_identifier
 
 # form of pythonfmu's exceptions

@@ -14,6 +14,11 @@ INVALID_WHOLE_NUMBER = Template(
 ARRAY_TOO_LARGE = Template(
     "E-BLK-006", "{file} is not a valid FMU: its array {variable} is {size}, not 0 … {limit:g} elements"
 )
+NO_GUID = Template(
+    "E-BLK-110",
+    "{file} is not a valid FMU: its modelDescription.xml has no {attribute}, which its library compares when it is "
+    "loaded; export the FMU again, or ask the tool that made it",
+)
 UNSUPPORTED_INTERFACE = Template(
     "E-BLK-007",
     "{file} is {interface}; FMI 1.0, 2.0 and 3.0 for co-simulation or model exchange, and 3.0 for scheduled "

@@ -23,7 +23,8 @@ class SourceBlock(RowComponent):
 
     def __init__(self, name: str, signals: Mapping[str, tuple[str, ProfileFunction | Recorded]]) -> None:
         self.name = name
-        self.outputs = tuple(Signal(signal, unit) for signal, (unit, _) in signals.items())
+        # Whether a value is a difference is known from the input that it goes to.
+        self.outputs = tuple(Signal(signal, unit, relative=True) for signal, (unit, _) in signals.items())
         self.functions = tuple(function for _, function in signals.values())
         self._t = 0.0
 

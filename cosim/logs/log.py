@@ -20,6 +20,7 @@ from cosim.base.arrays import Array, Rows
 from cosim.base.errors import Fault, refuse
 from cosim.base.messages import Message
 from cosim.base.units import Conversion, alternatives, assume_si, conversion
+from cosim.blocks.component import Signal
 from cosim.logs import messages
 from cosim.storage.table import read_table
 from cosim.storage.table_columns import Column, Faults, Heading
@@ -141,7 +142,10 @@ def read_log(
         InputError: Every fault of the file.
     """
     units = {s.name: s.unit for s in inputs}, {s.name: s.unit for s in outputs}
-    return LogReader(path, *units, not table, columns, alone).log()
+    signals = [s for s in (*inputs, *outputs) if isinstance(s, Signal)]
+    differences = {s.name for s in signals if s.relative}
+    definitions = {s.unit: s.definition for s in signals if s.definition is not None}
+    return LogReader(path, *units, not table, columns, alone, differences, definitions).log()
 
 
 class LogReader:
@@ -155,7 +159,10 @@ class LogReader:
         timed: bool,
         columns: Mapping[str, str],
         alone: bool = False,
+        differences: Collection[str] = (),
+        definitions: Mapping[str, Sequence[float]] = MappingProxyType({}),
     ) -> None:
+        self.differences, self.definitions = differences, definitions
         self.inputs, self.outputs, self.signals, self.timed = inputs, outputs, inputs | outputs, timed
         self.renamings, self.alone = columns, alone
         self.units = dict(self.signals)  # units of the values after reading
@@ -226,7 +233,7 @@ class LogReader:
             if assumed.sentence:
                 self.undeclared[name] = assumed.sentence
             return Column(heading, assumed.factor, role, offset=assumed.offset)
-        by = conversion(heading.unit, wanted)
+        by = conversion(heading.unit, wanted, difference=name in self.differences, definitions=self.definitions)
         if by is None:
             units = ", ".join(alternatives(wanted))
             message = messages.WRONG_UNIT(unit=heading.unit, name=name, wanted=wanted, alternatives=units)

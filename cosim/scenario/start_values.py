@@ -169,14 +169,23 @@ def convert_quantity(description: Any, variable: Any, text: str, *, difference: 
     """
     unit, relative = unit_of(variable), difference or is_difference(variable)
     displays: list[Any] = next((d.displayUnits for d in description.unitDefinitions if d.name == unit), [])
-    display_units = {d.name: (float(d.factor), 0.0 if relative else float(d.offset)) for d in displays}
+    display_units = {d.name: d for d in displays}
     quantity = split_quantity(text)
     if unit and quantity is not None:
         number, written = quantity
         if written in display_units:
-            factor, offset = display_units[written]
-            return (number - offset) / factor
+            return _displayed(number, display_units[written], relative=relative, unit=unit)
         source, target = (Signal("", u, unit_definition(description, u), relative=relative) for u in (written, unit))
         if written and (by := source.conversion(target)):
             return by[0] * number + by[1]
     return Misfit(allowed_quantity(unit, display_units))
+
+
+def _displayed(number: float, display: Any, *, relative: bool, unit: str) -> float | Misfit:
+    """Return the value that a display unit of FMI shows as `number`."""
+    factor, offset = float(display.factor), 0.0 if relative else float(display.offset)
+    if not getattr(display, "inverse", False):
+        return (number - offset) / factor
+    if relative or number == offset:
+        return Misfit(f"{display.name} is the inverse of {unit}; give it in {unit}")
+    return factor / (number - offset)

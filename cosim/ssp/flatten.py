@@ -9,7 +9,7 @@ from itertools import chain, count
 
 from cosim.base.errors import FmuError, InputError
 from cosim.blocks.component import Signal
-from cosim.blocks.description import read_description, unit_definition, unit_of
+from cosim.blocks.description import is_difference, read_description, unit_definition, unit_of
 from cosim.ssp import messages
 from cosim.ssp.elements import Element
 from cosim.ssp.levels import Flat, FmuPart, Level, SignalLink, direct_connections, levels
@@ -164,15 +164,18 @@ class _Flattener:
         """Return a system's own connector and its signal."""
         connector = system.connectors.get(name)
         unit = (connector.unit if connector else None) or ""
-        return connector, Signal(name, unit, self.structure.units.get(unit))
+        # Whether a value is a difference is known from the variables at the ends.
+        return connector, Signal(name, unit, self.structure.units.get(unit), relative=True)
 
     def _signal(self, part: FmuPart, name: str, connector: Connector | None) -> Signal:
         """Return a variable of an FMU as a signal, in the unit of its connector or else in its own unit."""
         variable = part.variables.get(name)
         own = "" if variable is None else unit_of(variable)
         unit = own if connector is None or connector.unit is None else connector.unit
-        definition = self.structure.units.get(unit) or unit_definition(part.description, unit)
-        return Signal(name, unit, definition, relative=bool(getattr(variable, "relativeQuantity", False)))
+        definitions = self.structure.units.get(unit), unit_definition(part.description, unit)
+        is_own = connector is None or connector.unit is None  # The units of a file are defined in this file.
+        definition = definitions[is_own] or definitions[not is_own]
+        return Signal(name, unit, definition, relative=variable is not None and is_difference(variable))
 
     def _chain(
         self, signal: Signal, stages: Iterable[tuple[Signal, LinearTransformation]], element: Element
@@ -256,7 +259,7 @@ class _Flattener:
         units: Units = {**self.structure.units, **parameter.units}
         if unit not in units and unit.startswith("[") and unit.endswith("]"):  # some tools write units in brackets
             unit = unit[1:-1]
-        return Signal(parameter.name, unit, units.get(unit))
+        return Signal(parameter.name, unit, units.get(unit), relative=True)
 
     def _warn_of_name(self, parameter: SspParameter, names: Iterable[str]) -> None:
         hint = did_you_mean(parameter.name, names)

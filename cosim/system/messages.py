@@ -152,6 +152,11 @@ UNIT_MISMATCH = Template(
     "unit mismatch: {source} [{source_unit}] to {target} [{target_unit}]; where they are the same all the same, say so "
     "by factor: 1",
 )
+UNIT_DEFINITION_MISMATCH = Template(
+    "E-SYS-110",
+    "unit mismatch: {source} and {target} are both in [{unit}], which their FMUs define with different dimensions; "
+    "where they are the same all the same, say so by factor: 1",
+)
 SIZE_MISMATCH = Template("E-SYS-032", "{source} to {target}: {count} values do not go to {target_count}")
 UNCHANGEABLE_TYPE = Template("E-SYS-033", "{source} to {target}: no {changes} on {type}")
 WRONG_END = Template("E-SYS-034", "{signal} is one of the {side} of {component}; an output goes to an input")

@@ -187,6 +187,8 @@ def _objection(connection: Connection, source: Signal, target: Signal) -> str:
         items = {"source_items": _numbers(source.items), "target_items": _numbers(target.items)}
         return messages.ITEM_MISMATCH(**ends, **items, name=source.declared)
     if connection.conversion is None and source.conversion(target) is None:
+        if source.unit == target.unit:
+            return messages.UNIT_DEFINITION_MISMATCH(**ends, unit=source.unit)
         return messages.UNIT_MISMATCH(**ends, source_unit=source.unit, target_unit=target.unit)
     return ""
 
