@@ -15,7 +15,7 @@ from cosim.base.arrays import Array
 from cosim.base.errors import SimulationError
 from cosim.blocks import messages
 from cosim.blocks.description import declares_slopes, unit_of
-from cosim.blocks.fmi_types import element_names
+from cosim.blocks.fmi_types import element_names, is_negated
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.model_exchange import ModelExchange1, ModelExchange2
 from cosim.blocks.solvers import DOUBLES, derivatives_of
@@ -168,12 +168,20 @@ class DifferentiableFmu(FmuBlock):
         with self.instance.check_calls():
             if self.instance.fmi3:
                 return np.array(self.instance.fmu.getFloat64(references, nValues=len(scalars(variables))), float)
-            return np.array(self.instance.fmu.getReal(references), float)
+            return _signs(variables) * np.array(self.instance.fmu.getReal(references), float)
 
     def _write_reals(self, variables: Sequence[Any], values: Array) -> None:
         if variables:
-            setter = self.instance.fmu.setFloat64 if self.instance.fmi3 else self.instance.fmu.setReal
-            setter([v.valueReference for v in variables], values.tolist())
+            references = [v.valueReference for v in variables]
+            if self.instance.fmi3:
+                self.instance.fmu.setFloat64(references, values.tolist())
+            else:
+                self.instance.fmu.setReal(references, (_signs(variables) * values).tolist())
+
+
+def _signs(variables: Sequence[Any]) -> Array:
+    """Return -1 for negated aliases of FMI 1.0, and 1 for other variables."""
+    return np.array([-1.0 if is_negated(v) else 1.0 for v in variables])
 
 
 def slopes_at(

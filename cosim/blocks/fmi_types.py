@@ -103,7 +103,7 @@ def is_compatible(source: str, target: str) -> bool:
 
 
 class Exchange:
-    """Variables of a type, read or written in a single call.
+    """Variables of a type, read or written in a single call; all of them negated aliases of FMI 1.0, or none.
 
     Attributes:
         names: Names of the scalars; an array of FMI 3.0 has several.
@@ -115,6 +115,7 @@ class Exchange:
         self.names = tuple(name for variable in variables for name in element_names(variable))
         self.count = len(self.names)
         self.vrs = (ctypes.c_uint * len(variables))(*(v.valueReference for v in variables))
+        self.negated = any(map(is_negated, variables))
         self.buffer: Any = (kind.ctype * self.count)() if kind.ctype is not None else None
         self.places = slice(0, 0)
 
@@ -133,15 +134,24 @@ class Exchange:
         values: list[Any] = self.buffer[:]
         if self.kind.function == "String":
             return [(value or b"").decode("utf-8", "replace") for value in values]
-        return values
+        return [self._negative(value) for value in values] if self.negated else values
+
+    def _negative(self, value: Any) -> Any:
+        """Return the value of a negated alias from that of its value reference, and the reverse."""
+        return (1 if self.kind.function == "Boolean" else 0) - value
 
     def encode(self, values: Sequence[Any]) -> None:
         """Put values into the buffer; raise ValueError, with the variable, outside the type."""
         for k, (name, value) in enumerate(zip(self.names, values, strict=True)):
             try:
-                self.buffer[k] = self.kind.encode(value)
+                self.buffer[k] = self.kind.encode(self._negative(value) if self.negated else value)
             except (ValueError, OverflowError) as error:
                 raise ValueError(f"{name}: {error}") from None
+
+
+def is_negated(variable: Any) -> bool:
+    """Return whether a variable is a negated alias of FMI 1.0; see `unread_attributes`."""
+    return getattr(variable, "negated", False)
 
 
 def element_names(variable: Any) -> list[str]:

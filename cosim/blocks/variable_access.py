@@ -9,7 +9,7 @@ from typing import Any
 
 from cosim.blocks.component import Signal
 from cosim.blocks.description import enumeration_items, is_difference, unit_definition, unit_of
-from cosim.blocks.fmi_types import Exchange, element_names, kinds_of
+from cosim.blocks.fmi_types import Exchange, element_names, is_negated, kinds_of
 
 
 class Ports:
@@ -99,10 +99,11 @@ class Ports:
         return tuple(name for name in exchange.names if name in self._outputs)
 
     def _exchanges(self, variables: Iterable[Any]) -> tuple[Exchange, ...]:
-        """Return an exchange per type and part, doubles first."""
+        """Return an exchange per type, part and sign, doubles first."""
         groups: dict[tuple[Any, Hashable], list[Any]] = {}
         for variable in variables:
-            groups.setdefault((self.kinds[variable.type], self._part(variable)), []).append(variable)
+            part = self._part(variable), is_negated(variable)
+            groups.setdefault((self.kinds[variable.type], part), []).append(variable)
         keys = sorted(groups, key=lambda key: key[0].ctype is not ctypes.c_double)
         return tuple(Exchange(key[0], groups[key]) for key in keys)
 
@@ -123,4 +124,5 @@ class Ports:
 
 
 def _doubles(exchanges: Iterable[Exchange]) -> Exchange | None:
-    return next((e for e in exchanges if e.kind.ctype is ctypes.c_double), None)
+    """Return the exchange that moves doubles to and from the row as they are."""
+    return next((e for e in exchanges if e.kind.ctype is ctypes.c_double and not e.negated), None)

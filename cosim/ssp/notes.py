@@ -6,6 +6,7 @@ import math
 from typing import TypeVar
 
 from cosim.base.errors import Fault, InputError
+from cosim.base.units import SI
 from cosim.ssp import messages
 from cosim.ssp.elements import Element
 from cosim.ssp.ssp_package import Package
@@ -13,7 +14,6 @@ from cosim.ssp.structure import Definition, LinearTransformation, Units
 from cosim.storage.yaml_file import MOST_FAULTS, format_value
 
 VERSIONS = ("1.0", "2.0")
-BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 OTHER_TRANSFORMATIONS = (
     "ssc:BooleanMappingTransformation",
     "ssc:IntegerMappingTransformation",
@@ -56,7 +56,7 @@ class Notes:
         for unit in element.all(tag, "ssc:Unit"):
             base, name = unit.first("ssc:BaseUnit"), unit.get("name")
             if name and base is not None:
-                numbers = [self._number(base, n, 0.0) for n in BASE_UNITS]
+                numbers = [self._number(base, n, 0.0) for n in SI]
                 numbers += [self._number(base, "factor", 1.0), self._number(base, "offset", 0.0)]
                 if numbers[-2] == 0.0:
                     self.note(base, messages.ZERO_FACTOR())

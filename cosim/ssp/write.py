@@ -16,11 +16,10 @@ from typing import Any
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from cosim.base.drafts import draft_of
-from cosim.base.units import parse
+from cosim.base.units import SI, parse
 from cosim.base.version import __version__
 from cosim.blocks.description import unit_definition
 from cosim.ssp.elements import NAMESPACES
-from cosim.ssp.notes import BASE_UNITS
 from cosim.ssp.structure import Units
 from cosim.storage.archive import STRUCTURE
 
@@ -75,7 +74,7 @@ def defined_units(used: Iterable[tuple[Any, str]]) -> Units:
     for description, name in used:
         definition = None if description is None else unit_definition(description, name)
         if definition is None and (unit := parse(name)) is not None:
-            definition = (*(float(unit.exponents.get(n, 0)) for n in BASE_UNITS), unit.factor, unit.offset)
+            definition = (*(float(unit.exponents.get(n, 0)) for n in SI), unit.factor, unit.offset)
         if name and definition is not None:
             units.setdefault(name, definition)
     return units
@@ -151,7 +150,7 @@ def _write_units(root: Element, tag: str, definitions: Units) -> None:
     units = SubElement(root, tag)
     for name, definition in sorted(definitions.items()):
         base = SubElement(SubElement(units, "ssc:Unit", name=name), "ssc:BaseUnit")
-        for unit, exponent in zip(BASE_UNITS, definition, strict=False):
+        for unit, exponent in zip(SI, definition, strict=False):
             if exponent:
                 base.set(unit, str(int(exponent)))
         if definition[-2] != 1.0:
