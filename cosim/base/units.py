@@ -13,7 +13,6 @@ from xml.etree.ElementTree import Element, SubElement
 from cosim.base import messages
 from cosim.base.messages import Message
 
-
 SI = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 
 

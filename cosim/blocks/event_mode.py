@@ -364,8 +364,7 @@ class EventFmu(FmuBlock):
         if changes:
             with self.instance.check_calls():
                 self._values.set(changes)
-            for exchange in self._ports.unfed:
-                self._values.read_in(exchange)
+            self._values.show_changes(changes)
 
     def tick(self, names: Collection[str]) -> None:
         """Activate input clocks."""

@@ -149,6 +149,46 @@ class Exchange:
                 raise ValueError(f"{name}: {error}") from None
 
 
+def elements(kind: FmiType, variable: Any, value: Any) -> list[Any]:
+    """Return the scalars of a variable's value, set or of the description, as they are stored in or beside the row.
+
+    Raises:
+        TypeError: There is no value.
+        ValueError: The text of a description is none of the type.
+    """
+    is_text = kind.function in {"String", "Binary"}
+    given = value.split() if isinstance(value, str) and not is_text else value
+    scalars = list(given) if isinstance(given, (list, tuple)) else [given]
+    count = len(element_names(variable))
+    return [_stored(kind, scalar) for scalar in (scalars if len(scalars) == count else scalars[:1] * count)]
+
+
+def _stored(kind: FmiType, value: Any) -> Any:
+    """Return a scalar as it is stored in or beside the row."""
+    if value is None:
+        raise TypeError
+    if kind.function == "String":
+        return str(value)
+    if kind.function == "Binary":
+        return as_bytes(value)
+    if kind.function == "Boolean" and isinstance(value, str):
+        return {"true": 1.0, "1": 1.0}.get(value, 0.0)
+    return int(value) if kind.beside else float(value)
+
+
+def as_bytes(value: Any) -> bytes:
+    """Return binary data, which texts hold as hexadecimal digits; raise ValueError for other text."""
+    return bytes.fromhex(value) if isinstance(value, str) else bytes(value or b"")
+
+
+def named_bytes(name: str, value: Any) -> bytes:
+    """Return binary data of a variable; raise ValueError, with the variable, for text without hexadecimal digits."""
+    try:
+        return as_bytes(value)
+    except ValueError:
+        raise ValueError(f"{name}: {str(value)[:40]!r} is no text of hexadecimal digits") from None
+
+
 def is_negated(variable: Any) -> bool:
     """Return whether a variable is a negated alias of FMI 1.0; see `unread_attributes`."""
     return getattr(variable, "negated", False)

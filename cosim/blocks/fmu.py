@@ -14,7 +14,7 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
-from cosim.base.errors import FmuError, SimulationError
+from cosim.base.errors import FmuError
 from cosim.blocks import messages
 from cosim.blocks.compiling import permission
 from cosim.blocks.component import ADVANCE, GET, PUT, Row, in_turn
@@ -250,16 +250,7 @@ class FmuBlock:
             calls.enter()
             # Some FMUs (20-sim) forget start values set before initialization.
             values.set({n: v for n, v in self.start_values.items() if self._is_set_again(n)})
-        try:
-            for exchange in self._ports.inward if calls.readable_before_start else ():
-                values.read_in(exchange)
-            is_read = calls.readable_before_start
-        except SimulationError:  # It may refuse its start values, which other components replace.
-            if self.instance.fmu is None:
-                raise
-            is_read = False
-        if not is_read:
-            values.show(self.start_values)
+        values.show(self.start_values, readable=calls.readable_before_start)
         values.watched = [] if isinstance(calls, ModelExchange2) and self._ports.fed else None
 
     def _is_set_again(self, name: str) -> bool:
@@ -325,8 +316,7 @@ class FmuBlock:
         """Set tunable parameters and inputs during a run."""
         with self.instance.check_calls():
             self._calls.inputs_changed(lambda: self._values.set(values))
-        for exchange in self._ports.unfed:
-            self._values.read_in(exchange)
+        self._values.show_changes(values)
 
     def close(self) -> None:
         self.instance.free()

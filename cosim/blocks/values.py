@@ -13,7 +13,7 @@ from typing import Any
 from cosim.base.errors import SimulationError
 from cosim.blocks import messages
 from cosim.blocks.component import PUT, Row
-from cosim.blocks.fmi_types import Exchange
+from cosim.blocks.fmi_types import Exchange, as_bytes, element_names, elements, named_bytes
 from cosim.blocks.instance import Instance
 from cosim.blocks.stepping import Move, Plan, StopReason, move
 from cosim.blocks.variable_access import Ports
@@ -137,11 +137,12 @@ class Values:
     def put_in(self, exchange: Exchange) -> None:
         """Write values to the FMU."""
         function, values = exchange.kind.function, self.content(exchange)
-        if exchange.buffer is None:
-            with self.instance.check_calls():
-                self.instance.fmu.setBinary(exchange.vrs, values)
-            return
         try:
+            if exchange.buffer is None:
+                binaries = [named_bytes(name, v) for name, v in zip(exchange.names, values, strict=True)]
+                with self.instance.check_calls():
+                    self.instance.fmu.setBinary(exchange.vrs, binaries)
+                return
             exchange.encode(values)
         except ValueError as error:
             name, _, reason = str(error).partition(": ")
@@ -156,29 +157,54 @@ class Values:
         for name, value in values.items():
             variable = self._variables[name]
             exchange = Exchange(self.ports.kinds[variable.type], [variable])
-            elements = value if isinstance(value, (list, tuple)) else [value] * exchange.count
+            scalars = value if isinstance(value, (list, tuple)) else [value] * exchange.count
             function = exchange.kind.function
             if exchange.buffer is None:
-                binaries = [bytes.fromhex(v) if isinstance(v, str) else v for v in elements]
-                self.instance.fmu.setBinary(exchange.vrs, binaries)
+                self.instance.fmu.setBinary(exchange.vrs, [as_bytes(v) for v in scalars])
                 continue
-            exchange.encode(elements)
+            exchange.encode(scalars)
             # FMPy's own setters drop the status.
             setter = self._calls.bare(self._calls.exchange, f"Set{function}")
             if status := setter(self._component, *exchange.arguments(self._fmi3)):
                 self.instance.judge(f"{self._calls.prefix}Set{function} of {name}", status)
 
-    def show(self, values: Mapping[str, Any]) -> None:
-        """Store given or start values of inputs in the row; FMI 1.0 cannot read inputs before initialization."""
+    def show(self, values: Mapping[str, Any], *, readable: bool) -> None:
+        """Store the set values of inputs in the row, else their start values; FMUs need not let inputs be read.
+
+        Args:
+            readable: Whether inputs without a start value can be read.
+        """
         for exchange in self.ports.inward:
-            text = exchange.kind.function == "String"
-            starts: list[Any] = []
+            try:
+                content = [
+                    x for v in exchange.variables for x in elements(exchange.kind, v, values.get(v.name, v.start))
+                ]
+            except (TypeError, ValueError):  # No start value, or none of its type.
+                if readable and self._can_read(exchange):
+                    continue
+                content = [{"String": "", "Binary": b""}.get(exchange.kind.function, 0)] * exchange.count
+            self._target(exchange)[exchange.places] = content
+
+    def _can_read(self, exchange: Exchange) -> bool:
+        """Read values of inputs; return whether the FMU gave them."""
+        try:
+            self.read_in(exchange)
+        except SimulationError:
+            if self.instance.fmu is None:
+                raise
+            return False
+        return True
+
+    def show_changes(self, values: Mapping[str, Any]) -> None:
+        """Store the values that an event has set for unconnected inputs in the row."""
+        for exchange in self.ports.unfed:
+            place = exchange.places.start
             for variable in exchange.variables:
-                value = values.get(variable.name, variable.start)
-                if exchange.kind.function == "Boolean" and isinstance(value, str):
-                    value = value.strip() in {"true", "1"}
-                starts.append(str(value or "") if text else float(value or 0.0))
-            self._target(exchange)[exchange.places] = starts
+                end = place + len(element_names(variable))
+                if variable.name in values:
+                    content = elements(exchange.kind, variable, values[variable.name])
+                    self._target(exchange)[slice(place, end)] = content
+                place = end
 
     def _target(self, exchange: Exchange) -> Any:
         return self._beside if exchange.kind.beside else self.row

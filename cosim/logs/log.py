@@ -145,7 +145,7 @@ def read_log(
     signals = [s for s in (*inputs, *outputs) if isinstance(s, Signal)]
     differences = {s.name for s in signals if s.relative}
     definitions = {s.unit: s.definition for s in signals if s.definition is not None}
-    return LogReader(path, *units, not table, columns, alone, differences, definitions).log()
+    return LogReader(path, *units, not table, columns, alone, differences=differences, definitions=definitions).log()
 
 
 class LogReader:
@@ -159,6 +159,7 @@ class LogReader:
         timed: bool,
         columns: Mapping[str, str],
         alone: bool = False,
+        *,
         differences: Collection[str] = (),
         definitions: Mapping[str, Sequence[float]] = MappingProxyType({}),
     ) -> None:
