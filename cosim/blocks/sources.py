@@ -7,22 +7,39 @@ import ctypes
 from collections.abc import Collection, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.units import computed_in
-from cosim.blocks.component import RowComponent, Signal
+from cosim.blocks.component import Row, RowComponent, Signal
 from cosim.blocks.profile import ROUNDING, Profile, ProfileFunction, profile_function
 from cosim.blocks.stepping import Slot
-from cosim.storage.table import read_columns
+from cosim.storage.table import read_columns, read_exactly, whole_numbers_in
+
+TEXTS = {"String", "Binary"}
 
 
 class SourceBlock(RowComponent):
     """Signals as functions of time; their `over` equals single calls at ordered times."""
 
-    def __init__(self, name: str, signals: Mapping[str, tuple[str, ProfileFunction | Recorded]]) -> None:
+    def __init__(
+        self,
+        name: str,
+        signals: Mapping[str, tuple[str, ProfileFunction | Recorded]],
+        exact: Mapping[str, tuple[str, Recorded]] = MappingProxyType({}),
+    ) -> None:
+        """Make a source.
+
+        Args:
+            signals: Name → unit and function.
+            exact: Name → FMI type and recorded values, of signals beyond the exact range of doubles.
+        """
         self.name = name
+        self.exact_outputs = tuple(Signal(signal, kind=kind) for signal, (kind, _) in exact.items())
+        self.exact_functions = tuple(function for _, function in exact.values())
         # Whether a value is a difference is known from the input that it goes to.
         self.outputs = tuple(Signal(signal, unit, relative=True) for signal, (unit, _) in signals.items())
         self.functions = tuple(function for _, function in signals.values())
@@ -34,15 +51,24 @@ class SourceBlock(RowComponent):
     def open(self, start: float, stop: float) -> None:
         self._t = start
 
+    def bind(self, row: Row, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:
+        super().bind(row, first)
+        self._beside = [None] * len(self.exact_functions) if beside is None else beside
+        self._first_beside = first_beside
+
     def get(self) -> None:
         for k, function in enumerate(self.functions, self._first):
             self._row[k] = function(self._t)
+        for k, function in enumerate(self.exact_functions, self._first_beside):
+            self._beside[k] = function(self._t)
 
     def advance(self, t: float, h: float) -> None:
         self._t = t + h
 
     def slot(self) -> Slot | str:
-        """Return the C loop's slot with prepared values."""
+        """Return the C loop's slot with prepared values, or the reason for none."""
+        if self.exact_functions:
+            return f"{self.name} has values that no double holds"
         slot = Slot(0, every=1, time=self._t, scalars=len(self.outputs))
         slot.row = ctypes.addressof(self._row) + 8 * self._first
         return slot
@@ -72,32 +98,41 @@ def reference(name: str, profiles: Mapping[str, Profile]) -> SourceBlock:
     return SourceBlock(name, signals)
 
 
-def playback(name: str, path: Path, names: Collection[str] = ()) -> SourceBlock:
+def playback(
+    name: str, path: Path, names: Collection[str] = (), exact: Mapping[str, str] = MappingProxyType({})
+) -> SourceBlock:
     """Return the columns of a CSV file as signals.
 
     The first column is `time`; header cells are `name` or `name [unit]`. Degrees become radians.
 
     Args:
         names: Names used by connections, whose brackets are not units. Other columns with non-numbers are ignored.
+        exact: Column → FMI type of an input that it feeds and whose values no double holds: text, 64-bit integers.
 
     Raises:
         InputError: The file has faults; it lists all of them.
     """
-    table = read_columns(path, names)
+    table = read_columns(path, names, {column for column, kind in exact.items() if kind in TEXTS})
     times, signals = table.values["time"], {}
-    for column in (c for c in table.columns.values() if c.name != "time"):
+    exactly = dict[str, tuple[str, Recorded]]()
+    for column, values in (read_exactly(path, exact.keys(), names) if exact else {}).items():
+        if exact[column] in TEXTS:
+            exactly[column] = exact[column], Recorded(times, [*map(str, values)])
+        elif (integers := whole_numbers_in(values)) is not None:
+            exactly[column] = exact[column], Recorded(times, integers)
+    for column in (c for c in table.columns.values() if c.name != "time" and c.name not in exactly):
         unit, factor = computed_in(column.heading.unit)
         signals[column.name] = (unit, Recorded(times, [factor * v for v in table.values[column.name]]))
-    return SourceBlock(name, signals)
+    return SourceBlock(name, signals, exactly)
 
 
 class Recorded:
     """A recorded signal: last value at or before a time; before the first time the first value."""
 
-    def __init__(self, times: Sequence[float], values: Sequence[float]) -> None:
+    def __init__(self, times: Sequence[float], values: Sequence[Any]) -> None:
         self.times, self.values = times, values
 
-    def __call__(self, t: float) -> float:
+    def __call__(self, t: float) -> Any:
         return self.values[max(0, bisect.bisect_right(self.times, t + ROUNDING) - 1)]
 
     def over(self, times: Array) -> Array:

@@ -270,8 +270,11 @@ def _column(name: str, unit: str, cells: Sequence[str], is_text: bool) -> Source
     except ValueError:
         return SourceColumn(name, unit, list(cells))
     # Integers are recognised by their text: floats always have a point or an exponent.
-    if cells and all(cell.removeprefix("-").isdecimal() for cell in cells) and np.abs(values).max() < 2.0**63:
-        return SourceColumn(name, unit, values.astype(np.int64))
+    if cells and all(cell.removeprefix("-").isdecimal() for cell in cells):
+        integers = [*map(int, cells)]
+        for kind in (np.int64, np.uint64):
+            if np.iinfo(kind).min <= min(integers) and max(integers) <= np.iinfo(kind).max:
+                return SourceColumn(name, unit, np.array(integers, dtype=kind))
     return SourceColumn(name, unit, values)
 
 

@@ -18,7 +18,7 @@ from cosim.base.errors import Fault, InputError
 from cosim.base.extras import optional
 from cosim.storage import messages
 from cosim.storage.table_columns import is_time, split_heading
-from cosim.storage.table_source import Frame, Source, SourceColumn
+from cosim.storage.table_source import Frame, Source, SourceColumn, whole_numbers
 
 MAGIC = b"PAR1"  # first and last bytes of every Parquet file
 UNIT = b"unit"  # key of a column's metadata
@@ -156,9 +156,8 @@ def _texts(column: Any) -> list[str]:
 
 
 def _integers(column: Any) -> Array | NDArray[np.int64]:
-    """Return whole numbers; doubles if values are missing or too large."""
-    is_safe = not column.null_count and str(column.type) != "uint64"
-    return column.to_numpy().astype(np.int64) if is_safe else _doubles(column)
+    """Return whole numbers; doubles if values are missing."""
+    return _doubles(column) if column.null_count else whole_numbers(column.to_numpy())
 
 
 def _doubles(column: Any) -> Array:

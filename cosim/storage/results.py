@@ -25,7 +25,7 @@ from cosim.storage.table_columns import Faults, is_time, note_wrong_first, time_
 from cosim.storage.table_source import Frame, Source, SourceColumn, as_text, source_named, source_of, suffixes
 
 CHUNK = 1000  # rows
-EXACT = 2.0**53  # integers up to this size are doubles
+EXACT = 2**53  # integers below this size are doubles
 FEWER = 0.7  # share of the rows to try next on a full disk, for formats written as a whole
 
 
@@ -178,9 +178,9 @@ def whole_numbers_of(values: Sequence[Any]) -> Array | None:
     return np.array(numbers) if numbers else None
 
 
-def is_rounded(values: Array) -> bool:
-    """Return whether integers are too large for doubles to hold each of them."""
-    return bool(np.abs(values).max(initial=0.0) > EXACT)
+def is_rounded(values: Any) -> bool:
+    """Return whether integers, perhaps already as doubles, are too large for doubles to hold each of them."""
+    return bool(values.size) and bool(values.max() >= EXACT or values.min() <= -EXACT)
 
 
 # -- reading results ------------------------------------------------------------------------------------
@@ -219,8 +219,12 @@ def read_results(
         elif not column.numeric:
             exact[column.name] = list(column.values)
         else:
-            numbers[column.name] = values = np.asarray(column.values, dtype=np.float64)
-            whole |= {column.name} if np.asarray(column.values).dtype.kind == "i" else set()
+            values = np.asarray(column.values)
+            if values.dtype.kind in "iu" and is_rounded(values):
+                exact[column.name] = values.tolist()
+                continue
+            numbers[column.name] = values.astype(np.float64)
+            whole |= {column.name} if values.dtype.kind == "i" else set()
     faults.raise_any()
     values = np.column_stack(list(numbers.values())) if numbers else np.empty((time.size, 0))
     own_units = {c.name: c.unit for c in frame.columns[1:] if c.unit}

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Container, Mapping
+import re
+from collections.abc import Collection, Container, Mapping, Sequence
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
@@ -12,13 +16,16 @@ from cosim.storage.csv_source import write_table
 from cosim.storage.table_columns import Choose, Column, Faults, Heading, Table, TableRequest, time_scale
 from cosim.storage.table_source import source_of
 
+WHOLE = re.compile(r"[-+]?\d+")
 
-def read_columns(path: Path, names: Collection[str] = ()) -> Table:
+
+def read_columns(path: Path, names: Collection[str] = (), text: Collection[str] = ()) -> Table:
     """Read time [s] and every fully numeric column.
 
     Args:
         names: Required columns, whose brackets are not units. If given, other columns may hold non-numbers and are then
             ignored.
+        text: Columns to leave out, because they hold text.
 
     Raises:
         InputError: The file has faults; it lists all of them.
@@ -31,6 +38,8 @@ def read_columns(path: Path, names: Collection[str] = ()) -> Table:
         if not heading.name:
             faults.note(heading.line, heading.cell, messages.NAMELESS_COLUMN())
             return None
+        if heading.name in text:
+            return None
         spare = bool(names) and heading.name not in names
         return Column(heading, role="" if spare else "a column played back", spare=spare)
 
@@ -41,6 +50,34 @@ def read_columns(path: Path, names: Collection[str] = ()) -> Table:
     for name in table.spoiled:
         del table.columns[name], table.values[name]
     return table
+
+
+def read_exactly(path: Path, columns: Collection[str], names: Collection[str] = ()) -> dict[str, Sequence[Any]]:
+    """Return columns of a sound table as text, or as integers if the format stores them as such.
+
+    Args:
+        columns: Names of the columns; the result has those that the file has.
+        names: Known names, whose brackets are not units.
+    """
+    frame = source_of(path).frame(path, names, columns)
+    return {
+        column.name: column.values.tolist() if isinstance(column.values, np.ndarray) else column.values
+        for column in frame.columns[1:]
+        if column.name in columns and not column.fault
+    }
+
+
+def whole_numbers_in(values: Sequence[Any]) -> list[int] | None:
+    """Return the exact whole numbers of cells, as text or numbers; None if a cell has a fraction."""
+    integers = []
+    for value in values:
+        if isinstance(value, int) or (isinstance(value, str) and WHOLE.fullmatch(value.strip())):
+            integers.append(int(value))
+        elif (number := float(value)).is_integer():
+            integers.append(int(number))
+        else:
+            return None
+    return integers
 
 
 def read_table(

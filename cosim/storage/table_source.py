@@ -176,9 +176,9 @@ def time_among(names: Iterable[str]) -> str | None:
 
 
 def whole_numbers(values: Array) -> Array:
-    """Return integers, or doubles if one is beyond 64 bits with a sign."""
+    """Return integers with a sign, or without one if one is beyond 63 bits."""
     is_beyond = values.dtype.kind == "u" and bool(np.any(values > np.iinfo(np.int64).max))
-    return values.astype(np.float64 if is_beyond else np.int64)
+    return values.astype(np.uint64 if is_beyond else np.int64)
 
 
 def as_text(value: Any) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from cosim.base.registry import BASE, is_model, model_entry
 from cosim.blocks.component import Component
 from cosim.blocks.description import read_description, state_names, ways
 from cosim.blocks.fixes import COUNT, Fixes, Sensor
-from cosim.blocks.fmi_types import element_names
+from cosim.blocks.fmi_types import element_names, kinds_of
 from cosim.blocks.fmu import FmuBlock, matches
 from cosim.blocks.remote_fmu import Distant, RemoteFmu, find_distant
 from cosim.blocks.sources import playback, reference
@@ -56,10 +57,29 @@ def _component(
         return reference(name, component.signals)
     if isinstance(component, PlaybackComponent):
         sources = [connection.source for connection in file.scenario.connections]
-        return playback(name, file.resolve(component.file), _variables_of(name, sources))
+        return playback(name, file.resolve(component.file), _variables_of(name, sources), _exact(file, name, read))
     if isinstance(component, FixComponent):
         return _fixes(file.scenario, name, component, diagnosis)
     return _fmu(file, name, component, designed, read, diagnosis)
+
+
+def _exact(file: ScenarioFile, name: str, read: Callable[[Path], Any]) -> dict[str, str]:
+    """Return the columns of a recording that feed inputs whose values no double holds, with the types of these."""
+    types: dict[str, str] = {}
+    for connection in file.scenario.connections:
+        owner, _, column = connection.source.partition(".")
+        target, _, variable = connection.target.partition(".")
+        fmu = file.scenario.components.get(target)
+        if owner != name or not isinstance(fmu, FmuComponent) or fmu.at is not None:
+            continue
+        with suppress(FmuError, InputError, OSError):  # Another check reports this FMU.
+            description = read(file.resolve(fmu.fmu))
+            kinds = kinds_of(description.fmiVersion)
+            fed = {variable, variable.rpartition("[")[0]}
+            of = next((v.type for v in description.modelVariables if v.name in fed), "")
+            if of in kinds and kinds[of].beside:
+                types[column] = of
+    return types
 
 
 def _fixes(scenario: Scenario, name: str, component: FixComponent, diagnosis: Diagnosis) -> Fixes | None:
