@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import ctypes
 import math
-from collections import deque
 from collections.abc import Callable, Collection, Mapping, MutableSequence, Sequence
 from functools import cached_property, partial
 from pathlib import Path
@@ -30,6 +29,7 @@ from cosim.blocks.description import (
 from cosim.blocks.fmi import Calls, CoSimulation1, CoSimulation2, CoSimulation3, SingleCall, end_of
 from cosim.blocks.fmi_types import element_names
 from cosim.blocks.instance import Instance
+from cosim.blocks.message_log import MessageLog
 from cosim.blocks.model_exchange import ModelExchange1, ModelExchange2, ModelExchange3
 from cosim.blocks.solvers import Solver
 from cosim.blocks.stepping import Plan, Slot, StopReason, fmu_slot
@@ -194,13 +194,9 @@ class FmuBlock:
         return self._calls
 
     @property
-    def log(self) -> deque[str]:
-        """Return the last log messages of the FMU."""
+    def log(self) -> MessageLog:
+        """Return the log messages of the FMU."""
         return self.instance.log
-
-    @log.setter
-    def log(self, log: deque[str]) -> None:
-        self.instance.log = log
 
     # -- call sequence -----------------------------------------------------------------------------
 
@@ -329,22 +325,18 @@ class FmuBlock:
         return self.instance.serializes
 
     def checkpoint(self) -> dict[str, Any] | None:
-        log = [*self.log]
+        log = self.log.state()
         state = self.instance.serialize()
         if state is None:
             return None
-        self._set_log(log)  # Messages of these calls are none of the run.
+        self.log.restore(log)  # Messages of these calls are none of the run.
         return {"state": state, "calls": self._calls.save(), "time": self.instance.time, "log": log}
 
     def restore(self, state: dict[str, Any]) -> None:
         self.instance.deserialize(state["state"])
         self._calls.restore(state["calls"])
         self.instance.time = state["time"]
-        self._set_log(state["log"])
-
-    def _set_log(self, log: Sequence[str]) -> None:
-        self.log.clear()
-        self.log.extend(log)
+        self.log.restore(state["log"])
 
     # -- fast step -----------------------------------------------------------------------
 

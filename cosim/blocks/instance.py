@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
-from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -22,6 +21,7 @@ from cosim.blocks.description import C_CODE, library_of, no_library, platform_of
 from cosim.blocks.fmi import Calls, CoSimulation2, CoSimulation3, Step
 from cosim.blocks.guard import without_wrapping
 from cosim.blocks.loading import load_error
+from cosim.blocks.message_log import MessageLog
 from cosim.blocks.model_exchange import ModelExchange2
 from cosim.fmi.lifetime import let_go_at_exit
 from cosim.fmi.sampled import sampled_by
@@ -29,7 +29,7 @@ from cosim.storage.archive import unpack
 
 STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 WARNING, DISCARD, FATAL = 1, 2, 4
-MAX_MESSAGES, LONGEST_MESSAGE = 50, 1000  # stored messages of a talkative FMU, and characters of each
+LONGEST_MESSAGE = 1000  # characters
 
 
 class Instance:
@@ -37,7 +37,7 @@ class Instance:
 
     Attributes:
         fmu: FMPy's object, None before loading and after Fatal; `component` is C's pointer.
-        log: Last messages and warnings.
+        log: Messages and warnings.
         time: Reached time [s], for messages.
         place: Folder of the already unpacked FMU, left unchanged.
         logging: Whether debug logging is on.
@@ -47,7 +47,7 @@ class Instance:
     def __init__(self, path: Path, calls: Calls, *, logging: bool = False, compiles: bool = False) -> None:
         self.path, self.calls, self.name, self.description = path, calls, calls.name, calls.description
         self.by_pythonfmu = "pythonfmu" in (self.description.generationTool or "").lower()
-        self.log: deque[str] = deque(maxlen=MAX_MESSAGES)
+        self.log = MessageLog()
         self.fmi3 = self.description.fmiVersion.startswith("3")
         self.step_name = f"{calls.prefix}DoStep"
         self.fmu: Any = None
@@ -232,11 +232,7 @@ class Instance:
 
     def remember(self, text: str) -> None:
         """Add a message to the log."""
-        if len(text) > LONGEST_MESSAGE:
-            text = text[:LONGEST_MESSAGE]
-        if text in self.log:  # A repeated warning appears once.
-            self.log.remove(text)
-        self.log.append(text)
+        self.log.append(text[:LONGEST_MESSAGE])
 
     def last_words(self) -> str:
         """Return the FMU's last message on a single line."""

@@ -14,6 +14,10 @@ INVALID_WHOLE_NUMBER = Template(
 ARRAY_TOO_LARGE = Template(
     "E-BLK-006", "{file} is not a valid FMU: its array {variable} is {size}, not 0 … {limit:g} elements"
 )
+MESSAGES_LEFT_OUT = Template(
+    "W-BLK-111",
+    "{count:,} messages are left out here: the first {first} and the last {last} are recorded",
+)
 NO_GUID = Template(
     "E-BLK-110",
     "{file} is not a valid FMU: its modelDescription.xml has no {attribute}, which its library compares when it is "

@@ -209,7 +209,7 @@ class RemoteFmu(FmuBlock):
         self.instance.initialized = False
         try:
             if not session.is_gone:
-                self.log.extend(decode(session.call(pack(Operation.CLOSE))[HEAD.size :]))
+                self.log.first.extend(decode(session.call(pack(Operation.CLOSE))[HEAD.size :]))
         except SimulationError:  # It has failed before; that failure is reported.
             pass
         finally:

@@ -17,7 +17,6 @@ import tempfile
 import threading
 import time
 import traceback
-from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -53,20 +52,14 @@ progress: Progress  # shared with the caller
 abandoned = threading.Event()  # set when the caller has ended
 
 
-class SharedLog(deque[str]):
-    """Log messages of an FMU; the last message is in shared memory, so that the caller sees it even after a crash."""
-
-    def append(self, text: str) -> None:
-        """Append a message and share it."""
-        progress.words = " ".join(text.split()).encode()[:511]
-        super().append(text)
-
-
 def share_log(component: Any) -> None:
-    """Replace a component's log by one that shares the last message with the caller."""
-    log = getattr(component, "log", None)
-    if isinstance(log, deque):
-        component.log = SharedLog(log, log.maxlen)
+    """Keep the last message of a component in shared memory, so that the caller sees it even after a crash."""
+    if hasattr(log := getattr(component, "log", None), "share"):
+        log.share = _share
+
+
+def _share(text: str) -> None:
+    progress.words = " ".join(text.split()).encode()[:511]
 
 
 def send(stream: Any, content: bytes) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-from collections import deque
 from collections.abc import Callable, Collection, Mapping, MutableSequence, Sequence
 from dataclasses import replace
 from functools import partial
@@ -168,13 +167,18 @@ class OwnProcess:
         self.exact_outputs: tuple[Signal, ...] = component.exact_outputs
         self.nominal_step: bool = component.nominal_step
         self.description = getattr(component, "description", None)
-        self.log: deque[str] = deque(getattr(component, "log", ()))
+        self._log = [*getattr(component, "log", ())]
         self._component, self._limits = component, limits
         self._worker = Worker(__name__)
         self._time = 0.0
         self._is_loaded = False
         self._pending: Values | None = None  # inputs to send with the next call
         self._outputs: Values | None = None  # outputs received with a step
+
+    @property
+    def log(self) -> Sequence[str]:
+        """Return the messages of the component."""
+        return self._log
 
     def depends_on(self, name: str, outputs: Collection[str] | None = None) -> bool | None:
         """Return the component's answer."""
@@ -240,7 +244,7 @@ class OwnProcess:
         try:
             if self._is_loaded and self._worker.running:
                 self._is_loaded = False
-                self.log.extend(self._call(OTHER, close, self.name))
+                self._log.extend(self._call(OTHER, close, self.name))
         finally:
             self._worker.end()
 
@@ -303,6 +307,11 @@ class OwnFmu(OwnProcess, FmuBlock):
         values, self._pending = self._pending, None
         slopes: list[list[float]] | None = self.ask(derive, values, outputs, inputs)
         return slopes
+
+    @property
+    def log(self) -> Sequence[str]:  # type: ignore[override]
+        """Return the messages of the FMU, and those about its calls."""
+        return [*self.instance.log, *self._log]
 
     def slot(self) -> str:
         """Return the reason against the C loop."""
