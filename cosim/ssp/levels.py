@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Any
 
 from cosim.ssp.elements import Element
-from cosim.ssp.structure import LinearTransformation, SspComponent, SspConnection, SspSystem
+from cosim.ssp.structure import SspComponent, SspConnection, SspSystem
 
 
 @dataclass
@@ -68,7 +68,7 @@ class Level:
 def direct_connections(system: SspSystem) -> SspSystem:
     """Return a system with connections from source to target.
 
-    FMPy and OMSimulator accept both directions in a file.
+    The order of the ends in a file has no meaning; a transformation acts from source to target.
     """
 
     def sends(end: tuple[str | None, str]) -> bool | None:
@@ -81,7 +81,7 @@ def direct_connections(system: SspSystem) -> SspSystem:
 
     connections = [
         replace(c, start=c.end, end=c.start)
-        if c.linear == LinearTransformation() and sends(c.start) is False and sends(c.end) is True
+        if sends(c.start) is False and sends(c.end) is True
         else c
         for c in system.connections
     ]
