@@ -37,6 +37,7 @@ class Signal:
         array: Name of the array of an element.
         local: Whether the signal is recorded only and cannot be connected.
         relative: Whether the signal is a difference, so that unit offsets do not count.
+        discrete: Whether its value holds between events, by its declared variability.
     """
 
     name: str
@@ -48,6 +49,7 @@ class Signal:
     local: bool = False
     relative: bool = False
     declared: str = ""
+    discrete: bool = False
 
     @property
     def is_whole(self) -> bool:

@@ -120,7 +120,8 @@ class Ports:
         array = variable.name if variable.shape else ""
         meaning = unit_definition(self.description, unit)
         type_name = declared.name if items is not None else ""
-        return Signal(name, unit, meaning, variable.type, items, array, local, relative, type_name)
+        discrete = variable.variability not in (None, "continuous")
+        return Signal(name, unit, meaning, variable.type, items, array, local, relative, type_name, discrete)
 
 
 def _doubles(exchanges: Iterable[Exchange]) -> Exchange | None:

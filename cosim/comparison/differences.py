@@ -15,7 +15,7 @@ from cosim.base.messages import Message, join
 from cosim.base.text import amount, counted
 from cosim.base.units import Conversion, conversion
 from cosim.comparison import messages, signals
-from cosim.comparison.intermediate_rows import rows_between
+from cosim.comparison.intermediate_rows import rows_at_jumps, rows_between, surroundings
 from cosim.comparison.signals import Difference, Tolerance, format_share, format_size
 from cosim.simulation.run_files import RecordedRun
 from cosim.storage.results import is_rounded
@@ -166,9 +166,10 @@ class Compared:
 
 
 def compare_runs(a: RecordedRun, b: RecordedRun, tolerance: float | None = None, absolute: float = 0.0) -> Compared:
-    """Compare b with a at the times of a.
+    """Compare b with a at the times of a, and at the other times of b.
 
-    A row of b between two rows of a counts as equal if its value is within the range of both rows.
+    A continuous signal of b is interpolated at the times of a. A row of b between two rows of a counts as equal if its
+    value is within the range of both rows. For a discrete signal this holds for rows of a between two rows of b too.
 
     Args:
         tolerance: Share of each signal's range in a.
@@ -209,7 +210,10 @@ class _Overlap:
         self.a, self.b, self.rows, self.aligned, self.allowed = a, b, rows, aligned, allowed
         times = a.results.time, b.results.time
         self.time = times[0][rows]
-        self.between = None if aligned else rows_between(*times, signals.time_tolerance(times[0]))
+        close = min(map(signals.time_tolerance, times))
+        self.between = None if aligned else rows_between(*times, close)
+        self.jumps = None if aligned else rows_at_jumps(*times[::-1], close)
+        self.held = None if aligned else (surroundings(*times, close), surroundings(*times[::-1], close))
         self.values: dict[str, tuple[Array, Array]] = {}
 
     def difference(self, name: str) -> Difference:
@@ -217,19 +221,35 @@ class _Overlap:
         a, b = self.a.results, self.b.results
         has_tolerance = self.allowed.relative is not None
         if not all(name in r and not (name in r.exact and is_rounded(r[name])) for r in (a, b)):
-            return signals.compare_text(self.a, self.b, name, self.rows, self.between, has_tolerance=has_tolerance)
+            return signals.compare_text(self.a, self.b, name, self.rows, self.held, has_tolerance=has_tolerance)
         unit, other = a.units.get(name, ""), b.units.get(name, "")
         by = conversion(other, unit)
         if by is None:
             return signals.compare_other_units(name, unit, other, self.time, has_tolerance=has_tolerance)
-        second = b[name][: self.time.size] if self.aligned else np.interp(self.time, b.time, b[name])
-        self.values[name] = a[name][self.rows], second if by == Conversion() else by.factor * second + by.offset
+        first, second = a[name], b[name] if by == Conversion() else by.factor * b[name] + by.offset
+        between = self.between
+        if self.held is None or self.jumps is None:
+            at_times = second[: self.time.size]
+        elif is_held(self.a, self.b, name):
+            between, theirs = self.held
+            at_times = theirs.nearest(second, first)[self.rows]
+        else:
+            at_times = np.interp(self.time, b.time, second)
+            at_jumps = np.isin(np.arange(a.time.size)[self.rows], self.jumps.rows)
+            at_times = np.where(at_jumps, self.jumps.nearest(second, first)[self.rows], at_times)
+        self.values[name] = first[self.rows], at_times
         difference = signals.compare_numbers(name, unit or other, self.time, self.values[name], self.allowed, by)
         difference = replace(difference, note=signals.unit_note(unit, other, difference))
-        if self.between is None:
+        if between is None:
             return difference
-        outside, at = self.between.outside(a[name], by.factor * b[name] + by.offset)
+        outside, at = between.outside(first, second)
         return signals.include_rows_between(difference, outside, at, self.allowed)
+
+
+def is_held(a: RecordedRun, b: RecordedRun, name: str) -> bool:
+    """Return whether a signal holds between rows: by the record of a run, else if it has whole numbers in both."""
+    known = [run.holds(name) for run in (a, b)]
+    return True in known or (known == [None, None] and all(name in run.results.whole for run in (a, b)))
 
 
 def criteria_of(c: Compared) -> Sequence[tuple[str, Any, Any]]:

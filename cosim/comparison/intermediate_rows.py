@@ -1,7 +1,7 @@
-"""Comparison of rows that lie between two rows of the other run, so that a spike there counts as a difference.
+"""Comparison of rows with the surrounding rows of the other run.
 
 Between two rows a signal is unknown except for its ends, whether it is held or interpolated. A row in between, or one
-of several at the same time, must therefore lie within the range spanned by the surrounding rows.
+of several at the same time, which mean a jump, must therefore lie within the range spanned by the surrounding rows.
 """
 
 from __future__ import annotations
@@ -10,13 +10,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cosim.base.arrays import Array, Rows
 
 
 @dataclass(frozen=True)
 class RowsBetween:
-    """Rows of run b at times missing in run a, and the surrounding rows of a from `first` to `last`."""
+    """Rows of run b, and the rows of a from `first` to `last` whose range is allowed for each."""
 
     rows: Rows
     time: Array
@@ -30,9 +31,8 @@ class RowsBetween:
         """
         if not self.rows.size:
             return 0.0, 0.0
-        ends = np.column_stack((self.first, self.last + 1)).ravel()
-        padded = np.append(a, np.nan)  # A range may end with the last row.
-        low, high = (f.reduceat(padded, ends)[::2] for f in (np.fmin, np.fmax))
+        low, high = self._range(a)
+        ends = self._ends()
         gaps = np.add.reduceat(np.isnan(np.append(a, 0.0)), ends)[::2] > 0
         values = b[self.rows]
         with np.errstate(invalid="ignore"):
@@ -49,17 +49,54 @@ class RowsBetween:
                 return float(time)
         return None
 
+    def nearest(self, a: Array, b: Array) -> Array:
+        """Return b with the nearest value in the range of a in place of each of the rows."""
+        values = b.copy()
+        if self.rows.size:
+            values[self.rows] = np.clip(b[self.rows], *self._range(a))
+        return values
 
-def rows_between(a: Array, b: Array, tolerance: float) -> RowsBetween:
-    """Return the rows of b between rows of a, without equal time in a.
+    def _range(self, a: Array) -> tuple[Array, Array]:
+        """Return the least and the largest values of a around each row."""
+        padded = np.append(a, np.nan)  # A range may end with the last row.
+        low, high = (f.reduceat(padded, self._ends())[::2] for f in (np.fmin, np.fmax))
+        return low, high
+
+    def _ends(self) -> Rows:
+        return np.column_stack((self.first, self.last + 1)).ravel()
+
+    def only(self, chosen: NDArray[np.bool_]) -> RowsBetween:
+        """Return some of the rows."""
+        return RowsBetween(*(part[chosen] for part in (self.rows, self.time, self.first, self.last)))
+
+
+def surroundings(a: Array, b: Array, tolerance: float) -> RowsBetween:
+    """Return the rows of b in the time of a with the surrounding rows of a, which is one row if both have one then.
 
     Args:
         tolerance: Largest difference of equal times [s].
     """
     after, upto = np.searchsorted(a, b - tolerance, side="left"), np.searchsorted(a, b + tolerance, side="right")
-    is_apart = np.diff(b) > tolerance
-    alone = np.append(True, is_apart) & np.append(is_apart, True)
-    matched = alone & (upto - after == 1)
-    within = (b >= a[0] - tolerance) & (b <= a[-1] + tolerance)
-    rows = np.flatnonzero(within & ~matched)
-    return RowsBetween(rows, b[rows], np.maximum(after[rows] - 1, 0), np.minimum(upto[rows], a.size - 1))
+    matched = _alone(b, tolerance) & (upto - after == 1)
+    first, last = np.where(matched, after, after - 1), np.where(matched, after, upto)
+    rows = np.flatnonzero((b >= a[0] - tolerance) & (b <= a[-1] + tolerance))
+    return RowsBetween(rows, b[rows], np.maximum(first[rows], 0), np.minimum(last[rows], a.size - 1))
+
+
+def rows_between(a: Array, b: Array, tolerance: float) -> RowsBetween:
+    """Return the rows of b between rows of a, or at a time at which a or b has several rows."""
+    every = surroundings(a, b, tolerance)
+    return every.only(every.first < every.last)
+
+
+def rows_at_jumps(a: Array, b: Array, tolerance: float) -> RowsBetween:
+    """Return the rows of b at a time at which a or b has several rows."""
+    every = rows_between(a, b, tolerance)
+    count = np.searchsorted(a, every.time + tolerance, side="right") - np.searchsorted(a, every.time - tolerance)
+    return every.only((count > 1) | ~_alone(b, tolerance)[every.rows])
+
+
+def _alone(times: Array, tolerance: float) -> NDArray[np.bool_]:
+    """Return whether each row is the only one at its time."""
+    is_apart = np.diff(times) > tolerance
+    return np.append(True, is_apart) & np.append(is_apart, True)

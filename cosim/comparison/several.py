@@ -15,8 +15,8 @@ from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.messages import Message
 from cosim.base.text import counted
 from cosim.base.units import conversion
-from cosim.comparison.differences import Compared, compare_runs, criterion_title, describe_largest
-from cosim.comparison.signals import Difference, format_share, format_size
+from cosim.comparison.differences import Compared, compare_runs, criterion_title, describe_largest, is_held
+from cosim.comparison.signals import Difference, format_share, format_size, time_tolerance
 from cosim.history.inputs import DifferingInput, differing_inputs, labels_of
 from cosim.simulation.run_files import RecordedRun
 from cosim.storage.folders import replay_record
@@ -253,16 +253,17 @@ def compare_several(
     places = tuple(map(kept.index, drawn))
     about = tuple(map(runs.__getitem__, kept)), shorts, kept.index(baseline), named, inputs, places
     compared = ComparedRuns(*about, base.results.time, {}, {}, left_out)
-    return _with_curves(compared, base.results, (reader[k] for k in drawn))
+    return _with_curves(compared, base, (reader[k] for k in drawn))
 
 
-def _with_curves(compared: ComparedRuns, base: Results, drawn: Iterable[RecordedRun]) -> ComparedRuns:
+def _with_curves(compared: ComparedRuns, baseline: RecordedRun, drawn: Iterable[RecordedRun]) -> ComparedRuns:
     """Add the values of the signals that differ most in the drawn runs, at the times of the baseline."""
-    base = base.with_integers()
+    base = baseline.results.with_integers()
+    baseline = replace(baseline, results=base)
     names = [name for name in compared.ranking if name in base][:MAX_SIGNALS]
     units = {name: base.units.get(name, "") for name in names}
     runs = (replace(run, results=run.results.with_integers()) for run in drawn)
-    by_run = [[_at_times(run, name, units[name], base.time) for name in names] for run in runs]
+    by_run = [[_at_times(run, baseline, name, units[name]) for name in names] for run in runs]
     curves = {name: [values[place] for values in by_run] for place, name in enumerate(names)}
     return replace(compared, curves=curves, units=units)
 
@@ -328,15 +329,21 @@ class _Reader:
         return run
 
 
-def _at_times(run: RecordedRun, name: str, unit: str, time: Array) -> Array:
-    """Return a signal of a run at other times, in another unit; NaN where the run has no value."""
+def _at_times(run: RecordedRun, base: RecordedRun, name: str, unit: str) -> Array:
+    """Return a signal of a run at the times of the baseline, in another unit; NaN where the run has no value."""
+    time = base.results.time
     results = run.results
     by = conversion(results.units.get(name, ""), unit) if name in results else None
     if by is None or not results.time.size:
         return np.full(time.size, np.nan)
     values = results[name]
     if not np.array_equal(results.time, time):
-        values = np.interp(time, results.time, values, left=math.nan, right=math.nan)
+        at = np.interp(time, results.time, values, left=math.nan, right=math.nan)
+        if is_held(base, run, name):
+            close = time_tolerance(time)
+            rows = np.maximum(np.searchsorted(results.time, time + close, side="right") - 1, 0)
+            at = np.where(np.isnan(at), np.nan, values[rows])
+        values = at
     return np.asarray(by.factor * values + by.offset)
 
 

@@ -137,21 +137,29 @@ def unit_note(unit: str, other: str, d: Difference) -> str:
 
 
 def compare_text(
-    a: RecordedRun, b: RecordedRun, name: str, rows: slice, between: RowsBetween | None, *, has_tolerance: bool
+    a: RecordedRun,
+    b: RecordedRun,
+    name: str,
+    rows: slice,
+    held: tuple[RowsBetween, RowsBetween] | None,
+    *,
+    has_tolerance: bool,
 ) -> Difference:
     """Return the difference of text: 1 if any row differs, else 0.
 
-    A text of b holds until the next row of b.
+    A text between two rows of the other run must be that of one of them.
+
+    Args:
+        held: Rows of b with the surrounding rows of a, and the reverse; None for equal times.
     """
-    aligned = between is None
     first, second = ([*map(as_text, r.results.exact.get(name) or r.results[name])] for r in (a, b))
     time = a.results.time[rows]
-    close = time_tolerance(a.results.time)
-    places = range(time.size) if aligned else np.searchsorted(b.results.time, time + close, side="right") - 1
-    pairs = zip(first[rows], (second[max(0, int(k))] for k in places), strict=True)
-    differs = next((float(time[k]) for k, (x, y) in enumerate(pairs) if x != y), None)
-    if differs is None and between is not None:
-        differs = between.other_text(first, second)
+    if held is None:
+        pairs = zip(first[rows], second[: time.size], strict=True)
+        differs = next((float(time[k]) for k, (x, y) in enumerate(pairs) if x != y), None)
+    else:
+        times = held[1].other_text(second, first), held[0].other_text(first, second)
+        differs = min((t for t in times if t is not None), default=None)
     if differs is None:
         return Difference(name, "", 0.0, float(time[0]), 0.0, 1.0, 0.0, False, "text")
     return Difference(name, "", 1.0, differs, 1.0, 1.0, 1.0, has_tolerance, "text differs")

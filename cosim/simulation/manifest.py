@@ -87,6 +87,7 @@ def manifest(
         "held": [transfer.name for transfer in system.held],
         "beside": [column for column in system.beside if column in recorded],
         **({"texts": texts} if (texts := sorted(system.texts & recorded)) else {}),
+        "discrete": sorted(system.discrete & recorded),
         "units": {column: unit for column, unit in system.units.items() if unit and column in recorded},
         "items": {c: dict(s.items) for c, s in system.signals.items() if s.items and c in recorded},
         "fmus": {

@@ -35,6 +35,12 @@ class RecordedRun:
         entries = self.manifest.get("criteria")
         return [c for c in entries if isinstance(c, dict)] if isinstance(entries, list) else []
 
+    def holds(self, name: str) -> bool | None:
+        """Return whether a signal holds its value between rows; None if no record says so."""
+        if "discrete" not in self.manifest:
+            return None
+        return name in self.results.whole or name in self.results.exact or name in self.manifest["discrete"]
+
 
 def read_ran(path: Path) -> RecordedRun:
     """Return results of a path; raise InputError if none, also if they are removed meanwhile."""

@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Any
 
 from cosim.ssp.elements import Element
-from cosim.ssp.structure import SspComponent, SspConnection, SspSystem
+from cosim.ssp.structure import LinearTransformation, SspComponent, SspConnection, SspSystem
 
 
 @dataclass
@@ -80,9 +80,7 @@ def direct_connections(system: SspSystem) -> SspSystem:
         return (connector.kind in {"output", "calculatedParameter"}) != (name is None)
 
     connections = [
-        replace(c, start=c.end, end=c.start)
-        if sends(c.start) is False and sends(c.end) is True
-        else c
+        replace(c, start=c.end, end=c.start) if sends(c.start) is False and sends(c.end) is True else c
         for c in system.connections
     ]
     elements = {name: direct_connections(e) if isinstance(e, SspSystem) else e for name, e in system.elements.items()}

@@ -95,6 +95,7 @@ TYPES: Mapping[str, Mapping[str, Kind]] = {
         "fmus": Kind("a mapping", dict, MAPPING),
         "order": TEXTS,
         "beside": TEXTS,
+        "discrete": TEXTS,
         "texts": TEXTS,
         "warnings": TEXTS,
         "versions": MAPPING,

@@ -13,8 +13,11 @@ from typing import Any
 
 from cosim.blocks.component import Component, Signal
 from cosim.blocks.event_mode import EventFmu
+from cosim.blocks.fixes import Fixes
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.remote_fmu import RemoteFmu
+from cosim.blocks.sources import Recorded, SourceBlock
+from cosim.fmi.sampled import sampled_by
 from cosim.scenario.diagnosis import Diagnosis, Place
 from cosim.scenario.scenario import FmuComponent, LoopSettings, Scenario
 from cosim.scenario.scenario_file import ScenarioFile
@@ -92,6 +95,23 @@ class System:
     def texts(self) -> frozenset[str]:
         """Return the names of text and binary columns."""
         return frozenset(column for column in self.beside if self.signals[column].kind in {"String", "Binary"})
+
+    @property
+    def discrete(self) -> frozenset[str]:
+        """Return the columns whose values hold until they change, in place of going on between two rows."""
+        names = set[str]()
+        for stage in self.stages:
+            component, signals = stage.component, [s for s in stage.component.outputs if s.discrete or s.is_whole]
+            if isinstance(component, SourceBlock):
+                pairs = zip(component.outputs, component.functions, strict=True)
+                signals = [s for s, f in pairs if isinstance(f, Recorded) and not getattr(f, "is_linear", False)]
+            elif stage.every > 1 or isinstance(component, Fixes):
+                signals = [*component.inputs, *component.outputs]
+            elif isinstance(component, FmuBlock) and sampled_by(component.path) is not None:
+                signals = [*component.outputs]
+            names |= {f"{component.name}.{s.name}" for s in signals}
+        transfers = (*self.held, *chain.from_iterable(stage.pulls for stage in self.stages))
+        return frozenset(names | {transfer.name for transfer in transfers if transfer.origin in names})
 
     @property
     def recorded(self) -> frozenset[str]:
