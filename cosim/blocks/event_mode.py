@@ -151,9 +151,7 @@ class EventFmu(FmuBlock):
         others = [c for c in self.clocks.values() if c not in inputs]
 
         def signals(clocks: Sequence[Clock]) -> tuple[Signal, ...]:
-            return tuple(
-                Signal(c.name, kind="Clock", local=c.causality != "output" and c not in inputs) for c in clocks
-            )
+            return tuple(Signal(c.name, kind="Clock", local=c.causality not in {"input", "output"}) for c in clocks)
 
         def part(variable: Any) -> tuple[frozenset[str], bool]:
             return self._clocks_of(variable), variable.causality == "input" and self._is_jumping(variable)
@@ -216,6 +214,7 @@ class EventFmu(FmuBlock):
         self.next_event, self.asks, self.active = math.inf, False, set()
         self._changes, self._given, self._seen = {}, {}, []
         super()._begin(start, stop)
+        self._values.show_outputs([e for e in self._ports.read if self._exchanges[id(e)]])
 
     def start(self) -> None:
         instance = self.instance
@@ -261,7 +260,7 @@ class EventFmu(FmuBlock):
         values, begins = self._values, self.mode == INITIALIZATION
         for exchange in self._ports.fed if self.mode != STEP else self._steady:
             clocks = self._exchanges[id(exchange)]
-            if clocks and not begins and not clocks & self.active:
+            if clocks and not clocks & self.active:
                 continue
             content = values.content(exchange)
             if begins or self._given.get(id(exchange)) != content:
@@ -276,7 +275,7 @@ class EventFmu(FmuBlock):
         """Read outputs, as far as the mode allows."""
         for exchange in self._ports.read:
             clocks = self._exchanges[id(exchange)]
-            if not clocks or self.mode == INITIALIZATION or clocks & self.active:
+            if not clocks or clocks & self.active:
                 self._values.get_from(exchange)
 
     @property
@@ -374,10 +373,17 @@ class EventFmu(FmuBlock):
 
     def _count(self, names: Collection[str]) -> None:
         self.active |= set(names)
+        self._forget(names)
         for name in names:
             self._values.row[self._places[name]] += 1.0
             if name in self.timers:
                 self.timers[name].tick()
+
+    def _forget(self, clocks: Collection[str]) -> None:
+        """Forget the inputs of clocks that tick: they are set at each tick, also with the value of the last one."""
+        for exchange in self._ports.fed:
+            if not self._exchanges[id(exchange)].isdisjoint(clocks):
+                self._given.pop(id(exchange), None)
 
     def fired(self) -> list[str]:
         """Return output clocks that tick since the last call."""

@@ -31,6 +31,11 @@ class FmiType:
     beside: bool = False
     largest: float = math.inf
 
+    @property
+    def nothing(self) -> Any:
+        """Return the value of a variable without one."""
+        return {"String": "", "Binary": b""}.get(self.function, 0)
+
     def encode(self, value: Any) -> Any:
         """Return a value as C expects it for this FMI type; raise ValueError if the type cannot hold it."""
         if self.function == "String":

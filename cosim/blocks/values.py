@@ -182,7 +182,7 @@ class Values:
             except (TypeError, ValueError):  # No start value, or none of its type.
                 if readable and self._can_read(exchange):
                     continue
-                content = [{"String": "", "Binary": b""}.get(exchange.kind.function, 0)] * exchange.count
+                content = [exchange.kind.nothing] * exchange.count
             self._target(exchange)[exchange.places] = content
 
     def _can_read(self, exchange: Exchange) -> bool:
@@ -194,6 +194,15 @@ class Values:
                 raise
             return False
         return True
+
+    def show_outputs(self, exchanges: Sequence[Exchange]) -> None:
+        """Store the start values of variables that have no value until an event; without one, zero or no text."""
+        for exchange in exchanges:
+            nothing = exchange.kind.nothing
+            values = ((v, nothing if v.start is None else v.start) for v in exchange.variables)
+            self._target(exchange)[exchange.places] = [
+                x for v, value in values for x in elements(exchange.kind, v, value)
+            ]
 
     def show_changes(self, values: Mapping[str, Any]) -> None:
         """Store the values that an event has set for unconnected inputs in the row."""

@@ -194,6 +194,7 @@ class Instants:
         self.exchanges = [part for part in parts if is_exchange(part.component)]
         self.by_name = {part.component.name: part for part in self.events}
         self.wires = self._clock_wires()
+        self.ticked: dict[str, list[str]] = {}  # component → clocks that tick others as soon as outputs are read
         self.pending: dict[str, list[str]] = {}  # component → clocks to tick when it has come to the time
         self._times: deque[float] = deque(maxlen=MOST_EVENTS)
         self._apply_events = master._apply_events
@@ -218,7 +219,7 @@ class Instants:
         ]
 
     def _clock_wires(self) -> dict[tuple[str, str], list[tuple[str, str]]]:
-        """Return output clock → connected input clocks."""
+        """Return clock → connected input clocks."""
         wires: dict[tuple[str, str], list[tuple[str, str]]] = {}
         for origin, target in self.master.system.clock_wires:
             owner, _, clock = origin.partition(".")
@@ -506,6 +507,9 @@ class Instants:
                     is_quiet = False
                     self.record.add(t, part.component.name, f"clock {clock}")
                     self._trigger(part.component.name, clock, t, here, joined)
+                for clock in self.ticked.pop(part.component.name, ()):
+                    is_quiet = False
+                    self._trigger(part.component.name, clock, t, here, joined)
                 copy_values(master.row, self.all, k)
             self._propagate(k)
             for part in here:
@@ -548,6 +552,8 @@ class Instants:
             part.component.tick(names)
             for name in names:
                 self.record.add(t, part.component.name, f"clock {name}")
+            wired = [name for name in names if (part.component.name, name) in self.wires]
+            self.ticked |= {part.component.name: wired} if wired else {}
             self._check_periods(part, names, t)
 
     def _check_periods(self, part: Part, names: Iterable[str], t: float) -> None:

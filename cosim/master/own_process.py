@@ -371,10 +371,12 @@ class OwnEvents(OwnFmu, EventFmu):
     def tick(self, names: Collection[str]) -> None:
         """Activate input clocks."""
         self._act("tick", [*names])
+        self._forget(names)
 
     def fired(self) -> list[str]:
         """Return output clocks that tick since the last call."""
         names: list[str] = self._act("fired") if self.output_clocks else []
+        self._forget(names)
         return names
 
     def update(self) -> bool:
