@@ -12,6 +12,7 @@ from cosim.authoring import messages
 from cosim.authoring.draft import write_single
 from cosim.authoring.parts import parts_of
 from cosim.base.errors import Fault, refuse
+from cosim.base.text import split_assignment
 from cosim.blocks.summary import read_fmus
 from cosim.simulation.workflow import Outcome, run
 from cosim.storage.files import FilePath, named_path
@@ -79,11 +80,12 @@ def _check_times(fmu: Path, stop: float | None, step: float | None) -> None:
 
 def start_pairs(fmu: Path, texts: Sequence[str], description: Any) -> dict[str, Any]:
     """Return start values from NAME=VALUE texts; text stays as written."""
+    names = {v.name for v in description.modelVariables}
     words = {v.name for v in description.modelVariables if v.type in {"String", "Binary"}}
     values: dict[str, Any] = {}
     faults = []
     for text in texts:
-        name, sign, value = (part.strip() for part in text.partition("="))
+        name, sign, value = split_assignment(text, names)
         if not sign or not name:
             faults.append(Fault(fmu, 0, 0, messages.NOT_NAME_VALUE(text=short(text))))
             continue

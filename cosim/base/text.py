@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 
 from cosim.base.units import DISPLAY
 
@@ -85,6 +85,17 @@ def join_names(names: Sequence[str]) -> str:
     """Return names as a phrase: `a`, `a and b`, `a, b and c`; with more than three names `a, b, c and 7 more`."""
     items = [*names] if len(names) <= MOST_NAMED else [*names[:MOST_NAMED], f"{len(names) - MOST_NAMED} more"]
     return " and ".join(filter(None, (", ".join(items[:-1]), *items[-1:])))
+
+
+def split_assignment(text: str, names: Container[str]) -> tuple[str, str, str]:
+    """Return name, equals sign and value of `name=value`; a known name may have equals signs itself."""
+    pieces = text.split("=")
+    for count in range(len(pieces), 0, -1):
+        name = "=".join(pieces[:count]).strip()
+        if name in names:
+            return name, "=" * (count < len(pieces)), "=".join(pieces[count:]).strip()
+    name, sign, value = text.partition("=")
+    return name.strip(), sign, value.strip()
 
 
 def split_sentence(text: str) -> tuple[str, str]:

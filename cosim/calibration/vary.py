@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import Fault, refuse
+from cosim.base.text import split_assignment
 from cosim.base.units import split_quantity
 from cosim.blocks.description import unit_of
 from cosim.calibration import messages
@@ -115,7 +116,7 @@ def read_vary(
     chosen: dict[str, Parameter] = {}
     faults: list[Fault] = []
     for text in texts:
-        name, _, value = (part.strip() for part in text.partition("="))
+        name, _, value = split_assignment(text, variables)
         with suppress(ValueError):
             value = _plain(json.loads(value))
         try:

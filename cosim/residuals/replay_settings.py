@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import Fault, refuse
+from cosim.base.text import split_assignment
 from cosim.blocks.description import read_description
 from cosim.residuals import messages
 from cosim.scenario.start_values import NOT_NUMBERS, Misfit, convert_value, settable
@@ -35,7 +36,7 @@ def start_values(
     values: dict[str, float | int | bool | str] = {}
     faults = []
     for text in texts:
-        name, _, written = (part.strip() for part in text.rpartition("="))
+        name, _, written = split_assignment(text, variables)
         variable = variables.get(name)
         if not (name and written):
             value: Any = Misfit("it is NAME=VALUE, as in gain=0.9")
