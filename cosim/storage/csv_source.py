@@ -21,6 +21,7 @@ from cosim.base.text import counted
 from cosim.storage import messages
 from cosim.storage.files import atomic_write
 from cosim.storage.table_columns import (
+    MOST_TIME,
     Column,
     Faults,
     Heading,
@@ -28,6 +29,7 @@ from cosim.storage.table_columns import (
     TableRequest,
     choose_columns,
     note_backwards,
+    note_distant,
     note_infinite,
     note_missing,
     split_heading,
@@ -330,6 +332,9 @@ class _Reader:
             before.append(time)
             return True
         if math.isnan(time):
+            return False
+        if abs(time) > MOST_TIME:
+            note_distant(self.faults, line, time)
             return False
         if before and time <= before[-1]:
             note_backwards(self.faults, line, time, before[-1])

@@ -95,6 +95,9 @@ EQUAL_TIMES = Template(
     "times of rows cannot be told apart; subtract the first time from all times before they are written",
 )
 UNSORTED_TIME = Template("E-STO-060", "time {time:g} s comes after {earlier:g} s; sort the rows")
+DISTANT_TIME = Template(
+    "E-STO-120", "time is {time:g} s, too large to count differences of times; write seconds, or leave the row out"
+)
 ROW_WITHOUT_TIME = Template("E-STO-061", "the row has no time; fill the cell or leave the row out")
 TIME_WITHOUT_NUMBER = Template("E-STO-062", "a time is no number; write seconds")
 

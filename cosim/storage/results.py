@@ -21,7 +21,7 @@ from cosim.base.drafts import draft_of, is_full
 from cosim.storage import messages
 from cosim.storage.csv_source import CSV, ENDED_CSV, cell_text, write_table
 from cosim.storage.table import is_there
-from cosim.storage.table_columns import Faults, is_time, note_wrong_first, time_scale
+from cosim.storage.table_columns import MOST_TIME, Faults, is_time, note_distant, note_wrong_first, time_scale
 from cosim.storage.table_source import Frame, Source, SourceColumn, as_text, source_named, source_of, suffixes
 
 CHUNK = 1000  # rows
@@ -263,6 +263,9 @@ def _time_of(frame: Frame, faults: Faults) -> Array:
     time = np.asarray(first.values, dtype=np.float64) * scale
     for row in np.flatnonzero(~np.isfinite(time)).tolist():
         faults.note_cell(lines[row], 1, "rows without a time", messages.ROW_WITHOUT_TIME())
+    for row in np.flatnonzero(np.abs(time) > MOST_TIME).tolist():
+        note_distant(faults, lines[row], float(time[row]))
+    time = np.clip(time, -MOST_TIME, MOST_TIME)
     for row in (np.flatnonzero(np.diff(time) < 0.0) + 1).tolist():
         message = messages.UNSORTED_TIME(time=time[row], earlier=time[row - 1])
         faults.note_cell(lines[row], 1, "times that go back", message)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 import shlex
+import sys
 from array import array
 from collections import Counter
 from collections.abc import Callable, Collection, Container
@@ -22,6 +23,7 @@ from cosim.storage.yaml_file import did_you_mean
 
 MOST_FAULTS = 100_000  # limit at which reading stops
 FAULTS_A_KIND = 5  # reported faults of a kind per column; the rest are counted
+MOST_TIME = math.sqrt(sys.float_info.max)  # [s] largest time whose square a double holds
 COARSE = 1e-6  # [s] spacing of doubles from which equal times are due to their size
 INDEX = re.compile(r"\S\[[\d,\s]+\]$")  # end of a name like p.e[1]; a unit follows a blank or is not numeric
 
@@ -215,6 +217,11 @@ def note_missing(faults: Faults, line: int, column: Column) -> None:
     """Note a missing value in a column without gaps."""
     message = messages.EMPTY_CELL(column=column.name, role=column.role)
     faults.note_cell(line, column.cell, f"cells of {column.name} without a value", message)
+
+
+def note_distant(faults: Faults, line: int, time: float) -> None:
+    """Note a time [s] beyond `MOST_TIME`."""
+    faults.note_cell(line, 1, "times that are too large", messages.DISTANT_TIME(time=time))
 
 
 def note_backwards(faults: Faults, line: int, time: float, before: float) -> None:

@@ -20,6 +20,7 @@ from cosim.base.errors import InputError
 from cosim.base.registry import SOURCES, load, names, resolve
 from cosim.storage import messages
 from cosim.storage.table_columns import (
+    MOST_TIME,
     Column,
     Faults,
     Heading,
@@ -27,6 +28,7 @@ from cosim.storage.table_columns import (
     TableRequest,
     choose_columns,
     note_backwards,
+    note_distant,
     note_infinite,
     note_missing,
 )
@@ -154,6 +156,9 @@ def fill(table: Table, columns: Sequence[SourceColumn], lines: Sequence[int], fa
             faults.note_cell(1, column.cell, f"cells of {column.name} that are no number", message)
         numbers: Array = column.convert(values)
         if timed and column.name == "time" and not column.spare:
+            for row in np.flatnonzero(np.abs(numbers) > MOST_TIME).tolist():
+                note_distant(faults, lines[row], float(numbers[row]))
+            numbers = np.clip(numbers, -MOST_TIME, MOST_TIME)
             for row in (np.flatnonzero(np.diff(numbers) <= 0.0) + 1).tolist():
                 note_backwards(faults, lines[row], float(numbers[row]), float(numbers[row - 1]))
         table.values[column.name] = array("d", numbers.tobytes())

@@ -43,6 +43,7 @@ LINES: dict[str, tuple[str, str, float]] = {
 for _number in range(15):  # the runs of a comparison
     LINES[f"run{_number}"] = LINES[f"s{_number % 5}"][0], ("-", "--", ":")[_number // 5], 1.1
 PANELS_A_FIGURE = 8
+LONGEST_LABEL = 48  # characters, so that titles and legends leave room for the curves
 MAX_POINTS = 4000  # points per curve, about five per pixel
 
 
@@ -108,7 +109,8 @@ def _panel(ax: Axes, time: Array, panel: Panel) -> None:
     ax.yaxis.set_major_locator(_ticks(TICKS_UP, panel.unit == "°"))
     ax.set_ylabel(f"[{literal(panel.unit)}]")
     tidy(ax, "time [s]")
-    ax.legend(fontsize=7.5, frameon=False, ncols=2, loc="best")
+    are_short = all(len(trace.label) <= LONGEST_LABEL // 2 for trace in panel.traces)
+    ax.legend(fontsize=7.5, frameon=False, ncols=2 if are_short else 1, loc="best")
 
 
 def _ticks(count: int, angle: bool = False) -> Locator:
@@ -141,5 +143,7 @@ def save(figure: Figure, path: Path) -> Path:
 
 
 def literal(text: str) -> str:
-    """Return text safe from matplotlib's TeX and hidden labels."""
+    """Return text safe from matplotlib's TeX and hidden labels; a long one with its first and its last letters."""
+    if len(text) > LONGEST_LABEL:
+        text = f"{text[: LONGEST_LABEL // 2]}…{text[1 - LONGEST_LABEL // 2 :]}"
     return text.replace("$", r"\$").removeprefix("_")
