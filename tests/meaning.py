@@ -17,8 +17,8 @@ from cosim.fmi.native.compiler import compiler
 HERE = Path(__file__).parent
 OPTIONAL2 = (
     "GetString SetString SetBoolean GetFMUstate SetFMUstate FreeFMUstate SerializedFMUstateSize SerializeFMUstate "
-    "DeSerializeFMUstate GetDirectionalDerivative SetRealInputDerivatives GetRealOutputDerivatives CancelStep GetStatus "
-    "GetRealStatus GetIntegerStatus GetBooleanStatus GetStringStatus"
+    "DeSerializeFMUstate GetDirectionalDerivative SetRealInputDerivatives GetRealOutputDerivatives CancelStep "
+    "GetStatus GetRealStatus GetIntegerStatus GetBooleanStatus GetStringStatus"
 )
 FINE2 = "SetupExperiment EnterInitializationMode ExitInitializationMode Terminate Reset SetDebugLogging"
 FINE3 = "EnterInitializationMode ExitInitializationMode Terminate Reset SetDebugLogging EnterEventMode EnterStepMode"
@@ -55,7 +55,8 @@ UNITS = """<?xml version="1.0" encoding="UTF-8"?>
     <ScalarVariable name="y" valueReference="1" causality="output"><Real unit="UNIT_OUT"/></ScalarVariable>
     <ScalarVariable name="gain" valueReference="2" causality="parameter" variability="tunable">
       <Real start="1"/></ScalarVariable>
-    <ScalarVariable name="at" valueReference="3" causality="parameter" variability="fixed"><Real start="1"/></ScalarVariable>
+    <ScalarVariable name="at" valueReference="3" causality="parameter" variability="fixed">
+      <Real start="1"/></ScalarVariable>
     <ScalarVariable name="held" valueReference="4" causality="output" variability="discrete"><Real/></ScalarVariable>
     <ScalarVariable name="on" valueReference="0" causality="output" variability="discrete"><Boolean/></ScalarVariable>
     <ScalarVariable name="n" valueReference="0" causality="output" variability="discrete"><Integer/></ScalarVariable>

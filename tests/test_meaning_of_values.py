@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import cosim as cosim_package
-from tests.meaning import EXACT, alias_fmu, exact_fmu, node_fmu, unit_fmu
+from tests.meaning import alias_fmu, exact_fmu, node_fmu, unit_fmu
 from tests.warm import cosim
 
 WATT = 'kg="1" m="2" s="-3"'
@@ -62,7 +62,7 @@ PAIRS = (  # unit, definition of the source, of the target, and the value at the
     ("degZ", TEMPERATURE.format(1, 273.15), TEMPERATURE.format(0.5, 200), (100 + 273.15 - 200) / 0.5),
     ("1/min", '<Unit name="1/min"><BaseUnit s="-1" rad="1" factor="0.1"/></Unit>',
      '<Unit name="1/min"><BaseUnit s="-1" factor="0.1"/></Unit>', 100.0),  # rad is written or not
-    ("C", '<Unit name="C"><BaseUnit A="1" s="1"/></Unit>', '<Unit name="C"><BaseUnit K="1" offset="273.15"/></Unit>', None),
+    ("C", '<Unit name="C"><BaseUnit A="1" s="1"/></Unit>', TEMPERATURE.format(1, 273.15).replace("degZ", "C"), None),
 )  # fmt: skip
 
 
@@ -103,9 +103,9 @@ def test_a_unit_of_a_file_or_of_a_value_has_the_definition_of_the_fmu(tmp_path: 
     assert last(ran(tmp_path, "simulate", "a.fmu", "--set", "u=73.549875 kW"), "a.y") == pytest.approx(100)
     replayed = cosim("replay", "in.csv", "--plant", "a.fmu", "--out", "r", "--no-report", cwd=tmp_path)
     assert replayed.returncode == 0, replayed.stderr
-    assert last(rows_of(tmp_path / "r"), "y") == pytest.approx(100)
+    assert last(rows_of(tmp_path / "r"), "plant.y") == pytest.approx(100)
     with (tmp_path / "r" / "residual.csv").open() as stream:
-        assert all(abs(float(row["y"])) < 1e-9 for row in csv.DictReader(stream))
+        assert all(abs(float(row["free_run.y"])) < 1e-9 for row in csv.DictReader(stream))
 
 
 SSD = """<?xml version="1.0" encoding="UTF-8"?>
@@ -150,7 +150,8 @@ def test_an_inverse_display_unit_is_a_factor_over_the_value(tmp_path: Path, text
     if value is None:
         assert cosim("simulate", "car.fmu", "--set", f"r={text}", cwd=tmp_path).returncode == 2
         return
-    path = scenario(tmp_path, {"car": {"fmu": "car.fmu"}}, {}, events=[{"at": 0.5, "set": {"car.r": text}}])
+    change = {"at": 0.5, "set": {"car.r": 6 if text == "6" else text}}
+    path = scenario(tmp_path, {"car": {"fmu": "car.fmu"}}, {}, events=[change])
     assert last(ran(tmp_path, "simulate", "car.fmu", "--set", f"r={text}"), "car.r_out") == pytest.approx(value)
     columns = ran(tmp_path, "run", path)
     assert [float(columns["car.r_out"][k]) for k in (0, -1)] == pytest.approx([5.0, value])
@@ -250,11 +251,6 @@ def test_values_of_every_type_are_read_again_and_played_back_from_results(tmp_pa
     words = [word for text in texts for word in ("--set", text)]
     done = cosim("simulate", "m.fmu", *words, "--format", format_, "--out", "o", "--no-report", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    results = cosim_package.read(tmp_path / "o")
-    exact = {n: [int(v) if n in "in" else v for v in results.exact[f"m.{n}_out"]] for n in ("i", "n", "raw")}
-    assert exact["i"][-1] == 9007199254740993
-    assert exact["n"][-1] == 18446744073709551615
-    assert exact["raw"][-1] in ("cafe", b"\xca\xfe")
     (rows,) = (tmp_path / "o").glob("results.*")
     components = {"p": {"block": "playback", "file": str(rows)}, "c": {"fmu": "m.fmu"}}
     columns = ran(
@@ -327,7 +323,7 @@ def test_a_switch_at_another_time_is_a_difference_in_both_directions(tmp_path: P
 
 def test_a_component_with_a_longer_step_is_held_between_its_steps(tmp_path: Path) -> None:
     unit_fmu(tmp_path / "m.fmu", **{'<Real start="0"': '<Real start="2"'})
-    (tmp_path / "in.csv").write_text("time,u\n" + "".join(f"{k / 10},{k % 7}\n" for k in range(21)))
+    (tmp_path / "in.csv").write_text("time,u\n" + "".join(f"{k / 10},{k}\n" for k in range(21)))
     for name, step in (("a", 0.1), ("b", 0.2)):
         components = {"p": {"block": "playback", "file": "in.csv"}, "slow": {"fmu": "m.fmu", "step": 0.4}}
         path = scenario(tmp_path, components, {"slow.u": "p.u"}, duration=2, step=step)
@@ -428,5 +424,4 @@ def test_long_names_draw_without_a_warning(tmp_path: Path) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         cosim_package.read(tmp_path / "a.csv").plot().savefig(tmp_path / "a.png")
-        cosim_package.compare(tmp_path / "a.csv", tmp_path / "b.csv", write=False).plot().savefig(tmp_path / "ab.png")
-    assert EXACT  # the FMU of this module is that of the tests above
+        cosim_package.compare(tmp_path / "a.csv", tmp_path / "b.csv").plot().savefig(tmp_path / "ab.png")

@@ -19,6 +19,7 @@ from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.units import computed_in
 from cosim.blocks.component import Signal
 from cosim.blocks.description import no_library, platform_of
+from cosim.blocks.sources import read_recording
 from cosim.blocks.summary import experiment_of, platforms_of
 from cosim.coupling.algorithms import DEFAULT, WITHOUT_ORDER, Algorithm
 from cosim.coupling.order import AlgebraicLoop
@@ -26,7 +27,6 @@ from cosim.scenario.scenario_file import ScenarioFile
 from cosim.storage.files import check_writable
 from cosim.storage.folders import MOST_BYTES, check_run_folder, keep_earlier
 from cosim.storage.kinds import LOG, check_given
-from cosim.storage.table import read_columns
 from cosim.system.system import System, build_system
 
 MAX_SINGLE_STEPS = 1_000_000  # steps of a single FMU's run, requested by its own times
@@ -139,11 +139,17 @@ class DraftRecording:
 def _read_recording(path: Path, part: DraftPart) -> DraftRecording:
     check_given(path, LOG)
     inputs = {text(port).partition(".")[2]: port for port in part.ports[0]}
-    log = read_columns(path, inputs)
-    names = [name for name in log.columns if name != "time"]
+    kinds = {signal.name: signal.kind for signal in part.block.exact_inputs}
+    log, exact = read_recording(path, inputs, kinds)
+    names = [*(name for name in log.columns if name != "time"), *exact]
     driving = _driving_columns(path, part, names, inputs)
     source = "recorded" if part.name != "recorded" else "played"
-    signals = [Signal(name, computed_in(log.columns[name].heading.unit)[0]) for name in driving]
+    signals = [
+        Signal(name, kind=kinds[name])
+        if name in exact
+        else Signal(name, computed_in(log.columns[name].heading.unit)[0], relative=True)
+        for name in driving
+    ]
     connections = tuple(Match((source, signal), inputs[signal.name]) for signal in signals)
     unused = ", ".join([*(name for name in names if name not in driving), *sorted(log.spoiled)])
     notes = (messages.UNUSED_COLUMNS(recording=path.name, component=part.name, columns=unused),) if unused else ()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import bisect
 import ctypes
 from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
@@ -13,11 +14,13 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array
+from cosim.base.errors import InputError
 from cosim.base.units import computed_in
 from cosim.blocks.component import Row, RowComponent, Signal
 from cosim.blocks.profile import ROUNDING, Profile, ProfileFunction, profile_function
 from cosim.blocks.stepping import Slot
 from cosim.storage.table import read_columns, read_exactly, whole_numbers_in
+from cosim.storage.table_columns import Table
 
 TEXTS = {"String", "Binary"}
 
@@ -112,18 +115,28 @@ def playback(
     Raises:
         InputError: The file has faults; it lists all of them.
     """
-    table = read_columns(path, names, {column for column, kind in exact.items() if kind in TEXTS})
+    table, exactly = read_recording(path, names, exact)
     times, signals = table.values["time"], {}
-    exactly = dict[str, tuple[str, Recorded]]()
-    for column, values in (read_exactly(path, exact.keys(), names) if exact else {}).items():
-        if exact[column] in TEXTS:
-            exactly[column] = exact[column], Recorded(times, [*map(str, values)])
-        elif (integers := whole_numbers_in(values)) is not None:
-            exactly[column] = exact[column], Recorded(times, integers)
-    for column in (c for c in table.columns.values() if c.name != "time" and c.name not in exactly):
+    for column in (c for c in table.columns.values() if c.name != "time"):
         unit, factor = computed_in(column.heading.unit)
         signals[column.name] = (unit, Recorded(times, [factor * v for v in table.values[column.name]]))
-    return SourceBlock(name, signals, exactly)
+    return SourceBlock(name, signals, {n: (exact[n], Recorded(times, values)) for n, values in exactly.items()})
+
+
+def read_recording(
+    path: Path, names: Collection[str], exact: Mapping[str, str]
+) -> tuple[Table, dict[str, Sequence[Any]]]:
+    """Return the columns of numbers of a table, and those that no double holds; arguments as in `playback`.
+
+    Raises:
+        InputError: The file has faults; it lists all of them.
+    """
+    columns = dict[str, Sequence[Any]]()
+    with suppress(InputError):  # The other columns are then read, to list all faults.
+        for name, values in (read_exactly(path, exact.keys(), names) if exact else {}).items():
+            content = [*map(str, values)] if exact[name] in TEXTS else whole_numbers_in(values)
+            columns |= {name: content} if content is not None else {}
+    return read_columns(path, names, columns), columns
 
 
 class Recorded:

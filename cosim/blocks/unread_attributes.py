@@ -1,4 +1,4 @@
-"""Attributes of a model description that FMPy does not read: negated aliases and inverse display units."""
+"""Attributes of a model description that FMPy does not read: negated aliases, differences, inverse display units."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from xml.etree import ElementTree
 from fmpy.model_description import DisplayUnit, ModelVariable
 
 from cosim.storage.archive import DESCRIPTION
+
+TRUE = {"true", "1"}
 
 
 class NegatedAlias(ModelVariable):  # type: ignore[misc]
@@ -27,18 +29,29 @@ class InverseDisplayUnit(DisplayUnit):  # type: ignore[misc]
 
 
 def add_unread_attributes(path: Path, description: Any) -> None:
-    """Mark the negated aliases and the inverse display units of a description."""
-    if description.fmiVersion == "1.0":
-        with zipfile.ZipFile(path) as archive:
-            root = ElementTree.fromstring(archive.read(DESCRIPTION))
-        negated = {v.get("name") for v in root.iter("ScalarVariable") if v.get("alias") == "negatedAlias"}
-        for variable in description.modelVariables:
-            if variable.name in negated:
-                variable.__class__ = NegatedAlias
-    elif any(unit.displayUnits for unit in description.unitDefinitions) and description.fmiVersion.startswith("3"):
-        with zipfile.ZipFile(path) as archive, archive.open(DESCRIPTION) as stream:
-            nodes = next(e for _, e in ElementTree.iterparse(stream) if e.tag == "UnitDefinitions")
-        for unit, node in zip(description.unitDefinitions, nodes.findall("Unit"), strict=True):
-            for display, about in zip(unit.displayUnits, node.findall("DisplayUnit"), strict=True):
-                if about.get("inverse") in {"true", "1"}:
-                    display.__class__ = InverseDisplayUnit
+    """Mark negated aliases, differences and inverse display units of a description."""
+    with zipfile.ZipFile(path) as archive:
+        content = archive.read(DESCRIPTION)
+    words = b"negatedAlias", b"relativeQuantity", b"inverse", b"\0"  # the last one in UTF-16
+    if not any(word in content for word in words):
+        return
+    root = ElementTree.fromstring(content)
+    nodes = {node.get("name"): node for node in root.iterfind("ModelVariables/*")}
+    for variable in description.modelVariables:
+        if (node := nodes.get(variable.name)) is None:
+            continue
+        if description.fmiVersion == "1.0" and node.get("alias") == "negatedAlias":
+            variable.__class__ = NegatedAlias
+        for part in (node, *node):
+            if (relative := part.get("relativeQuantity")) is not None:
+                variable.relativeQuantity = relative in TRUE
+    inverse = {
+        (unit.get("name"), display.get("name"))
+        for unit in root.iterfind("UnitDefinitions/Unit")
+        for display in unit.iterfind("DisplayUnit")
+        if display.get("inverse") in TRUE
+    }
+    for unit in description.unitDefinitions:
+        for display in unit.displayUnits:
+            if (unit.name, display.name) in inverse:
+                display.__class__ = InverseDisplayUnit

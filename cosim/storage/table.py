@@ -68,16 +68,20 @@ def read_exactly(path: Path, columns: Collection[str], names: Collection[str] = 
 
 
 def whole_numbers_in(values: Sequence[Any]) -> list[int] | None:
-    """Return the exact whole numbers of cells, as text or numbers; None if a cell has a fraction."""
-    integers = []
-    for value in values:
-        if isinstance(value, int) or (isinstance(value, str) and WHOLE.fullmatch(value.strip())):
-            integers.append(int(value))
-        elif (number := float(value)).is_integer():
-            integers.append(int(number))
-        else:
-            return None
-    return integers
+    """Return the exact whole numbers of cells, as text or numbers; None if a cell is none."""
+    try:
+        return [_whole_number(value) for value in values]
+    except ValueError:
+        return None
+
+
+def _whole_number(value: Any) -> int:
+    """Return an exact whole number; raise ValueError for anything else."""
+    if isinstance(value, int) or (isinstance(value, str) and WHOLE.fullmatch(value.strip())):
+        return int(value)
+    if not (number := float(value)).is_integer():
+        raise ValueError
+    return int(number)
 
 
 def read_table(
