@@ -168,7 +168,8 @@ class DifferentiableFmu(FmuBlock):
         with self.instance.check_calls():
             if self.instance.fmi3:
                 return np.array(self.instance.fmu.getFloat64(references, nValues=len(scalars(variables))), float)
-            return _signs(variables) * np.array(self.instance.fmu.getReal(references), float)
+            values: Array = np.array(self.instance.fmu.getReal(references), float)
+            return np.asarray(_signs(variables) * values, float)
 
     def _write_reals(self, variables: Sequence[Any], values: Array) -> None:
         if variables:

@@ -28,11 +28,12 @@ class MessageLog:
         """Yield the messages, with a note in place of those between."""
         yield from self.first
         if self.omitted:
-            yield messages.MESSAGES_LEFT_OUT(count=self.omitted, first=len(self.first), last=len(self.last))
+            yield str(messages.MESSAGES_LEFT_OUT(count=self.omitted, first=len(self.first), last=len(self.last)))
         yield from self.last
 
     def __getitem__(self, k: int) -> str:
-        return [*self][k]
+        every: list[str] = [*self]
+        return every[k]
 
     def append(self, text: str) -> None:
         """Add a message."""

@@ -67,7 +67,7 @@ class RowsBetween:
 
     def only(self, chosen: NDArray[np.bool_]) -> RowsBetween:
         """Return some of the rows."""
-        return RowsBetween(*(part[chosen] for part in (self.rows, self.time, self.first, self.last)))
+        return RowsBetween(self.rows[chosen], self.time[chosen], self.first[chosen], self.last[chosen])
 
 
 def surroundings(a: Array, b: Array, tolerance: float) -> RowsBetween:
@@ -99,4 +99,5 @@ def rows_at_jumps(a: Array, b: Array, tolerance: float) -> RowsBetween:
 def _alone(times: Array, tolerance: float) -> NDArray[np.bool_]:
     """Return whether each row is the only one at its time."""
     is_apart = np.diff(times) > tolerance
-    return np.append(True, is_apart) & np.append(is_apart, True)
+    alone: NDArray[np.bool_] = np.append(True, is_apart) & np.append(is_apart, True)
+    return alone

@@ -54,7 +54,8 @@ abandoned = threading.Event()  # set when the caller has ended
 
 def share_log(component: Any) -> None:
     """Keep the last message of a component in shared memory, so that the caller sees it even after a crash."""
-    if hasattr(log := getattr(component, "log", None), "share"):
+    log: Any = getattr(component, "log", None)
+    if hasattr(log, "share"):
         log.share = _share
 
 
