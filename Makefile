@@ -91,7 +91,8 @@ kills: $(TESTING)
 fuzz: $(TESTING)
 	$(BIN)/python -m tests.fuzz $(EXAMPLES) $(SEED)
 
-# N random faults in FILES (six rooms without), each tried against the tests of its subject; SEED draws them
+# the 200 faults of tests/mutants_frozen.jsonl, each tried against the tests of its subject, as far as they are missing
+# for these sources; with FILES: N random ones in them, which SEED draws
 mutants: $(MUTATING)
 	$(BIN)/python -m tests.mutants $(FILES) $(if $(filter command line,$(origin N)),-n $(N)) $(if $(SEED),--seed $(SEED))
 

@@ -1,5 +1,13 @@
 """Random faults in the code, each tried against the tests of its subject: `python -m tests.mutants`, `make mutants`.
 
+    python -m tests.mutants                      the frozen list, tests/mutants_frozen.jsonl; goes on where it ended
+    python -m tests.mutants FILES -n 20 --seed 3     a new sample of some files
+    python -m tests.mutants --freeze 200 --seed 7    draw the list anew
+
+A mutant of the list is known by its function and the text of its line. What has no code any more is replaced by a
+mutant of the same operator and room, drawn from the `redraw_seed` that stands in the list; `--redraw` writes it down.
+A line without an outcome gets that of the next run; later runs compare theirs with it.
+
 The operators are those of cosmic-ray, and one more: a float by half as much again. A mutant is written into a copy of
 the tree, so that the workers that a test starts or forks run it too. A process that has imported code and tests forks
 for each mutant, gives the mutated function its code, or imports anew where more than functions changed, and runs the
@@ -12,10 +20,12 @@ from __future__ import annotations
 import argparse
 import ast
 import difflib
+import fcntl
 import gc
 import hashlib
 import inspect
 import json
+import multiprocessing
 import os
 import random
 import shutil
@@ -26,10 +36,11 @@ import threading
 import time
 import traceback
 from collections import Counter, defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from fnmatch import fnmatch
+from functools import cache
 from importlib import import_module
 from itertools import islice
 from pathlib import Path
@@ -41,12 +52,15 @@ import yaml
 
 ROOT = Path(__file__).resolve().parent.parent
 WORK = ROOT / "build" / "mutants"
-# the rooms that are scored, and the folders of each; simulation was one folder before the system and the master left it
-ROOMS = {
-    "blocks": ("blocks",), "simulation": ("system", "master", "simulation"), "isolation": ("isolation",),
-    "logs": ("logs",), "residuals": ("residuals",), "comparison": ("comparison",),
-}  # fmt: skip
-FILES = [f"cosim/{folder}/*.py" for folders in ROOMS.values() for folder in folders]  # not reports, tested as pages
+FROZEN = ROOT / "tests" / "mutants_frozen.jsonl"
+ROOMS = {  # rooms of the frozen list → files, the first that matches; elsewhere a room is a folder
+    "units": ("cosim/base/units.py",),
+    "sources": ("cosim/blocks/sources.py", "cosim/blocks/profile.py"),
+    "blocks": ("cosim/blocks/*.py",),
+    "master": ("cosim/master/*.py",),
+    "system": ("cosim/system/*.py",),
+}
+REDRAWN = 1000  # from a redraw_seed to the next
 PACKAGES = ("tests", "cosim", "plant", "controller", "fmus")
 # [s] of tests for one mutant, by their times without it, of those that call its function and of the others: a worker's
 # calls are not seen; the tests that take longest are omitted
@@ -63,6 +77,7 @@ KINDS = (
 
 # the tests of a subject, by the first pattern that a file matches, those that are quick among them first
 SUBJECTS: list[tuple[str, str]] = [
+    ("cosim/base/units.py", "units unit_mistakes undeclared_units quantities log formats ssp known"),
     ("cosim/blocks/compiling.py", "compile"),
     ("cosim/blocks/loading.py", "loading"),
     ("cosim/blocks/faults.py", "schedule stepping types"),
@@ -73,12 +88,12 @@ SUBJECTS: list[tuple[str, str]] = [
     ("cosim/blocks/description.py", "solving planning first_steps types"),
     ("cosim/blocks/summary.py", "planning first_steps types"),
     ("cosim/blocks/guard.py", "planning hostile first_steps"),
-    ("cosim/blocks/profile.py", "solving stepping noise"),
-    ("cosim/blocks/sources.py", "solving stepping noise"),
+    ("cosim/blocks/profile.py", "solving stepping noise known"),
+    ("cosim/blocks/sources.py", "solving stepping noise known"),
     ("cosim/blocks/noise.py", "solving stepping noise"),
-    ("cosim/blocks/stepping.py", "stepping"),
-    ("cosim/blocks/instance.py", "statuses fmu_isolation blame exchange types"),
-    ("cosim/blocks/*", "statuses solving schedule blame stepping exchange types"),
+    ("cosim/blocks/stepping.py", "stepping known"),
+    ("cosim/blocks/instance.py", "statuses fmu_isolation blame exchange types known"),
+    ("cosim/blocks/*", "statuses solving schedule blame stepping exchange types known"),
     ("cosim/isolation/*", "worker blame fmu_isolation misbehaving"),
     ("cosim/logs/static_table.py", "log_edges static"),
     ("cosim/logs/alone.py", "log_alone"),
@@ -106,9 +121,9 @@ SUBJECTS: list[tuple[str, str]] = [
     ("cosim/master/remote.py", "schedule apart misbehaving"),
     ("cosim/master/own_process.py", "schedule fmu_isolation misbehaving"),
     ("cosim/master/c_loop.py", "stepping"),
-    ("cosim/master/*", "blame schedule stepping master"),
+    ("cosim/master/*", "blame schedule stepping master known"),
     ("cosim/coupling/*", "planning schedule stepping first_steps graph"),
-    ("cosim/system/*", "planning schedule blame scenario"),
+    ("cosim/system/*", "planning schedule blame scenario known"),
     ("cosim/simulation/*", "planning schedule scenario"),
 ]
 
@@ -141,21 +156,27 @@ class Verdict:
 
 @dataclass(frozen=True)
 class Trace:
-    """The seconds that a test takes without a mutant, and the functions of `cosim` that it calls: `file:line`."""
+    """The seconds that a test takes without a mutant, and the functions of `cosim` that it calls: `file:name`."""
 
     seconds: float
     calls: frozenset[str]
 
 
 def room_of(file: str) -> str:
-    """Return the room of a file, which is its folder for those that are not scored by default."""
-    folder = file.split("/")[1]
-    return next((room for room, folders in ROOMS.items() if folder in folders), folder)
+    """Return the room of a file."""
+    return next((r for r, patterns in ROOMS.items() if any(fnmatch(file, p) for p in patterns)), file.split("/")[1])
+
+
+def files_of(patterns: Iterable[str]) -> list[str]:
+    """Return the files of patterns."""
+    paths = [path for pattern in patterns for path in sorted(ROOT.glob(pattern))]
+    return [path.relative_to(ROOT).as_posix() for path in paths if path.name != "__init__.py"]
 
 
 # -- mutants ----------------------------------------------------------------------------------------
 
 
+@cache
 def operators() -> dict[str, Any]:
     """Return the operators by name: those of cosmic-ray that change a value or a condition."""
     from cosmic_ray.operators.number_replacer import NumberReplacer
@@ -306,9 +327,14 @@ class Tree:
             _run(output, tests, environment, change)
         deadline = threading.Timer(timeout, os.killpg, (pid, signal.SIGKILL))
         deadline.start()
-        _, status = os.waitpid(pid, 0)
-        took_too_long = not deadline.is_alive()
-        deadline.cancel()
+        try:
+            _, status = os.waitpid(pid, 0)
+        except KeyboardInterrupt:
+            os.killpg(pid, signal.SIGKILL)
+            raise
+        finally:
+            took_too_long = not deadline.is_alive()
+            deadline.cancel()
         return None if took_too_long else os.waitstatus_to_exitcode(status), output.read_text(errors="replace")
 
     def load(self, *tests: str) -> None:
@@ -413,45 +439,66 @@ def _run(output: Path, tests: list[str], environment: dict[str, str], change: Ch
 
 
 def subject(file: str) -> list[str]:
-    """Return the test files of a subject."""
+    """Return the test files of a subject that are there."""
     names = next(tests for pattern, tests in SUBJECTS if fnmatch(file, pattern)).split()
-    return [f"tests/test_{name}.py" for name in names]
+    return [test for name in names if (ROOT / (test := f"tests/test_{name}.py")).is_file()]
 
 
 def traced(tree: Tree, file: str) -> dict[str, Trace]:
-    """Return the trace of each test in a file without a mutant, from an earlier run where the file is the same."""
-    digest = hashlib.sha256((ROOT / file).read_bytes()).hexdigest()
-    store = WORK / f"{Path(file).stem}-{digest[:16]}.json"
+    """Return the trace of each test in a file without a mutant, from an earlier run where the tests are the same."""
+    store = WORK / f"{Path(file).stem}-{_digest(file, _helpers())}.json"
     tree.load(file)
-    if not store.is_file():
-        code, output = tree.test([file], 3600.0, MUTANTS_LOG=str(store))
-        if code != 0:
-            store.unlink(missing_ok=True)
-            raise SystemExit(f"{file} fails without a mutant:\n{output[-3000:]}")
+    with store.with_suffix(".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)  # two processes need the same traces
+        if not store.is_file():
+            code, output = tree.test([file], 3600.0, MUTANTS_LOG=str(store))
+            if code != 0:
+                store.unlink(missing_ok=True)
+                raise SystemExit(f"{file} fails without a mutant:\n{output[-3000:]}")
     traces = json.loads(store.read_text())
     return {name: Trace(seconds, frozenset(calls)) for name, (seconds, calls) in traces.items()}
 
 
+@cache
+def _helpers() -> str:
+    """Return a digest of what tests share."""
+    shared = [path for suffix in ("py", "c") for path in ROOT.glob(f"tests/**/*.{suffix}")]
+    return _digest(*sorted(str(path) for path in shared if not path.name.startswith(("test_", "mutants"))))
+
+
+def _digest(*files: str) -> str:
+    """Return a digest of files, or of what is not the name of one."""
+    digest = hashlib.sha256(b"names")
+    for file in files:
+        digest.update((ROOT / file).read_bytes() if (ROOT / file).is_file() else file.encode())
+    return digest.hexdigest()[:16]
+
+
 def function_of(file: str, line: int) -> str:
-    """Return the outermost function that a line is in, as traces name it; the file for a line in none."""
-    best = ""
-    pending: list[ast.AST] = [ast.parse((ROOT / file).read_text(encoding="utf-8"))]
-    while pending:
-        node = pending.pop()
+    """Return the name of the outermost function that a line is in, with its classes; nothing for a line in none."""
+
+    def within(node: ast.AST, name: str) -> str:
         for child in ast.iter_child_nodes(node):
             if isinstance(child, ast.FunctionDef):
-                first = min([child.lineno, *(decorator.lineno for decorator in child.decorator_list)])
                 if child.body[0].lineno <= line <= (child.end_lineno or line):
-                    best = f"{file}:{first}"
-            else:
-                pending.append(child)
-    return best or file
+                    return f"{name}{child.name}"
+            elif found := within(child, f"{name}{child.name}." if isinstance(child, ast.ClassDef) else name):
+                return found
+        return ""
+
+    return within(_tree_of(file), "")
+
+
+@cache
+def _tree_of(file: str) -> ast.Module:
+    return ast.parse((ROOT / file).read_text(encoding="utf-8"))
 
 
 def order_of(mutant: Mutant, tests: dict[str, Trace]) -> list[str]:
     """Return the tests that a mutant is tried against: those that call its function first, the quickest first."""
-    place = function_of(mutant.file, mutant.line)
-    callers = {name for name, trace in tests.items() if any(f"{call}:".startswith(f"{place}:") for call in trace.calls)}
+    place = f"{mutant.file}:{function_of(mutant.file, mutant.line)}"
+    known = (f"{place}.",) if place[-1] != ":" else (place,)
+    callers = {name for name, trace in tests.items() if any(f"{call}.".startswith(known) for call in trace.calls)}
     order: list[str] = []
     for names, limit in ((callers, LONGEST), (tests.keys() - callers, UNSEEN)):
         total = 0.0
@@ -462,8 +509,8 @@ def order_of(mutant: Mutant, tests: dict[str, Trace]) -> list[str]:
     return order
 
 
-def tried(tree: Tree, mutant: Mutant, text: str, depth: int) -> tuple[str, str]:
-    """Return the outcome of a mutant against the first test files of its subject, and the test that failed."""
+def tried(tree: Tree, mutant: Mutant, text: str, depth: int) -> tuple[str, str, str]:
+    """Return the outcome of a mutant against the first test files of its subject, the file and the test that failed."""
     original = (ROOT / mutant.file).read_text(encoding="utf-8")
     for file in subject(mutant.file)[:depth]:
         traces = traced(tree, file)
@@ -476,8 +523,8 @@ def tried(tree: Tree, mutant: Mutant, text: str, depth: int) -> tuple[str, str]:
             tree.write(mutant.file, original)
         if code != 0:
             failed = [line for line in output.splitlines() if line.startswith(("FAILED", "ERROR"))]
-            return ("timeout" if code is None else "killed"), (failed[0] if failed else output[-200:])
-    return "survived", ""
+            return ("timeout" if code is None else "killed"), file, (failed[0] if failed else output[-200:])
+    return "survived", "", ""
 
 
 # -- within pytest ----------------------------------------------------------------------------------
@@ -514,7 +561,7 @@ def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
         threading.setprofile(None)  # type: ignore[arg-type]
         base = f"{os.getcwd()}{os.sep}"
         own = [code for code in codes if code.co_filename.startswith(f"{base}cosim{os.sep}")]
-        calls = sorted({f"{Path(c.co_filename[len(base) :]).as_posix()}:{c.co_firstlineno}" for c in own})
+        calls = sorted({f"{Path(c.co_filename[len(base) :]).as_posix()}:{c.co_qualname}" for c in own})
         if item.nodeid in _TRACES:
             _TRACES[item.nodeid] = _TRACES[item.nodeid][0], calls
 
@@ -529,6 +576,206 @@ def pytest_sessionfinish() -> None:
     """Write the traces of the tests."""
     if log := os.environ.get("MUTANTS_LOG"):
         Path(log).write_text(json.dumps(_TRACES))
+
+
+# -- the frozen list --------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Frozen:
+    """A mutant of the frozen list: number `nth` among equal changes of equal lines in a function."""
+
+    room: str
+    file: str
+    function: str
+    operator: str
+    line: str
+    mutant: str
+    nth: int
+    seed: int
+    redraw_seed: int
+    outcome: str = ""  # killed, timeout, survived
+    by: str = ""  # the test file that failed
+
+    @property
+    def key(self) -> tuple[str | int, ...]:
+        """What tells it from others."""
+        return self.room, self.function, self.operator, self.line, self.mutant, self.nth
+
+
+def read_frozen() -> list[Frozen]:
+    """Return the frozen list."""
+    if not FROZEN.exists():
+        raise SystemExit(f"{FROZEN.name} is not there: --freeze 200 --seed SEED draws it")
+    return [Frozen(**json.loads(line)) for line in FROZEN.read_text(encoding="utf-8").splitlines()]
+
+
+def write_frozen(entries: Iterable[Frozen]) -> None:
+    """Write the frozen list."""
+    lines = [json.dumps(asdict(entry), ensure_ascii=False) + "\n" for entry in entries]
+    FROZEN.write_text("".join(lines), encoding="utf-8")
+
+
+@cache
+def alike(file: str, function: str, operator: str, line: str, mutant: str) -> list[Mutant]:
+    """Return the mutants of a file that make the same change of the same line in a function."""
+    tools = operators()
+    text = (ROOT / file).read_text(encoding="utf-8").splitlines()
+    places = mutants_of(file, {operator: tools[operator]}) if operator in tools else []
+    return [
+        m for place in places for m in place
+        if text[m.line - 1].strip() in line and function_of(file, m.line) == function
+        and changed(m, mutated(m, tools)) == (line, mutant)
+    ]  # fmt: skip
+
+
+def located(entry: Frozen) -> Mutant | None:
+    """Return the mutant of an entry, in its file or where its function has gone in its room; None without its code."""
+    for file in dict.fromkeys((entry.file, *files_of(ROOMS[entry.room]))):
+        if (ROOT / file).is_file() and room_of(file) == entry.room:
+            found = alike(file, entry.function, entry.operator, entry.line, entry.mutant)
+            if len(found) > entry.nth:
+                return found[entry.nth]
+    return None
+
+
+def entry_of(mutant: Mutant, seed: int, redraw_seed: int) -> Frozen:
+    """Return the entry of a mutant in the list."""
+    where = mutant.file, function_of(mutant.file, mutant.line), mutant.operator
+    change = changed(mutant, mutated(mutant, operators()))
+    return Frozen(mutant.room, *where, *change, alike(*where, *change).index(mutant), seed, redraw_seed)
+
+
+def freeze(count: int, seed: int) -> list[Frozen]:
+    """Return as many mutants of each room, from a seed and those that follow."""
+    same, entries = equivalents(), dict[tuple[str | int, ...], Frozen]()
+    for room, patterns in ROOMS.items():
+        files = [file for file in files_of(patterns) if room_of(file) == room]
+        wanted, now = len(entries) + count // len(ROOMS), seed
+        while len(entries) < wanted:
+            for mutant in drawn(files, wanted - len(entries), now):
+                entry = entry_of(mutant, now, 100 * seed + len(entries))
+                if (entry.file, entry.line, entry.mutant) not in same:
+                    entries.setdefault(entry.key, entry)
+            now += 1
+    return list(entries.values())
+
+
+def redrawn(entry: Frozen, taken: set[tuple[str | int, ...]]) -> Frozen | None:
+    """Return a mutant of the same operator and room from the seed in the entry; None if there is none."""
+    tools, same = operators(), equivalents()
+    files = [file for file in files_of(ROOMS[entry.room]) if room_of(file) == entry.room]
+    places = [place for file in files for place in mutants_of(file, {entry.operator: tools[entry.operator]})]
+    rng = random.Random(f"{entry.redraw_seed} {entry.room} {entry.operator}")
+    for place in rng.sample(places, len(places)):
+        mutant = rng.choice(place)
+        other = entry_of(mutant, entry.redraw_seed, entry.redraw_seed + REDRAWN)
+        is_fault = _is_fault(mutated(mutant, tools), (ROOT / mutant.file).read_text(encoding="utf-8"))
+        if is_fault and other.key not in taken and (other.file, other.line, other.mutant) not in same:
+            return other
+    return None
+
+
+def present(entries: Iterable[Frozen]) -> list[tuple[Frozen, Frozen, Mutant | None]]:
+    """Return for each entry itself or what replaces it, and its mutant; None where nothing can replace it."""
+    entries = list(entries)
+    taken, found = {entry.key for entry in entries}, []
+    for entry in entries:
+        now, mutant = entry, located(entry)
+        if mutant is None and (other := redrawn(entry, taken)) is not None:
+            now, mutant = other, located(other)
+            taken.add(other.key)
+        elif mutant is not None and mutant.file != entry.file:
+            now = replace(entry, file=mutant.file)
+        found.append((entry, now, mutant))
+    return found
+
+
+def run_frozen(work: list[tuple[Frozen, Mutant]], results: Path, jobs: int) -> None:
+    """Try mutants, some processes at a time: every second one from the end, so that each meets other tests."""
+    context = multiprocessing.get_context("fork")
+    begun, ended = context.Value("i", 0), context.Value("i", 0)
+
+    def one(number: int) -> None:
+        tree, tools = Tree(WORK / str(os.getpid()) / "tree"), operators()
+        try:
+            while True:
+                with begun.get_lock():
+                    if begun.value + ended.value == len(work):
+                        return
+                    mine = begun if number % 2 == 0 else ended
+                    mine.value += 1
+                    entry, mutant = work[begun.value - 1 if mine is begun else -ended.value]
+                begin = time.perf_counter()
+                outcome, by, told = tried(tree, mutant, mutated(mutant, tools), len(SUBJECTS))
+                seconds = round(time.perf_counter() - begin)
+                with results.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps({"key": entry.key, "outcome": outcome, "by": by, "seconds": seconds}) + "\n")
+                print(f"{outcome:10} {mutant.file}:{mutant.line}  [{seconds} s] {told[:110]}", flush=True)
+        except KeyboardInterrupt:
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
+        finally:
+            shutil.rmtree(tree.folder.parent, ignore_errors=True)
+
+    workers = [context.Process(target=one, args=(number,)) for number in range(min(jobs, len(work)))]
+    for worker in workers:
+        worker.start()
+    try:
+        for worker in workers:
+            worker.join()
+    except KeyboardInterrupt:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        for worker in workers:
+            os.kill(worker.pid or 0, signal.SIGINT)
+            worker.join()
+        raise SystemExit(130) from None
+    if any(worker.exitcode for worker in workers):
+        raise SystemExit(1)
+
+
+def frozen(jobs: int, *, redraw: bool, only: int | None) -> int:
+    """Try the frozen list and compare it with the outcomes in it; return 1 if a mutant survives that was killed."""
+    for ending in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(ending, signal.default_int_handler)
+    found = present(read_frozen())
+    for before, now, mutant in found:
+        if now.key != before.key or mutant is None:
+            drawn_anew = f"drawn anew: {now.file}: {now.line}" if mutant else "and no other of its operator in its room"
+            print(f"no code any more: {before.file}: {before.line}\n    {drawn_anew}")
+    if redraw:
+        write_frozen(now for _, now, _ in found)
+    listed = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard", "cosim", "plant", "tests"]
+    names = subprocess.run(listed, cwd=ROOT, capture_output=True, check=True).stdout.decode().split("\0")
+    code = [name for name in names if name.endswith((".py", ".c")) and not name.startswith("tests/mutants")]
+    results = WORK / f"frozen-{_digest(*code)}.jsonl"
+    have = _results(results)
+    work = [(now, mutant) for _, now, mutant in found if mutant is not None and now.key not in have]
+    print(f"{len(work)} of {len(found)} to try; results in {results}", flush=True)
+    try:
+        run_frozen(work[:only], results, jobs)
+    finally:
+        have = _results(results)
+        keep = [now if redraw else before for before, now, _ in found]
+        write_frozen(
+            replace(e, outcome=have[e.key]["outcome"], by=have[e.key]["by"]) if not e.outcome and e.key in have else e
+            for e in keep
+        )
+    lost = 0
+    rooms: dict[str, Counter[str]] = {room: Counter() for room in ROOMS}
+    for _, now, mutant in found:
+        outcome = have[now.key]["outcome"] if now.key in have else "not tried" if mutant else "gone"
+        rooms[now.room][outcome] += 1
+        if outcome == "survived" and now.outcome in ("killed", "timeout"):
+            lost += 1
+            print(f"survives, was killed by {now.by}: {now.file}, {now.function}\n    - {now.line}\n    + {now.mutant}")
+    print(json.dumps({room: dict(count) for room, count in rooms.items()} | {"lost": lost}))
+    return int(lost > 0)
+
+
+def _results(path: Path) -> dict[tuple[str | int, ...], dict[str, Any]]:
+    """Return the results of an earlier run by the keys of their mutants."""
+    texts = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+    return {tuple(line["key"]): line for line in map(json.loads, texts)}
 
 
 # -- the command ------------------------------------------------------------------------------------
@@ -549,18 +796,25 @@ def changed(mutant: Mutant, text: str) -> tuple[str, str]:
 
 
 def main() -> None:
-    """Try a sample of mutants; list the survivors, then the score of each room."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("files", nargs="*", help="files or patterns, such as cosim/logs/*.py")
-    parser.add_argument("-n", type=int, default=60, help="mutants in all")
+    """Try the frozen list, or a sample of mutants; list the survivors, then the score of each room."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("files", nargs="*", help="files or patterns, such as cosim/logs/*.py; without, the frozen list")
+    parser.add_argument("-n", type=int, help="mutants in all, by default 60 of a sample, the whole frozen list")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--freeze", type=int, metavar="N", help="draw the frozen list anew, try nothing")
+    parser.add_argument("--redraw", action="store_true", help="write into the list what replaces lost code")
+    parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)), help="of the list, at a time")
     parser.add_argument("--depth", type=int, default=9, help="test files of the subject that are tried at most")
     parser.add_argument("--list", action="store_true", help="print the sample, try nothing")
     options = parser.parse_args()
-    paths = [path for pattern in options.files or FILES for path in sorted(ROOT.glob(pattern))]
-    files = [path.relative_to(ROOT).as_posix() for path in paths if path.name != "__init__.py"]
     WORK.mkdir(parents=True, exist_ok=True)
-    sample, tools, same = drawn(files, options.n, options.seed), operators(), equivalents()
+    if options.freeze:
+        write_frozen(freeze(options.freeze, options.seed))
+        return
+    if not options.files:
+        sys.exit(frozen(options.jobs, redraw=options.redraw, only=options.n))
+    tools, same = operators(), equivalents()
+    sample = drawn(files_of(options.files), options.n or 60, options.seed)
     tree = None if options.list else Tree(WORK / str(os.getpid()) / "tree")
     verdicts = []
     for mutant in sample:
@@ -571,7 +825,7 @@ def main() -> None:
         elif tree is None:
             outcome, by = "listed", ""
         else:
-            outcome, by = tried(tree, mutant, text, options.depth)
+            outcome, _, by = tried(tree, mutant, text, options.depth)
         verdicts.append(Verdict(mutant, outcome, by, before, after))
         print(f"{outcome:10} {mutant.file}:{mutant.line}  [{time.perf_counter() - begun:.0f} s] {by[:110]}", flush=True)
         if outcome != "killed":

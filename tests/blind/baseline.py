@@ -150,8 +150,8 @@ def run(todo: Sequence[tuple[str, int]], python: str, revision: str, path: Path,
     """Conduct studies, several at a time; return how many could not be drawn."""
     running: set[subprocess.Popen[str]] = set()
     stopped, failed = threading.Event(), 0
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.default_int_handler)
+    for ending in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(ending, signal.default_int_handler)
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"} | ONE_THREAD
 
     def one(suite: str, seed: int) -> tuple[Line | None, str]:
@@ -187,6 +187,7 @@ def run(todo: Sequence[tuple[str, int]], python: str, revision: str, path: Path,
                 seconds = line["processor_seconds"]
                 print(f"{number:4d}/{len(todo)}  {suite:10} {seed}  {label:50} {outcome}  {seconds} s", file=sys.stderr)
         except KeyboardInterrupt:
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
             print("stopped; the same command goes on", file=sys.stderr)
             raise SystemExit(130) from None
         finally:
