@@ -56,13 +56,13 @@ def test_a_line_is_small_enough_for_all_studies_of_some_revisions() -> None:
 def test_studies_with_a_line_of_the_revision_are_not_done_again(tmp_path: Path) -> None:
     lines = tmp_path / "lines.jsonl"
     first = {suite: seed for suite, (seed, _) in baseline.SUITES.items()}
-    assert len(baseline.missing(lines, "abc")) == 270
+    assert len(baseline.missing(lines, "abc+")) == 270
     for suite in (LABORATORY, ARM):
         verdict = {"verdict": "failed"} if suite == ARM else found("drag", 1.0)
-        baseline.append(lines, baseline.line_of(suite, told(suite, first[suite]), verdict) | {"revision": "abc"})
-    assert len(baseline.missing(lines, "abc")) == 268
-    assert (ARM, first[ARM]) not in baseline.missing(lines, "abc")
-    assert baseline.missing(lines, "abc", [ARM])[0] == (ARM, first[ARM] + 1)
+        baseline.append(lines, baseline.line_of(suite, told(suite, first[suite]), verdict) | {"revision": "abc+"})
+    assert len(baseline.missing(lines, "abc+")) == 268
+    assert (ARM, first[ARM]) not in baseline.missing(lines, "abc+")
+    assert baseline.missing(lines, "abc+", [ARM])[0] == (ARM, first[ARM] + 1)
     assert len(baseline.missing(lines, "another")) == 270
 
 
@@ -84,8 +84,8 @@ def test_figures_are_of_all_studies_and_of_those_without_near_ties(
     assert (apart["right"], apart["wrong"]) == ((2, 3), (0, 3))
     assert baseline.counts(MIXED, lines[4:])["parts_named"] == (1, 1)
     for seconds, line in enumerate(lines):
-        baseline.append(path, line | {"revision": "abc", "processor_seconds": 10.0 * seconds})
-    assert baseline.main(["--summary", "--revision", "abc", "--lines", str(path)]) == 0
+        baseline.append(path, line | {"revision": "abc+", "processor_seconds": 10.0 * seconds})
+    assert baseline.main(["--summary", "--revision", "abc+", "--lines", str(path)]) == 0
     (right,) = [
         line for line in capsys.readouterr().out.splitlines() if line.strip().startswith("right") and "2 of" in line
     ]

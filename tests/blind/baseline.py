@@ -253,10 +253,16 @@ def _share(hits: int, of: int) -> str:
 # -- the command -------------------------------------------------------------------------------------------
 
 
-def frozen_revision() -> str:
-    """Return the revision of the corpus, or without a corpus that of this tree."""
-    path = ROOT / "tests" / "corpus" / "revision"
-    return path.read_text().split()[0] if path.exists() else harness.revision()
+def environment_of(named: str | None) -> tuple[str, str]:
+    """Return revision and Python of a named revision, else of that of the corpus, else of this tree."""
+    corpus = ROOT / "tests" / "corpus" / "revision"
+    if named is None and corpus.exists():
+        named = dict(line.split(": ") for line in corpus.read_text().splitlines())["revision"]
+    if named is None or named.endswith("+"):
+        return named or harness.revision(), sys.executable
+    asked = ["git", "rev-parse", "--verify", f"{named}^{{commit}}"]
+    commit = subprocess.run(asked, cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
+    return commit[:12], str(ROOT / "build" / "corpus" / commit / "env" / "bin" / "python")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -271,10 +277,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     if strangers := set(options.suites) - set(SUITES):
         parser.error(f"unknown suites {', '.join(sorted(strangers))}; there are {', '.join(SUITES)}")
-    revision = options.revision or frozen_revision()
-    environment = ROOT / "build" / "corpus" / revision / "env" / "bin" / "python"
-    corpus = (ROOT / "tests" / "corpus" / "revision").exists() or options.revision
-    python = options.python or (str(environment) if corpus else sys.executable)
+    revision, python = environment_of(options.revision)
+    python = options.python or python
     if options.study:
         suite, seed, folder = options.study
         print(json.dumps(conduct(suite, int(seed), python, revision, Path(folder))))
