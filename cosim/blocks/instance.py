@@ -23,6 +23,7 @@ from cosim.blocks.fmi import Calls, CoSimulation2, CoSimulation3, Step
 from cosim.blocks.guard import without_wrapping
 from cosim.blocks.loading import load_error
 from cosim.blocks.model_exchange import ModelExchange2
+from cosim.blocks.shared_code import claim, own_symbols_first
 from cosim.fmi.lifetime import let_go_at_exit
 from cosim.fmi.sampled import sampled_by
 from cosim.storage.archive import unpack
@@ -68,8 +69,10 @@ class Instance:
 
         Raises:
             FmuError: The library does not load.
+            SharedCode: The process has other code of the same name.
             DiskFull: No space is left to unpack.
         """
+        claim(self.path)
         folder = self._folder or self._unpack()
         previous, self._words = os.getcwd(), ""
         try:
@@ -101,7 +104,8 @@ class Instance:
     def _load_library(self, folder: Path, library: Path) -> None:
         """Load the library; raise FmuError with reason and remedy."""
         try:
-            self.calls.load(folder, library)
+            with own_symbols_first(self.path, library):
+                self.calls.load(folder, library)
         except Exception as error:  # FMPy raises bare Exceptions.
             raise FmuError(load_error(library, error)) from None
 

@@ -209,3 +209,15 @@ OTHER_VERSION = Template(
     "the server at {at} has version {there} of the protocol, this side version {here}; install the same cosim on both",
 )
 CONNECTION_LOST = Template("E-BLK-082", "the connection to {at} is lost: {reason}")
+
+# -- code of one name ------------------------------------------------------------------------------------
+
+OWN_PROCESS = Template(
+    "N-BLK-083",
+    "{name} runs in a process of its own: it and {other} have a {what} with different content",
+)
+SHARED_CODE = Template(
+    "E-BLK-084",
+    "{file} does not load: this process has loaded {other}, which has a {what} with different content; run it in a "
+    "worker process (without in_process, --in-process)",
+)

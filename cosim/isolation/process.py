@@ -18,6 +18,7 @@ from typing import Any, BinaryIO, Self
 
 from cosim.base.errors import Crashed, SimulationError, Terminated
 from cosim.base.scratch import ScratchFolder, scratch
+from cosim.blocks.shared_code import SharedCode
 from cosim.isolation import messages
 from cosim.isolation.rows import NOTHING, Progress, mapped_progress
 from cosim.isolation.watch import Clock, Watch, how_ended
@@ -67,16 +68,33 @@ class Worker:
             self._scratch: ScratchFolder = scratch(PREFIX)
             try:
                 self.progress = mapped_progress(self._scratch.path / PROGRESS)
-                self._process, self._finishing = _from_lasting_thread(_spawn), False
+                self._start_process()
             except BaseException:
                 self._scratch.remove()
                 raise
-            self.starts += 1
-            self._answers: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
-            self._output = _Output(self._process.stderr)
-            threading.Thread(target=self._listen, args=(self._process.stdout, self._answers), daemon=True).start()
-            python_path = os.environ.get("PYTHONPATH")
-            self._ask(pickle.dumps(Begin(self._scratch.path, list(sys.path), python_path, self._modules)))
+
+    def _start_process(self) -> None:
+        """Start a process with the folder and the shared progress that are there."""
+        self._process, self._finishing, self._jobs = _from_lasting_thread(_spawn), False, 0
+        self.starts += 1
+        self._answers: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+        self._output = _Output(self._process.stderr)
+        threading.Thread(target=self._listen, args=(self._process.stdout, self._answers), daemon=True).start()
+        python_path = os.environ.get("PYTHONPATH")
+        self._ask(pickle.dumps(Begin(self._scratch.path, list(sys.path), python_path, self._modules)))
+
+    def _replace_process(self) -> None:
+        """Replace the process by a new one with the same folder and shared progress."""
+        process, self._process = self._process, None
+        assert process is not None
+        with suppress(OSError):
+            send(process.stdin, b"")
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(ENDING)
+        _end_group(process, kill=True)
+        self._output.join()
+        _close(process.stdin)
+        self._start_process()
 
     @property
     def folder(self) -> Path:
@@ -97,6 +115,8 @@ class Worker:
         self, function: Callable[..., Any], *arguments: Any, watch: Watch | None = None, doing: int = NOTHING
     ) -> Any:
         """Call a function in the worker and return its result.
+
+        If an FMU has code of the same name as one of an earlier call, a new process makes the call.
 
         Errors of cosim are raised here. After a crash or an exceeded limit, shared rows and counters remain as they
         were, and the next call starts a new process.
@@ -120,6 +140,7 @@ class Worker:
         except Exception as failure:  # pickle raises any error of the objects' methods
             raise transfer_fault(failure) from None
         self._ask(content)
+        self._jobs += 1
         try:
             content = self._wait(clock)
         except BaseException as stop:
@@ -129,6 +150,10 @@ class Worker:
                 self.end(kill=True)
             raise
         answer, error = pickle.loads(content)
+        if isinstance(error, SharedCode) and self._jobs > 1:
+            with delay_stops():
+                self._replace_process()
+            return self.call(function, *arguments, watch=watch, doing=doing)
         if error is not None:
             raise error
         return answer

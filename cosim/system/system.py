@@ -15,6 +15,7 @@ from cosim.blocks.component import Component, Signal
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.remote_fmu import RemoteFmu
+from cosim.blocks.shared_code import separate
 from cosim.scenario.diagnosis import Diagnosis, Place
 from cosim.scenario.scenario import FmuComponent, LoopSettings, Scenario
 from cosim.scenario.scenario_file import ScenarioFile
@@ -122,16 +123,18 @@ def build_system(file: ScenarioFile, start_values: Designed | None = None) -> Sy
         _check_criteria(scenario, layout.columns, recording, diagnosis)
     is_connected = is_whole and all(transfers)
     plan = schedule(scenario, components, transfers, diagnosis) if is_connected else Schedule()
-    check_events(plan, scenario.isolated, diagnosis, scenario.targets)
-    control = control_of(scenario, components, layout, list(chain.from_iterable(transfers)), diagnosis)
     blocks = {name: c for name, c in components.items() if isinstance(c, FmuBlock)}
+    here = [(name, block.path) for name, block in blocks.items() if not isinstance(block, RemoteFmu)]
+    separated, notes = separate(here, scenario.isolated)
+    check_events(plan, scenario.isolated | separated, diagnosis, scenario.targets)
+    control = control_of(scenario, components, layout, list(chain.from_iterable(transfers)), diagnosis)
     events = changes_of(file, blocks, diagnosis)
     _check_record(file, components, diagnosis)
     targets = Targets({name: block.description for name, block in blocks.items()}, scenario.targets)
     check_live(file, targets, layout.columns, layout.beside, diagnosis)
     diagnosis.raise_any()
     of_blocks = chain.from_iterable(block.warnings for block in blocks.values())
-    warnings = *diagnosis.warnings, *connection_warnings(file, components), *of_blocks
+    warnings = *diagnosis.warnings, *connection_warnings(file, components), *of_blocks, *notes
     return System(
         plan.stages,
         plan.held,
@@ -144,7 +147,7 @@ def build_system(file: ScenarioFile, start_values: Designed | None = None) -> Sy
         layout.beside,
         layout.signals,
         events,
-        scenario.isolated,
+        scenario.isolated | separated,
         clock_wires=plan.clock_wires,
         loops=plan.loops,
         solving=scenario.loops,
