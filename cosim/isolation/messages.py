@@ -13,7 +13,8 @@ LONG_RUN = Template(
     "shorten the run",
 )
 LARGE_PROCESS = Template(
-    "E-ISO-005", "{call}: the process holds {size:.4g} MB, more than {limit:.4g} MB (limits: memory)"
+    "E-ISO-005",
+    "{call}: the process and those that it started hold {size:.4g} MB, more than {limit:.4g} MB (limits: memory)",
 )
 UNSENDABLE_OBJECT = Template(
     "E-ISO-006",

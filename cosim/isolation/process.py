@@ -216,6 +216,8 @@ class Worker:
                 content = None  # Its children may hold its streams open.
             if content is None:
                 raise self._crash(clock)
+            if clock.watch.width and self._process is not None:  # A short run ends between two checks.
+                clock.check_memory(self._process.pid)
             return content
 
     def _wait_for_end(self, grace: float) -> None:

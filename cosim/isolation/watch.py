@@ -12,7 +12,7 @@ from cosim.base.errors import SimulationError, TimedOut
 from cosim.isolation import messages
 from cosim.isolation.component_times import ComponentTimes
 from cosim.isolation.limits import Limits
-from cosim.isolation.memory import resident
+from cosim.isolation.memory import ProcessTree
 from cosim.isolation.rows import CALLS, NOTHING, OTHER, WAITING, Progress
 
 SIGNALS = {
@@ -91,6 +91,7 @@ class Clock:
         self.since = self.last = time.monotonic()
         self.key: tuple[Any, ...] = ()
         self.rows = 0  # number of rows at the last check
+        self._tree: ProcessTree | None = None
 
     def look(self, pid: int) -> None:
         """Raise TimedOut or SimulationError for an exceeded limit."""
@@ -114,11 +115,21 @@ class Clock:
             raise TimedOut(component, at, messages.LONG_CALL(call=call, limit=limit, name=name))
         if limits.total is not None and self.watch.spent[0] > limits.total:
             raise TimedOut(component, at, messages.LONG_RUN(call=call, limit=limits.total))
-        if limits.memory is not None:
-            size = resident(pid) - self.progress.made[0] * self.watch.width
-            if size > limits.memory:
-                message = messages.LARGE_PROCESS(call=call, size=size / 1e6, limit=limits.memory / 1e6)
-                raise SimulationError(component, at, message)
+        self.check_memory(pid)
+
+    def check_memory(self, pid: int) -> None:
+        """Raise SimulationError if the processes are too large."""
+        limit = self.watch.limits.memory
+        if limit is None:
+            return
+        if self._tree is None or self._tree.pid != pid:
+            self._tree = ProcessTree(pid)
+        rows = self.progress.made[0] * self.watch.width
+        size = self._tree.size(limit + rows) - rows
+        if size > limit:
+            component, at, call = self.place()
+            message = messages.LARGE_PROCESS(call=call, size=size / 1e6, limit=limit / 1e6)
+            raise SimulationError(component, at, message)
 
     def place(self) -> tuple[str, float, str]:
         """Return component, simulated time [s] and call."""
