@@ -343,7 +343,6 @@ def test_progress_is_told_when_there_are_more_rows() -> None:
 @pytest.mark.parametrize(
     ("code", "words"),
     [
-        (None, "closed the streams of its process"),
         (-11, "crashed: segmentation fault (SIGSEGV)"),
         (-10_000, "was ended (signal 10000)"),
         (-15, "was ended (SIGTERM)"),

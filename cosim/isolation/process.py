@@ -22,13 +22,14 @@ from cosim.blocks.shared_code import SharedCode
 from cosim.isolation import messages
 from cosim.isolation.rows import NOTHING, Progress, mapped_progress
 from cosim.isolation.watch import Clock, Watch, how_ended
-from cosim.isolation.worker import ALONG, PROGRESS, Begin, receive, send, transfer_fault
+from cosim.isolation.worker import ALONG, PROGRESS, STREAMS_LOST, BadStream, Begin, receive, send, transfer_fault
 from cosim.storage.cache import cache_environment
 from cosim.storage.files import delay_stops
 
 PREFIX = "cosim-work-"
 POLL = 0.05  # interval between checks of a process [s]
 ENDING = 5.0  # time [s] for a process to end by itself
+NO_MESSAGE = b""  # in place of an answer: an FMU has written into the stream
 MOST_OUTPUT = 64_000  # passed output of FMUs [bytes]
 LAST_OUTPUT = 4_000  # last part kept to explain a crash [bytes]
 MOST_WORDS = 200  # shown part in a message [characters]
@@ -190,10 +191,13 @@ class Worker:
     @staticmethod
     def _listen(stream: BinaryIO, answers: queue.SimpleQueue[bytes | None]) -> None:
         content: bytes | None = b""
-        with stream:
+        with suppress(OSError, ValueError), stream:
             while content is not None:
                 try:
                     content = receive(stream)
+                except BadStream:
+                    answers.put(NO_MESSAGE)
+                    return
                 except (OSError, ValueError):
                     content = None
                 answers.put(content)
@@ -214,8 +218,8 @@ class Worker:
                 if self._process.poll() is None or not self._answers.empty():
                     continue
                 content = None  # Its children may hold its streams open.
-            if content is None:
-                raise self._crash(clock)
+            if not content:
+                raise self._crash(clock, patience=0.0 if content == NO_MESSAGE else ENDING)
             if clock.watch.width and self._process is not None:  # A short run ends between two checks.
                 clock.check_memory(self._process.pid)
             return content
@@ -227,15 +231,23 @@ class Worker:
             with suppress(queue.Empty):
                 self._answers.get(timeout=grace)
 
-    def _crash(self, clock: Clock) -> SimulationError:
-        """Return the crash with cause, call and last message."""
+    def _crash(self, clock: Clock, patience: float) -> SimulationError:
+        """Return the crash with cause, call and last message.
+
+        Args:
+            patience: Time [s] for the process to end.
+        """
         assert self._process is not None
+        component, at, call = clock.place()
+        is_certain = clock.stays() and self._process.poll() is None
         try:
-            code: int | None = self._process.wait(ENDING)
+            code: int | None = self._process.wait(patience)
         except subprocess.TimeoutExpired:
             code = None
         _end_group(self._process, kill=True)
         self._output.join()
+        if code in (None, STREAMS_LOST):
+            return Crashed(*clock.place_of_streams(component, at, call, is_certain=is_certain))
         words = bytes(self.progress.words).decode("utf-8", "replace").strip() or self._output.last_line()
         component, at, call = clock.place()
         template = messages.CRASH_WITH_WORDS if words else messages.CRASH
