@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -9,7 +10,10 @@ import pytest
 
 import cosim
 from cosim.base.errors import FmuError
+from cosim.model.quantities import Parameter
 from cosim.sweeps.store import TABLE, read_table, signal_of
+from cosim.terms.code import TermCode
+from cosim.wrapping.wrap import wrap
 from tests.amplifier import (
     with_class,
     with_data,
@@ -51,7 +55,7 @@ def test_two_fmus_with_code_of_one_name_execute_their_own(tmp_path: Path, form: 
         assert cosim.simulate(fmu, tmp_path / "alone", stop=1.0, step=0.5, force=True)["amp.y"][-1] == gain
 
 
-@pytest.mark.parametrize("form", ["library", "symbol", "module"])
+@pytest.mark.parametrize("form", ["library", "module"])
 def test_runs_of_a_sweep_execute_the_code_of_their_fmus(tmp_path: Path, form: str) -> None:
     for k in (1, 2):
         FORMS[form](tmp_path / str(k) / "amp.fmu", float(k))
@@ -88,11 +92,20 @@ def test_logs_are_compared_with_their_own_fmu_in_one_session(tmp_path: Path) -> 
 def test_in_one_process_the_second_is_refused(tmp_path: Path) -> None:
     for k in (1, 2):
         with_module(tmp_path / str(k) / "amp.fmu", float(k), module="one_name_refused")
-    with pytest.raises(
-        FmuError, match=r"2.amp.fmu does not load.*Python module one_name_refused.*in_process"
-    ) as refused:
+    with pytest.raises(FmuError, match=r"2.amp.fmu does not load.*one_name_refused.*in_process") as refused:
         cosim.run(scenario(tmp_path), tmp_path / "out", report=False, in_process=True)
     assert refused.value.exit_code == 3
+
+
+def test_a_module_that_the_process_has_loaded_before_is_named(tmp_path: Path) -> None:
+    fmu = tmp_path / "amp.fmu"
+    with zipfile.ZipFile(with_module(tmp_path / "h.fmu", 2.0)) as helped, zipfile.ZipFile(fmu, "w") as renamed:
+        for name in helped.namelist():
+            content = helped.read(name).replace(b"from helper import", b"from platform import")
+            renamed.writestr(name.replace("helper.py", "platform.py"), content)
+    done = command("simulate", fmu, "--stop", "1", "--step", "0.5", "--no-report", cwd=tmp_path)
+    assert done.returncode == 3
+    assert "module platform" in done.stderr
 
 
 def test_equal_code_shares_a_process(tmp_path: Path) -> None:
@@ -117,6 +130,26 @@ def test_an_fmu_calls_its_own_function_of_a_name_that_the_process_has_too(tmp_pa
     for in_process in (False, True):
         run = cosim.simulate(fmu, tmp_path / "out", stop=1.0, step=0.5, force=True, in_process=in_process)
         assert run["own.y"].tolist() == [2.0, 2.0, 2.0]
+
+
+BIAS = TermCode(
+    source="static void readings(double t, const double *y, const double *p, double *out) { out[0] = y[0] + p[0]; }",
+    parameters=(Parameter("bias.level", 0.0, "", "added to the output", neutral=0.0),),
+    inputs=("u",),
+    outputs=("y",),
+    hooks=("readings",),
+    states=(),
+)
+
+
+def test_wrapped_fmus_execute_their_own_code(tmp_path: Path) -> None:
+    for k in (1, 2):
+        wrap(with_module(tmp_path / str(k) / "original.fmu", float(k)), BIAS, {}, tmp_path / str(k) / "amp.fmu")
+    outcome = cosim.run(scenario(tmp_path), tmp_path / "out", report=False)
+    assert (outcome.results["a.y"][-1], outcome.results["b.y"][-1]) == (1.0, 2.0)
+    wrap(with_function(tmp_path / "own.fmu", "y1", 2.0), BIAS, {}, tmp_path / "wrapped.fmu")
+    run = cosim.simulate(tmp_path / "wrapped.fmu", tmp_path / "alone", stop=1.0, step=0.5)
+    assert run["wrapped.y"].tolist() == [2.0, 2.0, 2.0]
 
 
 def test_a_library_that_is_not_in_the_fmu_is_named_with_the_cure(tmp_path: Path) -> None:

@@ -212,12 +212,13 @@ CONNECTION_LOST = Template("E-BLK-082", "the connection to {at} is lost: {reason
 
 # -- code of one name ------------------------------------------------------------------------------------
 
-OWN_PROCESS = Template(
-    "N-BLK-083",
-    "{name} runs in a process of its own: it and {other} have a {what} with different content",
-)
+OWN_PROCESS = Template("N-BLK-083", "{name} runs in a process of its own: its {what} differs from that of {other}")
 SHARED_CODE = Template(
     "E-BLK-084",
-    "{file} does not load: this process has loaded {other}, which has a {what} with different content; run it in a "
-    "worker process (without in_process, --in-process)",
+    "{file} does not load: its {what} differs from that of {other}, which this process has loaded; run it in a worker "
+    "process (without in_process, --in-process)",
+)
+HIDDEN_MODULE = Template(
+    "W-BLK-085",
+    "{file} does not get its own module {module}, since its process has loaded {other}; rename the module in the FMU",
 )

@@ -17,6 +17,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
+from zlib import crc32
 
 from cosim.base.errors import FmuError
 from cosim.base.messages import Message
@@ -49,12 +50,14 @@ class Code:
         offered: Code that another FMU's search by name could find.
         symbols: Symbols that its libraries define.
         needed: Libraries that its libraries need.
+        modules: Python module → checksum of its file.
     """
 
     wanted: Mapping[str, str] = field(default_factory=dict)
     offered: Mapping[str, str] = field(default_factory=dict)
     symbols: frozenset[str] = frozenset()
     needed: frozenset[str] = frozenset()
+    modules: Mapping[str, int] = field(default_factory=dict)
 
     def clash(self, other: Code) -> str:
         """Return what both FMUs have by one name and with different content, "" if nothing."""
@@ -96,7 +99,12 @@ def _code_of(path: Path, _changed: int, _size: int) -> Code:
             symbols |= elf.defined
             needed |= elf.needed
     modules = _modules([(info.filename, f"{info.CRC:08x}-{info.file_size}") for info in files])
-    return Code(wanted | modules, offered | modules, frozenset(symbols), frozenset(needed))
+    scripts = {info.filename: info.CRC for info in files if info.filename.endswith(".py")}
+    own_files = dict[str, int]()
+    for name in (module.removeprefix("Python module ") for module in modules):
+        places = f"resources/{name}.py", f"resources/{name}/__init__.py"
+        own_files |= dict.fromkeys([name], next((c for file, c in scripts.items() if file.endswith(places)), 0))
+    return Code(wanted | modules, offered | modules, frozenset(symbols), frozenset(needed), own_files)
 
 
 def _is_of_fmi1(elf: ElfLibrary, identifiers: Iterable[str]) -> bool:
@@ -134,8 +142,8 @@ def _modules(files: Iterable[tuple[str, str]]) -> dict[str, str]:
 _loaded: dict[Path, Code] = {}  # FMUs of this process, also those that are freed: modules and some libraries stay
 
 
-def claim(path: Path) -> None:
-    """Note that this process loads an FMU.
+def claim(path: Path) -> list[Message]:
+    """Note that this process loads an FMU; return warnings of modules that the process has loaded from elsewhere.
 
     Raises:
         SharedCode: It has loaded an FMU with other code of the same name.
@@ -146,6 +154,13 @@ def claim(path: Path) -> None:
             raise SharedCode(messages.SHARED_CODE(file=path, other=other, what=what))
     if code not in _loaded.values():
         _loaded[path] = code
+    warnings = []
+    for name, checksum in code.modules.items():
+        file = getattr(sys.modules.get(name), "__file__", None)
+        with suppress(OSError):  # The folder of an earlier FMU with the same code is removed.
+            if file is not None and checksum and crc32(Path(file).read_bytes()) != checksum:
+                warnings.append(messages.HIDDEN_MODULE(file=path.name, module=name, other=file))
+    return warnings
 
 
 def separate(fmus: Iterable[tuple[str, Path]], apart: Iterable[str]) -> tuple[set[str], list[Message]]:
