@@ -42,7 +42,8 @@ from cosim.scenario.scenario import Scenario
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation import messages
 from cosim.storage.files import write_json
-from cosim.storage.folders import content_of, prepare_folder
+from cosim.storage.folders import content_of, manifest_in, prepare_folder
+from cosim.storage.record_types import MAPPING, TEXT, TEXTS, WHOLE, Kind, sound_part
 from cosim.storage.results import Results, read_results, rows_in
 from cosim.storage.state_file import BadState, sync, unpack, write_durable
 from cosim.system.system import System
@@ -52,6 +53,20 @@ PATIENCE, PAUSE = 15.0, 0.05  # time [s] for the worker of a killed command to e
 ALL = "all-"  # prefix of the files of rows after the end of a run of which a part is recorded
 ROUNDING = 1e-9  # relative tolerance of times on the grid of communication points
 EXTRA = "files"  # key of run.json beside those of a manifest: name of the rows file, warnings of an SSP, codes of all
+EXTRA_KIND = Kind("a mapping", dict, keys={"rows": TEXT, "warnings": TEXTS, "codes": TEXTS})
+DOUBLE = Kind("a number", float)
+CHECKPOINT = Kind(
+    "a mapping",
+    dict,
+    keys={
+        "point": WHOLE,
+        "time": DOUBLE,
+        "elapsed": DOUBLE,
+        "components": MAPPING,
+        "links": Kind("a mapping", dict, Kind("a list", list)),
+        "changes": Kind("a list of changes", list, Kind("a list", list)),
+    },
+)
 
 
 @dataclass(frozen=True)
@@ -245,9 +260,9 @@ def _record_of(folder: Path) -> tuple[Path, dict[str, Any]]:
     record = {} if source is None else content_of(source)
     if source is None or (source.name == MANIFEST and "scenario" not in record):
         raise InputError.at(folder, messages.NOTHING_TO_RESUME())
-    optional: dict[str, Any] = {"warnings": [], "timings": {}, EXTRA: {}}
-    wrong = [key for key, empty in optional.items() if not isinstance(record.get(key, empty), type(empty))]
-    if wrong or not isinstance(record.get("scenario"), dict):
+    sound, _ = sound_part(folder / MANIFEST, record)
+    wrong = [key for key in record if key not in sound or (key == EXTRA and EXTRA_KIND.fault(record[key], key))]
+    if wrong or "scenario" not in sound:
         raise InputError.at(source, messages.DAMAGED_CHECKPOINT(reason=f"it has no {[*wrong, 'scenario'][0]}"))
     if (version := record.get("cosim_version")) != __version__:
         raise InputError.at(source, messages.OTHER_VERSION(version=version, own=__version__))
@@ -281,8 +296,8 @@ def open_stopped(path: Path) -> StoppedRun:
 
 def _is_finished(folder: Path, record: Mapping[str, Any]) -> bool:
     """Return whether a folder has the results of a finished run that a record repeats or extends."""
-    manifest = content_of(folder / MANIFEST)
-    if manifest.get("status") != "ok" or rows_in(folder) is None:
+    manifest = manifest_in(folder)
+    if manifest.get("status") != "ok" or "scenario" not in manifest or rows_in(folder) is None:
         return False
     one, other = (copy.deepcopy(each["scenario"]) for each in (manifest, record))
     for scenario in (one, other):
@@ -298,7 +313,11 @@ def _unpack(path: Path, state: bytes) -> Mapping[str, Any]:
         checkpoint = unpack(state)
         if checkpoint["format"] != FORMAT:
             raise InputError.at(path, messages.OTHER_VERSION(version=f"format {checkpoint['format']}", own=FORMAT))
-    except (BadState, ValueError, LookupError, TypeError) as error:
+        if fault := CHECKPOINT.fault({**dict.fromkeys(CHECKPOINT.keys), **checkpoint}, "checkpoint"):
+            raise BadState(f"{fault.name} is not {fault.wanted}")
+        if checkpoint["point"] < 0 or any(len(change) != 2 for change in checkpoint["changes"]):
+            raise BadState("it has no row to go on from")
+    except (BadState, ValueError, LookupError, TypeError, RecursionError) as error:
         raise InputError.at(path, messages.DAMAGED_CHECKPOINT(reason=str(error))) from None
     return dict(checkpoint)
 

@@ -19,7 +19,7 @@ from cosim.base.arrays import Array
 from cosim.base.messages import Message
 from cosim.base.text import counted
 from cosim.storage import messages
-from cosim.storage.files import atomic_write
+from cosim.storage.files import atomic_write, open_bytes
 from cosim.storage.table_columns import (
     Column,
     Faults,
@@ -125,7 +125,7 @@ class _BadLine(Exception):
 
 def _open(path: Path) -> TextIO:
     """Open a CSV with a character per byte and any line end."""
-    return path.open(encoding="latin-1", newline="")
+    return io.TextIOWrapper(open_bytes(path), encoding="latin-1", newline="")
 
 
 def _lines(stream: TextIO, *, ended: bool) -> Iterator[str]:

@@ -19,6 +19,7 @@ from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.base.registry import SOURCES, load, names, resolve
 from cosim.storage import messages
+from cosim.storage.files import open_bytes
 from cosim.storage.table_columns import (
     Column,
     Faults,
@@ -211,7 +212,7 @@ def source_of(path: Path) -> Source:
         InputError: The format is unknown.
     """
     head = b""
-    with suppress(OSError, ValueError), path.open("rb") as stream:
+    with suppress(OSError, ValueError), open_bytes(path) as stream:
         head = stream.read(HEAD)
     by_suffix = [s for s in sources() if path.suffix.lower() in s.suffixes][:1]
     if by_head := [s for s in (*by_suffix, *sources()) if s.magic and head.startswith(s.magic)]:
