@@ -61,9 +61,12 @@ class Hdf5(Source):
         optional("h5py", "--format hdf5")
 
     def write(self, path: Path, columns: Sequence[SourceColumn]) -> None:
-        """Write a dataset per column; dots of a name separate groups."""
+        """Write a dataset per column; dots of a name separate groups.
+
+        The file is made in memory, because the HDF5 library ends the process if a disk is full.
+        """
         h5py = optional("h5py", "--format hdf5")
-        with draft_of(path) as draft, h5py.File(draft, "w") as file:
+        with h5py.File(path.name, "w", driver="core", backing_store=False) as file:
             for number, column in enumerate(columns):
                 place = column.name if column.name == "time" else _place(column.name)
                 if place in file or place.startswith("time/"):  # beside the dataset of the time no group has its name
@@ -74,6 +77,10 @@ class Hdf5(Source):
                 compression = "gzip" if len(values) >= MIN_COMPRESSED else None
                 data = file.create_dataset(place, data=values, compression=compression)
                 data.attrs.update({"name": column.name, "unit": column.unit, "column": number})
+            file.flush()
+            content = file.id.get_file_image()
+        with draft_of(path) as draft:
+            draft.write_bytes(content)
 
 
 HDF5 = Hdf5()
