@@ -74,7 +74,27 @@ def _link(name: str) -> Make:
     return make
 
 
+def _hdf5(fill: Callable[[Any, Path], Any]) -> Make:
+    """Rows in HDF5, of which `fill` writes one."""
+
+    def make(folder: Path) -> None:
+        h5py = pytest.importorskip("h5py")
+        (folder / "results.csv").unlink()
+        with h5py.File(folder / "results.h5", "w") as file:
+            file["time"] = TIMES
+            fill(file, folder)
+
+    return make
+
+
+def _external(file: Any, folder: Path) -> None:
+    os.mkfifo(folder / "pipe")
+    file.create_dataset("a/x", (11,), "f8", external=[(str(folder / "pipe"), 0, 88)])
+
+
 KINDS: dict[str, Make] = {
+    "HDF5 with values in a pipe": _hdf5(_external),
+    "HDF5 with values that are not there": _hdf5(lambda f, _: f.create_dataset("a/x", (10**12,), "f8", chunks=(1000,))),
     "pipe of rows": _pipe("results.csv"),
     "pipe of HDF5": _pipe("results.h5"),
     "pipe of a record": _pipe("manifest.json"),

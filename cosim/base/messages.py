@@ -15,8 +15,8 @@ from typing import Any, SupportsIndex
 # control characters but tab and line feed, marks that change the direction of text, and halves of surrogate pairs
 UNPRINTABLE = re.compile("[\0-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
 
-# The same as escapes of JSON; pairs of backslashes before one stand for themselves.
-ESCAPED = re.compile(r"(?<!\\)((?:\\\\)*)\\(u(?:00[01][0-9a-f]|00[89][0-9a-f]|061c|200[ef]|202[89a-e]|206[6-9])|[bfr])")
+# the same as escapes of JSON, or an escaped backslash
+ESCAPED = re.compile(r"\\(\\|u(?:00[01][0-9a-f]|00[89][0-9a-f]|061c|200[ef]|202[89a-e]|206[6-9])|[bfr])")
 
 
 def printable(text: str, *, one_line: bool = False) -> str:
@@ -37,7 +37,7 @@ def _escape(match: re.Match[str]) -> str:
 
 def printable_json(text: str) -> str:
     r"""Return JSON in ASCII whose texts are printable: `\\u001b` in place of `\u001b`."""
-    return ESCAPED.sub(r"\1\\\\\2", text)
+    return ESCAPED.sub(lambda match: match[0] if match[1] == "\\" else f"\\{match[0]}", text)
 
 
 class Message(str):

@@ -16,6 +16,7 @@ from cosim.storage.table_columns import split_heading
 from cosim.storage.table_source import Frame, Source, SourceColumn, as_text, time_among, whole_numbers
 
 MAGIC = b"\x89HDF\r\n\x1a\n"
+MOST_DEFLATED, FILLED = 1032, 1 << 26  # size over stored bytes that deflate can reach; [bytes] that may be no values
 MIN_COMPRESSED = 1000  # rows; the index of compressed parts is larger than a short dataset
 
 
@@ -34,8 +35,10 @@ class Hdf5(Source):
         order: dict[str, int] = {}
 
         def add(place: str, item: Any) -> None:
-            if not isinstance(item, h5py.Dataset) or item.ndim != 1:
-                return
+            if not isinstance(item, h5py.Dataset) or item.ndim != 1 or item.external or item.is_virtual:
+                return  # values in other files, which may be pipes, are not read
+            if item.nbytes > MOST_DEFLATED * item.id.get_storage_size() + FILLED:
+                raise ValueError(f"{place} has fewer values than it declares")
             name, unit = item.attrs.get("name"), item.attrs.get("unit")
             if name is None:
                 name, unit = split_heading(place.replace("/", "."), names)
