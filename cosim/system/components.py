@@ -21,6 +21,7 @@ from cosim.scenario.diagnosis import Diagnosis
 from cosim.scenario.scenario import FixComponent, FmuComponent, PlaybackComponent, ReferenceComponent, Scenario
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.scenario.start_values import Misfit, convert_value, kind_of, settable, with_elements
+from cosim.storage.kinds import shell_path
 from cosim.storage.yaml_file import did_you_mean
 from cosim.system import messages
 from cosim.system.event_blocks import event_block
@@ -151,7 +152,7 @@ def _variables_of(component: str, ends: Iterable[str]) -> set[str]:
 def _cure(file: ScenarioFile, path: Path) -> str:
     """Return what provides a missing FMU, "" if nothing is known to."""
     is_built = is_model(BASE) and path.name in model_entry().built
-    cure = f'; "cosim build --out {path.parent}" makes it' if is_built else ""
+    cure = f'; "cosim build --out {shell_path(path.parent)}" makes it' if is_built else ""
     return cure if file.manifest is None else f"{cure}; put it there, or {path.name} beside {file.path.name}"
 
 
