@@ -139,6 +139,12 @@ STEP_TOO_SHORT = Template(
     "E-BLK-044", "a step of {step:.3g} s is too short at this time: doubles are {spacing:.2g} s apart there"
 )
 CHATTERING = Template("E-BLK-045", "it chatters: {count} events within {span:.2g} s, so that time stands still")
+EVENTS_NOT_SEPARATED = Template(
+    "E-BLK-083",
+    "its events follow each other within {span:.2g} s, closer than the solver can separate them: event indicator "
+    "{number} crosses zero and returns, ever faster, like a ball before it rests. The FMU needs a mode in which it "
+    "rests; end the run before this time, or change a parameter of the FMU",
+)
 RESTLESS_STATES = Template("E-BLK-046", "its discrete states still change after {count} updates")
 PAST_EVENT = Template(
     "E-BLK-047",
@@ -150,8 +156,8 @@ DERIVATIVE_NOT_FINITE = Template(
 )
 TOO_MANY_SOLVER_STEPS = Template(
     "E-BLK-049",
-    "CVODE does not come to the next communication point in 500 steps of its own: shorten the step, or see whether a "
-    "state grows without bound",
+    "{solver} does not reach the next communication point in {count} steps of its own. Allow more (max_steps), shorten "
+    "the step{other}, or check whether a state grows without bound",
 )
 TOLERANCE_TOO_TIGHT = Template(
     "E-BLK-050", "CVODE cannot reach the tolerance, as doubles are not that exact; loosen it"

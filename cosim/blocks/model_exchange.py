@@ -10,7 +10,7 @@ import contextlib
 import ctypes
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from cosim.base.errors import SimulationError
@@ -18,7 +18,7 @@ from cosim.blocks import messages
 from cosim.blocks.component import EarlyEnd
 from cosim.blocks.description import Way
 from cosim.blocks.fmi import EXCHANGE3, Calls, CoSimulation3, Listen, Step, Version1
-from cosim.blocks.solvers import DOUBLES, Solver, SolverFailed, solver
+from cosim.blocks.solvers import DOUBLES, Solver, SolverFailed, derivatives_of, solver
 
 TOLERANCE = 1e-5  # relative tolerance by default, as in FMPy
 LONGEST = 50  # largest solver step as a fraction 1/50 of the whole time, as in FMPy
@@ -27,6 +27,9 @@ AT_ONCE = 1e-6  # fraction of a communication step; MOST_EVENTS within it is cha
 CLOSE = 1e-9  # fraction of a communication step below which times are equal
 NO_VARIABLE = 2**32 - 1  # FMI 1.0's value reference of a state without variable
 ULPS = 4  # multiples of the spacing of doubles, too short for CVODE
+SEPARABLE = 1000  # multiples of the spacing of doubles between two events; CVODE locates each within 100
+SHORTENED = 0.25  # share of a solver step that is tried if it does not separate two events
+STRAIGHT = 0.1  # share of a solver step over which an indicator moves along its slope, as CVODE assumes after an event
 
 
 class ModelExchange2(Calls):
@@ -34,6 +37,7 @@ class ModelExchange2(Calls):
 
     Attributes:
         longest: Longest step of the solver [s]; None for a share of the run.
+        max_steps: Largest number of solver steps between communication points and events; None for the solver's own.
         stops_at_events: Whether a step ends at its first event, which `handle_event` then handles.
         cause: Kind of the event at which the last step ended; "" without one.
     """
@@ -48,7 +52,9 @@ class ModelExchange2(Calls):
         self.solver: Any = None
         self.solver_name: Solver | None = None
         self.longest: float | None = None
+        self.max_steps: int | None = None
         self._started = False
+        self._after: list[float] = []  # event indicators after the last event
         self._events: deque[float] = deque(maxlen=MOST_EVENTS)  # times of the last events
         self.event_counts = {"state": 0, "time": 0, "step": 0}
         self.stops_at_events, self.cause = False, ""
@@ -86,7 +92,7 @@ class ModelExchange2(Calls):
     @property
     def goes_back(self) -> bool:
         """Return whether the continuous states are all that a step changes, up to its first event."""
-        return not self.description.modelExchange.needsCompletedIntegratorStep
+        return not self._needs_completed_steps
 
     def save(self) -> tuple[float, list[float]]:
         """Return time [s] and continuous states, for `go_back`."""
@@ -99,10 +105,7 @@ class ModelExchange2(Calls):
         """Take back the states before a step, whose event, if any, has not been handled."""
         self.time, states = saved
         self.cause = ""
-        self.fmu.setTime(self.time)
-        if self.description.numberOfContinuousStates:
-            cells = (ctypes.c_double * len(states))(*states)
-            self.fmu.setContinuousStates(ctypes.cast(cells, DOUBLES), len(states))
+        self._place(self.time, states)
         self.solver.reset(self.time)
 
     # -- calls that differ between versions -----------------------------------------------------
@@ -116,9 +119,14 @@ class ModelExchange2(Calls):
     def _enter_continuous_time(self) -> None:
         self.fmu.enterContinuousTimeMode()
 
+    @property
+    def _needs_completed_steps(self) -> bool:
+        """Return whether the FMU needs a call after each accepted step of the solver."""
+        return bool(self.description.modelExchange.needsCompletedIntegratorStep)
+
     def _completed_step(self) -> tuple[bool, bool]:
         """Report a solver step; return event and end requests."""
-        if not self.description.modelExchange.needsCompletedIntegratorStep:
+        if not self._needs_completed_steps:
             return False, False
         event, terminate = self.fmu.completedIntegratorStep()
         return event, terminate
@@ -138,6 +146,8 @@ class ModelExchange2(Calls):
             start=self.start_time,
             longest=self.longest or (self.stop_time - self.start_time) / LONGEST,
             tolerance=TOLERANCE if self.tolerance is None else self.tolerance,
+            single_steps=self._needs_completed_steps,
+            max_steps=self.max_steps,
         )
 
     def _step(self, component: Any, t: float, h: float, _: int) -> int:
@@ -153,30 +163,100 @@ class ModelExchange2(Calls):
             target = end
             if event is not None and at_event:  # An event within rounding of the target is not missed.
                 target = event if event < end - close else max(event, end)
-            state_event, self.time = self._integrate(target, ULPS * spacing)
-            self.fmu.setTime(self.time)
-            step_event, terminate = self._completed_step()
-            if terminate:
-                self._end()
-            if state_event or at_event or step_event:
-                self.cause = "state" if state_event else "time" if at_event else "step"
+            state_event, step_event = self._integrate(target, ULPS * spacing)
+            if state_event or step_event or at_event:
+                self.cause = "state" if state_event else "step" if self.time < target else "time" if at_event else "step"
                 if self.stops_at_events:
                     return 0
                 self.handle_event(h)
         return 0
 
-    def _integrate(self, target: float, min_span: float) -> tuple[bool, float]:
-        """Integrate to the target or the first state event; return whether an event occurred, and the time reached.
+    def _integrate(self, target: float, min_span: float) -> tuple[bool, bool]:
+        """Integrate to the target or the first event; return whether a state event and a step event occurred.
 
-        Nothing is integrated over `min_span` [s] or less.
+        The FMU is told of each step of the solver if it needs that. Nothing is integrated over `min_span` [s] or less.
         """
-        if target - self.time <= min_span:
-            return False, max(self.time, target)
-        try:
-            state_event, _, time = self.solver.step(self.time, target)
-        except SolverFailed as error:
-            raise SimulationError(self.name, self.time, self._explain(error)) from None
-        return bool(state_event), float(time)
+        while True:
+            state_event = False
+            if target - self.time <= min_span:
+                self.time = max(self.time, target)
+            else:
+                try:
+                    state_event, self.time = self._solver_step(target)
+                except SolverFailed as error:
+                    raise SimulationError(self.name, self.time, self._explain(error)) from None
+            self.fmu.setTime(self.time)
+            step_event, terminate = self._completed_step()
+            if terminate:
+                self._end()
+            if state_event or step_event or self.time >= target:
+                return state_event, step_event
+
+    def _solver_step(self, target: float) -> tuple[bool, float]:
+        """Take one or more steps of the solver; return whether a state event occurred, and the time reached.
+
+        A step is too long if an indicator leaves its side and returns to it within the step, unless its way there was
+        part of an earlier step. Two such events are separated by shorter steps.
+
+        Raises:
+            SimulationError: Two events are too close together for that.
+        """
+        if not self.description.numberOfEventIndicators:
+            event, _, time = self.solver.step(self.time, target)
+            return bool(event), float(time)
+        saved, hidden = self.save(), set[int]()
+        if self.solver.is_first:
+            self._after = self._indicators(*saved)
+        while True:
+            is_first, slopes = self.solver.is_first, self._rates() if self.solver.is_first else []
+            event, roots, time = self.solver.step(self.time, target)
+            if not (event or is_first):
+                return False, float(time)
+            reached, straight = (float(time), self.save()[1]), STRAIGHT * self.solver.last_step
+            ends = self._indicators(*reached)
+            back = [k for k, z in enumerate(ends) if (z > 0.0) == (self._after[k] > 0.0)]  # on the side of the last event
+            is_hidden = is_false = False
+            if is_first and back:
+                ahead = self._indicators(saved[0] + straight, _along(saved[1], slopes, straight))
+                hidden = {k for k in back if (ahead[k] > 0.0) != (ends[k] > 0.0) or (k in hidden and ahead[k] == 0.0)}
+                is_hidden = bool(hidden)
+            if event and (returned := [k for k in back if roots[k]]):
+                self._place(*reached)
+                ahead = self._indicators(time + straight, _along(reached[1], self._rates(), straight))
+                is_false = any(roots[k] * (ahead[k] - ends[k]) < 0.0 for k in returned)
+            shorter = SHORTENED * self.solver.last_step
+            is_too_short = shorter <= SEPARABLE * math.ulp(max(abs(self.time), abs(target)))
+            if is_hidden and is_too_short:
+                self._place(*saved)
+                number = min(hidden) + 1
+                raise SimulationError(self.name, self.time, messages.EVENTS_NOT_SEPARATED(span=4 * shorter, number=number))
+            if is_too_short or not (is_hidden or is_false):
+                self._place(*reached)
+                return bool(event), reached[0]
+            self._place(*saved)
+            self.solver.reset(self.time, shorter)
+
+    def _place(self, time: float, states: Sequence[float]) -> None:
+        """Set time and continuous states."""
+        self.fmu.setTime(time)
+        if self.description.numberOfContinuousStates:
+            cells = (ctypes.c_double * len(states))(*states)
+            self.fmu.setContinuousStates(ctypes.cast(cells, DOUBLES), len(states))
+
+    def _indicators(self, time: float, states: Sequence[float]) -> list[float]:
+        """Return the event indicators at a point."""
+        self._place(time, states)
+        cells = (ctypes.c_double * self.description.numberOfEventIndicators)()
+        self.fmu.getEventIndicators(ctypes.cast(cells, DOUBLES), len(cells))
+        return list(cells)
+
+    def _rates(self) -> list[float]:
+        """Return the derivatives of the continuous states."""
+        count = self.description.numberOfContinuousStates
+        cells = (ctypes.c_double * max(1, count))()
+        if count:
+            derivatives_of(self.fmu)(ctypes.cast(cells, DOUBLES), count)
+        return list(cells)
 
     def _explain(self, error: SolverFailed) -> str:
         """Return the solver's reason with the derivative's name."""
@@ -223,11 +303,16 @@ class ModelExchange2(Calls):
         raise EarlyEnd(self.name, self.time, messages.END_BY_FMU())
 
 
+def _along(states: Sequence[float], slopes: Sequence[float], span: float) -> list[float]:
+    """Return states after a time span [s] along their slopes."""
+    return [x + span * slope for x, slope in zip(states, slopes, strict=True)]
+
+
 class ModelExchange1(Version1, ModelExchange2):
     """Calls of an FMU for FMI 1.0 model exchange, without modes and with a single call per event."""
 
     fmpy_class = "fmi1.FMU1Model"
-    goes_back = False  # FMI 1.0 demands completedIntegratorStep.
+    _needs_completed_steps = True  # FMI 1.0 demands the call of every host.
     _first: Any = None  # event information from the initialization
 
     def prepare(self) -> None:
@@ -244,7 +329,7 @@ class ModelExchange1(Version1, ModelExchange2):
         """Do nothing; FMI 1.0 has no modes."""
 
     def _completed_step(self) -> tuple[bool, bool]:
-        return self.fmu.completedIntegratorStep(), False  # FMI 1.0 demands this call of every host.
+        return self.fmu.completedIntegratorStep(), False
 
     def _update_discrete_states(self) -> Any:
         first, self._first = self._first, None

@@ -154,6 +154,8 @@ class FmuComponent(Part):
     logging:   whether debug logging is on
     solver:    solver for model exchange
     solver_step: longest step of this solver [s]; by default 1/50 of the run
+    max_steps: largest number of steps of this solver between communication points and events; by default 500 for
+        CVODE, any number for solve_ivp
     feedthrough: inputs that an output follows without delay, where the FMU declares no dependencies; [] for none. By
         default a run measures them at its start, if a loop depends on them
     sha256:    SHA-256 of the file, as written to a manifest
@@ -171,6 +173,7 @@ class FmuComponent(Part):
     logging: bool = False
     solver: Literal["cvode", "solve_ivp"] | None = None
     solver_step: PositiveSeconds | None = None
+    max_steps: Annotated[int, Field(strict=True, ge=1)] | None = None
     feedthrough: list[str] | None = None
     sha256: str | None = None
 

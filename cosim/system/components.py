@@ -128,6 +128,7 @@ def _fmu(
         logging=component.logging,
         solver=component.solver,
         solver_step=component.solver_step,
+        max_steps=component.max_steps,
         feedthrough=None if component.feedthrough is None else frozenset(component.feedthrough),
     )
 
