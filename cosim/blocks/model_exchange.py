@@ -11,6 +11,7 @@ import ctypes
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from typing import Any
 
 from cosim.base.errors import SimulationError
@@ -27,7 +28,7 @@ AT_ONCE = 1e-6  # fraction of a communication step; MOST_EVENTS within it is cha
 CLOSE = 1e-9  # fraction of a communication step below which times are equal
 NO_VARIABLE = 2**32 - 1  # FMI 1.0's value reference of a state without variable
 ULPS = 4  # multiples of the spacing of doubles, too short for CVODE
-SEPARABLE = 1000  # multiples of the spacing of doubles between two events; CVODE locates each within 100
+SEPARABLE = 10_000  # multiples of the spacing of doubles between two events; CVODE locates each within 100
 SHORTENED = 0.25  # share of a solver step that is tried if it does not separate two events
 STRAIGHT = 0.1  # share of a solver step over which an indicator moves along its slope, as CVODE assumes after an event
 
@@ -54,7 +55,7 @@ class ModelExchange2(Calls):
         self.longest: float | None = None
         self.max_steps: int | None = None
         self._started = False
-        self._after: list[float] = []  # event indicators after the last event
+        self._crossed: dict[tuple[int, int], deque[float]] = {}  # indicator, direction → times of its last crossings
         self._events: deque[float] = deque(maxlen=MOST_EVENTS)  # times of the last events
         self.event_counts = {"state": 0, "time": 0, "step": 0}
         self.stops_at_events, self.cause = False, ""
@@ -195,46 +196,61 @@ class ModelExchange2(Calls):
     def _solver_step(self, target: float) -> tuple[bool, float]:
         """Take one or more steps of the solver; return whether a state event occurred, and the time reached.
 
-        A step is too long if an indicator leaves its side and returns to it within the step, unless its way there was
-        part of an earlier step. Two such events are separated by shorter steps.
+        A step is too long if an indicator leaves its side after an event and returns to it within the step, or if it
+        crosses zero against its slope, since the error of the solver is larger than its way. Shorter steps follow.
 
         Raises:
-            SimulationError: Two events are too close together for that.
+            SimulationError: Two events are closer together than times can be separated.
         """
         if not self.description.numberOfEventIndicators:
             event, _, time = self.solver.step(self.time, target)
             return bool(event), float(time)
-        saved, hidden = self.save(), set[int]()
-        if self.solver.is_first:
-            self._after = self._indicators(*saved)
+        saved, spacing = self.save(), math.ulp(max(abs(self.time), abs(target)))
+        hidden, false = set[int](), set[int]()  # indicators for which the step is too long
         while True:
-            is_first, slopes = self.solver.is_first, self._rates() if self.solver.is_first else []
+            is_first = self.solver.is_first
+            begins = self._indicators(*saved) if is_first else []
+            slopes = self._rates() if is_first else []
             event, roots, time = self.solver.step(self.time, target)
             if not (event or is_first):
                 return False, float(time)
-            reached, straight = (float(time), self.save()[1]), STRAIGHT * self.solver.last_step
+            reached, length = (float(time), self.save()[1]), self.solver.last_step
             ends = self._indicators(*reached)
-            back = [k for k, z in enumerate(ends) if (z > 0.0) == (self._after[k] > 0.0)]  # on the side of the last event
-            is_hidden = is_false = False
-            if is_first and back:
-                ahead = self._indicators(saved[0] + straight, _along(saved[1], slopes, straight))
-                hidden = {k for k in back if (ahead[k] > 0.0) != (ends[k] > 0.0) or (k in hidden and ahead[k] == 0.0)}
-                is_hidden = bool(hidden)
-            if event and (returned := [k for k in back if roots[k]]):
+            if is_first:
+                ahead = self._ahead(saved, slopes, STRAIGHT * length)
+                hidden = {k for k in range(len(ends)) if _is_hidden(begins[k], ahead[k], ends[k], was=k in hidden)}
+            if event:
                 self._place(*reached)
-                ahead = self._indicators(time + straight, _along(reached[1], self._rates(), straight))
-                is_false = any(roots[k] * (ahead[k] - ends[k]) < 0.0 for k in returned)
-            shorter = SHORTENED * self.solver.last_step
-            is_too_short = shorter <= SEPARABLE * math.ulp(max(abs(self.time), abs(target)))
-            if is_hidden and is_too_short:
-                self._place(*saved)
-                number = min(hidden) + 1
-                raise SimulationError(self.name, self.time, messages.EVENTS_NOT_SEPARATED(span=4 * shorter, number=number))
-            if is_too_short or not (is_hidden or is_false):
+                ahead = self._ahead(reached, self._rates(), STRAIGHT * length)
+                ways = [root * (z - end) for root, z, end in zip(roots, ahead, ends, strict=True)]
+                false = {k for k, way in enumerate(ways) if way < 0.0 or (k in false and roots[k] and way == 0.0)}
+            if not (hidden or (event and false)):
                 self._place(*reached)
+                if event:
+                    self._note_crossings(roots, reached[0], spacing)
+                elif any(ends[k] == begins[k] == 0.0 for k, _ in self._crossed):
+                    self.solver.is_first = True  # The way after the event is too short yet to be told from 0.
                 return bool(event), reached[0]
             self._place(*saved)
-            self.solver.reset(self.time, shorter)
+            if SHORTENED * length <= SEPARABLE * spacing:
+                fields = {"span": length, "number": min(hidden | false) + 1}
+                raise SimulationError(self.name, self.time, messages.EVENTS_NOT_SEPARATED(**fields))
+            self.solver.reset(self.time, SHORTENED * length)
+
+    def _note_crossings(self, roots: Sequence[int], time: float, spacing: float) -> None:
+        """Note the time of crossings; raise SimulationError if they come ever faster, too fast to be separated."""
+        for crossing in ((k, root) for k, root in enumerate(roots) if root):
+            times = self._crossed.setdefault(crossing, deque(maxlen=4))
+            times.append(time)
+            spans = [b - a for a, b in pairwise(times)]
+            if len(spans) == 3 and SEPARABLE * spacing >= spans[0] > spans[1] > spans[2]:
+                fault = messages.EVENTS_NOT_SEPARATED(span=spans[2], number=crossing[0] + 1)
+                raise SimulationError(self.name, self.time, fault)
+
+    def _ahead(self, point: tuple[float, Sequence[float]], slopes: Sequence[float], span: float) -> list[float]:
+        """Return the event indicators a time span [s] ahead of a point, along the slopes of the states."""
+        states = [x + span * slope for x, slope in zip(point[1], slopes, strict=True)]
+        return self._indicators(point[0] + span, states)
 
     def _place(self, time: float, states: Sequence[float]) -> None:
         """Set time and continuous states."""
@@ -303,9 +319,15 @@ class ModelExchange2(Calls):
         raise EarlyEnd(self.name, self.time, messages.END_BY_FMU())
 
 
-def _along(states: Sequence[float], slopes: Sequence[float], span: float) -> list[float]:
-    """Return states after a time span [s] along their slopes."""
-    return [x + span * slope for x, slope in zip(states, slopes, strict=True)]
+def _is_hidden(begin: float, ahead: float, end: float, *, was: bool) -> bool:
+    """Return whether an indicator leaves its side and returns to it within a step.
+
+    Args:
+        ahead: Indicator shortly after the beginning, along its slope.
+        was: Whether it did so in a longer step. It then still does if it moves towards the other side.
+    """
+    leaves = (ahead > 0.0) != (begin > 0.0) or (was and (ahead <= begin if begin > 0.0 else ahead >= begin))
+    return leaves and (end > 0.0) == (begin > 0.0)
 
 
 class ModelExchange1(Version1, ModelExchange2):

@@ -188,14 +188,14 @@ def cvode(
             In single steps, CVODE may take one step in each call and reports that this was too little. Its steps are
             therefore the same as without. A step beyond the last target ends at a point that is returned first.
             """
-            self.failed, self.refusals = None, []
-            if compiled is not None:
-                compiled.refusals = 0
             is_single = single_steps or (self.is_first and indicators > 0)
             reached = self._number("CVodeGetCurrentTime")
             goal = reached if is_single and t < reached < target else target
             if target != self.goal:
                 self.goal, self.steps = target, 0
+                self.failed, self.refusals = None, []
+                if compiled is not None:
+                    compiled.refusals = 0
             library.CVodeSetMaxNumSteps(self.memory, ctypes.c_long(1 if is_single else most - self.steps))
             if states:
                 self.get_x(self.px, self.nx)
@@ -372,7 +372,7 @@ class SolveIvp:
                 if self._radau is None or self._radau.t_bound != target:
                     self._begin(t, target)
                 radau = self._radau
-                before = self._indicators(t, radau.y)
+                before = self._signs(t, radau.y)
                 radau.step()
             except ValueError as error:  # from a non-finite matrix
                 raise self.discarded or SolverFailed(messages.SOLVE_IVP_FAILED(reason=str(error))) from None
@@ -380,15 +380,10 @@ class SolveIvp:
                 reason = messages.NO_STEP_WITHIN_TOLERANCE(solver="solve_ivp")
                 raise self.discarded or SolverFailed(reason, self.derivative)
         self._steps += 1
-        was_first, self.is_first, self.last_step = self.is_first, False, radau.t - t
-        if was_first and 0.0 in before:  # An indicator that is 0 after an event begins on the side to which it moves.
-            solution, ahead = radau.dense_output(), t + 0.1 * self.last_step
-            before = [z or next_z for z, next_z in zip(before, self._indicators(ahead, solution(ahead)), strict=True)]
-        signs = [z > 0 for z in before]
-        if self._signs(radau.t, radau.y) != signs:
-            time = self._time_after_crossing(signs, t, radau.t, radau.dense_output())
-            after = [z > 0 for z in self._z]
-            return True, [int(new) - int(old) for old, new in zip(signs, after, strict=True)], time
+        self.is_first, self.last_step = False, radau.t - t
+        if self._signs(radau.t, radau.y) != before:
+            time = self._time_after_crossing(before, t, radau.t, radau.dense_output())
+            return True, [int(z > 0) - int(old) for old, z in zip(before, self._z, strict=False)], time
         if radau.status == "running" and self._steps == self.max_steps:
             raise SolverFailed(messages.TOO_MANY_SOLVER_STEPS(solver="solve_ivp", count=self._steps, other=""))
         self._set(radau.t, radau.y)
@@ -417,15 +412,11 @@ class SolveIvp:
         return float(end)
 
     def _signs(self, t: float, x: Any) -> list[bool]:
-        """Return whether each event indicator is positive."""
-        return [z > 0 for z in self._indicators(t, x)]
-
-    def _indicators(self, t: float, x: Any) -> list[float]:
-        """Return the event indicators at a point; set the FMU to it."""
+        """Return whether each event indicator is positive; set the FMU to the point."""
         self._set(t, x)
         if self.indicators:
             self.fmu.getEventIndicators(self._pointer(self._z), self.indicators)
-        return list(self._z)[: self.indicators]
+        return [z > 0 for z in self._z][: self.indicators]
 
     def _set(self, t: float, x: Any) -> None:
         self.fmu.setTime(t)
