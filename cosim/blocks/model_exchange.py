@@ -30,6 +30,7 @@ NO_VARIABLE = 2**32 - 1  # FMI 1.0's value reference of a state without variable
 ULPS = 4  # multiples of the spacing of doubles, too short for CVODE
 SEPARABLE = 10_000  # multiples of the spacing of doubles between two events; CVODE locates each within 100
 SHORTENED = 0.25  # share of a solver step that is tried if it does not separate two events
+EVER_FASTER = 4  # spans between crossings of an indicator that are each shorter than the one before
 STRAIGHT = 0.1  # share of a solver step over which an indicator moves along its slope, as CVODE assumes after an event
 
 
@@ -55,7 +56,9 @@ class ModelExchange2(Calls):
         self.longest: float | None = None
         self.max_steps: int | None = None
         self._started = False
-        self._crossed: dict[tuple[int, int], deque[float]] = {}  # indicator, direction → times of its last crossings
+        # indicator and direction → times of its last crossings, and the number of shortened steps until then
+        self._crossings: dict[tuple[int, int], deque[tuple[float, int]]] = {}
+        self._shortened = 0  # number of shortened steps
         self._events: deque[float] = deque(maxlen=MOST_EVENTS)  # times of the last events
         self.event_counts = {"state": 0, "time": 0, "step": 0}
         self.stops_at_events, self.cause = False, ""
@@ -228,23 +231,24 @@ class ModelExchange2(Calls):
                 self._place(*reached)
                 if event:
                     self._note_crossings(roots, reached[0], spacing)
-                elif any(ends[k] == begins[k] == 0.0 for k, _ in self._crossed):
-                    self.solver.is_first = True  # The way after the event is too short yet to be told from 0.
                 return bool(event), reached[0]
             self._place(*saved)
             if SHORTENED * length <= SEPARABLE * spacing:
                 fields = {"span": length, "number": min(hidden | false) + 1}
                 raise SimulationError(self.name, self.time, messages.EVENTS_NOT_SEPARATED(**fields))
+            self._shortened += 1
             self.solver.reset(self.time, SHORTENED * length)
 
     def _note_crossings(self, roots: Sequence[int], time: float, spacing: float) -> None:
-        """Note the time of crossings; raise SimulationError if they come ever faster, too fast to be separated."""
+        """Note the time of crossings; raise SimulationError if they come ever faster, too fast for the solver."""
         for crossing in ((k, root) for k, root in enumerate(roots) if root):
-            times = self._crossed.setdefault(crossing, deque(maxlen=4))
-            times.append(time)
-            spans = [b - a for a, b in pairwise(times)]
-            if len(spans) == 3 and SEPARABLE * spacing >= spans[0] > spans[1] > spans[2]:
-                fault = messages.EVENTS_NOT_SEPARATED(span=spans[2], number=crossing[0] + 1)
+            last = self._crossings.setdefault(crossing, deque(maxlen=EVER_FASTER + 1))
+            last.append((time, self._shortened))
+            spans = [b[0] - a[0] for a, b in pairwise(last)]
+            if len(spans) < EVER_FASTER or any(b >= a for a, b in pairwise(spans)):
+                continue
+            if spans[0] <= SEPARABLE * spacing or all(b[1] > a[1] for a, b in pairwise(last)):
+                fault = messages.EVENTS_NOT_SEPARATED(span=spans[-1], number=crossing[0] + 1)
                 raise SimulationError(self.name, self.time, fault)
 
     def _ahead(self, point: tuple[float, Sequence[float]], slopes: Sequence[float], span: float) -> list[float]:
