@@ -35,7 +35,7 @@ def bounced(folder: Path, start: dict[str, float] | None = None, **more: Any) ->
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("start", [{}, {"kick_at": 0.3}, {"e": 0.9, "g": 3.7}, {"kick_at": 0.005, "e": 0.2}])
+@pytest.mark.parametrize("start", [{}, {"kick_at": 0.3}, {"e": 0.9, "g": 3.7}, {"kick_at": 0.005, "e": 0.6}])
 def test_it_is_what_fmpy_makes_of_it_to_the_last_bit(tmp_path: Path, start: dict[str, float]) -> None:
     import fmpy
 
@@ -91,7 +91,7 @@ def test_it_may_end_the_simulation(tmp_path: Path) -> None:
 
 
 def test_a_call_that_fails_is_told_with_the_words_of_the_fmu(tmp_path: Path) -> None:
-    with pytest.raises(StoppedRun, match=r"a at t = 0\.(2\d|3) s: fmi1GetDerivatives returned Error: it has a hole"):
+    with pytest.raises(StoppedRun, match=r"a at t = 0\.(2\d*|3) s: fmi1GetDerivatives returned Error: it has a hole"):
         bounced(tmp_path, {"fail_at": 0.3})
 
 

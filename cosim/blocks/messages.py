@@ -141,9 +141,9 @@ STEP_TOO_SHORT = Template(
 CHATTERING = Template("E-BLK-045", "it chatters: {count} events within {span:.2g} s, so that time stands still")
 EVENTS_NOT_SEPARATED = Template(
     "E-BLK-083",
-    "its events follow each other within {span:.2g} s, too fast for the solver to separate them: event indicator {number} "
-    "crosses zero and returns ever faster, like a ball before it rests. The FMU needs a mode in which it rests. A "
-    "smaller tolerance separates more events; an end of the run before this time avoids them",
+    "its events follow each other within {span:.2g} s, too fast for the solver to separate them: event "
+    "indicator {number} crosses zero and returns ever faster, like a ball before it rests. The FMU needs a mode in "
+    "which it rests. A smaller tolerance separates more events; an end of the run before this time avoids them",
 )
 RESTLESS_STATES = Template("E-BLK-046", "its discrete states still change after {count} updates")
 PAST_EVENT = Template(

@@ -169,7 +169,9 @@ class ModelExchange2(Calls):
                 target = event if event < end - close else max(event, end)
             state_event, step_event = self._integrate(target, ULPS * spacing)
             if state_event or step_event or at_event:
-                self.cause = "state" if state_event else "step" if self.time < target else "time" if at_event else "step"
+                self.cause = (
+                    "state" if state_event else "step" if self.time < target else "time" if at_event else "step"
+                )
                 if self.stops_at_events:
                     return 0
                 self.handle_event(h)
