@@ -49,7 +49,8 @@ int fmi2SetReal(C c, const unsigned v[], size_t n, const double y[]) {{
     while (n--) ((M *)c)->x[v[n]] = y[n]; return 0; }}
 int fmi2EnterEventMode(C c) {{ return 0; }}
 int fmi2NewDiscreteStates(C c, Event *e) {{
-    M *m = c; memset(e, 0, sizeof *e); e->changed = event(m); e->defined = m->next < 1e299; e->time = m->next; return 0; }}
+    M *m = c; memset(e, 0, sizeof *e); e->changed = event(m); e->defined = m->next < 1e299;
+    e->time = m->next; return 0; }}
 int fmi2EnterContinuousTimeMode(C c) {{ return 0; }}
 int fmi2CompletedIntegratorStep(C c, int no, int *asks, int *ends) {{
     int wish = completed(c); *asks = wish == 1; *ends = wish == 2; return 0; }}

@@ -42,8 +42,7 @@ def alone(folder: Path, fmu: Path, step: float, duration: float, **more: Any) ->
     return ran(folder, {"b": {"fmu": fmu.name, "interface": "model-exchange", **more}}, step, duration)
 
 
-@BOTH
-@pytest.mark.parametrize("step", [5.0, 1.0, 0.1])
+@pytest.mark.parametrize(("step", "solver"), [(5.0, "cvode"), (1.0, "cvode"), (0.1, "cvode"), (5.0, "solve_ivp")])
 def test_an_fmu_gets_each_accepted_step_whatever_the_communication_step(
     tmp_path: Path, step: float, solver: str
 ) -> None:
