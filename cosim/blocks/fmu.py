@@ -35,7 +35,7 @@ from cosim.blocks.solvers import Solver
 from cosim.blocks.stepping import Plan, Slot, StopReason, fmu_slot
 from cosim.blocks.values import Arguments, Values
 from cosim.blocks.variable_access import Ports
-from cosim.fmi.sampled import AUTHOR, optional_inputs
+from cosim.fmi.sampled import AUTHOR, optional_inputs, sampled_by
 
 __all__ = ["FmuBlock", "matches", "read_description"]
 
@@ -179,6 +179,11 @@ class FmuBlock:
     def names_any(self, pattern: str) -> bool:
         """Return whether a pattern such as `plant.*` matches a variable."""
         return any(matches(pattern, self.name, name) for name in self._variables)
+
+    @cached_property
+    def is_sampled(self) -> bool:
+        """Return whether an FMU of cosim takes its inputs at its sample, the end of a step."""
+        return self.description.author == AUTHOR and sampled_by(self.path) is not None
 
     @property
     def warnings(self) -> tuple[str, ...]:

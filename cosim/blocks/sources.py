@@ -21,6 +21,8 @@ from cosim.storage.table import read_columns
 class SourceBlock(RowComponent):
     """Signals as functions of time; their `over` equals single calls at ordered times."""
 
+    is_linear = False
+
     def __init__(self, name: str, signals: Mapping[str, tuple[str, ProfileFunction | Recorded]]) -> None:
         self.name = name
         self.outputs = tuple(Signal(signal, unit) for signal, (unit, _) in signals.items())

@@ -141,6 +141,7 @@ class LoopSolver:
         self._forward = {n: [t for t, is_back in marked if owners[t.target] == n and not is_back] for n in loop.members}
         self._into = {name: copying.of(transfers) for name, transfers in self._forward.items()}
         self._to_back = copying.of(self.back)
+        self._known_into = {s.component.name: copying.of(s.late) for s in system.stages if s.component.name in loop.members}
         self._one = {t.name: copying.of([t]) for t in loop.transfers}
         self.members = members_of(loop, system, row)
         self._roots = self._root_finding()
@@ -206,9 +207,17 @@ class LoopSolver:
     def _solved_step(self, t: float, h: float) -> None:
         for member in self.members:
             member.begin_step(self.doing, t, h)
+        self._set_late(repeats=False)
         self._iterations.append(self._solve(t + h))
         for member in self.members:
             member.end_step(self.doing)
+        self._set_late(repeats=True)
+
+    def _set_late(self, *, repeats: bool) -> None:
+        """Copy known values of the end of a step, to components whose step is repeated after the last repetition."""
+        for member in self.members:
+            if member.repeats == repeats:
+                copy_values(self.row, self._known_into[member.component.name], self._point)
 
     def _row_values(self, places: Sequence[int]) -> Array:
         return np.array([self.row[k] for k in places])

@@ -167,4 +167,4 @@ class _PartOfBatch:
 
 
 def _transfers(system: System) -> list[Transfer]:
-    return [*system.held, *(t for stage in system.stages for t in stage.pulls)]
+    return [*system.held, *(t for stage in system.stages for t in stage.transfers)]

@@ -77,6 +77,7 @@ class System:
     recording: RecordedPart | None = None
     opened: tuple[Loop, ...] = ()
     assumed: bool = False
+    known: frozenset[str] = frozenset()
 
     @property
     def names(self) -> list[str]:
@@ -122,7 +123,9 @@ def build_system(file: ScenarioFile, start_values: Designed | None = None) -> Sy
     if is_whole:
         _check_criteria(scenario, layout.columns, recording, diagnosis)
     is_connected = is_whole and all(transfers)
-    plan = schedule(scenario, components, transfers, diagnosis) if is_connected else Schedule()
+    courses = courses_of(scenario, components)
+    way = {"interpolates": courses[1] > 0}
+    plan = schedule(scenario, components, transfers, diagnosis, **way) if is_connected else Schedule()
     blocks = {name: c for name, c in components.items() if isinstance(c, FmuBlock)}
     here = [(name, block.path) for name, block in blocks.items() if not isinstance(block, RemoteFmu)]
     separated, notes = separate(here, scenario.isolated)
@@ -152,11 +155,12 @@ def build_system(file: ScenarioFile, start_values: Designed | None = None) -> Sy
         loops=plan.loops,
         solving=scenario.loops,
         control=control,
-        courses=courses_of(scenario, components),
+        courses=courses,
         distant={name: c.distant.sha256 for name, c in blocks.items() if isinstance(c, RemoteFmu)},
         recording=recording,
         opened=plan.opened,
         assumed=plan.assumed,
+        known=plan.known,
     )
 
 
