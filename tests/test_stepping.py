@@ -81,7 +81,8 @@ class Counter:
 
 def loop_of(slots: list[tuple[Slot, list[Transfer]]], held: list[Transfer], row: Any, steps: int) -> tuple[Loop, Any]:
     table, made, doing = np.zeros((steps + 1, len(row))), array("q", [1]), array("q", [-1])
-    return Loop([(*slot, []) for slot in slots], held, row, table, begin=0.0, h=0.5, counter=made, doing=doing), (table, made, doing)
+    around = [(*slot, []) for slot in slots]
+    return Loop(around, held, row, table, begin=0.0, h=0.5, counter=made, doing=doing), (table, made, doing)
 
 
 def test_a_step_puts_steps_gets_transfers_and_keeps_the_row() -> None:

@@ -30,12 +30,14 @@ def scenario_text(
     algorithm: Algorithm,
     *,
     played: Path | None = None,
+    interpolation: str = "held",
     verb: str = "init",
 ) -> str:
     """Return the text of a first scenario, to be written into `folder`.
 
     Args:
         played: Recording that plays inputs; its connections come first.
+        interpolation: Its values between two rows: held or linear.
         verb: Command that writes the scenario.
     """
     guesses, choices = sum(bool(m.guess) for m in matches.connections), len(matches.choices)
@@ -54,7 +56,7 @@ def scenario_text(
         f"duration: {times.duration:.12g} # s: {times.why_duration}",
         f"step: {_whole(times.step)} # s: {times.why_step}",
     ]
-    lines += [f"start_time: {times.start:.12g} # s: {times.why_start}"] if times.start else []
+    lines += [f"start_time: {_whole(times.start)} # s: {times.why_start}"] if times.start else []
     if algorithm is not DEFAULT:
         lines.append(
             f"algorithm: {algorithm.name} # each FMU needs another's output of the same time; or state `order: [...]`"
@@ -67,6 +69,7 @@ def scenario_text(
             f"  {matches.connections[0].source[0]}:",
             "    block: playback",
             f"    file: {scalar(relative(played, folder))}",
+            *([f"    interpolation: {interpolation}"] if interpolation != "held" else []),
         ]
     lines += _connections(matches) + _more(parts)
     return "\n".join(lines) + "\n"

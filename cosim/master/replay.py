@@ -1,7 +1,8 @@
 """Replay of components in a resumed run: the recorded inputs give the state that was not saved.
 
 At point k a component took the inputs of row k − 1, overwritten by the transfers right before its step, whose values
-are in row k; after the step it took the late values of row k. Every step is compared with the recorded outputs, so a component that is not deterministic is found.
+are in row k; after the step it took the late values of row k. Every step is compared with the recorded outputs, so a
+component that is not deterministic is found.
 Components that C can step are replayed by its loop, as fast as in the run.
 """
 
@@ -234,7 +235,7 @@ def difference(part: Replayed, time: float) -> SimulationError:
 class CompiledReplay:
     """Replay of components by the stepping loop in C.
 
-    Before each component a slot writes its recorded inputs into the row, and its late ones into cells of their own, from
+    Before each component slots write its recorded inputs into the row, and the late ones into cells of their own, from
     which they are transferred after its step. The outputs of many points are compared at once.
     """
 

@@ -190,15 +190,17 @@ class ReferenceComponent(Part):
 
 
 class PlaybackComponent(Part):
-    """Columns of a CSV file; each value is held until the next row.
+    """Columns of a CSV file.
 
-    block:  playback
-    file:   CSV file, relative to the scenario; its first column is time [s]
-    sha256: SHA-256 of the file, as written to a manifest
+    block:         playback
+    file:          CSV file, relative to the scenario; its first column is time [s]
+    interpolation: held: each value acts until the next row; linear: a line between two rows. Equal times are a jump
+    sha256:        SHA-256 of the file, as written to a manifest
     """
 
     block: Literal["playback"]
     file: str
+    interpolation: Literal["held", "linear"] = "held"
     sha256: str | None = None
 
 

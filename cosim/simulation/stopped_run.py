@@ -29,6 +29,7 @@ from cosim.base.drafts import remove_drafts
 from cosim.base.errors import InputError
 from cosim.base.messages import Message, code_of
 from cosim.base.scratch import lock_file
+from cosim.base.times import rounding, roundings
 from cosim.base.version import __version__
 from cosim.blocks.component import Signal
 from cosim.blocks.fmu import FmuBlock
@@ -51,7 +52,6 @@ from cosim.system.system import System
 FOLDER, RUN, MANIFEST = "checkpoint", "run.json", "manifest.json"
 PATIENCE, PAUSE = 15.0, 0.05  # time [s] for the worker of a killed command to end, and between two looks
 ALL = "all-"  # prefix of the files of rows after the end of a run of which a part is recorded
-ROUNDING = 1e-9  # relative tolerance of times on the grid of communication points
 EXTRA = "files"  # key of run.json beside those of a manifest: name of the rows file, warnings of an SSP, codes of all
 EXTRA_KIND = Kind("a mapping", dict, keys={"rows": TEXT, "warnings": TEXTS, "codes": TEXTS})
 DOUBLE = Kind("a number", float)
@@ -225,14 +225,14 @@ class StoppedRun:
     def _check_unfinished(self, scenario: Scenario) -> None:
         """Raise InputError if the recorded rows reach the end."""
         end = scenario.start_time + scenario.duration
-        if len(self.results.time) and self.results.time[-1] >= end - ROUNDING * (1.0 + abs(end)):
+        if len(self.results.time) and self.results.time[-1] >= end - rounding(end, scenario.step):
             raise InputError.at(self.folder, messages.ALREADY_FINISHED(time=end))
 
     def _from_results(self, system: System, scenario: Scenario, count: int) -> Continuation:
         """Return the first rows of the results."""
         results, rows = self.results, self.folder / self.rows_file
         expected = scenario.start_time + scenario.step * np.arange(len(results.time))
-        on_grid = np.abs(results.time - expected) <= ROUNDING * (1.0 + np.abs(expected))
+        on_grid = np.abs(results.time - expected) <= roundings(expected, scenario.step)
         complete = len(results.time) if on_grid.all() else int(np.argmin(on_grid))  # An FMU may end a run between.
         count = count or complete
         if not complete:

@@ -133,11 +133,13 @@ class Source:
         headings = [Heading(0, cell, c.name, c.unit) for cell, c in enumerate(frame.columns, 1)]
         choose_columns(table, headings, faults, request)
         if not request.timed or "time" in table.columns:
-            fill(table, frame.columns, frame.row_lines, faults, timed=request.timed)
+            fill(table, frame.columns, frame.row_lines, faults, request)
         return table
 
 
-def fill(table: Table, columns: Sequence[SourceColumn], lines: Sequence[int], faults: Faults, *, timed: bool) -> None:
+def fill(
+    table: Table, columns: Sequence[SourceColumn], lines: Sequence[int], faults: Faults, request: TableRequest
+) -> None:
     """Fill a table's columns and note their faults."""
     for column in table.columns.values():
         source = columns[column.cell - 1]
@@ -154,8 +156,9 @@ def fill(table: Table, columns: Sequence[SourceColumn], lines: Sequence[int], fa
             message = messages.COLUMN_WITHOUT_NUMBERS(column=column.name, reason=reason)
             faults.note_cell(1, column.cell, f"cells of {column.name} that are no number", message)
         numbers: Array = column.convert(values)
-        if timed and column.name == "time" and not column.spare:
-            for row in (np.flatnonzero(np.diff(numbers) <= 0.0) + 1).tolist():
+        if request.timed and column.name == "time" and not column.spare:
+            steps = np.diff(numbers)
+            for row in (np.flatnonzero(steps < 0.0 if request.jumps else steps <= 0.0) + 1).tolist():
                 note_backwards(faults, lines[row], float(numbers[row]), float(numbers[row - 1]))
         table.values[column.name] = array("d", numbers.tobytes())
     table.lines = array("q", lines)

@@ -15,7 +15,7 @@ from cosim.blocks.fixes import COUNT, Fixes, Sensor
 from cosim.blocks.fmi_types import element_names
 from cosim.blocks.fmu import FmuBlock, matches
 from cosim.blocks.remote_fmu import Distant, RemoteFmu, find_distant
-from cosim.blocks.sources import playback, reference
+from cosim.blocks.sources import SourceBlock, playback, reference
 from cosim.blocks.wire import LinkError
 from cosim.scenario.diagnosis import Diagnosis
 from cosim.scenario.scenario import FixComponent, FmuComponent, PlaybackComponent, ReferenceComponent, Scenario
@@ -42,6 +42,7 @@ def build_components(file: ScenarioFile, designed: Designed, diagnosis: Diagnosi
             diagnosis.note(("components", name, "fmu"), str(error), exit_code=3)
         else:
             components |= {name: block} if block is not None else {}
+    _hold_whole_signals(file, components)
     return components
 
 
@@ -54,13 +55,26 @@ def _component(
     diagnosis: Diagnosis,
 ) -> Component | None:
     if isinstance(component, ReferenceComponent):
-        return reference(name, component.signals)
+        return reference(name, component.signals, file.scenario.step)
     if isinstance(component, PlaybackComponent):
-        sources = [connection.source for connection in file.scenario.connections]
-        return playback(name, file.resolve(component.file), _variables_of(name, sources))
+        names = _variables_of(name, [connection.source for connection in file.scenario.connections])
+        settings = {"step": file.scenario.step, "linear": component.interpolation == "linear"}
+        return playback(name, file.resolve(component.file), names, **settings)
     if isinstance(component, FixComponent):
         return _fixes(file.scenario, name, component, diagnosis)
     return _fmu(file, name, component, designed, read, diagnosis)
+
+
+def _hold_whole_signals(file: ScenarioFile, components: Mapping[str, Component]) -> None:
+    """Hold recorded signals that feed inputs other than reals, which are not interpolated."""
+    for connection in file.scenario.connections:
+        owner, _, column = connection.source.partition(".")
+        target, _, variable = connection.target.partition(".")
+        source = components.get(owner)
+        if isinstance(source, SourceBlock) and column in source.interpolated and target in components:
+            signals = (*components[target].inputs, *components[target].exact_inputs)
+            if any(s.is_whole for s in signals if variable in (s.name, s.array)):
+                source.hold(column)
 
 
 def _fixes(scenario: Scenario, name: str, component: FixComponent, diagnosis: Diagnosis) -> Fixes | None:

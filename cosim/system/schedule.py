@@ -8,9 +8,9 @@ from functools import cached_property
 
 from cosim.base.messages import Message, code_of, join
 from cosim.base.text import join_names
+from cosim.base.times import steps_in
 from cosim.blocks.component import Component, Signal
 from cosim.blocks.event_mode import EventFmu
-from cosim.blocks.faults import steps_in
 from cosim.blocks.fixes import Fixes
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.sources import SourceBlock
@@ -107,8 +107,12 @@ class _Graph:
 
     @cached_property
     def known(self) -> frozenset[str]:
-        """Return the components whose outputs are known functions of time: sources, and fixes fed only by these."""
-        known = {name for name, component in self.components.items() if isinstance(component, SourceBlock)}
+        """Return the components whose outputs are known functions of time.
+
+        These are references, recordings and FMUs without inputs, and fixes fed only by them.
+        """
+        sources = FmuBlock | SourceBlock
+        known = {n for n, c in self.components.items() if isinstance(c, sources) and not (c.inputs or c.exact_inputs)}
         fixes = {name for name, component in self.components.items() if isinstance(component, Fixes)}
         while more := {n for n in fixes - known if known.issuperset(s for s, target, *_ in self.edges if target == n)}:
             known |= more
@@ -121,8 +125,9 @@ class _Graph:
         solved: list[list[Transfer]] = [[] for _ in plan.loops]
         pulls: dict[str, list[Transfer]] = {name: [] for name in plan.order}
         late: dict[str, list[Transfer]] = {name: [] for name in plan.order}
-        for ((source, target, name, _), connection), is_immediate in zip(self.wired, plan.immediate, strict=True):
-            way = self._way_of_known(source, target, name) or ("pulled" if is_immediate else "held")
+        for (edge, connection), is_immediate in zip(self.wired, plan.immediate, strict=True):
+            source, target, *_ = edge
+            way = self._way_of_known(edge) or ("pulled" if is_immediate else "held")
             if way == "late":
                 late[target] += connection
             elif way == "held":
@@ -136,17 +141,18 @@ class _Graph:
         stages = (Stage(self.components[n], tuple(pulls[n]), self.every[n], tuple(late[n])) for n in order)
         return tuple(held), tuple(stages), tuple(loops)
 
-    def _way_of_known(self, source: str, target: str, name: str) -> str:
+    def _way_of_known(self, edge: Edge) -> str:
         """Return how an input gets the values of a known signal: pulled, late or held; "" if the plan decides.
 
         A sampled FMU computes its outputs for the end of its step, where it samples its inputs, so the plan decides.
         """
+        source, target, name, output = edge
         component, origin = self.components[target], self.components[source]
         if source not in self.known or getattr(component, "is_sampled", False):
             return ""
         if isinstance(component, Fixes):
             return "pulled"
-        if self.interpolates and isinstance(origin, SourceBlock) and origin.is_linear:
+        if self.interpolates and (not isinstance(origin, SourceBlock) or output in origin.interpolated):
             return "pulled"
         is_seen = component.depends_on(name) is not False or any(signal.local for signal in component.outputs)
         return "late" if is_seen else "held"
