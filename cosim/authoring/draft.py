@@ -81,9 +81,7 @@ def write_single(
     inputs = [fmu, *([recorded] if recorded else [])]
     check_writable(folder, (path.name,), inputs)
     matches = recording.matches if recording else Matches((), ())
-    lines = scenario_text(
-        folder, [part], matches, times, DEFAULT, played=recorded, interpolation=interpolation, verb="simulate"
-    )
+    lines = scenario_text(folder, [part], matches, times, DEFAULT, played=(recorded, interpolation), verb="simulate")
     names = [n if n.startswith(f"{part.name}.") else f"{part.name}.{n}" for n in record]
     lines += f"record: {json.dumps(names)}\n" if names else ""
     with draft_of(path) as draft:

@@ -29,15 +29,13 @@ def scenario_text(
     times: Times,
     algorithm: Algorithm,
     *,
-    played: Path | None = None,
-    interpolation: str = "held",
+    played: tuple[Path | None, str] = (None, "held"),
     verb: str = "init",
 ) -> str:
     """Return the text of a first scenario, to be written into `folder`.
 
     Args:
-        played: Recording that plays inputs; its connections come first.
-        interpolation: Its values between two rows: held or linear.
+        played: Recording that plays inputs, whose connections come first, and its interpolation.
         verb: Command that writes the scenario.
     """
     guesses, choices = sum(bool(m.guess) for m in matches.connections), len(matches.choices)
@@ -64,11 +62,12 @@ def scenario_text(
     lines.append("components:")
     for part in parts:
         lines += _component(folder, part, times)
-    if played is not None:
+    recording, interpolation = played
+    if recording is not None:
         lines += [
             f"  {matches.connections[0].source[0]}:",
             "    block: playback",
-            f"    file: {scalar(relative(played, folder))}",
+            f"    file: {scalar(relative(recording, folder))}",
             *([f"    interpolation: {interpolation}"] if interpolation != "held" else []),
         ]
     lines += _connections(matches) + _more(parts)

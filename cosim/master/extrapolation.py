@@ -2,8 +2,8 @@
 
 A held input, and one fed by a known signal that is held, has its value of the step's start until the step ends. A
 polynomial of degree d passes through the last d + 1 values: up to the start of the step for inputs whose new value is
-not available yet (extrapolation), up to its end for inputs that have it already (interpolation). The FMU gets the mean of the polynomial over the step, by
-Simpson's rule:
+not available yet (extrapolation), up to its end for inputs that have it already (interpolation). The FMU gets the mean
+of the polynomial over the step, by Simpson's rule:
 
     ū = (p(t) + 4·p(t + h/2) + p(t + h)) / 6
 """

@@ -233,7 +233,7 @@ class Drive:
     ) -> Array:
         """Simulate the FMU from row `first` to `last` and return the outputs, shape (rows, outputs).
 
-        The command of row k is held from t_k to t_k+1.
+        The command of row k is held from t_k to t_k+1. The outputs of row k are those to its command.
 
         Args:
             memory: State of a cosim FMU at the first row, instead of the state after initialization.
@@ -247,6 +247,7 @@ class Drive:
         table, done, doing = written.table, written.made, written.doing
         here, size = ctypes.addressof(self._row) + 8 * len(self.block.inputs), 8 * len(self.outputs)
         there, block, acting, whole = table.ctypes.data, self.block, first, 0
+        following, width = self._rows_at(steps) if self._commands else [], len(self.inputs)
         each = zip(steps.times, steps.lengths, steps.rows, self._puts(steps, first), steps.reads, strict=True)
         try:
             doing[0] = OTHER
@@ -262,12 +263,16 @@ class Drive:
                     visit(k)
                 acting = k
                 if command is not None:
-                    self._row[: len(self.inputs)] = command
+                    self._row[:width] = command
                     doing[0] = PUT
                     block.put()
                 doing[0] = ADVANCE
                 block.advance(t, h)
                 if reads:
+                    if whole < len(following) and (command := self._commands[following[whole]]) != self._row[:width]:
+                        self._row[:width] = command
+                        doing[0] = PUT
+                        block.put()
                     doing[0] = GET
                     block.get()
                     ctypes.memmove(there + whole * size, here, size)
@@ -363,6 +368,12 @@ class Drive:
             here + np.where(self._ramps, share[:, None] * (self._table[following] - here), 0.0)
         ).tolist()
         return moved
+
+    def _rows_at(self, steps: DriveSteps) -> list[int]:
+        """Return the row that acts at each reading of the outputs."""
+        times = np.array(steps.reached)
+        close = roundings(times, COARSE * self.log.step)
+        return (np.searchsorted(self.log.time, times + close, side="right") - 1).tolist()
 
     def _at_rows(self, table: Array, times: Sequence[float], first: int, last: int) -> Array:
         """Return the outputs at the finished rows of the log, interpolated between steps."""
