@@ -90,7 +90,7 @@ def tables(signals: Mapping[str, TimeSignal], step: float) -> str:
         "RATE": [c.rate for c in changes],
     }
     counts = ", ".join(str(len(signal.pieces)) for signal in signals.values())
-    lines = [f"static const double STEP = {step.hex()};", f"static const int CHANGES[] = {{{counts}}};"]
+    lines = [f"static const double GRID = {step.hex()};", f"static const int CHANGES[] = {{{counts}}};"]
     for name, column in columns.items():
         lines.append(f"static const double {name}[] = {{")
         lines += ["    " + ", ".join(v.hex() for v in column[k : k + 6]) + "," for k in range(0, len(column), 6)]
