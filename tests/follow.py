@@ -57,7 +57,9 @@ def library() -> Path:
     return made
 
 
-def follow_fmu(path: Path, way: str = "cs", follows: str = "declared", *, saves: bool = True, whole: bool = False) -> Path:
+def follow_fmu(
+    path: Path, way: str = "cs", follows: str = "declared", *, saves: bool = True, whole: bool = False
+) -> Path:
     """Return an FMU.
 
     Args:

@@ -131,7 +131,9 @@ def test_a_source_acts_from_its_time(fmus: Path, loop: str, kind: str, algorithm
 
 @pytest.mark.parametrize(("interpolation", "end"), [("held", 1.0), ("linear", 1.45)])
 @pytest.mark.parametrize("kind", KINDS)
-def test_an_input_file_acts_from_its_times(fmus: Path, tmp_path: Path, kind: str, interpolation: str, end: float) -> None:
+def test_an_input_file_acts_from_its_times(
+    fmus: Path, tmp_path: Path, kind: str, interpolation: str, end: float
+) -> None:
     """With lines between rows, an input has its value of a step's start: ∫u dt = 1.5 less u·h/2."""
     options: dict[str, Any] = {"interpolation": interpolation, "in_process": True}
     run = cosim.simulate(fmus / f"{kind}.fmu", input=fmus / "in.csv", step=H, **options)
@@ -181,7 +183,9 @@ def test_a_component_in_its_own_process_takes_a_value_at_its_time(fmus: Path) ->
 
 @pytest.mark.parametrize("algorithm", ["gauss-seidel", "jacobi"])
 @pytest.mark.parametrize("kind", KINDS)
-def test_an_event_acts_on_the_outputs_of_its_row_and_on_inputs_that_follow(fmus: Path, kind: str, algorithm: str) -> None:
+def test_an_event_acts_on_the_outputs_of_its_row_and_on_inputs_that_follow(
+    fmus: Path, kind: str, algorithm: str
+) -> None:
     """b takes a's output of the event's row for the step from there, if it holds its input."""
     scenario = {
         "name": "event",
@@ -231,7 +235,9 @@ def test_a_replay_reads_outputs_for_the_command_of_their_row(fmus: Path, tmp_pat
 def test_an_exported_system_has_the_same_rows(fmus: Path, tmp_path: Path) -> None:
     """The sources of an SSP are FMUs without inputs, which are known signals, too."""
     (tmp_path / "in.csv").write_text("time,u\n0,0\n0.5,1\n1.5,0\n1.5,2\n")
-    scenario = scenario_of(fmus, {"block": "playback", "file": "in.csv", "interpolation": "linear"}, kinds=["cs_declared"])
+    scenario = scenario_of(
+        fmus, {"block": "playback", "file": "in.csv", "interpolation": "linear"}, kinds=["cs_declared"]
+    )
     path = tmp_path / "follow.yaml"
     path.write_text(yaml.safe_dump(scenario))
     own = cosim.run(path, in_process=True)
@@ -278,7 +284,9 @@ def test_integers_are_held_where_reals_are_interpolated(fmus: Path, tmp_path: Pa
 def test_equal_times_are_a_jump(fmus: Path, tmp_path: Path, interpolation: str, before: float) -> None:
     """The last of equal rows acts from their time on; a line before them ends at the first."""
     (tmp_path / "in.csv").write_text("time,u\n0,0\n1,1\n1,7\n1,5\n2,5\n")
-    run = cosim.simulate(fmus / "cs_declared.fmu", input=tmp_path / "in.csv", interpolation=interpolation, in_process=True)
+    run = cosim.simulate(
+        fmus / "cs_declared.fmu", input=tmp_path / "in.csv", interpolation=interpolation, in_process=True
+    )
     assert run["cs_declared.u"][9] == pytest.approx(before)
     np.testing.assert_array_equal(run["cs_declared.u"][10:], 5.0)
     check_follows(run, "cs_declared")
@@ -317,7 +325,9 @@ def test_rows_of_large_times_are_those_of_their_points(fmus: Path, tmp_path: Pat
         components={"ref": {"block": "reference", "signals": {"w": {"changes": [{"at": float(times[57]), "to": 1}]}}}},
         connections=[{"from": "ref.w", "to": "cs_declared.w"}],
         events=[{"at": float(times[k]), "set": {"cs_none.w": k}} for k in (33, 74)],
-        faults=[{"on": "me_declared.u", "kind": "bias", "value": 1000, "from": float(times[49]), "to": float(times[99])}],
+        faults=[
+            {"on": "me_declared.u", "kind": "bias", "value": 1000, "from": float(times[49]), "to": float(times[99])}
+        ],
     )
     run = cosim.run({**scenario, "start_time": EPOCH, "step": h}, in_process=True)
     k = np.arange(count + 1)
@@ -325,7 +335,9 @@ def test_rows_of_large_times_are_those_of_their_points(fmus: Path, tmp_path: Pat
     np.testing.assert_array_equal(run["cs_declared.w"], (k >= 57).astype(float))
     np.testing.assert_array_equal(run["cs_none.w"], np.select([k >= 74, k >= 33], [74, 33], 0))
     np.testing.assert_array_equal(run["me_declared.u"] - k, np.where((k >= 49) & (k <= 99), 1000, 0))
-    alone = cosim.simulate(fmus / "cs_declared.fmu", tmp_path / "alone", input=tmp_path / "in.csv", step=h, in_process=True)
+    alone = cosim.simulate(
+        fmus / "cs_declared.fmu", tmp_path / "alone", input=tmp_path / "in.csv", step=h, in_process=True
+    )
     np.testing.assert_array_equal(alone["cs_declared.u"], k)
     rows = np.column_stack([alone["cs_declared.u"], alone["cs_declared.x"]])
     lines = (f"{t},{u!r},0,{x!r}\n" for t, (u, x) in zip(times, rows.tolist(), strict=True))
