@@ -1,4 +1,4 @@
-"""FMUs of C that integrate inputs, x' = u + w, with an output that follows them at once, y = x + u + w; compiled once."""
+"""FMUs of C that integrate inputs, x' = u + w, with an output that follows them, y = x + u + w; compiled once."""
 
 from __future__ import annotations
 

@@ -312,7 +312,7 @@ EPOCH = 1_700_000_000
 
 @pytest.mark.parametrize("h", [0.1, 0.01])
 def test_rows_of_large_times_are_those_of_their_points(fmus: Path, tmp_path: Path, h: float) -> None:
-    """Playback, an input file, a reference, an event and a fault act at their points; a replay and a comparison agree."""
+    """Playback, an input file, a reference, an event and a fault act at their points; a replay agrees."""
     count = 200
     times = [f"{EPOCH + round(k * h * 100) // 100}.{round(k * h * 100) % 100:02d}" for k in range(count + 1)]
     (tmp_path / "in.csv").write_text("time,u\n" + "".join(f"{t},{k}\n" for k, t in enumerate(times)))

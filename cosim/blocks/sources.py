@@ -143,7 +143,8 @@ class Recorded:
         following = np.minimum(rows + 1, len(self.times) - 1)
         spans = np.where(following > rows, self._times[following] - self._times[rows], 1.0)
         share = np.maximum(0.0, times - self._times[rows]) / spans
-        return held + share * (self._values[following] - held)
+        values: Array = held + share * (self._values[following] - held)
+        return values
 
     @cached_property
     def _times(self) -> Array:

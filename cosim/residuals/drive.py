@@ -373,7 +373,8 @@ class Drive:
         """Return the row that acts at each reading of the outputs."""
         times = np.array(steps.reached)
         close = roundings(times, COARSE * self.log.step)
-        return (np.searchsorted(self.log.time, times + close, side="right") - 1).tolist()
+        rows: list[int] = (np.searchsorted(self.log.time, times + close, side="right") - 1).tolist()
+        return rows
 
     def _at_rows(self, table: Array, times: Sequence[float], first: int, last: int) -> Array:
         """Return the outputs at the finished rows of the log, interpolated between steps."""
