@@ -157,10 +157,11 @@ class Replay:
         master, component = self.master, stage.component
         first, beside = master.first_places(component.name)
         inputs, outputs = len(component.inputs), len(component.outputs)
-        pulled, late = (
-            tuple([t.target for t in transfers if t.beside[1] == aside] for aside in (False, True))
-            for transfers in (stage.pulls, stage.late)
-        )
+        pulled: tuple[list[int], list[int]] = ([], [])
+        late: tuple[list[int], list[int]] = ([], [])
+        for places, transfers in ((pulled, stage.pulls), (late, stage.late)):
+            for transfer in transfers:
+                places[transfer.beside[1]].append(transfer.target)
         step, _, length, *_ = master.active(stage)
         return Replayed(
             stage,

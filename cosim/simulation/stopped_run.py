@@ -231,7 +231,7 @@ class StoppedRun:
     def _from_results(self, system: System, scenario: Scenario, count: int) -> Continuation:
         """Return the first rows of the results."""
         results, rows = self.results, self.folder / self.rows_file
-        expected = scenario.start_time + scenario.step * np.arange(len(results.time))
+        expected = scenario.start_time + scenario.step * np.arange(len(results.time), dtype=np.float64)
         on_grid = np.abs(results.time - expected) <= roundings(expected, scenario.step)
         complete = len(results.time) if on_grid.all() else int(np.argmin(on_grid))  # An FMU may end a run between.
         count = count or complete

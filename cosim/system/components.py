@@ -58,8 +58,8 @@ def _component(
         return reference(name, component.signals, file.scenario.step)
     if isinstance(component, PlaybackComponent):
         names = _variables_of(name, [connection.source for connection in file.scenario.connections])
-        settings = {"step": file.scenario.step, "linear": component.interpolation == "linear"}
-        return playback(name, file.resolve(component.file), names, **settings)
+        linear = component.interpolation == "linear"
+        return playback(name, file.resolve(component.file), names, step=file.scenario.step, linear=linear)
     if isinstance(component, FixComponent):
         return _fixes(file.scenario, name, component, diagnosis)
     return _fmu(file, name, component, designed, read, diagnosis)

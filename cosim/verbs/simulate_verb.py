@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -34,7 +34,7 @@ def simulate(
     set: Given | None = None,
     *,
     input: FilePath | None = None,
-    interpolation: Literal["held", "linear"] = "held",
+    interpolation: str = "held",
     stop: Seconds | None = None,
     step: PositiveSeconds | None = None,
     record: Sequence[str] = (),
