@@ -322,7 +322,7 @@ class ModelExchange2(Calls):
         raise SimulationError(self.name, self.time, fault)
 
     def _end(self) -> None:
-        raise EarlyEnd(self.name, self.time, messages.END_BY_FMU())
+        raise EarlyEnd(self.name, self.time, messages.END_BY_FMU(), readable=True)
 
 
 def _is_hidden(begin: float, ahead: float, end: float, *, was: bool) -> bool:
