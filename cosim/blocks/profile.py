@@ -10,7 +10,7 @@ from pydantic import Field, field_validator
 
 from cosim.base.arrays import Array
 from cosim.base.times import rounding, roundings
-from cosim.storage.yaml_file import Amount, NotNegativeSeconds, Part, PositiveAmount
+from cosim.storage.yaml_file import Amount, Part, PositiveAmount, Seconds
 
 
 class Change(Part):
@@ -21,7 +21,7 @@ class Change(Part):
     rate: slope of a ramp, per second; by default a step
     """
 
-    at: NotNegativeSeconds
+    at: Seconds
     to: Amount
     rate: PositiveAmount | None = None
 
