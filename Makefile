@@ -9,7 +9,7 @@ DOCUMENTING := .venv/.documenting
 MUTATING := .venv/.mutating
 RELEASING := .venv/.releasing
 
-.PHONY: run test thorough refine bench blind blind-fmu crash kills fuzz mutants seed check docs dist trial versions clean fmus
+.PHONY: run test thorough refine bench blind blind-fmu baseline crash kills fuzz mutants seed check docs dist trial versions clean fmus
 N ?= 24
 CRASHES ?= 200
 KILLS ?= 200
@@ -77,6 +77,10 @@ blind: $(TESTING)
 blind-fmu: $(TESTING)
 	$(BIN)/python -m tests.blind.harness $(N) --half fmu
 
+# the frozen blind studies at the revision in tests/corpus/revision, as far as they are missing
+baseline: $(TESTING)
+	$(BIN)/python -m tests.blind.baseline
+
 crash: $(TESTING)
 	$(BIN)/python -m tests.crash $(CRASHES)
 
@@ -87,7 +91,8 @@ kills: $(TESTING)
 fuzz: $(TESTING)
 	$(BIN)/python -m tests.fuzz $(EXAMPLES) $(SEED)
 
-# N random faults in FILES (six rooms without), each tried against the tests of its subject; SEED draws them
+# the 200 faults of tests/mutants_frozen.jsonl, each tried against the tests of its subject, as far as they are missing
+# for these sources; with FILES: N random ones in them, which SEED draws
 mutants: $(MUTATING)
 	$(BIN)/python -m tests.mutants $(FILES) $(if $(filter command line,$(origin N)),-n $(N)) $(if $(SEED),--seed $(SEED))
 

@@ -1,10 +1,19 @@
-"""Random faults in the code, each tried against the tests of its subject: `python -m tests.mutants`, `make mutants`.
+"""Random faults in the code, each tried against the tests that call it: `python -m tests.mutants`, `make mutants`.
+
+    python -m tests.mutants                      the frozen list, tests/mutants_frozen.jsonl; goes on where it ended
+    python -m tests.mutants FILES -n 20 --seed 3     a new sample of some files
+    python -m tests.mutants --freeze 200 --seed 7    draw the list anew
+
+A mutant of the list is known by its function and the text of its line. What has no code any more is replaced by a
+mutant of the same operator and room, drawn from the `redraw_seed` that stands in the list; `--redraw` writes it down.
+A line without an outcome gets that of the next run; later runs compare theirs with it.
 
 The operators are those of cosmic-ray, and one more: a float by half as much again. A mutant is written into a copy of
 the tree, so that the workers that a test starts or forks run it too. A process that has imported code and tests forks
-for each mutant, gives the mutated function its code, or imports anew where more than functions changed, and runs the
-tests of its subject, file by file, until one fails: first those that call the function of the mutant, as a run without
-a mutant has shown, the quickest first. `tests/mutants.yaml` lists mutants that no test can notice, and says why.
+for each mutant, gives the mutated function its code, or imports anew where more than functions changed, and runs tests
+until one fails: those of the whole suite that call the function of the mutant, in whatever process, the quickest first.
+A run of each test file without a mutant shows which they are, once for the same code. `tests/mutants.yaml` lists
+mutants that no test can notice, and says why.
 """
 
 from __future__ import annotations
@@ -12,10 +21,12 @@ from __future__ import annotations
 import argparse
 import ast
 import difflib
+import fcntl
 import gc
 import hashlib
 import inspect
 import json
+import multiprocessing
 import os
 import random
 import shutil
@@ -26,14 +37,15 @@ import threading
 import time
 import traceback
 from collections import Counter, defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from fnmatch import fnmatch
+from functools import cache
 from importlib import import_module
 from itertools import islice
 from pathlib import Path
-from types import CodeType, FrameType, FunctionType
+from types import CodeType, FunctionType
 from typing import Any, NoReturn
 
 import pytest
@@ -41,16 +53,18 @@ import yaml
 
 ROOT = Path(__file__).resolve().parent.parent
 WORK = ROOT / "build" / "mutants"
-# the rooms that are scored, and the folders of each; simulation was one folder before the system and the master left it
-ROOMS = {
-    "blocks": ("blocks",), "simulation": ("system", "master", "simulation"), "isolation": ("isolation",),
-    "logs": ("logs",), "residuals": ("residuals",), "comparison": ("comparison",),
-}  # fmt: skip
-FILES = [f"cosim/{folder}/*.py" for folders in ROOMS.values() for folder in folders]  # not reports, tested as pages
+FROZEN = ROOT / "tests" / "mutants_frozen.jsonl"
+ROOMS = {  # rooms of the frozen list → files, the first that matches; elsewhere a room is a folder
+    "units": ("cosim/base/units.py",),
+    "sources": ("cosim/blocks/sources.py", "cosim/blocks/profile.py"),
+    "blocks": ("cosim/blocks/*.py",),
+    "master": ("cosim/master/*.py",),
+    "system": ("cosim/system/*.py",),
+}
+REDRAWN = 1000  # from a redraw_seed to the next
 PACKAGES = ("tests", "cosim", "plant", "controller", "fmus")
-# [s] of tests for one mutant, by their times without it, of those that call its function and of the others: a worker's
-# calls are not seen; the tests that take longest are omitted
-LONGEST, UNSEEN = 20.0, 10.0
+LONGEST = 30.0  # [s] of tests for one mutant, by their times without it, the quickest of those that call its function
+FIRST = 8  # files of tests that are tried before the others
 PATIENCE = 4.0  # times as long a mutant may take, and
 STARTING = 120.0  # [s] more
 SKIPPED = "not thorough and not hosts"
@@ -61,56 +75,22 @@ KINDS = (
     "In NotIn", "USub UAdd Nothing", "Not Nothing",
 )  # fmt: skip
 
-# the tests of a subject, by the first pattern that a file matches, those that are quick among them first
-SUBJECTS: list[tuple[str, str]] = [
-    ("cosim/blocks/compiling.py", "compile"),
-    ("cosim/blocks/loading.py", "loading"),
-    ("cosim/blocks/faults.py", "schedule stepping types"),
-    ("cosim/blocks/fixes.py", "schedule fixes"),
-    ("cosim/blocks/derivatives.py", "solving linearize"),
-    ("cosim/blocks/model_exchange.py", "solving exchange native_exchange"),
-    ("cosim/blocks/solvers.py", "solving exchange"),
-    ("cosim/blocks/description.py", "solving planning first_steps types"),
-    ("cosim/blocks/summary.py", "planning first_steps types"),
-    ("cosim/blocks/guard.py", "planning hostile first_steps"),
-    ("cosim/blocks/profile.py", "solving stepping noise"),
-    ("cosim/blocks/sources.py", "solving stepping noise"),
-    ("cosim/blocks/noise.py", "solving stepping noise"),
-    ("cosim/blocks/stepping.py", "stepping"),
-    ("cosim/blocks/instance.py", "statuses fmu_isolation blame exchange types"),
-    ("cosim/blocks/*", "statuses solving schedule blame stepping exchange types"),
-    ("cosim/isolation/*", "worker blame fmu_isolation misbehaving"),
-    ("cosim/logs/static_table.py", "log_edges static"),
-    ("cosim/logs/alone.py", "log_alone"),
-    ("cosim/logs/log.py", "log_edges log undeclared_units static"),
-    ("cosim/logs/log_check.py", "log_alone"),
-    ("cosim/logs/*", "log_edges spikes gate log"),
-    ("cosim/residuals/replay_settings.py", "windows undeclared_units replay"),
-    ("cosim/logs/model_comparison.py", "windows gate undeclared_units"),
-    ("cosim/residuals/starts.py", "starts windows replay hidden_state"),
-    ("cosim/residuals/drive.py", "starts windows replay hidden_state"),
-    ("cosim/residuals/report.py", "replay"),
-    ("cosim/residuals/*", "windows residual replay hidden_state"),
-    ("cosim/comparison/report_again.py", "compare"),
-    ("cosim/comparison/*", "compare_edges compare"),
-    ("cosim/authoring/matching.py", "planning first_steps"),
-    ("cosim/authoring/parts.py", "planning first_steps"),
-    ("cosim/authoring/graph.py", "planning graph"),
-    ("cosim/authoring/export.py", "ssp"),
-    ("cosim/authoring/*", "planning first_steps"),
-    ("cosim/simulation/packaged.py", "ssp"),
-    ("cosim/simulation/trial.py", "misbehaving"),
-    ("cosim/scenario/controller_design.py", "design design_options"),
-    ("cosim/simulation/manifest.py", "planning repeat run"),
-    ("cosim/simulation/workflow.py", "planning run scenario"),
-    ("cosim/master/remote.py", "schedule apart misbehaving"),
-    ("cosim/master/own_process.py", "schedule fmu_isolation misbehaving"),
-    ("cosim/master/c_loop.py", "stepping"),
-    ("cosim/master/*", "blame schedule stepping master"),
-    ("cosim/coupling/*", "planning schedule stepping first_steps graph"),
-    ("cosim/system/*", "planning schedule blame scenario"),
-    ("cosim/simulation/*", "planning schedule scenario"),
-]
+# a module for a copy of the tree in which each function of `cosim` tells that it is called, in whatever process
+NOTE = '''"""Notes which functions a test calls."""
+import os
+seen, process = set(), [0]
+def note(name):
+    if process[0] != os.getpid():
+        process[0] = os.getpid()
+        seen.clear()
+    if name not in seen:
+        seen.add(name)
+        try:
+            with open(f"{folder}/test.txt") as test, open(f"{folder}/calls.txt", "a") as calls:
+                calls.write(f"{test.read()}\\t{name}\\n")
+        except Exception:
+            pass
+'''
 
 
 @dataclass(frozen=True)
@@ -141,21 +121,27 @@ class Verdict:
 
 @dataclass(frozen=True)
 class Trace:
-    """The seconds that a test takes without a mutant, and the functions of `cosim` that it calls: `file:line`."""
+    """The seconds that a test takes without a mutant, and the functions of `cosim` that it calls: `file:name`."""
 
     seconds: float
     calls: frozenset[str]
 
 
 def room_of(file: str) -> str:
-    """Return the room of a file, which is its folder for those that are not scored by default."""
-    folder = file.split("/")[1]
-    return next((room for room, folders in ROOMS.items() if folder in folders), folder)
+    """Return the room of a file."""
+    return next((r for r, patterns in ROOMS.items() if any(fnmatch(file, p) for p in patterns)), file.split("/")[1])
+
+
+def files_of(patterns: Iterable[str]) -> list[str]:
+    """Return the files of patterns."""
+    paths = [path for pattern in patterns for path in sorted(ROOT.glob(pattern))]
+    return [path.relative_to(ROOT).as_posix() for path in paths if path.name != "__init__.py"]
 
 
 # -- mutants ----------------------------------------------------------------------------------------
 
 
+@cache
 def operators() -> dict[str, Any]:
     """Return the operators by name: those of cosmic-ray that change a value or a condition."""
     from cosmic_ray.operators.number_replacer import NumberReplacer
@@ -278,12 +264,24 @@ class Tree:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
+        self.sound: dict[str, bool] = {}  # test → whether it passes by itself without a mutant
         shutil.rmtree(folder, ignore_errors=True)
         listed = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
         for name in subprocess.run(listed, cwd=ROOT, capture_output=True, check=True).stdout.decode().split("\0"):
             if name and (ROOT / name).is_file():
                 (folder / name).parent.mkdir(parents=True, exist_ok=True)
                 shutil.copy2(ROOT / name, folder / name)
+
+    def note_calls(self) -> None:
+        """Let the functions of `cosim` note that they are called."""
+        (self.folder / "mutants_note.py").write_text(f"folder = {str(self.folder.parent)!r}\n{NOTE}")
+        for path in self.folder.glob("cosim/**/*.py"):
+            file = path.relative_to(self.folder).as_posix()
+            lines, marks = path.read_text(encoding="utf-8").splitlines(), list(_bodies(_tree_of(file), ""))
+            for line, column, name in sorted(marks, reverse=True):
+                if not lines[line - 1][:column].strip():  # not behind the colon
+                    lines.insert(line - 1, f'{" " * column}__import__("mutants_note").note("{file}:{name}")')
+            path.write_text("\n".join([*lines, ""]), encoding="utf-8")
 
     def write(self, file: str, text: str) -> None:
         """Write a file, and let Python compile it anew: within a second its time and size may be the same."""
@@ -303,12 +301,19 @@ class Tree:
         environment |= {"PYTHONPATH": str(self.folder), "TMPDIR": str(work), "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
         pid = os.fork()
         if pid == 0:
+            if "MUTANTS_LOG" in environment:
+                self.load()
             _run(output, tests, environment, change)
         deadline = threading.Timer(timeout, os.killpg, (pid, signal.SIGKILL))
         deadline.start()
-        _, status = os.waitpid(pid, 0)
-        took_too_long = not deadline.is_alive()
-        deadline.cancel()
+        try:
+            _, status = os.waitpid(pid, 0)
+        except KeyboardInterrupt:
+            os.killpg(pid, signal.SIGKILL)
+            raise
+        finally:
+            took_too_long = not deadline.is_alive()
+            deadline.cancel()
         return None if took_too_long else os.waitstatus_to_exitcode(status), output.read_text(errors="replace")
 
     def load(self, *tests: str) -> None:
@@ -321,7 +326,13 @@ class Tree:
             with suppress(pytest.skip.Exception):
                 import_module(file.removesuffix(".py").replace("/", "."))
 
-    def chosen(self, names: list[str], timeout: float, change: Change) -> tuple[int | None, str]:
+    def passes(self, test: str) -> bool:
+        """Return whether a test passes without a mutant, by itself and in this copy."""
+        if test not in self.sound:
+            self.sound[test] = self.chosen([test], 600.0, None)[0] == 0
+        return self.sound[test]
+
+    def chosen(self, names: list[str], timeout: float, change: Change | None) -> tuple[int | None, str]:
         """Run some tests, in this order, until one fails; nothing where there are none."""
         if not names:
             return 0, ""
@@ -412,72 +423,120 @@ def _run(output: Path, tests: list[str], environment: dict[str, str], change: Ch
         os._exit(int(code))
 
 
-def subject(file: str) -> list[str]:
-    """Return the test files of a subject."""
-    names = next(tests for pattern, tests in SUBJECTS if fnmatch(file, pattern)).split()
-    return [f"tests/test_{name}.py" for name in names]
+def traced(tree: Tree, tests: list[str]) -> dict[str, Trace]:
+    """Return the trace of each test of the files, from an earlier run of the same code."""
+    noting: Tree | None = None
+    traces: dict[str, Trace] = {}
+    for file in tests:
+        store = WORK / f"{Path(file).stem}-{_digest(file, _code(of_tests=False))}.json"
+        with store.with_suffix(".lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)  # two processes need the same traces
+            if not store.is_file():
+                if noting is None:
+                    noting = Tree(tree.folder.parent / "notes" / "tree")
+                    noting.note_calls()
+                begun = time.perf_counter()
+                code, output = noting.test(
+                    [file], 1800.0, MUTANTS_LOG=str(store), MUTANTS_NOTES=str(noting.folder.parent)
+                )
+                if not store.is_file():
+                    store.write_text("{}")
+                told = output.strip().splitlines()[-1:] if code else ""
+                print(f"traced     {file}  [{time.perf_counter() - begun:.0f} s] {told or ''}", flush=True)
+        found = json.loads(store.read_text())
+        traces |= {name: Trace(seconds, frozenset(calls)) for name, (seconds, calls) in found.items()}
+    return traces
 
 
-def traced(tree: Tree, file: str) -> dict[str, Trace]:
-    """Return the trace of each test in a file without a mutant, from an earlier run where the file is the same."""
-    digest = hashlib.sha256((ROOT / file).read_bytes()).hexdigest()
-    store = WORK / f"{Path(file).stem}-{digest[:16]}.json"
-    tree.load(file)
-    if not store.is_file():
-        code, output = tree.test([file], 3600.0, MUTANTS_LOG=str(store))
-        if code != 0:
-            store.unlink(missing_ok=True)
-            raise SystemExit(f"{file} fails without a mutant:\n{output[-3000:]}")
-    traces = json.loads(store.read_text())
-    return {name: Trace(seconds, frozenset(calls)) for name, (seconds, calls) in traces.items()}
+@cache
+def _code(*, of_tests: bool) -> str:
+    """Return a digest of the code and of what tests share, or of the tests, too."""
+    listed = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard", "cosim", "plant", "tests"]
+    names = subprocess.run(listed, cwd=ROOT, capture_output=True, check=True).stdout.decode().split("\0")
+    code = (name for name in names if name.endswith((".py", ".c")) and not name.startswith("tests/mutants"))
+    return _digest(*(name for name in code if of_tests or not name.startswith("tests/test_")))
+
+
+def _digest(*files: str) -> str:
+    """Return a digest of files, or of what is not the name of one."""
+    digest = hashlib.sha256(b"names")
+    for file in files:
+        digest.update((ROOT / file).read_bytes() if (ROOT / file).is_file() else file.encode())
+    return digest.hexdigest()[:16]
 
 
 def function_of(file: str, line: int) -> str:
-    """Return the outermost function that a line is in, as traces name it; the file for a line in none."""
-    best = ""
-    pending: list[ast.AST] = [ast.parse((ROOT / file).read_text(encoding="utf-8"))]
-    while pending:
-        node = pending.pop()
+    """Return the name of the outermost function that a line is in, with its classes; nothing for a line in none."""
+
+    def within(node: ast.AST, name: str) -> str:
         for child in ast.iter_child_nodes(node):
             if isinstance(child, ast.FunctionDef):
-                first = min([child.lineno, *(decorator.lineno for decorator in child.decorator_list)])
                 if child.body[0].lineno <= line <= (child.end_lineno or line):
-                    best = f"{file}:{first}"
-            else:
-                pending.append(child)
-    return best or file
+                    return f"{name}{child.name}"
+            elif found := within(child, f"{name}{child.name}." if isinstance(child, ast.ClassDef) else name):
+                return found
+        return ""
+
+    return within(_tree_of(file), "")
+
+
+def _bodies(node: ast.AST, name: str) -> Iterator[tuple[int, int, str]]:
+    """Yield line and column of the first statement of each outermost function, after its docstring, and its name."""
+    for child in ast.iter_child_nodes(node):
+        if not isinstance(child, ast.FunctionDef):
+            yield from _bodies(child, f"{name}{child.name}." if isinstance(child, ast.ClassDef) else name)
+        elif rest := child.body[1 if ast.get_docstring(child) is not None else 0 :]:
+            line = min([rest[0].lineno, *(d.lineno for d in getattr(rest[0], "decorator_list", []))])
+            yield line, rest[0].col_offset, f"{name}{child.name}"
+
+
+@cache
+def _tree_of(file: str) -> ast.Module:
+    return ast.parse((ROOT / file).read_text(encoding="utf-8"))
 
 
 def order_of(mutant: Mutant, tests: dict[str, Trace]) -> list[str]:
-    """Return the tests that a mutant is tried against: those that call its function first, the quickest first."""
-    place = function_of(mutant.file, mutant.line)
-    callers = {name for name, trace in tests.items() if any(f"{call}:".startswith(f"{place}:") for call in trace.calls)}
-    order: list[str] = []
-    for names, limit in ((callers, LONGEST), (tests.keys() - callers, UNSEEN)):
-        total = 0.0
-        for name in sorted(names, key=lambda name: (tests[name].seconds, name)):
-            if (total := total + tests[name].seconds) > limit:
-                break
-            order.append(name)
-    return order
+    """Return the tests that a mutant is tried against, file by file: the quickest that call its function."""
+    function = function_of(mutant.file, mutant.line)
+    place = f"{mutant.file}:{function}"
+    called = [
+        name for name, trace in tests.items()
+        if place in trace.calls or (not function and any(call.startswith(place) for call in trace.calls))
+    ]  # fmt: skip
+    files: dict[str, list[str]] = defaultdict(list)
+    total, costs = 0.0, dict[str, float]()
+    for name in sorted(called, key=lambda name: (tests[name].seconds, name)):
+        total += tests[name].seconds
+        if total > LONGEST and files:
+            break
+        file = name.partition("::")[0]
+        files[file].append(name)
+        costs[file] = costs.get(file, 0.0) + tests[name].seconds
+    return [name for file in sorted(files, key=lambda file: (costs[file], file)) for name in files[file]]
 
 
-def tried(tree: Tree, mutant: Mutant, text: str, depth: int) -> tuple[str, str]:
-    """Return the outcome of a mutant against the first test files of its subject, and the test that failed."""
+def tried(tree: Tree, mutant: Mutant, text: str, traces: dict[str, Trace]) -> tuple[str, str, str]:
+    """Return the outcome of a mutant, the file and the test that failed."""
     original = (ROOT / mutant.file).read_text(encoding="utf-8")
-    for file in subject(mutant.file)[:depth]:
-        traces = traced(tree, file)
-        names = order_of(mutant, traces)
+    names = order_of(mutant, traces)
+    files = list(dict.fromkeys(name.partition("::")[0] for name in names))
+    tree.load(*files)
+    for part in (files[:FIRST], files[FIRST:]):
+        some = [name for name in names if name.partition("::")[0] in part]
         tree.write(mutant.file, text)
         try:
-            patience = PATIENCE * sum(traces[name].seconds for name in names) + STARTING
-            code, output = tree.chosen(names, patience, Change(tree.folder / mutant.file, original, text))
+            patience = PATIENCE * sum(traces[name].seconds for name in some) + STARTING
+            code, output = tree.chosen(some, patience, Change(tree.folder / mutant.file, original, text))
         finally:
             tree.write(mutant.file, original)
         if code != 0:
             failed = [line for line in output.splitlines() if line.startswith(("FAILED", "ERROR"))]
-            return ("timeout" if code is None else "killed"), (failed[0] if failed else output[-200:])
-    return "survived", ""
+            told = failed[0] if failed else output[-200:]
+            by = max((name for name in some if told.partition(" ")[2].startswith(name)), key=len, default="")
+            if by and code is not None and not tree.passes(by):
+                return tried(tree, mutant, text, {name: trace for name, trace in traces.items() if name != by})
+            return ("timeout" if code is None else "killed"), by.partition("::")[0], told
+    return "survived", "", f"{len(names)} tests"
 
 
 # -- within pytest ----------------------------------------------------------------------------------
@@ -491,44 +550,235 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         items[:] = sorted((item for item in items if item.nodeid in place), key=lambda item: place[item.nodeid])
 
 
-_TRACES: dict[str, tuple[float, list[str]]] = {}
+_SECONDS: dict[str, float] = {}
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
-    """Note the functions of `cosim` that a test calls, its fixtures included, in this process."""
+    """Tell which test is running."""
     if "MUTANTS_LOG" not in os.environ:
         return (yield)
-    codes: set[CodeType] = set()
-
-    def note(frame: FrameType, event: str, _: object) -> None:
-        if event == "call":
-            codes.add(frame.f_code)
-
-    threading.setprofile(note)
-    sys.setprofile(note)
-    try:
-        return (yield)
-    finally:
-        sys.setprofile(None)
-        threading.setprofile(None)  # type: ignore[arg-type]
-        base = f"{os.getcwd()}{os.sep}"
-        own = [code for code in codes if code.co_filename.startswith(f"{base}cosim{os.sep}")]
-        calls = sorted({f"{Path(c.co_filename[len(base) :]).as_posix()}:{c.co_firstlineno}" for c in own})
-        if item.nodeid in _TRACES:
-            _TRACES[item.nodeid] = _TRACES[item.nodeid][0], calls
+    (Path(os.environ["MUTANTS_NOTES"]) / "test.txt").write_text(item.nodeid)
+    if noting := sys.modules.get("mutants_note"):
+        noting.seen.clear()
+    return (yield)
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
     """Note how long a test takes."""
     if report.when == "call" and report.passed:
-        _TRACES[report.nodeid] = report.duration, []
+        _SECONDS[report.nodeid] = report.duration
 
 
 def pytest_sessionfinish() -> None:
     """Write the traces of the tests."""
     if log := os.environ.get("MUTANTS_LOG"):
-        Path(log).write_text(json.dumps(_TRACES))
+        calls: dict[str, set[str]] = defaultdict(set)
+        notes = Path(os.environ["MUTANTS_NOTES"]) / "calls.txt"
+        for line in notes.read_text().splitlines() if notes.exists() else []:
+            test, _, name = line.partition("\t")
+            calls[test].add(name)
+        notes.unlink(missing_ok=True)
+        Path(log).write_text(json.dumps({test: (_SECONDS[test], sorted(calls[test])) for test in _SECONDS}))
+
+
+# -- the frozen list --------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Frozen:
+    """A mutant of the frozen list: number `nth` among equal changes of equal lines in a function."""
+
+    room: str
+    file: str
+    function: str
+    operator: str
+    line: str
+    mutant: str
+    nth: int
+    seed: int
+    redraw_seed: int
+    outcome: str = ""  # killed, timeout, survived
+    by: str = ""  # the test file that failed
+
+    @property
+    def key(self) -> tuple[str | int, ...]:
+        """What tells it from others."""
+        return self.room, self.function, self.operator, self.line, self.mutant, self.nth
+
+
+def read_frozen() -> list[Frozen]:
+    """Return the frozen list."""
+    if not FROZEN.exists():
+        raise SystemExit(f"{FROZEN.name} is not there: --freeze 200 --seed SEED draws it")
+    return [Frozen(**json.loads(line)) for line in FROZEN.read_text(encoding="utf-8").splitlines()]
+
+
+def write_frozen(entries: Iterable[Frozen]) -> None:
+    """Write the frozen list."""
+    lines = [json.dumps(asdict(entry), ensure_ascii=False) + "\n" for entry in entries]
+    FROZEN.write_text("".join(lines), encoding="utf-8")
+
+
+@cache
+def alike(file: str, function: str, operator: str, line: str, mutant: str) -> list[Mutant]:
+    """Return the mutants of a file that make the same change of the same line in a function."""
+    tools = operators()
+    text = (ROOT / file).read_text(encoding="utf-8").splitlines()
+    places = mutants_of(file, {operator: tools[operator]}) if operator in tools else []
+    return [
+        m for place in places for m in place
+        if text[m.line - 1].strip() in line and function_of(file, m.line) == function
+        and changed(m, mutated(m, tools)) == (line, mutant)
+    ]  # fmt: skip
+
+
+def located(entry: Frozen) -> Mutant | None:
+    """Return the mutant of an entry, in its file or where its function has gone in its room; None without its code."""
+    for file in dict.fromkeys((entry.file, *files_of(ROOMS[entry.room]))):
+        if (ROOT / file).is_file() and room_of(file) == entry.room:
+            found = alike(file, entry.function, entry.operator, entry.line, entry.mutant)
+            if len(found) > entry.nth:
+                return found[entry.nth]
+    return None
+
+
+def entry_of(mutant: Mutant, seed: int, redraw_seed: int) -> Frozen:
+    """Return the entry of a mutant in the list."""
+    where = mutant.file, function_of(mutant.file, mutant.line), mutant.operator
+    change = changed(mutant, mutated(mutant, operators()))
+    return Frozen(mutant.room, *where, *change, alike(*where, *change).index(mutant), seed, redraw_seed)
+
+
+def freeze(count: int, seed: int) -> list[Frozen]:
+    """Return as many mutants of each room, from a seed and those that follow."""
+    same, entries = equivalents(), dict[tuple[str | int, ...], Frozen]()
+    for room, patterns in ROOMS.items():
+        files = [file for file in files_of(patterns) if room_of(file) == room]
+        wanted, now = len(entries) + count // len(ROOMS), seed
+        while len(entries) < wanted:
+            for mutant in drawn(files, wanted - len(entries), now):
+                entry = entry_of(mutant, now, 100 * seed + len(entries))
+                if (entry.file, entry.line, entry.mutant) not in same:
+                    entries.setdefault(entry.key, entry)
+            now += 1
+    return list(entries.values())
+
+
+def redrawn(entry: Frozen, taken: set[tuple[str | int, ...]]) -> Frozen | None:
+    """Return a mutant of the same operator and room from the seed in the entry; None if there is none."""
+    tools, same = operators(), equivalents()
+    files = [file for file in files_of(ROOMS[entry.room]) if room_of(file) == entry.room]
+    places = [place for file in files for place in mutants_of(file, {entry.operator: tools[entry.operator]})]
+    rng = random.Random(f"{entry.redraw_seed} {entry.room} {entry.operator}")
+    for place in rng.sample(places, len(places)):
+        mutant = rng.choice(place)
+        other = entry_of(mutant, entry.redraw_seed, entry.redraw_seed + REDRAWN)
+        is_fault = _is_fault(mutated(mutant, tools), (ROOT / mutant.file).read_text(encoding="utf-8"))
+        if is_fault and other.key not in taken and (other.file, other.line, other.mutant) not in same:
+            return other
+    return None
+
+
+def present(entries: Iterable[Frozen]) -> list[tuple[Frozen, Frozen, Mutant | None]]:
+    """Return for each entry itself or what replaces it, and its mutant; None where nothing can replace it."""
+    entries = list(entries)
+    taken, found = {entry.key for entry in entries}, []
+    for entry in entries:
+        now, mutant = entry, located(entry)
+        if mutant is None and (other := redrawn(entry, taken)) is not None:
+            now, mutant = other, located(other)
+            taken.add(other.key)
+        elif mutant is not None and mutant.file != entry.file:
+            now = replace(entry, file=mutant.file)
+        found.append((entry, now, mutant))
+    return found
+
+
+def run_frozen(work: list[tuple[Frozen, Mutant]], tests: list[str], results: Path, jobs: int) -> None:
+    """Try mutants, some processes at a time: every second one from the end, so that each meets other tests."""
+    context = multiprocessing.get_context("fork")
+    begun, ended = context.Value("i", 0), context.Value("i", 0)
+
+    def one(number: int) -> None:
+        tree, tools = Tree(WORK / str(os.getpid()) / "tree"), operators()
+        try:
+            traced(tree, tests[:: -1 if number % 2 else 1])
+            traces = traced(tree, tests)
+            while True:
+                with begun.get_lock():
+                    if begun.value + ended.value == len(work):
+                        return
+                    mine = begun if number % 2 == 0 else ended
+                    mine.value += 1
+                    entry, mutant = work[begun.value - 1 if mine is begun else -ended.value]
+                begin = time.perf_counter()
+                outcome, by, told = tried(tree, mutant, mutated(mutant, tools), traces)
+                seconds = round(time.perf_counter() - begin)
+                with results.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps({"key": entry.key, "outcome": outcome, "by": by, "seconds": seconds}) + "\n")
+                print(f"{outcome:10} {mutant.file}:{mutant.line}  [{seconds} s] {told[:110]}", flush=True)
+        except KeyboardInterrupt:
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
+        finally:
+            shutil.rmtree(tree.folder.parent, ignore_errors=True)
+
+    workers = [context.Process(target=one, args=(number,)) for number in range(min(jobs, len(work)))]
+    for worker in workers:
+        worker.start()
+    try:
+        for worker in workers:
+            worker.join()
+    except KeyboardInterrupt:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        for worker in workers:
+            os.kill(worker.pid or 0, signal.SIGINT)
+            worker.join()
+        raise SystemExit(130) from None
+    if any(worker.exitcode for worker in workers):
+        raise SystemExit(1)
+
+
+def frozen(jobs: int, tests: list[str], *, redraw: bool, only: int | None) -> int:
+    """Try the frozen list and compare it with the outcomes in it; return 1 if a mutant survives that was killed."""
+    for ending in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(ending, signal.default_int_handler)
+    found = present(read_frozen())
+    for before, now, mutant in found:
+        if now.key != before.key or mutant is None:
+            drawn_anew = f"drawn anew: {now.file}: {now.line}" if mutant else "and no other of its operator in its room"
+            print(f"no code any more: {before.file}: {before.line}\n    {drawn_anew}")
+    if redraw:
+        write_frozen(now for _, now, _ in found)
+    results = WORK / f"frozen-{_digest(_code(of_tests=True), *tests)}.jsonl"
+    have = _results(results)
+    work = [(now, mutant) for _, now, mutant in found if mutant is not None and now.key not in have]
+    print(f"{len(work)} of {len(found)} to try; results in {results}", flush=True)
+    try:
+        run_frozen(work[:only], tests, results, jobs)
+    finally:
+        have = _results(results)
+        keep = [now if redraw else before for before, now, _ in found]
+        write_frozen(
+            replace(e, outcome=have[e.key]["outcome"], by=have[e.key]["by"]) if not e.outcome and e.key in have else e
+            for e in keep
+        )
+    lost = 0
+    rooms: dict[str, Counter[str]] = {room: Counter() for room in ROOMS}
+    for _, now, mutant in found:
+        outcome = have[now.key]["outcome"] if now.key in have else "not tried" if mutant else "gone"
+        rooms[now.room][outcome] += 1
+        if outcome == "survived" and now.outcome in ("killed", "timeout"):
+            lost += 1
+            print(f"survives, was killed by {now.by}: {now.file}, {now.function}\n    - {now.line}\n    + {now.mutant}")
+    print(json.dumps({room: dict(count) for room, count in rooms.items()} | {"lost": lost}))
+    return int(lost > 0)
+
+
+def _results(path: Path) -> dict[tuple[str | int, ...], dict[str, Any]]:
+    """Return the results of an earlier run by the keys of their mutants."""
+    texts = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+    return {tuple(line["key"]): line for line in map(json.loads, texts)}
 
 
 # -- the command ------------------------------------------------------------------------------------
@@ -549,19 +799,28 @@ def changed(mutant: Mutant, text: str) -> tuple[str, str]:
 
 
 def main() -> None:
-    """Try a sample of mutants; list the survivors, then the score of each room."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("files", nargs="*", help="files or patterns, such as cosim/logs/*.py")
-    parser.add_argument("-n", type=int, default=60, help="mutants in all")
+    """Try the frozen list, or a sample of mutants; list the survivors, then the score of each room."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("files", nargs="*", help="files or patterns, such as cosim/logs/*.py; without, the frozen list")
+    parser.add_argument("-n", type=int, help="mutants in all, by default 60 of a sample, the whole frozen list")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--depth", type=int, default=9, help="test files of the subject that are tried at most")
+    parser.add_argument("--freeze", type=int, metavar="N", help="draw the frozen list anew, try nothing")
+    parser.add_argument("--redraw", action="store_true", help="write into the list what replaces lost code")
+    parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)), help="of the list, at a time")
+    parser.add_argument("--tests", default="tests/test_*.py", help="pattern of the test files")
     parser.add_argument("--list", action="store_true", help="print the sample, try nothing")
     options = parser.parse_args()
-    paths = [path for pattern in options.files or FILES for path in sorted(ROOT.glob(pattern))]
-    files = [path.relative_to(ROOT).as_posix() for path in paths if path.name != "__init__.py"]
     WORK.mkdir(parents=True, exist_ok=True)
-    sample, tools, same = drawn(files, options.n, options.seed), operators(), equivalents()
+    if options.freeze:
+        write_frozen(freeze(options.freeze, options.seed))
+        return
+    tests = sorted(path.relative_to(ROOT).as_posix() for path in ROOT.glob(options.tests))
+    if not options.files:
+        sys.exit(frozen(options.jobs, tests, redraw=options.redraw, only=options.n))
+    tools, same = operators(), equivalents()
+    sample = drawn(files_of(options.files), options.n or 60, options.seed)
     tree = None if options.list else Tree(WORK / str(os.getpid()) / "tree")
+    traces = traced(tree, tests) if tree is not None else {}
     verdicts = []
     for mutant in sample:
         text, begun = mutated(mutant, tools), time.perf_counter()
@@ -571,7 +830,7 @@ def main() -> None:
         elif tree is None:
             outcome, by = "listed", ""
         else:
-            outcome, by = tried(tree, mutant, text, options.depth)
+            outcome, _, by = tried(tree, mutant, text, traces)
         verdicts.append(Verdict(mutant, outcome, by, before, after))
         print(f"{outcome:10} {mutant.file}:{mutant.line}  [{time.perf_counter() - begun:.0f} s] {by[:110]}", flush=True)
         if outcome != "killed":

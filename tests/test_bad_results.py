@@ -9,7 +9,6 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -19,10 +18,9 @@ from cosim.base.version import __version__
 from cosim.calibration import report
 from cosim.calibration.fit_study import _beside
 from cosim.history import entries as listing
-from cosim.history import row_ends
 from cosim.simulation import run_files
 from cosim.storage.kinds import MANIFEST, kind_of
-from cosim.storage.results import Results, read_results
+from cosim.storage.results import read_results
 from cosim.verbs.cli import app
 from cosim.viewing import stored_rows, viewed_runs
 from tests.test_first_steps import told
@@ -148,53 +146,11 @@ def _outcomes() -> dict[str, str]:
     return {row["name"]: row["outcome"] for row in json.loads(_invoke("list", "--json").stdout)["results"]}
 
 
-@pytest.mark.parametrize("length", [0, 4, len("time,a.x\n"), len(ROWS) - 1, len(ROWS) - 3, ROWS.index("1.0")])
-def test_cut_rows_are_listed_as_cut(root: Path, length: int) -> None:
+def test_rows_that_are_gone_are_listed_as_gone(root: Path) -> None:
     _write(root / "one", status="ok")
     _write(root / "two", status="ok")
-    (root / "two" / "results.csv").write_text(ROWS[:length])
     (root / "three" / "results.csv").unlink()
-    assert _outcomes() == {"one": "ok", "two": "cut", "three": "rows are gone"}
-
-
-@pytest.mark.parametrize(
-    ("every", "status", "last", "cut"),
-    [
-        (None, "ok", 100.0, False),
-        (None, "ok", 99.99, True),
-        (None, "failed: x", 50.0, False),  # 5000 rows of 10001
-        (None, "failed: x", 49.9, True),
-        (0.03, "ok", 100.0, False),  # the end is recorded, 99.99 too
-        (0.03, "ok", 99.99, True),
-    ],
-)
-def test_a_long_table_is_cut_if_its_last_time_is_before_the_end_of_the_run(
-    root: Path, every: float | None, status: str, last: float, cut: bool
-) -> None:
-    step = every or 0.01
-    scenario = {"name": "two", "duration": 100, "step": 0.01, "record": {"every": every} if every else []}
-    rows = 5001 if status != "ok" else 10001 if every is None else 3335
-    _write(root / "two", scenario=scenario, status=status, rows=rows)
-    times = [*(k * step for k in range(rows + 1) if k * step < last - 1e-6), last]
-    (root / "two" / "results.csv").write_text("time,a.x\n" + "".join(f"{t!r},0.123456789\n" for t in times))
-    assert (root / "two" / "results.csv").stat().st_size > row_ends.LAST_BYTES
-    assert _outcomes()["two"] == ("cut" if cut else status)
-
-
-@pytest.mark.parametrize("format_", ["h5", "mat"])
-def test_cut_files_of_hdf5_and_matlab_are_listed_as_cut(root: Path, format_: str) -> None:
-    pytest.importorskip("h5py")
-    (root / "two" / "results.csv").unlink()
-    _write(root / "one", status="ok")
-    _write(root / "two", status="ok", rows=3000)
-    file = root / "two" / f"results.{format_}"
-    rng = np.random.default_rng(1)
-    exact = {"a.text": ["word"] * 3000}
-    Results(np.arange(3000.0), ("a.x", "b.y"), rng.normal(size=(3000, 2)), exact=exact).write(file)
-    content = file.read_bytes()
-    for length, outcome in ((len(content), "ok"), (len(content) - 1, "cut"), (len(content) // 2, "cut"), (60, "cut")):
-        file.write_bytes(content[:length])
-        assert _outcomes()["two"] == outcome
+    assert _outcomes() == {"one": "ok", "two": "ok", "three": "rows are gone"}
 
 
 def test_the_report_of_a_cut_run_says_so(root: Path) -> None:
@@ -208,16 +164,6 @@ def test_the_report_of_a_cut_run_says_so(root: Path) -> None:
     (root / "ref" / "results.csv").write_text(rows[:-3])
     assert "10 of the 11 rows" in _invoke("report", "results/ref").stderr
     assert "10 of the 11 rows" in (root / "ref" / "report.html").read_text()
-
-
-@pytest.mark.parametrize(("name", "end"), row_ends.ENDS.items())
-def test_binary_tables_without_their_end_are_cut(root: Path, name: str, end: bytes) -> None:
-    (root / "two" / "results.csv").unlink()
-    _write(root / "one", status="ok")
-    for content, outcome in ((b"rows" + end, ""), (b"rows" + end[:-1], "cut")):
-        (root / "two" / f"results{name}").write_bytes(content)
-        assert _outcomes()["two"] == outcome
-        (root / "two" / "results.csv").unlink(missing_ok=True)
 
 
 @pytest.mark.parametrize(

@@ -321,15 +321,13 @@ def test_the_total_is_that_of_all_jobs(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_rows_do_not_count_for_the_limit_of_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(watch, "resident", lambda pid: 50_000_000)
+    monkeypatch.setattr(watch.ProcessTree, "size", lambda tree, limit: 50_000_000)
     clock = clock_of(Limits(memory=40e6), width=1000)
     clock.progress.doing[0] = 1
     clock.progress.made[0] = 10_000
     clock.look(0)  # exactly as much as is allowed
     clock.progress.made[0] = 9_000
-    with pytest.raises(
-        SimulationError, match=r"fmi2DoStep: the process holds 41 MB, more than 40 MB \(limits: memory\)"
-    ):
+    with pytest.raises(SimulationError, match=r"fmi2DoStep: .* 41 MB, more than 40 MB \(limits: memory\)"):
         clock.look(0)
 
 
@@ -345,7 +343,6 @@ def test_progress_is_told_when_there_are_more_rows() -> None:
 @pytest.mark.parametrize(
     ("code", "words"),
     [
-        (None, "closed the streams of its process"),
         (-11, "crashed: segmentation fault (SIGSEGV)"),
         (-10_000, "was ended (signal 10000)"),
         (-15, "was ended (SIGTERM)"),

@@ -16,11 +16,11 @@ import pytest
 import cosim
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError, SimulationError
+from cosim.base.times import first_point
 from cosim.blocks.description import read_description
 from cosim.isolation.rows import Progress
 from cosim.master.inbox import MOST_STEPS, Change, Control, FileChannel, Inbox, MemoryChannel
 from cosim.master.observer import ObservedRun, Observer
-from cosim.system.events import point_of, time_of
 from tests.deeds import deeds_fmu, deeds_scenario
 from tests.typed import typed_fmu
 
@@ -74,7 +74,7 @@ def test_a_change_shows_in_the_rows_and_the_manifest_repeats_the_run(tmp_path: P
     ran = cosim.run(given, tmp_path / "o", in_process=in_process, observers=[changer], report=False)
     assert changer.set == {"a.r_in": 5.0, "b.gain": 3.0, "a.s_in": "x"}
     changes = ran.manifest["changes"]
-    speed, (first, second) = ran["a.r_in"], (point_of(change["at"], 0.0, 0.01) for change in changes)
+    speed, (first, second) = ran["a.r_in"], (first_point(change["at"], 0.0, 0.01) for change in changes)
     assert first == 0 < 20 <= second <= STEPS
     assert changes[0]["set"] == {"a.r_in": pytest.approx(10 * 60 / (2 * np.pi)), "b.gain": 3.0}
     assert changes[1]["set"] == {"a.r_in": 5.0, "a.s_in": "x"}
@@ -93,7 +93,7 @@ def test_a_change_in_the_loop_in_c_repeats_to_the_byte(tmp_path: Path) -> None:
     ran = cosim.run(path, tmp_path / "o", observers=[Changer({20: {"good.u0": 2.5}})], report=False)
     assert ran.manifest["loop"] == "C"
     (change,) = ran.manifest["changes"]
-    point = point_of(change["at"], 0.0, 0.1)
+    point = first_point(change["at"], 0.0, 0.1)
     assert (*ran["good.u0"][point - 1 : point + 1],) == (0.0, 2.5)
     repeated(tmp_path)
 
@@ -102,7 +102,7 @@ def test_a_change_takes_precedence_over_an_event_at_the_same_point(tmp_path: Pat
     given = scenario(tmp_path, events=[{"at": 0.01 * k, "set": {"a.r_in": k, "a.gain": 2}} for k in range(STEPS)])
     ran = cosim.run(given, tmp_path / "o", observers=[Changer({9: {"a.r_in": -1}})], report=False)
     (change,) = ran.manifest["changes"]
-    point = point_of(change["at"], 0.0, 0.01)
+    point = first_point(change["at"], 0.0, 0.01)
     assert (*ran["a.r_in"][point : point + 2],) == (-1, point + 1)
     repeated(tmp_path)
 
@@ -234,4 +234,4 @@ def test_a_channel_hands_on_each_value_once_in_order(tmp_path: Path, kind: str) 
 @pytest.mark.parametrize(("start", "step"), [(0.0, 0.1), (0.3, 0.1), (1e6, 1e-3), (-7.7, 1 / 3), (1e9, 1e-3)])
 def test_the_time_of_a_point_leads_back_to_the_point(start: float, step: float) -> None:
     for point in (0, 1, 3, 7, 12_345, 999_999):
-        assert point_of(time_of(point, start, step), start, step) == point
+        assert first_point(start + point * step, start, step) == point

@@ -39,4 +39,4 @@ def test_the_voltage_of_the_battery_is_that_at_the_current_of_the_same_time(tmp_
     assert voltage == pytest.approx(0.5 * (rest + np.sqrt(rest**2 - 4.0 * 0.1 * power / 0.95)), rel=1e-6)
     (loop,) = outcome.manifest["loops"]
     assert loop["iterations"]["most"] <= 10
-    assert loop["repeated"] == ["battery", "converter"]
+    assert loop["repeated"] == []  # FMUs of models answer to new inputs without a step

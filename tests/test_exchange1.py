@@ -35,7 +35,7 @@ def bounced(folder: Path, start: dict[str, float] | None = None, **more: Any) ->
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("start", [{}, {"kick_at": 0.3}, {"e": 0.9, "g": 3.7}, {"kick_at": 0.005, "e": 0.2}])
+@pytest.mark.parametrize("start", [{}, {"kick_at": 0.3}, {"e": 0.9, "g": 3.7}, {"kick_at": 0.005, "e": 0.6}])
 def test_it_is_what_fmpy_makes_of_it_to_the_last_bit(tmp_path: Path, start: dict[str, float]) -> None:
     import fmpy
 
@@ -85,13 +85,13 @@ def test_an_input_that_changes_is_an_event(tmp_path: Path) -> None:
 
 
 def test_it_may_end_the_simulation(tmp_path: Path) -> None:
-    results = bounced(tmp_path, {"end_at": 0.3})  # which it looks at when it bounces, at 0.4515 s
-    assert results.time[-1] == pytest.approx(0.45)
+    results = bounced(tmp_path, {"end_at": 0.3})  # which it looks at when it bounces
+    assert results.time[-2:] == pytest.approx([0.45, FALL], abs=1e-5)
     assert any("a ended the simulation at t = 0.45" in note for note in results.notes)
 
 
 def test_a_call_that_fails_is_told_with_the_words_of_the_fmu(tmp_path: Path) -> None:
-    with pytest.raises(StoppedRun, match=r"a at t = 0\.(2\d|3) s: fmi1GetDerivatives returned Error: it has a hole"):
+    with pytest.raises(StoppedRun, match=r"a at t = 0\.(2\d*|3) s: fmi1GetDerivatives returned Error: it has a hole"):
         bounced(tmp_path, {"fail_at": 0.3})
 
 

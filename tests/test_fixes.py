@@ -56,9 +56,9 @@ def test_a_fix_is_held_until_the_next_and_known_after_its_latency(tmp_path: Path
     assert results["sonar.level_meas"] == pytest.approx(np.maximum(0, latest) * 0.5, abs=1e-12)
 
 
-def test_under_jacobi_a_fix_is_of_the_step_before_as_what_any_component_sees(tmp_path: Path) -> None:
+def test_under_jacobi_a_fix_of_a_known_signal_has_no_delay(tmp_path: Path) -> None:
     results = run(tmp_path, algorithm="jacobi")
-    assert results["sonar.level_meas"][6] == pytest.approx(0.4)
+    assert results["sonar.level_meas"][6] == pytest.approx(0.5)
     assert results["sonar.fix"][6] == 2.0
 
 

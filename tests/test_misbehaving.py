@@ -38,6 +38,7 @@ from tests.cases import some
 from tests.conftest import ROOT
 from tests.deeds import deeds_fmu, deeds_scenario
 from tests.logs import write_log
+from tests.warm import cosim
 
 LIMITS = "{step: 300 ms, load: 2 s, memory: 500 MB}"
 LINUX = sys.platform.startswith("linux")
@@ -127,9 +128,54 @@ def test_all_together_may_not_take_longer_than_the_total(tmp_path: Path) -> None
 @pytest.mark.skipif(not LINUX, reason="resident sizes differ")
 def test_memory_without_end_stops_at_its_limit(tmp_path: Path) -> None:
     path = deeds_scenario(tmp_path, "DoStep", "memory", at=5, limits="{memory: 300 MB}")
-    with pytest.raises(SimulationError, match=r"bad at t = 0.4 s: fmi2DoStep: the process holds .* more than 300 MB"):
+    with pytest.raises(SimulationError, match=r"bad at t = 0.4 s: fmi2DoStep: .* more than 300 MB"):
         run(path, tmp_path / "out", report=False)
     assert rows_in(tmp_path / "out") == 5
+
+
+@pytest.mark.skipif(not LINUX, reason="resident sizes differ")
+@pytest.mark.parametrize(("deed", "process"), [("grow", ""), ("orphan", "own"), ("file", "")])
+def test_memory_of_processes_and_files_that_an_fmu_makes_counts(tmp_path: Path, deed: str, process: str) -> None:
+    path = deeds_scenario(tmp_path, "DoStep", deed, at=5, limits="{memory: 300 MB}")
+    with pytest.raises(SimulationError, match=r"^bad at t = .* more than 300 MB") as stopped:
+        run(own_process(path) if process else path, tmp_path / "out", report=False)
+    assert stopped.value.exit_code == 4
+    assert rows_in(tmp_path / "out") >= 5  # it is found at times of its own
+
+
+@pytest.mark.skipif(not LINUX, reason="resident sizes differ")
+def test_memory_that_processes_share_counts_once(tmp_path: Path) -> None:
+    path = deeds_scenario(tmp_path, "DoStep", "share", at=5, limits="{memory: 400 MB}")
+    assert len(run(path, tmp_path / "out", report=False).results.time) == 11
+
+
+@pytest.mark.skipif(not LINUX, reason="descriptors as Linux has them")
+@pytest.mark.parametrize(
+    ("call", "deed", "process", "rows"),
+    [
+        ("DoStep", "closes", "own", 5),
+        ("DoStep", "writes", "own", 5),
+        ("DoStep", "reads", "own", 5),
+        ("DoStep", "closes", "", 11),
+        ("DoStep", "writes", "", 11),  # the rows too are out of its reach
+        ("DoStep", "reads", "", 11),
+        ("DoStep", "redirects", "", 11),
+        ("Instantiate", "closes_all", "", 11),
+        ("FreeInstance", "writes", "", 11),
+    ],
+)
+def test_an_fmu_that_uses_descriptors_of_others_ends_the_run_and_is_named(
+    tmp_path: Path, call: str, deed: str, process: str, rows: int
+) -> None:
+    path = deeds_scenario(tmp_path, call, deed, 5 if call == "DoStep" else 1)
+    done = cosim("run", own_process(path) if process else path, "--out", "out", "--no-report", cwd=tmp_path)
+    assert done.returncode == 4
+    told = [line for line in done.stderr.splitlines() if not line.startswith("not a message")]
+    assert len(told) == 1, told
+    assert re.search(r"error: (good or )?bad at t = ", told[0])
+    kept = read_columns(tmp_path / "out" / "results.csv")
+    assert rows - 6 <= kept.rows <= 11 if not process else kept.rows == rows
+    assert kept.values["bad.y0"].tolist() == [*map(float, range(kept.rows))]
 
 
 def test_a_run_is_the_same_in_a_worker_and_in_process(tmp_path: Path) -> None:
@@ -205,7 +251,7 @@ def test_an_fmu_in_a_process_of_its_own_gives_the_same_rows_and_manifest_repeats
     [
         ("segfault", Crashed, r"bad at t = 0.4 s: fmi2DoStep crashed: segmentation fault"),
         ("hang", TimedOut, r"bad at t = 0.4 s: fmi2DoStep takes longer than 0.3 s"),
-        ("memory", SimulationError, r"bad at t = 0.4 s: fmi2DoStep: the process holds .* more than 300 MB"),
+        ("memory", SimulationError, r"bad at t = 0.4 s: fmi2DoStep: .* more than 300 MB"),
     ],
 )
 @pytest.mark.skipif(not LINUX, reason="its crashes go by other names")

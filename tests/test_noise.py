@@ -104,7 +104,7 @@ def test_playback_holds_each_row_until_the_next_and_drives_the_plant(project: Pa
 
 def test_a_faulty_playback_file_is_told_cell_by_cell(tmp_path: Path) -> None:
     log = tmp_path / "log.csv"
-    log.write_text("time,u\n0,1\n0.1,x\n0.1,2\n0.2\n0.3,nan\n")
+    log.write_text("time,u\n0,1\n0.1,x\n0.05,2\n0.2\n0.3,nan\n")
     with pytest.raises(InputError) as caught:
         playback("log", log)
     told = [str(f).removeprefix(f"{log}:") for f in caught.value.faults]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import platform
+import re
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ from cosim.probing.probe_structure import probe_structure
 from cosim.probing.prober import separate_pairs
 from cosim.residuals.drive import log_of_fmu
 from tests.blind.fmu_build import PLANTS, WAYS, build
+from tests.deeds import deeds_fmu
 from tests.slider import slider_fmu, slider_log
 from tests.warm import cosim
 
@@ -295,6 +297,15 @@ def test_the_verb_shows_places_as_a_table_and_as_json(tmp_path: Path) -> None:
     assert {p["name"]: p["acts"] for p in places["parameters"]}["damping"] is True
     assert [f["code"] for f in places["findings"]] == [messages.NO_UNITS.code]
     assert places["behaviour"]["rolls_back"] is True
+
+
+@pytest.mark.parametrize(
+    ("call", "deed", "at"), [("DoStep", "error", 3), ("DoStep", "end", 3), ("GetReal", "error", 5)]
+)
+def test_an_fmu_that_fails_soon_has_no_places_and_is_named(tmp_path: Path, call: str, deed: str, at: int) -> None:
+    told = cosim("info", deeds_fmu(tmp_path / "bad.fmu", call, deed, at), "--places")
+    assert told.returncode == 4
+    assert re.fullmatch(r"error: bad.fmu at t = 0\.0\d+ s: fmi2.*\n", told.stderr)
 
 
 @pytest.mark.thorough

@@ -16,6 +16,7 @@ from cosim.history.entries import entries
 from cosim.storage.folder_lock import folder_locks
 from cosim.storage.folders import rows_of_killed
 from tests.deeds import deeds_scenario
+from tests.test_misbehaving import listening
 
 STOPPED = """
 import os, sys
@@ -44,7 +45,8 @@ def stopped(folder: Path, *signals: int) -> tuple[int, str]:
     path = deeds_scenario(folder, "none", "none")
     words = ["run", str(path), "--out", str(folder / "results" / "out")]
     command = [sys.executable, "-c", STOPPED.format(signals=[int(number) for number in signals]), *words]
-    ended = subprocess.run(command, stderr=subprocess.PIPE, text=True, timeout=60, check=False)
+    prepare = None if sys.platform == "win32" else listening
+    ended = subprocess.run(command, stderr=subprocess.PIPE, text=True, timeout=60, check=False, preexec_fn=prepare)
     return ended.returncode, ended.stderr
 
 

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.blocks.faults import MOST, Delay, Hold, fault_function, points, steps_in, whole_steps
+from cosim.base.times import MOST, steps_in, whole_steps
+from cosim.blocks.faults import Delay, Hold, fault_function, points
 from cosim.coupling.algorithms import OWN, Algorithm, Plan
 from cosim.coupling.order import AlgebraicLoop, order_by_dependencies
 from cosim.master.master import simulate

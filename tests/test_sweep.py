@@ -22,7 +22,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from cosim.base.errors import InputError, SweepFailed
+from cosim.base.errors import InputError, SweepFailed, SweepStopped
 from cosim.fmi.fmu_build import build
 from cosim.fmi.native.compiler import compiler
 from cosim.loading.file import load_model
@@ -39,6 +39,7 @@ from cosim.sweeps.store import DATABASE, TABLE, Database, read_table, signal_of
 from cosim.sweeps.sweep_result import Swept, repeat_command
 from cosim.sweeps.workflow import EQUAL, sweep
 from cosim.verbs.cli import app
+from tests.full_disk import full_disk
 from tests.tank import MODEL
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -695,3 +696,21 @@ def test_a_database_that_is_no_file_is_refused(tmp_path: Path, kind: str) -> Non
     with pytest.raises(InputError, match=r"runs\.sqlite: is no file of a sweep"):
         Database(tmp_path, "key")
     assert not (tmp_path / "elsewhere.sqlite").exists()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no limits of files")
+def test_a_sweep_on_a_full_disk_keeps_its_runs_and_goes_on_when_there_is_room(
+    tanks: Callable[..., Path], tmp_path: Path
+) -> None:
+    vary = "runs: 1100\nsignals: [tank.level]\nsamples: 51\nvary: {tank.level_start: {normal: [2, 0.2]}}\n"
+    path, out = tanks(f"scenario: tanks.yaml\n{vary}"), tmp_path / "out"
+    with full_disk(10_000), pytest.raises(OSError, match="space"):  # before the first run
+        sweep(path, out, in_process=True, report=False)
+    with full_disk(500_000), pytest.raises(SweepStopped) as stopped:
+        sweep(path, out, in_process=True, report=False)
+    assert stopped.value.exit_code == 4
+    with Database(out, read_sweep(path).key) as base:
+        kept = len(base.numbers())
+    assert 0 < kept < 1100
+    swept = sweep(path, out, in_process=True, report=False)
+    assert (swept.made, swept.record["runs"], swept.record["failed"]) == (1100 - kept, 1100, 0)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import socket
+import time
 import urllib.request
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -21,6 +21,7 @@ from hypothesis.extra import numpy as arrays
 from typer.testing import CliRunner
 
 from cosim.base.errors import InputError
+from cosim.base.scratch import LOCK, process_folder
 from cosim.history.entries import entries
 from cosim.storage.results import Results, read_results
 from cosim.verbs.cli import app
@@ -179,23 +180,23 @@ def test_a_converted_table_gives_what_memory_gives(tmp_path: Path, suffix: str) 
 
 
 @pytest.mark.usefixtures("always_stored")
-def test_a_changed_table_is_converted_again_and_a_closed_folder_has_a_temporary_cache(
+def test_a_changed_table_is_converted_again_and_drafts_and_old_conversions_are_removed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = tmp_path / "run" / "results.csv"
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    path, cache = tmp_path / "run" / "results.csv", tmp_path / "cache" / "cosim" / "view"
     _table(path, 5000)
     assert open_rows(path, ColumnTypes()).rows == 5000
-    assert (path.parent / ".view" / "results.csv" / "low.parquet").is_file()
+    (first,) = cache.iterdir()
+    killed = cache / "draft-killed"  # as a killed command leaves it
+    killed.mkdir()
+    (killed / LOCK).touch()
     _table(path, 6000)
+    os.utime(first, (0.0, 0.0))
     assert open_rows(path, ColumnTypes()).rows == 6000
-    assert [p.name for p in (path.parent / ".view").iterdir()] == ["results.csv"]
-    shutil.rmtree(path.parent / ".view")
-    elsewhere = tmp_path / "elsewhere"
-    elsewhere.mkdir()
-    (path.parent / ".view").symlink_to(elsewhere)  # never followed
-    assert open_rows(path, ColumnTypes()).rows == 6000
-    assert list(elsewhere.iterdir()) == []
-    assert stored_rows.notes_on(path)[0].code == "N-VIE-007"
+    (second,) = cache.iterdir()
+    assert second not in {first, killed}
+    assert [p.name for p in path.parent.iterdir()] == ["results.csv"]
 
 
 @pytest.mark.usefixtures("always_stored")
@@ -227,7 +228,6 @@ def test_without_pyarrow_a_table_is_read_as_a_whole_with_a_note(
     _table(tmp_path / "results.csv", 200)
     assert open_rows(tmp_path / "results.csv", ColumnTypes()).rows == 200
     assert "pip install" in stored_rows.notes_on(tmp_path / "results.csv")[0]
-    assert not (tmp_path / ".view").exists()
 
 
 LARGE = [2**53 + 1, 2**63, 2**64 - 1]  # more digits than a double has
@@ -526,6 +526,58 @@ def test_an_export_that_is_too_large_asks_for_a_zoom(
     with pytest.raises(HTTPError, match="400") as refused:
         page[1](f"export.csv?{of}")
     assert "zoom in" in json.loads(refused.value.read())["error"]
+
+
+def test_an_export_leaves_no_file(page: tuple[ViewPage, Ask]) -> None:
+    of = urlencode({"of": json.dumps({"from": 0, "to": 1, "curves": [[0, "x"]]})})
+    assert page[1](f"export.csv?{of}")
+    until = time.monotonic() + 10
+    while [*process_folder().glob("view-*.csv")]:  # removed after its last byte was sent
+        assert time.monotonic() < until
+        time.sleep(0.01)
+
+
+def test_signals_in_a_chain_are_derived_in_time_and_a_circle_is_refused(page: tuple[ViewPage, Ask]) -> None:
+    _, ask = page
+    before = "x"
+    for k in range(40):  # 2^40 ways from the last signal to the first
+        ask("derive", {"name": f"d{k}", "formula": "(a + b) / 2", "of": {"a": [0, before], "b": [0, before]}})
+        before = f"d{k}"
+    assert len(ask("derive", {"name": "d0", "formula": "2 * a", "of": {"a": [0, "x"]}})) == 40
+    with pytest.raises(HTTPError, match="400") as refused:
+        ask("derive", {"name": "d0", "formula": "a", "of": {"a": [0, "d2"]}})
+    assert "d0 ← d2 ← d1 ← d0" in json.loads(refused.value.read())["error"]
+    with pytest.raises(HTTPError, match="400"):
+        ask("derive", {"name": "own", "formula": "a", "of": {"a": [0, "own"]}})
+
+
+@pytest.mark.parametrize("text", ["1e999", "1" + "0" * 400])
+@pytest.mark.parametrize("path", ["values", "points", "layouts", "export.csv"])
+def test_a_number_that_no_double_holds_is_a_wrong_request(page: tuple[ViewPage, Ask], path: str, text: str) -> None:
+    made, ask = page
+    content = (
+        f'{{"at": {text}, "from": 0, "to": {text}, "width": 9, "curves": [[0, "x"]], "name": "a", "layout": {text}}}'
+    )
+    query = f"?{urlencode({'of': content})}" if "export" in path else ""
+    data = None if query else content.encode()
+    request = urllib.request.Request(made.server.url + path + query, data, {"Content-Type": "application/json"})
+    with pytest.raises(HTTPError, match="400"):
+        urllib.request.urlopen(request, timeout=10)
+    assert ask("about")["runs"]
+
+
+def test_names_with_control_characters_are_shown_as_escapes_and_half_characters_are_answered(tmp_path: Path) -> None:
+    file = tmp_path / "r.csv"
+    file.write_text("time,x\x1b[31m\u202e [m]\n0,1\n1,2\n")
+    run = ViewedRun(RunPlace("\udfff", "r\x1b", file), open_rows(file, ColumnTypes()), file_state(file))
+    with ViewPage("run", [run], Layouts(tmp_path / "view.json")) as page:
+        ask = _asking(page)
+        about = ask("about")
+        assert about["runs"][0]["label"] == r"r\u001b"
+        ((name,), units, _) = about["sets"][0]
+        assert (name, units) == (r"x\u001b[31m\u202e", ["m"])
+        assert np.frombuffer(ask("values", {"at": 1.0, "curves": [[0, name]]}))[1] == 2.0
+        assert ask("derive", {"name": "twice", "formula": "2 * a", "of": {"a": [0, name]}})[0]["unit"] == "m"
 
 
 def test_another_token_reads_nothing(page: tuple[ViewPage, Ask]) -> None:

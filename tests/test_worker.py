@@ -304,7 +304,7 @@ def test_a_job_beyond_its_limits_is_ended_and_the_next_one_has_a_process_of_its_
         for limits, error in (
             (Limits(step=0.2), "stepping takes longer than 0.2 s"),
             (Limits(total=0.2), "stepping was stopped: the run takes longer than 0.2 s in all"),
-            (Limits(memory=1e6), "stepping: the process holds .* MB, more than 1 MB"),
+            (Limits(memory=1e6), "stepping: .* MB, more than 1 MB"),
         ):
             pid = own.call(os.getpid)
             with pytest.raises(SimulationError, match=f"^tank at t = 0 s: {error}"):

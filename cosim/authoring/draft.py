@@ -16,6 +16,7 @@ from cosim.authoring.matching import Match, Matches, Port, match_ports, text
 from cosim.authoring.parts import SLACK, STEPS, STOP, DraftPart, RequestedTimes, parts_of, times_of
 from cosim.base.drafts import draft_of
 from cosim.base.errors import Fault, InputError, refuse
+from cosim.base.times import difference
 from cosim.base.units import computed_in
 from cosim.blocks.component import Signal
 from cosim.blocks.description import no_library, platform_of
@@ -51,6 +52,7 @@ def write_single(
     stop: float | None = None,
     step: float | None = None,
     record: Sequence[str] = (),
+    interpolation: str = "held",
     force: bool = False,
 ) -> tuple[Path, tuple[str, ...]]:
     """Write scenario.yaml for a run of one FMU.
@@ -59,6 +61,7 @@ def write_single(
         recorded: CSV whose columns drive the inputs of the same names.
         stop: Stop time [s], like `step` in place of the default experiment's.
         record: Further variables to record.
+        interpolation: Values of `recorded` between two rows: held or linear.
 
     Returns:
         The path and warnings.
@@ -78,7 +81,7 @@ def write_single(
     inputs = [fmu, *([recorded] if recorded else [])]
     check_writable(folder, (path.name,), inputs)
     matches = recording.matches if recording else Matches((), ())
-    lines = scenario_text(folder, [part], matches, times, DEFAULT, played=recorded, verb="simulate")
+    lines = scenario_text(folder, [part], matches, times, DEFAULT, played=(recorded, interpolation), verb="simulate")
     names = [n if n.startswith(f"{part.name}.") else f"{part.name}.{n}" for n in record]
     lines += f"record: {json.dumps(names)}\n" if names else ""
     with draft_of(path) as draft:
@@ -154,7 +157,13 @@ def _read_recording(path: Path, part: DraftPart) -> DraftRecording:
     unused = ", ".join([*(name for name in names if name not in driving), *sorted(log.spoiled)])
     notes = (messages.UNUSED_COLUMNS(recording=path.name, component=part.name, columns=unused),) if unused else ()
     time = log["time"]
-    usual_step = float(f"{np.median(np.diff(time)) if time.size > 1 else STOP / STEPS:.6g}")
+    steps = np.diff(time)
+    steps = steps[steps > 0.0]  # Equal times are a jump.
+    usual_step = STOP / STEPS
+    if steps.size:  # without the digits that the times do not hold
+        last = float(np.max(np.abs(time)))
+        usual_step = difference(last + float(np.median(steps)), last) or float(np.median(steps))
+    usual_step = float(f"{usual_step:.6g}")
     return DraftRecording(path, float(time[0]), float(time[-1]), usual_step, Matches(connections, ()), notes)
 
 

@@ -29,13 +29,13 @@ def scenario_text(
     times: Times,
     algorithm: Algorithm,
     *,
-    played: Path | None = None,
+    played: tuple[Path | None, str] = (None, "held"),
     verb: str = "init",
 ) -> str:
     """Return the text of a first scenario, to be written into `folder`.
 
     Args:
-        played: Recording that plays inputs; its connections come first.
+        played: Recording that plays inputs, whose connections come first, and its interpolation.
         verb: Command that writes the scenario.
     """
     guesses, choices = sum(bool(m.guess) for m in matches.connections), len(matches.choices)
@@ -54,7 +54,7 @@ def scenario_text(
         f"duration: {times.duration:.12g} # s: {times.why_duration}",
         f"step: {_whole(times.step)} # s: {times.why_step}",
     ]
-    lines += [f"start_time: {times.start:.12g} # s: {times.why_start}"] if times.start else []
+    lines += [f"start_time: {_whole(times.start)} # s: {times.why_start}"] if times.start else []
     if algorithm is not DEFAULT:
         lines.append(
             f"algorithm: {algorithm.name} # each FMU needs another's output of the same time; or state `order: [...]`"
@@ -62,11 +62,13 @@ def scenario_text(
     lines.append("components:")
     for part in parts:
         lines += _component(folder, part, times)
-    if played is not None:
+    recording, interpolation = played
+    if recording is not None:
         lines += [
             f"  {matches.connections[0].source[0]}:",
             "    block: playback",
-            f"    file: {scalar(relative(played, folder))}",
+            f"    file: {scalar(relative(recording, folder))}",
+            *([f"    interpolation: {interpolation}"] if interpolation != "held" else []),
         ]
     lines += _connections(matches) + _more(parts)
     return "\n".join(lines) + "\n"

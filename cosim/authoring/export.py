@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from collections.abc import Iterator
@@ -207,7 +208,9 @@ def _source(file: ScenarioFile, name: str, component: ReferenceComponent | Playb
         signals = {signal: _profile(profile) for signal, profile in component.signals.items()}
     else:
         columns = {s.partition(".")[2] for c in file.scenario.connections if (s := c.source).startswith(f"{name}.")}
-        signals = _recording_signals(file.resolve(component.file), columns)
+        signals = _recording_signals(
+            file.resolve(component.file), columns, is_linear=component.interpolation == "linear"
+        )
     try:
         fmu = build_source(name, signals, folder / f"{name}.fmu", file.scenario.step, file.scenario.duration)
     except (NoCompiler, CompilerFailed) as error:
@@ -225,15 +228,19 @@ def _profile(profile: Profile) -> TimeSignal:
     return TimeSignal(unit, factor * profile.start, changes)
 
 
-def _recording_signals(path: Path, names: set[str]) -> dict[str, TimeSignal]:
-    """Return columns of a recording, held between rows."""
+def _recording_signals(path: Path, names: set[str], *, is_linear: bool) -> dict[str, TimeSignal]:
+    """Return columns of a recording, held or linear between rows."""
     table = read_columns(path, names)
     times = table.values["time"]
     signals = {}
     for column in (c for c in table.columns.values() if c.name in names):
         unit, factor = computed_in(column.heading.unit)
         values = [factor * v for v in table.values[column.name]]
-        changes = [SignalChange(t, v, v) for t, v in zip(times, values, strict=True) if math.isfinite(v)]
+        rows = [(t, v) for t, v in zip(times, values, strict=True) if math.isfinite(v)]
+        changes = [SignalChange(t, v, v) for t, v in rows]
+        for k, ((t, v), (after, to)) in enumerate(itertools.pairwise(rows)):
+            if is_linear and after > t and to != v:
+                changes[k] = SignalChange(t, v, to, abs(to - v) / (after - t))
         signals[column.name] = TimeSignal(unit, values[0], changes)
     return signals
 

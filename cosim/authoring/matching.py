@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import SequenceMatcher
+from functools import cache
 from types import MappingProxyType
 
 from cosim.blocks.component import Signal
@@ -92,6 +93,9 @@ class _Matching:
         self.candidates = {
             name: [o for o in outputs if o[0] != i[0] and fits(o, i, sizes)] for name, i in self.inputs.items()
         }
+        self._scores: dict[str, dict[str, float]] = {}  # input → output → similarity of name and unit
+        self._has_similar: dict[str, bool] = {}  # inputs with similar outputs; used ones may be ranked below others
+        self._likely_of: dict[str, list[tuple[float, Port]]] = {}  # input → likely outputs, until one is connected
         self.open = dict(self.inputs)
         self.connections: dict[str, Match] = {}
         self.choices: dict[str, Sequence[Port]] = {}
@@ -120,7 +124,10 @@ class _Matching:
     def _connect(self, match: Match) -> None:
         del self.open[text(match.target)]
         self.connections[text(match.target)] = match
-        self.used.add(text(match.source))
+        self.used.add(source := text(match.source))
+        self._likely_of = {
+            name: likely for name, likely in self._likely_of.items() if not self._is_affected(name, likely, source)
+        }
 
     def _leave(self, name: str, sources: Sequence[Port]) -> None:
         """Leave an input unconnected and record the likely outputs, from which the user must choose."""
@@ -137,14 +144,33 @@ class _Matching:
 
     def _likely(self, target: Port) -> list[tuple[float, Port]]:
         """Return an input's likely outputs with scores, best first."""
+        name = text(target)
+        if name not in self._likely_of:
+            self._likely_of[name] = self._rank(name, target)
+        return self._likely_of[name]
+
+    def _rank(self, name: str, target: Port) -> list[tuple[float, Port]]:
+        """Compare an input with outputs, each pair once; return the likely outputs with scores, best first."""
+        if name not in self._scores:
+            self._scores[name] = {
+                text(o): similarity(o[1].name, target[1].name) + _unit_score(o[1], target[1])
+                for o in self.candidates[name]
+            }
+            self._has_similar[name] = any(score >= MIN_SCORE for score in self._scores[name].values())
+        scores = self._scores[name]
         scored = []
-        for source in self.candidates[text(target)]:
-            score = similarity(source[1].name, target[1].name) + _unit_score(source[1], target[1])
+        for source in self.candidates[name]:
+            score = scores[text(source)]
             scored.append((score + USED_OUTPUT * (text(source) in self.used), score, source))
         scored.sort(key=lambda s: -s[0])  # stable: equal ones keep file order
         if not scored or scored[0][1] < MIN_SCORE or scored[0][0] < MIN_SCORE / 2:
             return []
         return [(net, source) for net, score, source in scored if score >= MIN_SCORE]
+
+    def _is_affected(self, name: str, likely: Sequence[object], source: str) -> bool:
+        """Return whether the use of an output changes the likely outputs of an input."""
+        scores = self._scores[name]
+        return scores.get(source, 0.0) >= MIN_SCORE or (not likely and source in scores and self._has_similar[name])
 
     def _best(self) -> tuple[Port, list[Port]] | None:
         """Return the input with the highest score and its likely outputs; None if no input has a clear best output."""
@@ -188,15 +214,18 @@ def similarity(a: str, b: str) -> float:
     return sum(scores) / len(scores) * (0.75 + 0.25 * len(first) / len(second))
 
 
+@cache
 def _words(name: str) -> list[str]:
     words = [word.lower() for word in WORDS.findall(name)]
     return [word for word in words if word not in IGNORED_WORDS] or words
 
 
+@cache
 def _is_reference(name: str) -> bool:
     return not REFERENCES.isdisjoint(_words(name))
 
 
+@cache
 def _word_similarity(a: str, b: str) -> float:
     if a == b:
         return 1.0

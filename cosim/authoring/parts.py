@@ -14,6 +14,7 @@ from typing import Any
 from cosim.authoring import messages
 from cosim.authoring.matching import Port
 from cosim.base.errors import InputError
+from cosim.base.times import difference
 from cosim.blocks.component import Signal
 from cosim.blocks.description import takes_any_step
 from cosim.blocks.fmu import FmuBlock
@@ -167,10 +168,10 @@ def _span(request: RequestedTimes, experiments: Mapping[str, Mapping[str, float]
     ends = {name: e["stop"] for name, e in experiments.items() if e.get("stop", start) > start}
     duration, why = STOP, "no FMU says how long; a guess"
     if request.stop is not None:
-        duration, why = request.stop - start, request.because
+        duration, why = difference(request.stop, start), request.because
     elif ends:
         longest = max(ends, key=lambda n: ends[n])
-        duration, why = ends[longest] - start, f"the default experiment of {longest}"
+        duration, why = difference(ends[longest], start), f"the default experiment of {longest}"
     return start, float(f"{duration:.12g}"), why
 
 

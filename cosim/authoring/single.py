@@ -32,6 +32,7 @@ def simulate(
     stop: float | None = None,
     step: float | None = None,
     record: Sequence[str] = (),
+    interpolation: str = "held",
     report: bool = True,
     force: bool = True,
     in_process: bool = False,
@@ -48,6 +49,7 @@ def simulate(
         recorded: CSV whose columns drive the inputs of the same names.
         stop: Stop time [s], like `step` in place of the default experiment's.
         record: Locals and parameters to record besides inputs and outputs.
+        interpolation: Values of `recorded` between two rows: held or linear.
 
     Returns:
         The outcome and notes.
@@ -63,7 +65,9 @@ def simulate(
     values = start if isinstance(start, Mapping) else start_pairs(path, start, description)
     place = folder_named(parts_of([path])[0].name) if folder is None else named_path(folder)
     csv = None if recorded is None else Path(recorded)
-    scenario, notes = write_single(place, path, values, csv, stop=stop, step=step, record=record, force=force)
+    scenario, notes = write_single(
+        place, path, values, csv, stop=stop, step=step, record=record, interpolation=interpolation, force=force
+    )
     settings: dict[str, Any] = {"in_process": in_process, "format_": format_, "progress": progress}
     outcome = run(scenario, place, report=report, force=True, command="cosim simulate", **settings)
     return outcome, notes

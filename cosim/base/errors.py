@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base import messages
-from cosim.base.messages import code_of, join, with_prefix
+from cosim.base.messages import Message, code_of, join, printable, with_prefix
 
 
 @dataclass(frozen=True, order=True)
@@ -22,7 +22,8 @@ class Fault:
     exit_code: int = 2
 
     def __str__(self) -> str:
-        place = f"{self.file}:{self.line}:{self.column}" if self.line else str(self.file)
+        file = printable(str(self.file), one_line=True)
+        place = f"{file}:{self.line}:{self.column}" if self.line else file
         return with_prefix(f"{place}: ", self.message)  # A warning made of a fault keeps its code.
 
     @property
@@ -35,6 +36,10 @@ class CosimError(Exception):
     """Base class of all errors raised on purpose."""
 
     exit_code = 1
+
+    def __str__(self) -> str:
+        text = super().__str__()
+        return Message(printable(text), code_of(text), getattr(text, "fields", {}))
 
     @property
     def code(self) -> str:

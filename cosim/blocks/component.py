@@ -195,3 +195,15 @@ def in_turn(
         get()
 
     return step
+
+
+def without_step(component: Component, doing: MutableSequence[int], first: int) -> Callable[[], None]:
+    """Return a function that puts and gets, as `in_turn` without advancing."""
+
+    def exchange() -> None:
+        doing[0] = first + PUT
+        component.put()
+        doing[0] = first + GET
+        component.get()
+
+    return exchange

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from array import array
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,9 +9,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from cosim.base.times import first_point, last_point
 from cosim.blocks.stepping import ConvertedLink, LinkKind, link
-
-MOST = 1e18  # steps, more than any run has
 
 
 def fault_function(
@@ -176,16 +174,6 @@ class Delay:
 
 def points(begin: float | None, end: float | None, start: float, step: float, count: int) -> tuple[int, int]:
     """Return the first and last communication point in an interval [s]."""
-    first = 0 if begin is None else math.ceil(steps_in(begin - start, step) - 1e-9)
-    last = count - 1 if end is None else math.floor(steps_in(end - start, step) + 1e-9)
+    first = 0 if begin is None else first_point(begin, start, step)
+    last = count - 1 if end is None else last_point(end, start, step)
     return first, last
-
-
-def whole_steps(time: float, step: float) -> int:
-    """Return a time in steps, rounded, at least one."""
-    return max(1, round(steps_in(time, step)))
-
-
-def steps_in(time: float, step: float) -> float:
-    """Return time/step, limited to ±MOST."""
-    return min(max(time / step, -MOST), MOST)

@@ -35,7 +35,7 @@ from cosim.blocks.solvers import Solver
 from cosim.blocks.stepping import Plan, Slot, StopReason, fmu_slot
 from cosim.blocks.values import Arguments, Values
 from cosim.blocks.variable_access import Ports
-from cosim.fmi.sampled import AUTHOR, optional_inputs
+from cosim.fmi.sampled import AUTHOR, optional_inputs, sampled_by
 
 __all__ = ["FmuBlock", "matches", "read_description"]
 
@@ -63,6 +63,7 @@ class FmuBlock:
         logging: Whether debug logging is on.
         solver: Solver for model exchange.
         solver_step: Longest step of this solver [s]; None for 1/50 of the run.
+        max_steps: Largest number of steps of this solver between communication points and events; None for its own.
         feedthrough: Inputs that outputs follow directly, where dependencies are not declared; None if not known.
         compiles: Whether sources may be compiled for a missing library; None for the current permission.
     """
@@ -83,6 +84,7 @@ class FmuBlock:
         logging: bool = False,
         solver: Solver | None = None,
         solver_step: float | None = None,
+        max_steps: int | None = None,
         feedthrough: frozenset[str] | None = None,
         compiles: bool | None = None,
     ) -> None:
@@ -97,6 +99,7 @@ class FmuBlock:
             logging=logging,
             solver=solver,
             solver_step=solver_step,
+            max_steps=max_steps,
             feedthrough=feedthrough,
             compiles=compiles,
         )
@@ -104,7 +107,7 @@ class FmuBlock:
         self._calls = self._make_calls(way)
         self._calls.tolerance = default_tolerance(description) if tolerance is None else tolerance
         if isinstance(self._calls, ModelExchange2):
-            self._calls.solver_name, self._calls.longest = solver, solver_step
+            self._calls.solver_name, self._calls.longest, self._calls.max_steps = solver, solver_step, max_steps
         self.instance = Instance(path, self._calls, logging=logging, compiles=compiles)
         # With equal steps, a replay of a run of pythonfmu's FMUs repeats the run bit for bit.
         self.nominal_step = self.instance.by_pythonfmu
@@ -176,6 +179,11 @@ class FmuBlock:
     def names_any(self, pattern: str) -> bool:
         """Return whether a pattern such as `plant.*` matches a variable."""
         return any(matches(pattern, self.name, name) for name in self._variables)
+
+    @cached_property
+    def is_sampled(self) -> bool:
+        """Return whether an FMU of cosim takes its inputs at its sample, the end of a step."""
+        return self.description.author == AUTHOR and sampled_by(self.path) is not None
 
     @property
     def warnings(self) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ from typing import Any
 
 from cosim.base.drafts import is_full
 from cosim.base.errors import DiskFull, FmuError, SimulationError, Terminated
-from cosim.base.messages import Message
+from cosim.base.messages import Message, join
 from cosim.base.scratch import process_folder
 from cosim.blocks import messages
 from cosim.blocks.compiling import compile_library
@@ -23,6 +23,7 @@ from cosim.blocks.guard import without_wrapping
 from cosim.blocks.loading import load_error
 from cosim.blocks.message_log import MessageLog
 from cosim.blocks.model_exchange import ModelExchange2
+from cosim.blocks.shared_code import claim, own_symbols_first
 from cosim.fmi.lifetime import let_go_at_exit
 from cosim.fmi.sampled import sampled_by
 from cosim.storage.archive import unpack
@@ -68,21 +69,24 @@ class Instance:
 
         Raises:
             FmuError: The library does not load.
+            SharedCode: The process has other code of the same name.
             DiskFull: No space is left to unpack.
         """
+        hidden = claim(self.path)
         folder = self._folder or self._unpack()
         previous, self._words = os.getcwd(), ""
         try:
             library, warning = self._library(folder)
             self._load_library(folder, library)
-            if warning:
-                self.remember(warning)
+            for text in filter(None, (warning, *hidden)):
+                self.remember(text)
             # pythonfmu reports its reasons in debug messages only.
             self.calls.instantiate(self.listen, self._logging or self.by_pythonfmu)
             if self.by_pythonfmu and not self._logging:
                 self.calls.limit_logging()
         except Exception as error:  # FMPy raises bare Exceptions; the FMU's own message says more.
-            raise FmuError(self._load_fault(self.last_words() or str(error))) from None
+            reason = join("; ", (self.last_words() or str(error), *hidden))
+            raise FmuError(self._load_fault(reason)) from None
         finally:
             os.chdir(previous)  # FMPy changes to the FMU's folder.
         self.fmu, self.component = self.calls.fmu, self.calls.fmu.component
@@ -101,7 +105,8 @@ class Instance:
     def _load_library(self, folder: Path, library: Path) -> None:
         """Load the library; raise FmuError with reason and remedy."""
         try:
-            self.calls.load(folder, library)
+            with own_symbols_first(self.path, library):
+                self.calls.load(folder, library)
         except Exception as error:  # FMPy raises bare Exceptions.
             raise FmuError(load_error(library, error)) from None
 

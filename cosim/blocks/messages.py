@@ -148,6 +148,12 @@ STEP_TOO_SHORT = Template(
     "E-BLK-044", "a step of {step:.3g} s is too short at this time: doubles are {spacing:.2g} s apart there"
 )
 CHATTERING = Template("E-BLK-045", "it chatters: {count} events within {span:.2g} s, so that time stands still")
+EVENTS_NOT_SEPARATED = Template(
+    "E-BLK-083",
+    "its events follow each other within {span:.2g} s, too fast for the solver to separate them: event "
+    "indicator {number} crosses zero and returns ever faster, like a ball before it rests. The FMU needs a mode in "
+    "which it rests. A smaller tolerance separates more events; an end of the run before this time avoids them",
+)
 RESTLESS_STATES = Template("E-BLK-046", "its discrete states still change after {count} updates")
 PAST_EVENT = Template(
     "E-BLK-047",
@@ -159,8 +165,8 @@ DERIVATIVE_NOT_FINITE = Template(
 )
 TOO_MANY_SOLVER_STEPS = Template(
     "E-BLK-049",
-    "CVODE does not come to the next communication point in 500 steps of its own: shorten the step, or see whether a "
-    "state grows without bound",
+    "{solver} does not reach the next communication point in {count} steps of its own. Allow more (max_steps), shorten "
+    "the step{other}, or check whether a state grows without bound",
 )
 TOLERANCE_TOO_TIGHT = Template(
     "E-BLK-050", "CVODE cannot reach the tolerance, as doubles are not that exact; loosen it"
@@ -218,3 +224,16 @@ OTHER_VERSION = Template(
     "the server at {at} has version {there} of the protocol, this side version {here}; install the same cosim on both",
 )
 CONNECTION_LOST = Template("E-BLK-082", "the connection to {at} is lost: {reason}")
+
+# -- code of one name ------------------------------------------------------------------------------------
+
+OWN_PROCESS = Template("N-BLK-083", "{name} runs in a process of its own: its {what} differs from that of {other}")
+SHARED_CODE = Template(
+    "E-BLK-084",
+    "{file} does not load: its {what} differs from that of {other}, which this process has loaded; run it in a worker "
+    "process (without in_process, --in-process)",
+)
+HIDDEN_MODULE = Template(
+    "W-BLK-085",
+    "{file} does not get its own module {module}, since its process has loaded {other}; rename the module in the FMU",
+)

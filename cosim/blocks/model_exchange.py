@@ -10,7 +10,8 @@ import contextlib
 import ctypes
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from itertools import pairwise
 from typing import Any
 
 from cosim.base.errors import SimulationError
@@ -18,7 +19,7 @@ from cosim.blocks import messages
 from cosim.blocks.component import EarlyEnd
 from cosim.blocks.description import Way
 from cosim.blocks.fmi import EXCHANGE3, Calls, CoSimulation3, Listen, Step, Version1
-from cosim.blocks.solvers import DOUBLES, Solver, SolverFailed, solver
+from cosim.blocks.solvers import DOUBLES, Solver, SolverFailed, derivatives_of, solver
 
 TOLERANCE = 1e-5  # relative tolerance by default, as in FMPy
 LONGEST = 50  # largest solver step as a fraction 1/50 of the whole time, as in FMPy
@@ -27,6 +28,10 @@ AT_ONCE = 1e-6  # fraction of a communication step; MOST_EVENTS within it is cha
 CLOSE = 1e-9  # fraction of a communication step below which times are equal
 NO_VARIABLE = 2**32 - 1  # FMI 1.0's value reference of a state without variable
 ULPS = 4  # multiples of the spacing of doubles, too short for CVODE
+SEPARABLE = 10_000  # multiples of the spacing of doubles between two events; CVODE locates each within 100
+SHORTENED = 0.25  # share of a solver step that is tried if it does not separate two events
+EVER_FASTER = 4  # spans between crossings of an indicator that are each shorter than the one before
+STRAIGHT = 0.1  # share of a solver step over which an indicator moves along its slope, as CVODE assumes after an event
 
 
 class ModelExchange2(Calls):
@@ -34,6 +39,7 @@ class ModelExchange2(Calls):
 
     Attributes:
         longest: Longest step of the solver [s]; None for a share of the run.
+        max_steps: Largest number of solver steps between communication points and events; None for the solver's own.
         stops_at_events: Whether a step ends at its first event, which `handle_event` then handles.
         cause: Kind of the event at which the last step ended; "" without one.
     """
@@ -48,7 +54,11 @@ class ModelExchange2(Calls):
         self.solver: Any = None
         self.solver_name: Solver | None = None
         self.longest: float | None = None
+        self.max_steps: int | None = None
         self._started = False
+        # indicator and direction → times of its last crossings, and the number of shortened steps until then
+        self._crossings: dict[tuple[int, int], deque[tuple[float, int]]] = {}
+        self._shortened = 0  # number of shortened steps
         self._events: deque[float] = deque(maxlen=MOST_EVENTS)  # times of the last events
         self.event_counts = {"state": 0, "time": 0, "step": 0}
         self.stops_at_events, self.cause = False, ""
@@ -86,7 +96,7 @@ class ModelExchange2(Calls):
     @property
     def goes_back(self) -> bool:
         """Return whether the continuous states are all that a step changes, up to its first event."""
-        return not self.description.modelExchange.needsCompletedIntegratorStep
+        return not self._needs_completed_steps
 
     def save(self) -> tuple[float, list[float]]:
         """Return time [s] and continuous states, for `go_back`."""
@@ -99,10 +109,7 @@ class ModelExchange2(Calls):
         """Take back the states before a step, whose event, if any, has not been handled."""
         self.time, states = saved
         self.cause = ""
-        self.fmu.setTime(self.time)
-        if self.description.numberOfContinuousStates:
-            cells = (ctypes.c_double * len(states))(*states)
-            self.fmu.setContinuousStates(ctypes.cast(cells, DOUBLES), len(states))
+        self._place(self.time, states)
         self.solver.reset(self.time)
 
     # -- calls that differ between versions -----------------------------------------------------
@@ -116,9 +123,14 @@ class ModelExchange2(Calls):
     def _enter_continuous_time(self) -> None:
         self.fmu.enterContinuousTimeMode()
 
+    @property
+    def _needs_completed_steps(self) -> bool:
+        """Return whether the FMU needs a call after each accepted step of the solver."""
+        return bool(self.description.modelExchange.needsCompletedIntegratorStep)
+
     def _completed_step(self) -> tuple[bool, bool]:
         """Report a solver step; return event and end requests."""
-        if not self.description.modelExchange.needsCompletedIntegratorStep:
+        if not self._needs_completed_steps:
             return False, False
         event, terminate = self.fmu.completedIntegratorStep()
         return event, terminate
@@ -138,6 +150,8 @@ class ModelExchange2(Calls):
             start=self.start_time,
             longest=self.longest or (self.stop_time - self.start_time) / LONGEST,
             tolerance=TOLERANCE if self.tolerance is None else self.tolerance,
+            single_steps=self._needs_completed_steps,
+            max_steps=self.max_steps,
         )
 
     def _step(self, component: Any, t: float, h: float, _: int) -> int:
@@ -153,30 +167,118 @@ class ModelExchange2(Calls):
             target = end
             if event is not None and at_event:  # An event within rounding of the target is not missed.
                 target = event if event < end - close else max(event, end)
-            state_event, self.time = self._integrate(target, ULPS * spacing)
-            self.fmu.setTime(self.time)
-            step_event, terminate = self._completed_step()
-            if terminate:
-                self._end()
-            if state_event or at_event or step_event:
-                self.cause = "state" if state_event else "time" if at_event else "step"
+            state_event, step_event = self._integrate(target, ULPS * spacing)
+            if state_event or step_event or at_event:
+                self.cause = (
+                    "state" if state_event else "step" if self.time < target else "time" if at_event else "step"
+                )
                 if self.stops_at_events:
                     return 0
                 self.handle_event(h)
         return 0
 
-    def _integrate(self, target: float, min_span: float) -> tuple[bool, float]:
-        """Integrate to the target or the first state event; return whether an event occurred, and the time reached.
+    def _integrate(self, target: float, min_span: float) -> tuple[bool, bool]:
+        """Integrate to the target or the first event; return whether a state event and a step event occurred.
 
-        Nothing is integrated over `min_span` [s] or less.
+        The FMU is told of each step of the solver if it needs that. Nothing is integrated over `min_span` [s] or less.
         """
-        if target - self.time <= min_span:
-            return False, max(self.time, target)
-        try:
-            state_event, _, time = self.solver.step(self.time, target)
-        except SolverFailed as error:
-            raise SimulationError(self.name, self.time, self._explain(error)) from None
-        return bool(state_event), float(time)
+        while True:
+            state_event = False
+            if target - self.time <= min_span:
+                self.time = max(self.time, target)
+            else:
+                try:
+                    state_event, self.time = self._solver_step(target)
+                except SolverFailed as error:
+                    raise SimulationError(self.name, self.time, self._explain(error)) from None
+            self.fmu.setTime(self.time)
+            step_event, terminate = self._completed_step()
+            if terminate:
+                self._end()
+            if state_event or step_event or self.time >= target:
+                return state_event, step_event
+
+    def _solver_step(self, target: float) -> tuple[bool, float]:
+        """Take one or more steps of the solver; return whether a state event occurred, and the time reached.
+
+        A step is too long if an indicator leaves its side after an event and returns to it within the step, or if it
+        crosses zero against its slope, since the error of the solver is larger than its way. Shorter steps follow.
+
+        Raises:
+            SimulationError: Two events are closer together than times can be separated.
+        """
+        if not self.description.numberOfEventIndicators:
+            event, _, time = self.solver.step(self.time, target)
+            return bool(event), float(time)
+        saved, spacing = self.save(), math.ulp(max(abs(self.time), abs(target)))
+        hidden, false = set[int](), set[int]()  # indicators for which the step is too long
+        while True:
+            is_first = self.solver.is_first
+            begins = self._indicators(*saved) if is_first else []
+            slopes = self._rates() if is_first else []
+            event, roots, time = self.solver.step(self.time, target)
+            if not (event or is_first):
+                return False, float(time)
+            reached, length = (float(time), self.save()[1]), self.solver.last_step
+            ends = self._indicators(*reached)
+            if is_first:
+                ahead = self._ahead(saved, slopes, STRAIGHT * length)
+                hidden = {k for k in range(len(ends)) if _is_hidden(begins[k], ahead[k], ends[k], was=k in hidden)}
+            if event:
+                self._place(*reached)
+                ahead = self._ahead(reached, self._rates(), STRAIGHT * length)
+                ways = [root * (z - end) for root, z, end in zip(roots, ahead, ends, strict=True)]
+                false = {k for k, way in enumerate(ways) if way < 0.0 or (k in false and roots[k] and way == 0.0)}
+            if not (hidden or (event and false)):
+                self._place(*reached)
+                if event:
+                    self._note_crossings(roots, reached[0], spacing)
+                return bool(event), reached[0]
+            self._place(*saved)
+            if SHORTENED * length <= SEPARABLE * spacing:
+                fields = {"span": length, "number": min(hidden | false) + 1}
+                raise SimulationError(self.name, self.time, messages.EVENTS_NOT_SEPARATED(**fields))
+            self._shortened += 1
+            self.solver.reset(self.time, SHORTENED * length)
+
+    def _note_crossings(self, roots: Sequence[int], time: float, spacing: float) -> None:
+        """Note the time of crossings; raise SimulationError if they come ever faster, too fast for the solver."""
+        for crossing in ((k, root) for k, root in enumerate(roots) if root):
+            last = self._crossings.setdefault(crossing, deque(maxlen=EVER_FASTER + 1))
+            last.append((time, self._shortened))
+            spans = [b[0] - a[0] for a, b in pairwise(last)]
+            if len(spans) < EVER_FASTER or any(b >= a for a, b in pairwise(spans)):
+                continue
+            if spans[0] <= SEPARABLE * spacing or all(b[1] > a[1] for a, b in pairwise(last)):
+                fault = messages.EVENTS_NOT_SEPARATED(span=spans[-1], number=crossing[0] + 1)
+                raise SimulationError(self.name, self.time, fault)
+
+    def _ahead(self, point: tuple[float, Sequence[float]], slopes: Sequence[float], span: float) -> list[float]:
+        """Return the event indicators a time span [s] ahead of a point, along the slopes of the states."""
+        states = [x + span * slope for x, slope in zip(point[1], slopes, strict=True)]
+        return self._indicators(point[0] + span, states)
+
+    def _place(self, time: float, states: Sequence[float]) -> None:
+        """Set time and continuous states."""
+        self.fmu.setTime(time)
+        if self.description.numberOfContinuousStates:
+            cells = (ctypes.c_double * len(states))(*states)
+            self.fmu.setContinuousStates(ctypes.cast(cells, DOUBLES), len(states))
+
+    def _indicators(self, time: float, states: Sequence[float]) -> list[float]:
+        """Return the event indicators at a point."""
+        self._place(time, states)
+        cells = (ctypes.c_double * self.description.numberOfEventIndicators)()
+        self.fmu.getEventIndicators(ctypes.cast(cells, DOUBLES), len(cells))
+        return list(cells)
+
+    def _rates(self) -> list[float]:
+        """Return the derivatives of the continuous states."""
+        count = self.description.numberOfContinuousStates
+        cells = (ctypes.c_double * max(1, count))()
+        if count:
+            derivatives_of(self.fmu)(ctypes.cast(cells, DOUBLES), count)
+        return list(cells)
 
     def _explain(self, error: SolverFailed) -> str:
         """Return the solver's reason with the derivative's name."""
@@ -220,14 +322,25 @@ class ModelExchange2(Calls):
         raise SimulationError(self.name, self.time, fault)
 
     def _end(self) -> None:
-        raise EarlyEnd(self.name, self.time, messages.END_BY_FMU())
+        raise EarlyEnd(self.name, self.time, messages.END_BY_FMU(), readable=True)
+
+
+def _is_hidden(begin: float, ahead: float, end: float, *, was: bool) -> bool:
+    """Return whether an indicator leaves its side and returns to it within a step.
+
+    Args:
+        ahead: Indicator shortly after the beginning, along its slope.
+        was: Whether it did so in a longer step. It then still does if it moves towards the other side.
+    """
+    leaves = (ahead > 0.0) != (begin > 0.0) or (was and (ahead <= begin if begin > 0.0 else ahead >= begin))
+    return leaves and (end > 0.0) == (begin > 0.0)
 
 
 class ModelExchange1(Version1, ModelExchange2):
     """Calls of an FMU for FMI 1.0 model exchange, without modes and with a single call per event."""
 
     fmpy_class = "fmi1.FMU1Model"
-    goes_back = False  # FMI 1.0 demands completedIntegratorStep.
+    _needs_completed_steps = True  # FMI 1.0 demands the call of every host.
     _first: Any = None  # event information from the initialization
 
     def prepare(self) -> None:
@@ -244,7 +357,7 @@ class ModelExchange1(Version1, ModelExchange2):
         """Do nothing; FMI 1.0 has no modes."""
 
     def _completed_step(self) -> tuple[bool, bool]:
-        return self.fmu.completedIntegratorStep(), False  # FMI 1.0 demands this call of every host.
+        return self.fmu.completedIntegratorStep(), False
 
     def _update_discrete_states(self) -> Any:
         first, self._first = self._first, None

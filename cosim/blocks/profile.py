@@ -9,9 +9,8 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from cosim.base.arrays import Array
-from cosim.storage.yaml_file import Amount, NotNegativeSeconds, Part, PositiveAmount
-
-ROUNDING = 1e-9  # tolerance of times [s]
+from cosim.base.times import rounding, roundings
+from cosim.storage.yaml_file import Amount, Part, PositiveAmount, Seconds
 
 
 class Change(Part):
@@ -22,7 +21,7 @@ class Change(Part):
     rate: slope of a ramp, per second; by default a step
     """
 
-    at: NotNegativeSeconds
+    at: Seconds
     to: Amount
     rate: PositiveAmount | None = None
 
@@ -49,18 +48,23 @@ class Profile(Part):
 
 
 class ProfileFunction:
-    """Value of a profile at a time: the last step, or the point on the last ramp; a new change interrupts a ramp."""
+    """Value of a profile at a time: the last step, or the point on the last ramp; a new change interrupts a ramp.
 
-    def __init__(self, profile: Profile, factor: float) -> None:
+    Args:
+        step: Length [s] of the steps of a run, for the comparison of times.
+    """
+
+    def __init__(self, profile: Profile, factor: float, step: float = 0.0) -> None:
         begins = [profile.start]
         for before, change in zip(profile.changes, profile.changes[1:], strict=False):
             begins.append(_value_after(begins[-1], before.to, before.rate, change.at - before.at))
+        self.step = step
         self.factor, self.begins, self.times = factor, begins, [change.at for change in profile.changes]
         self.changes = [(change.to, change.rate) for change in profile.changes]
 
     def __call__(self, t: float) -> float:
         # A time within rounding of a step belongs to the step.
-        k = bisect.bisect_right(self.times, t + ROUNDING) - 1
+        k = bisect.bisect_right(self.times, t + rounding(t, self.step)) - 1
         if k < 0:
             return self.factor * self.begins[0]
         to, rate = self.changes[k]
@@ -68,7 +72,7 @@ class ProfileFunction:
 
     def over(self, times: Array) -> Array:
         """Return values at ordered times, equal to single calls bit for bit."""
-        bounds = [0, *np.searchsorted(times + ROUNDING, self.times).tolist(), len(times)]
+        bounds = [0, *np.searchsorted(times + roundings(times, self.step), self.times).tolist(), len(times)]
         values = np.full(len(times), self.begins[0])
         for k, (to, rate) in enumerate(self.changes):
             part = slice(bounds[k + 1], bounds[k + 2])
@@ -81,9 +85,9 @@ class ProfileFunction:
         return self.factor * values
 
 
-def profile_function(profile: Profile, factor: float = 1.0) -> ProfileFunction:
+def profile_function(profile: Profile, factor: float = 1.0, step: float = 0.0) -> ProfileFunction:
     """Return a profile as a scaled function of time."""
-    return ProfileFunction(profile, factor)
+    return ProfileFunction(profile, factor, step)
 
 
 def _value_after(begin: float, to: float, rate: float | None, elapsed: float) -> float:

@@ -19,8 +19,9 @@ DISCARD = 2
 DOUBLES = ctypes.POINTER(ctypes.c_double)
 Solver = Literal["cvode", "solve_ivp"]
 REFUSALS = 10  # discarded derivatives that explain a stuck solver
+MAX_STEPS = 500  # of CVODE between communication points and events, as in FMPy
+NORMAL, TOO_MUCH_WORK, ROOT_RETURN = 1, -1, 2  # task and return values of CVODE
 FAILURES = {  # CVODE's error codes with remedies
-    -1: messages.TOO_MANY_SOLVER_STEPS(),
     -2: messages.TOLERANCE_TOO_TIGHT(),
     -3: messages.NO_STEP_WITHIN_TOLERANCE(solver="CVODE"),
     -4: messages.NO_CONVERGENT_STEP(),
@@ -31,7 +32,15 @@ FAILURES = {  # CVODE's error codes with remedies
 def solver(name: Solver | None, fmu: Any, symbol: Callable[[str], str] | None = None, **settings: Any) -> Any:
     """Return the named solver; by default CVODE, else solve_ivp.
 
-    solve_ivp replaces CVODE on platforms for which FMPy has none.
+    solve_ivp replaces CVODE on platforms for which FMPy has none. Both have the same interface:
+
+    step(t, target): Integrate from t [s] towards the target; return whether a state event occurred, the direction in
+        which each indicator crossed zero (0 for none), and the time reached, just beyond the event. CVODE goes on to
+        the target or the event, except in its first step after a reset and with `single_steps`; solve_ivp returns
+        after each accepted step.
+    reset(t, longest): Restart from the states of the FMU; no step is longer than `longest` [s] until the next reset.
+    is_first: Whether the next step is the first one after a reset.
+    last_step: Length of the last accepted step [s].
 
     Args:
         symbol: Name of an FMI function → its name in the library, for calls from C.
@@ -121,6 +130,8 @@ def cvode(
     start: float,
     longest: float,
     tolerance: float,
+    single_steps: bool = False,
+    max_steps: int | None = None,
     symbol: Callable[[str], str] | None = None,
 ) -> Any:
     """Return FMPy's CVODE for an FMU, whose derivatives C calls if there is a compiler.
@@ -128,10 +139,13 @@ def cvode(
     Failed FMU calls are stored in `failed`, because exceptions cannot pass through C.
 
     Args:
+        single_steps: Whether `step` returns after each step of the solver.
+        max_steps: Largest number of steps between communication points and events.
         symbol: Name of an FMI function → its name in the library, for calls from C.
     """
     from fmpy.fmi1 import FMICallException
     from fmpy.sundials import CVodeSolver
+    from fmpy.sundials.libraries import sundials_cvode as library
     from fmpy.sundials.nvector_serial import _N_VectorContent_Serial
 
     set_time, set_states, get_derivatives = fmu.setTime, fmu.setContinuousStates, derivatives_of(fmu)
@@ -139,7 +153,10 @@ def cvode(
 
     compiled = CompiledRates.of(fmu, states, data, symbol)
 
+    whole, most = longest, MAX_STEPS if max_steps is None else max_steps
+
     class Guarded(CVodeSolver):  # type: ignore[misc]
+        is_first, goal, steps = True, math.nan, 0  # first step after a reset; last target, single steps towards it
         failed: Exception | None = None
         refusals: list[Exception]  # errors of this step for which CVODE tries shorter steps
 
@@ -165,20 +182,64 @@ def cvode(
             except FMICallException as error:
                 return self._refuse(error)
 
-        def step(self, t: float, target: float) -> Any:
-            self.failed, self.refusals = None, []
-            if compiled is not None:
-                compiled.refusals = 0
-            try:
-                return super().step(t, target)
-            except RuntimeError:
+        def step(self, t: float, target: float) -> tuple[bool, list[int], float]:
+            """Integrate towards the target.
+
+            In single steps, CVODE may take one step in each call and reports that this was too little. Its steps are
+            therefore the same as without. A step beyond the last target ends at a point that is returned first.
+            """
+            is_single = single_steps or (self.is_first and indicators > 0)
+            reached = self._number("CVodeGetCurrentTime")
+            goal = reached if is_single and t < reached < target else target
+            if target != self.goal:
+                self.goal, self.steps = target, 0
+                self.failed, self.refusals = None, []
                 if compiled is not None:
-                    self._take(compiled)
-                if self.failed is not None:
-                    raise self.failed from None
-                if len(self.refusals) >= REFUSALS:
-                    raise self.refusals[-1] from None
-                raise SolverFailed(_failure(self.error_info)) from None
+                    compiled.refusals = 0
+            library.CVodeSetMaxNumSteps(self.memory, ctypes.c_long(1 if is_single else most - self.steps))
+            if states:
+                self.get_x(self.px, self.nx)
+            time = ctypes.c_double()
+            flag = library.CVode(self.memory, ctypes.c_double(goal), self.x, ctypes.byref(time), NORMAL)
+            if states:
+                self.set_x(self.px, self.nx)
+            self.steps += is_single
+            if flag < 0 and not (flag == TOO_MUCH_WORK and is_single and self.steps < most):
+                self._raise()
+            self.is_first = False
+            roots = (ctypes.c_int * indicators)()
+            if flag == ROOT_RETURN:
+                library.CVodeGetRootInfo(self.memory, roots)
+            return flag == ROOT_RETURN, list(roots), time.value
+
+        def reset(self, time: float, longest: float | None = None) -> None:
+            super().reset(time)
+            self.is_first, self.goal = True, math.nan
+            library.CVodeSetInitStep(self.memory, ctypes.c_double(longest or 0.0))
+            library.CVodeSetMaxStep(self.memory, ctypes.c_double(longest or whole))
+
+        @property
+        def last_step(self) -> float:
+            return self._number("CVodeGetLastStep")
+
+        @property
+        def memory(self) -> ctypes.c_void_p:
+            return ctypes.c_void_p(self.cvode_mem)
+
+        def _number(self, function: str) -> float:
+            number = ctypes.c_double()
+            getattr(library, function)(self.memory, ctypes.byref(number))
+            return number.value
+
+        def _raise(self) -> None:
+            """Raise the reason for which CVODE did not reach the target."""
+            if compiled is not None:
+                self._take(compiled)
+            if self.failed is not None:
+                raise self.failed
+            if len(self.refusals) >= REFUSALS:
+                raise self.refusals[-1]
+            raise SolverFailed(_failure(self.error_info, most))
 
         def _take(self, rates: CompiledRates) -> None:
             """Store what the compiled derivatives met."""
@@ -236,11 +297,13 @@ def _silence(integrator: Any) -> None:
             getattr(sundials_core, name)(logger, os.devnull.encode())
 
 
-def _failure(report: tuple[int, str, str, str] | None) -> Message:
+def _failure(report: tuple[int, str, str, str] | None, max_steps: int = MAX_STEPS) -> Message:
     """Return CVODE's reason without source locations."""
     if report is None:
         return messages.CVODE_FAILED()
     number, _, _, text = report
+    if number == TOO_MUCH_WORK:
+        return messages.TOO_MANY_SOLVER_STEPS(solver="CVODE", count=max_steps, other=", or take solver: solve_ivp")
     return FAILURES.get(number) or messages.CVODE_FAILED_WITH_REASON(number=number, reason=" ".join(text.split()))
 
 
@@ -266,77 +329,94 @@ def nominals(fmu: Any, cells: Any, count: int) -> None:
 
 
 class SolveIvp:
-    """The method Radau of scipy's solve_ivp, with the interface of FMPy's solvers."""
+    """The method Radau of scipy's solve_ivp, step by step."""
 
     def __init__(
-        self, fmu: Any, *, states: int, indicators: int, start: float, longest: float, tolerance: float
+        self,
+        fmu: Any,
+        *,
+        states: int,
+        indicators: int,
+        start: float,
+        longest: float,
+        tolerance: float,
+        single_steps: bool = True,
+        max_steps: int | None = None,
     ) -> None:
         self.fmu, self.states, self.indicators = fmu, states, indicators
-        self.longest, self.tolerance = longest, tolerance
+        self.whole, self.tolerance, self.max_steps = longest, tolerance, max_steps
         self._x, self._dx = (ctypes.c_double * max(1, states))(), (ctypes.c_double * max(1, states))()
         self._z = (ctypes.c_double * max(1, indicators))()
         self._derivatives = derivatives_of(fmu)
         self.discarded: Exception | None = None
         self.derivative: tuple[int, float] | None = None
+        self.last_step = 0.0
         self.reset(start)
 
-    def reset(self, time: float) -> None:
+    def reset(self, time: float, longest: float | None = None) -> None:
         """Reread nominal values after a change of states."""
+        self._radau: Any = None
+        self.is_first = True
+        self._first_step, self._longest = longest, longest or self.whole
         self._nominal = (ctypes.c_double * max(1, self.states))(1.0)
         if self.states:
             nominals(self.fmu, self._pointer(self._nominal), self.states)
 
-    def step(self, t: float, target: float) -> tuple[bool, None, float]:
-        """Integrate to the target, or just beyond the first state event."""
+    def step(self, t: float, target: float) -> tuple[bool, list[int], float]:
+        """Integrate by one step towards the target, or just beyond the first state event."""
+        import numpy as np
+
+        self.discarded, self.derivative = None, None
+        with np.errstate(all="ignore"):  # Non-finite derivatives only shorten the steps.
+            try:
+                if self._radau is None or self._radau.t_bound != target:
+                    self._begin(t, target)
+                radau = self._radau
+                before = self._signs(t, radau.y)
+                radau.step()
+            except ValueError as error:  # from a non-finite matrix
+                raise self.discarded or SolverFailed(messages.SOLVE_IVP_FAILED(reason=str(error))) from None
+            if radau.status == "failed":
+                reason = messages.NO_STEP_WITHIN_TOLERANCE(solver="solve_ivp")
+                raise self.discarded or SolverFailed(reason, self.derivative)
+        self._steps += 1
+        self.is_first, self.last_step = False, radau.t - t
+        if self._signs(radau.t, radau.y) != before:
+            time = self._time_after_crossing(before, t, radau.t, radau.dense_output())
+            return True, [int(z > 0) - int(old) for old, z in zip(before, self._z, strict=False)], time
+        if radau.status == "running" and self._steps == self.max_steps:
+            raise SolverFailed(messages.TOO_MANY_SOLVER_STEPS(solver="solve_ivp", count=self._steps, other=""))
+        self._set(radau.t, radau.y)
+        return False, [0] * self.indicators, float(radau.t)
+
+    def _begin(self, t: float, target: float) -> None:
+        """Start the integration from the states of the FMU."""
+        from scipy.integrate import Radau
+
         if self.states:
             self.fmu.getContinuousStates(self._pointer(self._x), self.states)
-        self.discarded, self.derivative = None, None
-        solution = self._integrate(t, target)
-        if solution.status == 0:
-            self._set(target, solution.y[:, -1])
-            return False, None, target
-        time = self._time_after_crossing(t, float(solution.t[-1]), target, solution.sol)
-        self._set(time, solution.sol(time))
-        return True, None, time
+        x = list(self._x) if self.states else [0.0]
+        scale = [self.tolerance * abs(n) for n in self._nominal]
+        settings = {"rtol": self.tolerance, "atol": scale, "max_step": self._longest}
+        first = None if self._first_step is None else min(self._first_step, target - t)
+        self._radau, self._steps = Radau(self._rates, t, x, target, first_step=first, **settings), 0
 
-    def _integrate(self, t: float, target: float) -> Any:
-        import numpy as np
-        from scipy.integrate import solve_ivp
-
-        try:
-            with np.errstate(all="ignore"):  # Non-finite derivatives only shorten the steps.
-                solution = solve_ivp(
-                    self._rates,
-                    (t, target),
-                    list(self._x) if self.states else [0.0],
-                    method="Radau",
-                    rtol=self.tolerance,
-                    atol=[self.tolerance * abs(n) for n in self._nominal],
-                    max_step=self.longest,
-                    events=[self._indicator(k) for k in range(self.indicators)] or None,
-                    dense_output=self.indicators > 0,
-                )
-            if solution.status >= 0:
-                return solution
-            reason = messages.NO_STEP_WITHIN_TOLERANCE(solver="solve_ivp")
-        except ValueError as error:  # from a non-finite matrix
-            reason = messages.SOLVE_IVP_FAILED(reason=str(error))
-        if self.discarded is not None:
-            raise self.discarded
-        raise SolverFailed(reason, self.derivative)
-
-    def _time_after_crossing(self, begin: float, time: float, target: float, solution: Any) -> float:
-        """Return a time just after a zero crossing. The located root itself may lie before the crossing."""
-        before = self._signs(begin, solution(begin))
-        ahead = max(1e-12, 4e-16 * abs(time))
-        while time + ahead < target and self._signs(time + ahead, solution(time + ahead)) == before:
-            ahead *= 2.0
-        return min(time + ahead, target)
+    def _time_after_crossing(self, before: list[bool], t: float, end: float, solution: Any) -> float:
+        """Return the first time at which signs are found changed, by bisection; set the FMU to it."""
+        while t < (middle := 0.5 * (t + end)) < end:
+            if self._signs(middle, solution(middle)) == before:
+                t = middle
+            else:
+                end = middle
+        self._signs(end, solution(end))
+        return float(end)
 
     def _signs(self, t: float, x: Any) -> list[bool]:
+        """Return whether each event indicator is positive; set the FMU to the point."""
         self._set(t, x)
-        self.fmu.getEventIndicators(self._pointer(self._z), self.indicators)
-        return [z > 0 for z in self._z]
+        if self.indicators:
+            self.fmu.getEventIndicators(self._pointer(self._z), self.indicators)
+        return [z > 0 for z in self._z][: self.indicators]
 
     def _set(self, t: float, x: Any) -> None:
         self.fmu.setTime(t)
@@ -359,15 +439,6 @@ class SolveIvp:
             return [math.nan] * len(self._dx)
         self.discarded, self.derivative = None, _not_finite(self._dx)
         return list(self._dx)
-
-    def _indicator(self, k: int) -> Any:
-        def value(t: float, x: Any) -> float:
-            self._set(t, x)
-            self.fmu.getEventIndicators(self._pointer(self._z), self.indicators)
-            return self._z[k]
-
-        value.terminal = True  # type: ignore[attr-defined]
-        return value
 
     @staticmethod
     def _pointer(values: Any) -> Any:

@@ -15,9 +15,10 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
+from cosim.base.times import rounding, roundings
 from cosim.base.units import computed_in
 from cosim.blocks.component import Row, RowComponent, Signal
-from cosim.blocks.profile import ROUNDING, Profile, ProfileFunction, profile_function
+from cosim.blocks.profile import Profile, ProfileFunction, profile_function
 from cosim.blocks.stepping import Slot
 from cosim.storage.table import read_columns, read_exactly, whole_numbers_in
 from cosim.storage.table_columns import Table
@@ -47,6 +48,18 @@ class SourceBlock(RowComponent):
         self.outputs = tuple(Signal(signal, unit, relative=True) for signal, (unit, _) in signals.items())
         self.functions = tuple(function for _, function in signals.values())
         self._t = 0.0
+
+    @property
+    def interpolated(self) -> frozenset[str]:
+        """Return the names of the signals that follow lines between the rows of a file."""
+        pairs = zip(self.outputs, self.functions, strict=True)
+        return frozenset(s.name for s, f in pairs if isinstance(f, Recorded) and f.is_linear)
+
+    def hold(self, name: str) -> None:
+        """Hold a signal of a file between its rows."""
+        for signal, function in zip(self.outputs, self.functions, strict=True):
+            if signal.name == name and isinstance(function, Recorded):
+                function.is_linear = False
 
     def depends_on(self, name: str, outputs: Collection[str] | None = None) -> bool | None:
         return False
@@ -92,17 +105,27 @@ class SourceBlock(RowComponent):
         self._t = state
 
 
-def reference(name: str, profiles: Mapping[str, Profile]) -> SourceBlock:
-    """Return a source of reference signals that follow profiles; degrees become radians."""
+def reference(name: str, profiles: Mapping[str, Profile], step: float = 0.0) -> SourceBlock:
+    """Return a source of reference signals that follow profiles; degrees become radians.
+
+    Args:
+        step: Length [s] of the steps of a run, for the comparison of times.
+    """
     signals = {}
     for signal, profile in profiles.items():
         unit, factor = computed_in(profile.unit)
-        signals[signal] = (unit, profile_function(profile, factor))
+        signals[signal] = (unit, profile_function(profile, factor, step))
     return SourceBlock(name, signals)
 
 
 def playback(
-    name: str, path: Path, names: Collection[str] = (), exact: Mapping[str, str] = MappingProxyType({})
+    name: str,
+    path: Path,
+    names: Collection[str] = (),
+    exact: Mapping[str, str] = MappingProxyType({}),
+    *,
+    step: float = 0.0,
+    linear: bool = False,
 ) -> SourceBlock:
     """Return the columns of a CSV file as signals.
 
@@ -111,6 +134,8 @@ def playback(
     Args:
         names: Names used by connections, whose brackets are not units. Other columns with non-numbers are ignored.
         exact: Column → FMI type of an input that it feeds and whose values no double holds: text, 64-bit integers.
+        step: Length [s] of the steps of a run, for the comparison of times.
+        linear: Whether columns are interpolated linearly between rows, in place of held.
 
     Raises:
         InputError: The file has faults; it lists all of them.
@@ -119,8 +144,9 @@ def playback(
     times, signals = table.values["time"], {}
     for column in (c for c in table.columns.values() if c.name != "time"):
         unit, factor = computed_in(column.heading.unit)
-        signals[column.name] = (unit, Recorded(times, [factor * v for v in table.values[column.name]]))
-    return SourceBlock(name, signals, {n: (exact[n], Recorded(times, values)) for n, values in exactly.items()})
+        values = [factor * v for v in table.values[column.name]]
+        signals[column.name] = (unit, Recorded(times, values, step, is_linear=linear))
+    return SourceBlock(name, signals, {n: (exact[n], Recorded(times, held, step)) for n, held in exactly.items()})
 
 
 def read_recording(
@@ -140,17 +166,38 @@ def read_recording(
 
 
 class Recorded:
-    """A recorded signal: last value at or before a time; before the first time the first value."""
+    """A recorded signal: last value at or before a time; before the first time the first value.
 
-    def __init__(self, times: Sequence[float], values: Sequence[Any]) -> None:
-        self.times, self.values = times, values
+    Of equal times, which are a jump, the last is that of the value from there on.
+
+    Args:
+        step: Length [s] of the steps of a run, for the comparison of times.
+        is_linear: Whether values between two rows lie on a line.
+    """
+
+    def __init__(
+        self, times: Sequence[float], values: Sequence[Any], step: float = 0.0, *, is_linear: bool = False
+    ) -> None:
+        self.times, self.values, self.step, self.is_linear = times, values, step, is_linear
 
     def __call__(self, t: float) -> Any:
-        return self.values[max(0, bisect.bisect_right(self.times, t + ROUNDING) - 1)]
+        k = max(0, bisect.bisect_right(self.times, t + rounding(t, self.step)) - 1)
+        if not self.is_linear or k + 1 == len(self.times):
+            return self.values[k]
+        share = max(0.0, t - self.times[k]) / (self.times[k + 1] - self.times[k])
+        return self.values[k] + share * (self.values[k + 1] - self.values[k])
 
     def over(self, times: Array) -> Array:
         """Return the values at many times."""
-        return self._values[np.maximum(0, np.searchsorted(self._times, times + ROUNDING, "right") - 1)]
+        rows = np.maximum(0, np.searchsorted(self._times, times + roundings(times, self.step), "right") - 1)
+        held = self._values[rows]
+        if not self.is_linear:
+            return held
+        following = np.minimum(rows + 1, len(self.times) - 1)
+        spans = np.where(following > rows, self._times[following] - self._times[rows], 1.0)
+        share = np.maximum(0.0, times - self._times[rows]) / spans
+        values: Array = held + share * (self._values[following] - held)
+        return values
 
     @cached_property
     def _times(self) -> Array:

@@ -1,7 +1,7 @@
 /* Communication steps of a system, from k = `next` to k = `last`, without Python between them.
 
-   At k every slot whose turn it is takes what its pulls bring, puts its inputs, steps to k and gets its outputs; then the
-   held transfers are made and the row is kept. `run` returns wherever Python has a word to say, and goes on from that very
+   At k every slot whose turn it is takes what its pulls bring, puts its inputs, steps to k, takes late values, which it puts
+   too, and gets its outputs; then the held transfers are made and the row is kept. `run` returns wherever Python has a word to say, and goes on from that very
    place when it is called again. All memory is the caller's. Compiled without contraction: the same bytes as in Python. */
 #include <math.h>
 #include <stdbool.h>
@@ -50,14 +50,15 @@ typedef struct {           /* variables of one type, moved in one call; `values`
 } Move;
 
 /* An FMU; or (PREPARED) values that were prepared, `scalars` for each point from `since` on; or (CALLED) a component whose
-   `step` is a function of Python that puts, steps and gets, and sets the flag at `instance` where it succeeds */
+   `step` is a function of Python that puts, steps and gets, only puts and gets where the step has no length, and sets the
+   flag at `instance` where it succeeds */
 typedef struct {
     int32_t version;
     Function step;
     void *instance;
-    int64_t every, doing, pulls, puts, gets;
+    int64_t every, doing, pulls, lates, puts, gets;
     double length;         /* of its own step; 0: from communication point to communication point */
-    const Transfer *pull;
+    const Transfer *pull, *late; /* before and after its step */
     const Move *put, *get;
     const double *prepared;
     double *row;
@@ -190,14 +191,28 @@ static int judge(Plan *p, int64_t called, int status)
     return STATUS;
 }
 
+/* All inputs from where they were left, in `move` */
+static int put_inputs(Plan *p, const Slot *s)
+{
+    while (p->move < s->puts) {
+        const Move *m = &s->put[p->moving = p->move];
+        int status;
+        *p->doing = s->doing + PUT;
+        if (!encode(m)) return UNFIT;
+        p->move++;
+        if ((status = move(s, m)) != 0) return judge(p, PUT, status);
+    }
+    return FINISHED;
+}
+
 /* One slot, from where it was left: what is judged has been called, and is not called again. */
-enum { PULLS, PUTS, STEPS, STEPPED, GETS, GOT };
+enum { PULLS, PUTS, STEPS, STEPPED, LATE_PUTS, GETS, GOT };
 
 static int step_slot(Plan *p, Slot *s, int64_t k)
 {
     const double since = k == 1 ? p->begin : p->begin + (double)(k - s->every) * p->h;
     const double length = s->length != 0.0 ? s->length : (p->begin + (double)k * p->h) - since;
-    int status;
+    int status, why;
     switch (p->phase) {
     case PULLS:
         if (!make_transfers(s->pull, s->pulls, k)) return NO_ITEM;
@@ -207,6 +222,11 @@ static int step_slot(Plan *p, Slot *s, int64_t k)
             ((Call)s->step)(since, length);
             if (!*done) return FAILED;
             s->time = since + length;
+            if (!s->lates) return FINISHED;
+            if (!make_transfers(s->late, s->lates, k)) return NO_ITEM;
+            *done = false;
+            ((Call)s->step)(s->time, 0.0);
+            if (!*done) return FAILED;
             return FINISHED;
         }
         if (s->version == PREPARED) {
@@ -217,13 +237,7 @@ static int step_slot(Plan *p, Slot *s, int64_t k)
         p->move = 0;
         p->phase = PUTS; /* fall through */
     case PUTS:
-        while (p->move < s->puts) {
-            const Move *m = &s->put[p->moving = p->move];
-            *p->doing = s->doing + PUT;
-            if (!encode(m)) return UNFIT;
-            p->move++;
-            if ((status = move(s, m)) != 0) return judge(p, PUT, status);
-        } /* fall through */
+        if ((why = put_inputs(p, s)) != FINISHED) return why; /* fall through */
     case STEPS:
         *p->doing = s->doing + ADVANCE;
         if (s->version == 2) {
@@ -242,6 +256,11 @@ static int step_slot(Plan *p, Slot *s, int64_t k)
         } /* fall through */
     case STEPPED:
         s->time = since + length;
+        if (!make_transfers(s->late, s->lates, k)) return NO_ITEM;
+        p->move = s->lates ? 0 : s->puts;
+        p->phase = LATE_PUTS; /* fall through */
+    case LATE_PUTS:
+        if ((why = put_inputs(p, s)) != FINISHED) return why;
         p->move = 0;
         p->phase = GETS; /* fall through */
     case GETS:

@@ -107,8 +107,8 @@ class Slot(ctypes.Structure):
     failures: list[BaseException]
 
     _fields_ = _fields(
-        "int32 version; pointer step, instance; int64 every, doing, pulls, puts, gets; double length; "
-        "pointer pull, put, get, prepared, row; size scalars; int64 since; double time, reached; "
+        "int32 version; pointer step, instance; int64 every, doing, pulls, lates, puts, gets; double length; "
+        "pointer pull, late, put, get, prepared, row; size scalars; int64 since; double time, reached; "
         "bool event, terminate, early"
     )
 
@@ -162,13 +162,17 @@ def fmu_slot(version: int, step: Any, instance: Any, puts: Sequence[Move], gets:
     return slot
 
 
-def called_slot(step: Callable[[float, float], None], time: float) -> Slot:
-    """Return the slot of a component at `time` [s] whose step is a function of Python."""
+def called_slot(step: Callable[[float, float], None], time: float, late: Callable[[], None]) -> Slot:
+    """Return the slot of a component at `time` [s] whose step is a function of Python.
+
+    Args:
+        late: Function that puts late values and gets the outputs.
+    """
     is_done, failures = ctypes.c_bool(), list[BaseException]()
 
     def call(t: float, h: float) -> None:
         try:
-            step(t, h)
+            step(t, h) if h else late()
         except BaseException as failure:  # Exceptions cannot pass through C.
             failures.append(failure)
         else:
@@ -219,7 +223,7 @@ class Loop:
     """A system in C, from its first step on.
 
     Args:
-        slots: Slots in stepping order, each with the transfers before its step.
+        slots: Slots in stepping order, each with the transfers before and after its step.
         holds: Transfers at the end of a step.
         row: Current signals.
         table: Rows of all communication points, with point 0 filled.
@@ -230,7 +234,7 @@ class Loop:
 
     def __init__(
         self,
-        slots: Sequence[tuple[Slot, Sequence[Transfer]]],
+        slots: Sequence[tuple[Slot, Sequence[Transfer], Sequence[Transfer]]],
         holds: Sequence[Transfer],
         row: Row,
         table: Array,
@@ -244,11 +248,12 @@ class Loop:
     ) -> None:
         asked = asked if asked is not None else array("q", [0])
         self._run = library()
-        pulls = [(Transfer * len(transfers))(*transfers) for _, transfers in slots]
-        for (slot, _), pull in zip(slots, pulls, strict=True):
+        transfers = [[(Transfer * len(each))(*each) for each in around] for _, *around in slots]
+        for (slot, *_), (pull, late) in zip(slots, transfers, strict=True):
             slot.pulls, slot.pull = len(pull), ctypes.addressof(pull)
-        self.slots, hold = (Slot * len(slots))(*(slot for slot, _ in slots)), (Transfer * len(holds))(*holds)
-        self._keeping = slots, pulls, holds, hold, row, table, counter, doing, asked
+            slot.lates, slot.late = len(late), ctypes.addressof(late)
+        self.slots, hold = (Slot * len(slots))(*(slot for slot, *_ in slots)), (Transfer * len(holds))(*holds)
+        self._keeping = slots, transfers, holds, hold, row, table, counter, doing, asked
         self.plan = plan = Plan(begin, h, len(self.slots), len(hold), len(row), next=first)
         plan.slot, plan.hold = ctypes.addressof(self.slots), ctypes.addressof(hold)
         plan.row, plan.table = ctypes.addressof(row), table.ctypes.data

@@ -13,6 +13,7 @@ from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.base.messages import Message, join
 from cosim.base.text import amount, counted
+from cosim.base.times import rounding
 from cosim.base.units import Conversion, conversion
 from cosim.comparison import messages, signals
 from cosim.comparison.intermediate_rows import rows_at_jumps, rows_between, surroundings
@@ -323,7 +324,7 @@ def _describe_ends(a: RecordedRun, b: RecordedRun) -> Message:
     parts = []
     for verb, row in (("begins", 0), ("ends", -1)):
         at = [float(r.results.time[row]) for r in (a, b)]
-        if abs(at[0] - at[1]) > 1e-6 * step + 1e-9:
+        if abs(at[0] - at[1]) > rounding(max(map(abs, at)), 1e3 * step):
             first, second = (a, b) if at[0] < at[1] else (b, a)
             ends = {"path": first.path, "time": min(at), "other": second.path, "later": max(at)}
             parts.append(messages.OTHER_END(verb=verb, **ends))

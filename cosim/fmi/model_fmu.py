@@ -48,6 +48,10 @@ class ModelSlave(Slave):
             raise ArithmeticError(message) from error
         self._publish()
 
+    def follow_inputs(self) -> None:
+        """Write the outputs of the state and new inputs."""
+        self._publish()
+
     def snapshot(self) -> Any:
         """Return time, continuous state and memory."""
         return [self.moment.t, self.moment.state, self.moment.memory]

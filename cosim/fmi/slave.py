@@ -46,6 +46,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
         self.host_values: set[int] = set()
         self.phase = INSTANTIATED
         self.current = False
+        self.is_stale = False  # whether inputs have changed since outputs were computed
         self.start_time = 0.0
         self.input_count = sum(p.causality == "input" for p in self.ports)
         self.output_slice = slice(self.input_count, self.input_count + sum(p.causality == "output" for p in self.ports))
@@ -61,6 +62,9 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
     def advance(self, t: float, h: float) -> None:
         """Step from `t` to `t + h` [s] with held inputs, and write outputs."""
         raise NotImplementedError
+
+    def follow_inputs(self) -> None:
+        """Write the outputs that follow new inputs at once, without a step; those of a sampled FMU do not."""
 
     def snapshot(self) -> Any:
         """Return state beyond the variables' values as JSON types."""
@@ -106,6 +110,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
             # pythonfmu drops the exception's text while messages are queued.
             self.log_queue.clear()
             raise make_loggable(error) from error
+        self.is_stale = False
         return True
 
     def log(self, msg: str, *arguments: Any, **options: Any) -> None:
@@ -114,6 +119,8 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
     def get_real(self, vrs: list[int]) -> list[Any]:
         if self.phase is INITIALIZATION:
             self._refresh()
+        elif self.is_stale:
+            self._follow()
         if max(vrs, default=0) >= self.output_slice.stop:
             self._check_kind(vrs, "Real")
         values = self.values
@@ -134,7 +141,9 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
             if vr >= self.input_count:
                 self._check_settable(vr, "Real")
             self.values[vr] = value
-        if self.phase is not STEP:
+        if self.phase is STEP:
+            self.is_stale = True
+        else:
             self._mark(vrs)
 
     def set_boolean(self, vrs: list[int], values: list[bool]) -> None:
@@ -142,6 +151,14 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
 
     def set_string(self, vrs: list[int], values: list[str]) -> None:
         self._set_parameters(vrs, values, "String")
+
+    def _follow(self) -> None:
+        """Write the outputs of new inputs."""
+        self.is_stale = False
+        try:
+            self.follow_inputs()
+        except Exception as error:
+            raise make_loggable(error) from error
 
     def _get_fmu_state(self) -> dict[str, Any]:
         return {
@@ -151,6 +168,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
             "values": list(self.values),
             "given": sorted(self.host_values),
             "current": self.current,
+            "is_stale": self.is_stale,
             "own": self.snapshot() if self.phase is STEP else None,
         }
 
@@ -161,6 +179,7 @@ class Slave(Fmi2Slave):  # type: ignore[misc]  # pythonfmu is untyped
         self.phase = next(p for p in (INSTANTIATED, INITIALIZATION, STEP) if p == state["phase"])
         self.start_time, self.host_values = state["start_time"], set(state["given"])
         self.current = state["current"] and self.phase is STEP
+        self.is_stale = bool(state.get("is_stale"))
         if self.phase is STEP:
             self.values = list(state["values"])
             self.initialize(self._collect_values())

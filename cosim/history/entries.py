@@ -16,7 +16,6 @@ from cosim.base.version import __version__
 from cosim.history import messages
 from cosim.history.inputs import changes_between, input_text, input_tree, short_input
 from cosim.history.numbers import numbers_of, unknown_number
-from cosim.history.row_ends import is_cut
 from cosim.storage.artefact import Artefact, artefacts
 from cosim.storage.folders import (
     EARLIER,
@@ -33,7 +32,7 @@ from cosim.storage.started import COMMAND, START, STARTED, is_running
 OUTCOMES = ("verdict", "status", "sentence")  # keys of a record whose text is an outcome
 UNFINISHED, DAMAGED, ROWS_ONLY = "unfinished", "damaged record", "rows without a record"
 RUNNING, UNKNOWN = "running", "running or killed"  # UNKNOWN: of another user, or on a disk without locks
-CUT, NO_ROWS = "cut", "rows are gone"  # fewer rows than the record says
+NO_ROWS = "rows are gone"
 MOST_CHANGES = 3  # in a text
 ROWS = "results"  # name, without ending, of the rows of a run
 DEEPEST = 4  # levels of folders below the folder of results: results/a/b/c/d
@@ -50,7 +49,7 @@ class Entry:
         verb: Command that wrote the results, without `cosim`; "" if unknown.
         time: Time of writing [s] since 1970.
         outcome: Outcome of criteria, verdict or status, `unfinished`, `running`, `damaged record`,
-            `rows without a record`, `cut`, `rows are gone`, or "".
+            `rows without a record`, `rows are gone`, or "".
         changes: Input → value, where it differs from the run before of the same name; None for a removed input.
         record: File by which the results are known, whose time is `time`.
         version: Version of cosim that wrote the record, or its schema, if it is another one; otherwise "".
@@ -376,7 +375,7 @@ def _by_record(
     content, warnings = sound_part(record, content)
     verb = content.get(COMMAND, artefact.verb if artefact else "").removeprefix("cosim ")
     has_tables = artefact is not None and artefact.tables
-    outcome = _unended(place) or (_missing_rows(place, scanned.tables, content) if has_tables else "")
+    outcome = _unended(place) or (_missing_rows(scanned.tables, content) if has_tables else "")
     outcome = outcome or _outcome_of(content, warnings)
     if "no_report" in content and not (place / "report.html").is_file():
         outcome += f", no report: {content['no_report']}"
@@ -394,14 +393,10 @@ def _outcome_of(content: Content, warnings: Sequence[str]) -> str:
     return _outcome(content) or (DAMAGED if warnings or not content else "")
 
 
-def _missing_rows(place: Path, tables: Sequence[str], content: Content) -> str:
-    """Return `cut` or `rows are gone` if so, else ""."""
-    if not isinstance(content.get("rows"), int):
-        return ""
-    rows = [name for name in tables if name.startswith(f"{ROWS}.")]
-    if not rows:
-        return NO_ROWS if content["rows"] else ""
-    return CUT if all(is_cut(place / name, content) for name in rows) else ""
+def _missing_rows(tables: Sequence[str], content: Content) -> str:
+    """Return `rows are gone` if a record has rows and the folder has none, else ""."""
+    is_there = any(name.startswith(f"{ROWS}.") for name in tables)
+    return NO_ROWS if content.get("rows") and not is_there else ""
 
 
 def _other_version(content: Content) -> str:

@@ -45,7 +45,7 @@ class Limits(Part):
     step:   longest wall time of a communication step, or of a call of initialization or end [s]
     total:  longest wall time of the run without loading [s]
     load:   longest wall time to load an FMU [s]; 60 s if step or total is given
-    memory: largest process size without the rows of results [bytes]
+    memory: largest size of the process and of all that it starts, without the rows of results [bytes]
     """
 
     step: Seconds | None = None

@@ -13,7 +13,8 @@ LONG_RUN = Template(
     "shorten the run",
 )
 LARGE_PROCESS = Template(
-    "E-ISO-005", "{call}: the process holds {size:.4g} MB, more than {limit:.4g} MB (limits: memory)"
+    "E-ISO-005",
+    "{call}: the process and those that it started hold {size:.4g} MB, more than {limit:.4g} MB (limits: memory)",
 )
 UNSENDABLE_OBJECT = Template(
     "E-ISO-006",
@@ -23,3 +24,10 @@ UNSENDABLE_OBJECT = Template(
 NO_LIMIT = Template("E-ISO-007", "it is a number above 0 with its unit ({units}), {example} for one")
 UNKNOWN_LIMIT = Template("E-ISO-008", "{name}: no such limit (known: {names})")
 OUTPUT_LEFT_OUT = Template("N-ISO-009", "(the FMUs print more, which is left out)")
+STREAMS_CHANGED = Template(
+    "E-ISO-010", "{call} closed, read or wrote descriptors that the FMU did not open: it must leave them alone"
+)
+STREAMS_CHANGED_BY_ONE = Template(
+    "E-ISO-011",
+    "closed, read or wrote descriptors that it did not open; give them process: own, which shows the FMU",
+)

@@ -18,16 +18,18 @@ from typing import Any, BinaryIO, Self
 
 from cosim.base.errors import Crashed, SimulationError, Terminated
 from cosim.base.scratch import ScratchFolder, scratch
+from cosim.blocks.shared_code import SharedCode
 from cosim.isolation import messages
 from cosim.isolation.rows import NOTHING, Progress, mapped_progress
 from cosim.isolation.watch import Clock, Watch, how_ended
-from cosim.isolation.worker import ALONG, PROGRESS, Begin, receive, send, transfer_fault
+from cosim.isolation.worker import ALONG, PROGRESS, STREAMS_LOST, BadStream, Begin, receive, send, transfer_fault
 from cosim.storage.cache import cache_environment
 from cosim.storage.files import delay_stops
 
 PREFIX = "cosim-work-"
 POLL = 0.05  # interval between checks of a process [s]
 ENDING = 5.0  # time [s] for a process to end by itself
+NO_MESSAGE = b""  # in place of an answer: an FMU has written into the stream
 MOST_OUTPUT = 64_000  # passed output of FMUs [bytes]
 LAST_OUTPUT = 4_000  # last part kept to explain a crash [bytes]
 MOST_WORDS = 200  # shown part in a message [characters]
@@ -67,16 +69,33 @@ class Worker:
             self._scratch: ScratchFolder = scratch(PREFIX)
             try:
                 self.progress = mapped_progress(self._scratch.path / PROGRESS)
-                self._process, self._finishing = _from_lasting_thread(_spawn), False
+                self._start_process()
             except BaseException:
                 self._scratch.remove()
                 raise
-            self.starts += 1
-            self._answers: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
-            self._output = _Output(self._process.stderr)
-            threading.Thread(target=self._listen, args=(self._process.stdout, self._answers), daemon=True).start()
-            python_path = os.environ.get("PYTHONPATH")
-            self._ask(pickle.dumps(Begin(self._scratch.path, list(sys.path), python_path, self._modules)))
+
+    def _start_process(self) -> None:
+        """Start a process with the folder and the shared progress that are there."""
+        self._process, self._finishing, self._jobs = _from_lasting_thread(_spawn), False, 0
+        self.starts += 1
+        self._answers: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+        self._output = _Output(self._process.stderr)
+        threading.Thread(target=self._listen, args=(self._process.stdout, self._answers), daemon=True).start()
+        python_path = os.environ.get("PYTHONPATH")
+        self._ask(pickle.dumps(Begin(self._scratch.path, list(sys.path), python_path, self._modules)))
+
+    def _replace_process(self) -> None:
+        """Replace the process by a new one with the same folder and shared progress."""
+        process, self._process = self._process, None
+        assert process is not None
+        with suppress(OSError):
+            send(process.stdin, b"")
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(ENDING)
+        _end_group(process, kill=True)
+        self._output.join()
+        _close(process.stdin)
+        self._start_process()
 
     @property
     def folder(self) -> Path:
@@ -97,6 +116,8 @@ class Worker:
         self, function: Callable[..., Any], *arguments: Any, watch: Watch | None = None, doing: int = NOTHING
     ) -> Any:
         """Call a function in the worker and return its result.
+
+        If an FMU has code of the same name as one of an earlier call, a new process makes the call.
 
         Errors of cosim are raised here. After a crash or an exceeded limit, shared rows and counters remain as they
         were, and the next call starts a new process.
@@ -120,6 +141,7 @@ class Worker:
         except Exception as failure:  # pickle raises any error of the objects' methods
             raise transfer_fault(failure) from None
         self._ask(content)
+        self._jobs += 1
         try:
             content = self._wait(clock)
         except BaseException as stop:
@@ -129,6 +151,10 @@ class Worker:
                 self.end(kill=True)
             raise
         answer, error = pickle.loads(content)
+        if isinstance(error, SharedCode) and self._jobs > 1:
+            with delay_stops():
+                self._replace_process()
+            return self.call(function, *arguments, watch=watch, doing=doing)
         if error is not None:
             raise error
         return answer
@@ -165,10 +191,13 @@ class Worker:
     @staticmethod
     def _listen(stream: BinaryIO, answers: queue.SimpleQueue[bytes | None]) -> None:
         content: bytes | None = b""
-        with stream:
+        with suppress(OSError, ValueError), stream:
             while content is not None:
                 try:
                     content = receive(stream)
+                except BadStream:
+                    answers.put(NO_MESSAGE)
+                    return
                 except (OSError, ValueError):
                     content = None
                 answers.put(content)
@@ -189,8 +218,10 @@ class Worker:
                 if self._process.poll() is None or not self._answers.empty():
                     continue
                 content = None  # Its children may hold its streams open.
-            if content is None:
-                raise self._crash(clock)
+            if not content:
+                raise self._crash(clock, patience=0.0 if content == NO_MESSAGE else ENDING)
+            if clock.watch.width and self._process is not None:  # A short run ends between two checks.
+                clock.check_memory(self._process.pid)
             return content
 
     def _wait_for_end(self, grace: float) -> None:
@@ -200,15 +231,23 @@ class Worker:
             with suppress(queue.Empty):
                 self._answers.get(timeout=grace)
 
-    def _crash(self, clock: Clock) -> SimulationError:
-        """Return the crash with cause, call and last message."""
+    def _crash(self, clock: Clock, patience: float) -> SimulationError:
+        """Return the crash with cause, call and last message.
+
+        Args:
+            patience: Time [s] for the process to end.
+        """
         assert self._process is not None
+        component, at, call = clock.place()
+        is_certain = clock.stays() and self._process.poll() is None
         try:
-            code: int | None = self._process.wait(ENDING)
+            code: int | None = self._process.wait(patience)
         except subprocess.TimeoutExpired:
             code = None
         _end_group(self._process, kill=True)
         self._output.join()
+        if code in (None, STREAMS_LOST):
+            return Crashed(*clock.place_of_streams(component, at, call, is_certain=is_certain))
         words = bytes(self.progress.words).decode("utf-8", "replace").strip() or self._output.last_line()
         component, at, call = clock.place()
         template = messages.CRASH_WITH_WORDS if words else messages.CRASH

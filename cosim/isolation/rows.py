@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import ctypes
 import errno
-import itertools
 import json
 import mmap
 import os
 import sys
+import weakref
 from array import array
 from collections.abc import Callable, MutableSequence, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -56,9 +57,13 @@ class ExactFile:
 def read_exact(path: Path, rows: int) -> list[tuple[Any, ...]]:
     """Return the values of the first complete rows."""
     values: list[tuple[Any, ...]] = []
-    with suppress(FileNotFoundError, ValueError), path.open("rb") as stream:
-        for line in itertools.islice(stream, rows):
-            values.append(tuple(bytes.fromhex(v["hex"]) if isinstance(v, dict) else v for v in json.loads(line)))
+    with suppress(FileNotFoundError), path.open("rb") as stream:
+        for line in stream:
+            if len(values) == rows:
+                break
+            with suppress(ValueError):  # cut, or written by an FMU
+                if isinstance(row := json.loads(line), list):
+                    values.append(tuple(bytes.fromhex(v["hex"]) if isinstance(v, dict) else v for v in row))
     return values
 
 
@@ -115,12 +120,33 @@ def mapped_table(path: Path, rows: int, columns: int) -> Array:
     """Return the mapped table of an allocated file."""
     if not rows * columns:
         return np.zeros((rows, columns))
-    with path.open("r+b") as stream:
-        mapped = mmap.mmap(stream.fileno(), 8 * rows * columns)
-    if sys.platform == "linux":  # elsewhere each page costs a fault during stepping
-        with suppress(OSError, ValueError):
-            mapped.madvise(POPULATE_WRITE, 0, min(len(mapped), AHEAD))
+    mapped = _map(path, 8 * rows * columns)
+    if isinstance(mapped, ctypes.Array):  # elsewhere each page costs a fault during stepping
+        _libc().madvise(mapped, ctypes.c_size_t(min(len(mapped), AHEAD)), POPULATE_WRITE)
     return np.frombuffer(mapped, np.float64).reshape(rows, columns)
+
+
+def _map(path: Path, size: int) -> Any:
+    """Return a mapped file as a buffer, on Linux without a descriptor into which an FMU could write."""
+    with path.open("r+b") as stream:
+        if sys.platform != "linux":
+            return mmap.mmap(stream.fileno(), size)
+        libc = _libc()
+        protection = mmap.PROT_READ | mmap.PROT_WRITE
+        address = libc.mmap(None, size, protection, mmap.MAP_SHARED, stream.fileno(), 0)
+    if address == ctypes.c_void_p(-1).value:
+        raise OSError(ctypes.get_errno(), f"cannot map {path}")
+    buffer = (ctypes.c_char * size).from_address(address)
+    weakref.finalize(buffer, libc.munmap, ctypes.c_void_p(address), ctypes.c_size_t(size)).atexit = False
+    return buffer
+
+
+@cache
+def _libc() -> Any:
+    libc = ctypes.CDLL(None, use_errno=True)
+    libc.mmap.restype = ctypes.c_void_p
+    libc.mmap.argtypes = [ctypes.c_void_p, ctypes.c_size_t, *[ctypes.c_int] * 3, ctypes.c_long]
+    return libc
 
 
 def read_table(path: Path, rows: int, columns: int, *, mapped: bool = False) -> Array:
@@ -168,5 +194,4 @@ def mapped_progress(path: Path) -> Progress:
     """Return the progress in a file, made if missing."""
     if not path.exists():
         path.write_bytes(bytes(ctypes.sizeof(Progress)))
-    with path.open("r+b") as stream:
-        return Progress.from_buffer(mmap.mmap(stream.fileno(), ctypes.sizeof(Progress)))
+    return Progress.from_buffer(_map(path, ctypes.sizeof(Progress)))

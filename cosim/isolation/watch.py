@@ -9,10 +9,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from cosim.base.errors import SimulationError, TimedOut
+from cosim.base.messages import Message
 from cosim.isolation import messages
 from cosim.isolation.component_times import ComponentTimes
 from cosim.isolation.limits import Limits
-from cosim.isolation.memory import resident
+from cosim.isolation.memory import ProcessTree
 from cosim.isolation.rows import CALLS, NOTHING, OTHER, WAITING, Progress
 
 SIGNALS = {
@@ -30,6 +31,8 @@ STATUSES = {  # NTSTATUS of Windows
     0xC0000374: "crashed: heap corrupted",
     0xC0000409: "crashed: abort",
 }
+LASTING = 0.02  # [s] that an FMU stays in a call, for certainty about it
+MOST_NAMED = 5  # FMUs in a message
 PLAIN_CALLS = ("setting its inputs", "stepping", "reading its outputs")  # for components other than FMUs
 FMI_CALLS = {
     "2": ("fmi2SetReal", "fmi2DoStep", "fmi2GetReal"),
@@ -71,10 +74,8 @@ def fmi_calls(description: Any) -> Sequence[str]:
     return FMI_CALLS.get(str(getattr(description, "fmiVersion", ""))[:1], PLAIN_CALLS)
 
 
-def how_ended(code: int | None) -> str:
+def how_ended(code: int) -> str:
     """Return a phrase for a return code."""
-    if code is None:
-        return "closed the streams of its process"
     if code < 0:
         name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
         return f"{SIGNALS.get(name, 'was ended')} ({name})"
@@ -91,6 +92,7 @@ class Clock:
         self.since = self.last = time.monotonic()
         self.key: tuple[Any, ...] = ()
         self.rows = 0  # number of rows at the last check
+        self._tree: ProcessTree | None = None
 
     def look(self, pid: int) -> None:
         """Raise TimedOut or SimulationError for an exceeded limit."""
@@ -114,11 +116,21 @@ class Clock:
             raise TimedOut(component, at, messages.LONG_CALL(call=call, limit=limit, name=name))
         if limits.total is not None and self.watch.spent[0] > limits.total:
             raise TimedOut(component, at, messages.LONG_RUN(call=call, limit=limits.total))
-        if limits.memory is not None:
-            size = resident(pid) - self.progress.made[0] * self.watch.width
-            if size > limits.memory:
-                message = messages.LARGE_PROCESS(call=call, size=size / 1e6, limit=limits.memory / 1e6)
-                raise SimulationError(component, at, message)
+        self.check_memory(pid)
+
+    def check_memory(self, pid: int) -> None:
+        """Raise SimulationError if the processes are too large."""
+        limit = self.watch.limits.memory
+        if limit is None:
+            return
+        if self._tree is None or self._tree.pid != pid:
+            self._tree = ProcessTree(pid)
+        rows = self.progress.made[0] * self.watch.width
+        size = self._tree.size(limit + rows) - rows
+        if size > limit:
+            component, at, call = self.place()
+            message = messages.LARGE_PROCESS(call=call, size=size / 1e6, limit=limit / 1e6)
+            raise SimulationError(component, at, message)
 
     def place(self) -> tuple[str, float, str]:
         """Return component, simulated time [s] and call."""
@@ -133,6 +145,26 @@ class Clock:
         else:
             name = "unloading" if self.progress.made[0] else "loading"
         return watch.components[number], watch.time(self.progress.made[0], call), name
+
+    def stays(self) -> bool:
+        """Return whether the process is in one call for a while."""
+        before = self._key()
+        time.sleep(LASTING)
+        return self._key() == before
+
+    def place_of_streams(self, component: str, at: float, call: str, *, is_certain: bool) -> tuple[str, float, Message]:
+        """Return component, simulated time [s] and message of an FMU that changed the streams of its process.
+
+        Args:
+            component, at, call: Place at the time of detection.
+            is_certain: Whether the FMU has not returned from that call.
+        """
+        watch = self.watch
+        fmus = [name for name, calls in zip(watch.components, watch.calls, strict=False) if calls is not PLAIN_CALLS]
+        if is_certain or len(fmus) < 2:
+            return fmus[0] if len(fmus) == 1 else component, at, messages.STREAMS_CHANGED(call=call)
+        names = " or ".join(fmus) if len(fmus) <= MOST_NAMED else f"one of {len(fmus)} FMUs"
+        return names, at, messages.STREAMS_CHANGED_BY_ONE()
 
     def _is_loading(self) -> bool:
         if self.progress.made[0] or self.progress.doing[0] % CALLS != OTHER:  # NOTHING counts as OTHER too.

@@ -17,9 +17,11 @@ import tempfile
 import threading
 import time
 import traceback
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
+from zlib import crc32
 
 from cosim.base.errors import CosimError, InputError
 from cosim.base.garbage import collect_seldom
@@ -27,7 +29,9 @@ from cosim.base.scratch import remove
 from cosim.isolation import messages
 from cosim.isolation.rows import Progress, mapped_progress
 
-HEAD = struct.Struct("!Q")
+HEAD = struct.Struct("!4sIQ")  # mark, checksum and size of a message
+MARK = b"\x93csm"
+STREAMS_LOST = 121  # exit code of a worker whose streams an FMU has closed, read or changed
 PROGRESS, ALONG = "progress", "along"
 
 
@@ -48,6 +52,10 @@ class Begin:
     modules: tuple[str, ...]
 
 
+class BadStream(OSError):
+    """Error: a stream has something that is no message, or does not wait for one."""
+
+
 progress: Progress  # shared with the caller
 abandoned = threading.Event()  # set when the caller has ended
 
@@ -65,18 +73,22 @@ def _share(text: str) -> None:
 
 def send(stream: Any, content: bytes) -> None:
     """Write a message."""
-    stream.write(HEAD.pack(len(content)) + content)
+    stream.write(HEAD.pack(MARK, crc32(content), len(content)) + content)
     stream.flush()
 
 
 def receive(stream: Any) -> bytes | None:
-    """Read a message; return None at the end of the stream."""
+    """Read a message; return None at the end of the stream, and raise BadStream for what is no message."""
     head = stream.read(HEAD.size)
+    if head is None:
+        raise BadStream
     if len(head) < HEAD.size:
         return None
-    (size,) = HEAD.unpack(head)
-    content = stream.read(size)
-    return content if len(content) == size else None
+    mark, checksum, size = HEAD.unpack(head)
+    content = stream.read(size) if mark == MARK else None
+    if content is None or (len(content) == size and crc32(content) != checksum):
+        raise BadStream
+    return bytes(content) if len(content) == size else None
 
 
 def main() -> None:
@@ -84,6 +96,7 @@ def main() -> None:
     global progress
     collect_seldom()
     requests, answers = _take_streams()
+    state = _state_of(requests, answers)
     _end_with_caller()
     begin: Begin = pickle.loads(receive(requests) or sys.exit())
     scratch, sys.path[:] = begin.scratch, begin.path
@@ -96,8 +109,20 @@ def main() -> None:
         importlib.import_module(name)
     _name_calls()
     while content := jobs.get():
-        send(answers, _answer(content))
+        answer = _answer(content)
+        try:
+            if _state_of(requests, answers) != state:
+                raise OSError
+            send(answers, answer)
+        except OSError:
+            os._exit(STREAMS_LOST)
     _end()
+
+
+def _state_of(*streams: BinaryIO) -> list[tuple[int, int, bool]]:
+    """Return the identities of streams, and whether they wait; raise OSError for a closed one."""
+    about = [(os.fstat(stream.fileno()), os.name != "posix" or os.get_blocking(stream.fileno())) for stream in streams]
+    return [(status.st_dev, status.st_ino, waits) for status, waits in about]
 
 
 def hold_if_abandoned() -> None:
@@ -111,8 +136,9 @@ def _end() -> None:
 
     The caller ends processes started by FMUs.
     """
-    sys.stdout.flush()
-    sys.stderr.flush()
+    with suppress(OSError, ValueError):  # An FMU may have closed them.
+        sys.stdout.flush()
+        sys.stderr.flush()
     if os.name == "posix":
         ctypes.CDLL(None).fflush(None)  # flushes files written by FMUs
     os._exit(0)
@@ -141,8 +167,11 @@ def _read(requests: BinaryIO, jobs: queue.SimpleQueue[bytes], scratch: Path) -> 
 
     If the caller has ended, remove its files and end the process group.
     """
-    while (content := receive(requests)) is not None:
-        jobs.put(content)
+    try:
+        while (content := receive(requests)) is not None:
+            jobs.put(content)
+    except OSError:
+        os._exit(STREAMS_LOST)
     abandoned.set()  # The removal takes a while, in which another command may use the same folders.
     for path in (*_registered_folders(scratch), scratch):
         remove(path)

@@ -114,6 +114,8 @@ static void follow(const Log *log, int k, const double *p, const double *z, doub
             act(log, k, s, delay, memory, p, u);
             substep(t - log->step + s * h, h, x, u, p);
         }
+        row_command(log, k, command); /* the outputs of a row are those to its command */
+        if (!isnan(x[0]) && begin_library(t, x, command, p) > MOST_STATUS) x[0] = NAN;
         is_moved = 0;
     }
     row_command(log, k, command);

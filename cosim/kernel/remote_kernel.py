@@ -18,6 +18,7 @@ import numpy as np
 
 from cosim.base.arrays import Array, Rows
 from cosim.base.errors import SimulationError, TimedOut
+from cosim.blocks.shared_code import claim
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import OTHER
@@ -60,9 +61,10 @@ def _unpack(argument: Any) -> Any:
     return argument
 
 
-def make(number: int, *arguments: Any) -> None:
+def make(number: int, generated: Generated, fmu: LibraryOf, parameters: Mapping[str, str]) -> None:
     """Create a kernel in the worker."""
-    _made[number] = LibraryKernel(*arguments)
+    claim(fmu.path)
+    _made[number] = LibraryKernel(generated, fmu, parameters)
 
 
 def call(number: int, method: str, arguments: Any, options: Mapping[str, Any]) -> tuple[Any, float]:

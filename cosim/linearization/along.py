@@ -12,6 +12,7 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError, SimulationError
 from cosim.base.scratch import temporary_folder
+from cosim.base.times import rounding, roundings
 from cosim.base.units import read_quantity
 from cosim.linearization import messages
 from cosim.linearization.linear_model import Point
@@ -23,7 +24,6 @@ from cosim.simulation.packaged import is_ssp
 from cosim.simulation.workflow import run
 from cosim.storage.results import Results
 
-TIME_SLACK = 1e-9  # [s]
 MAX_OUTPUT_DIFFERENCE = 1e-6  # between model and component, relative to the output's range
 MAX_NAMES = 8  # missing signals in a message
 
@@ -108,8 +108,9 @@ class Along:
         """Return the communication point at or before each time."""
         points = self._results.time
         _check_times(self._moment, float(points[0]), float(points[-1]))
-        rows = np.searchsorted(points, times + TIME_SLACK * np.maximum(1.0, np.abs(times)), side="right") - 1
-        if (np.abs(points[rows] - times) > 1e-6).any():
+        step = float(np.min(np.diff(points), initial=1.0))
+        rows = np.searchsorted(points, times + roundings(times, step), side="right") - 1
+        if (np.abs(points[rows] - times) > roundings(times, 1e3 * step)).any():
             self.notes.append(messages.EARLIER_POINT())
         return [int(k) for k in rows]
 
@@ -162,7 +163,7 @@ def _check(moment: LinearizationTimes, component: str) -> None:
 
 def _check_times(moment: LinearizationTimes, first: float, last: float) -> None:
     for time in moment.times.tolist():
-        if not first - TIME_SLACK <= time <= last + TIME_SLACK:
+        if not first - rounding(first) <= time <= last + rounding(last):
             message = messages.TIME_OUTSIDE(time=time, scenario=moment.scenario, first=first, last=last)
             raise InputError.at(AT, message)
 

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array
+from cosim.blocks.component import without_step
 from cosim.blocks.faults import LinkFunction
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.sources import SourceBlock
@@ -62,7 +63,9 @@ def prepare_steps(run: LoopData) -> CompiledSteps:
         slot = component.slot() if hasattr(component, "slot") else f"{component.name} has a process of its own"
         if isinstance(slot, str) and is_exchange(component) and any(is_stepped_in_c(c) for c in run.components):
             # Solvers of model exchange are Python; beside FMUs that C steps, C calls them.
-            slot = called_slot(component.stepping(run.rows.doing, CALLS * number), run.system.start)
+            announced = run.rows.doing, CALLS * number
+            exchange = without_step(component, *announced)
+            slot = called_slot(component.stepping(*announced), run.system.start, exchange)
         if isinstance(slot, str):
             raise NotCompiled(slot)
         slots.append(slot)
@@ -93,7 +96,10 @@ class CompiledSteps:
             slot.every, slot.doing = stage.every, CALLS * k
             slot.length = stage.every * run.h if stage.component.nominal_step else 0.0
         self.loop = Loop(
-            [(slot, self._transfers(stage.pulls)) for slot, stage in zip(slots, system.stages, strict=True)],
+            [
+                (slot, self._transfers(stage.pulls), self._transfers(stage.late))
+                for slot, stage in zip(slots, system.stages, strict=True)
+            ],
             self._transfers(system.held, every),
             run.row,
             run.rows.table,
@@ -130,6 +136,7 @@ class CompiledSteps:
             if why == StopReason.PAUSED:
                 for call in run.calls:
                     call(pause)
+                loop.plan.place = loop.plan.slots  # Events may have changed outputs: the held transfers are made again.
                 pause = run.next_call(pause + 1)
             elif why == StopReason.NO_ITEM:
                 self._raise_no_item()
@@ -169,7 +176,7 @@ class CompiledSteps:
         """Raise SimulationError for a value that is no item of its target's enumeration."""
         system, plan = self.run.system, self.loop.plan
         stages = system.stages
-        transfers = stages[plan.place].pulls if plan.place < len(stages) else system.held
+        transfers = stages[plan.place].transfers if plan.place < len(stages) else system.held
         for t in transfers:
             t.check_item(self.run.row[t.target], system.start + plan.next * self.run.h)
         raise AssertionError("C met a value that is no item, and there is none")

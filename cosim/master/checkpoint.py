@@ -213,13 +213,17 @@ def go_on(master: SteppedSystem, start: Continuation) -> float:
     last = start.count - 1
     names = {c.name for c in master.components if states.get(c.name) is None}
     Replay(master, start.exact, names, transfers=not state).run(last)
-    for name, memories in state.get("links", {}).items():
-        for link, memory in zip(master.copying.links[name], memories, strict=True):
-            if hasattr(link, "restore"):
-                link.restore(memory)
-    for component in master.components:
-        if component.name not in names:
-            _restore(master, component, states[component.name], last)
+    try:
+        for name, memories in state.get("links", {}).items():
+            for link, memory in zip(master.copying.links[name], memories, strict=True):
+                if hasattr(link, "restore"):
+                    link.restore(memory)
+        for component in master.components:
+            if component.name not in names:
+                _restore(master, component, states[component.name], last)
+    except (ValueError, LookupError, TypeError, AttributeError, OverflowError) as error:  # a state of another system
+        reason = messages.UNUSABLE_STATE(reason=error)
+        raise SimulationError("the run", float(master.time[last]), reason) from None
     master.view[:] = start.values[last]
     if start.exact:
         master.beside[:] = start.exact[last]

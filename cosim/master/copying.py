@@ -42,8 +42,8 @@ class Copying:
         return self._join(plain), tuple(noisy), tuple(others)
 
     def by_component(self) -> Mapping[str, Copies]:
-        """Return the copies before each component's step."""
-        return {stage.component.name: self.of(stage.pulls) for stage in self.system.stages}
+        """Return the copies to each component that are not held."""
+        return {stage.component.name: self.of(stage.transfers) for stage in self.system.stages}
 
     def _join(self, places: Sequence[tuple[int, int]]) -> Plain:
         """Return copies joined into contiguous blocks: first source, first target, length."""

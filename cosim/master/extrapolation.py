@@ -1,9 +1,9 @@
 """Course of inputs during a communication step: held, or a polynomial through their values at communication points.
 
-A held input has its value of the step's start until the step ends. A polynomial of degree d passes through the last
-d + 1 values: up to the start of the step for inputs whose new value is not available yet (extrapolation), up to its
-end for inputs that have it already (interpolation). The FMU gets the mean of the polynomial over the step, by
-Simpson's rule:
+A held input, and one fed by a known signal that is held, has its value of the step's start until the step ends. A
+polynomial of degree d passes through the last d + 1 values: up to the start of the step for inputs whose new value is
+not available yet (extrapolation), up to its end for inputs that have it already (interpolation). The FMU gets the mean
+of the polynomial over the step, by Simpson's rule:
 
     ū = (p(t) + 4·p(t + h/2) + p(t + h)) / 6
 """
@@ -62,7 +62,11 @@ class Polynomial:
 def with_courses(step: StepFunction, system: System, stage: Stage, row: Any) -> StepFunction:
     """Return a step in which real inputs follow courses."""
     component, (past, ahead) = stage.component, system.courses
-    held = [t for t in system.held if t.name.partition(".")[0] == component.name]
+    held = [
+        t
+        for t in system.held
+        if t.name.partition(".")[0] == component.name and t.origin.partition(".")[0] not in system.known
+    ]
     old = _real_targets(held, system) if past else []
     new = _real_targets(stage.pulls, system) if ahead else []
     if not old + new:

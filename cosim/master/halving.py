@@ -67,9 +67,11 @@ class Halved(Master):
 
     def _step_all(self, actives: Round, k: int, t: float, end: float) -> None:
         """Exchange the values once and make all steps."""
-        for step, _, _, plain, noisy, others in actives:
+        for step, _, _, plain, noisy, others, late in actives:
             copy_values(self.row, (plain, noisy, others), k)
             step(t, end - t)
+            if late is not None:
+                late(k)
 
     def _check_outputs(self, parts: Sequence[FmuBlock], row: bytes, t: float) -> None:
         """Check that restoring the FMU state restores the outputs; raise SimulationError if it does not."""

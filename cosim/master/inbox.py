@@ -247,7 +247,7 @@ def merge(*every: Values) -> Values:
 
 def targets_of(system: System) -> Targets:
     """Return the variables of a system that may be set during a run."""
-    parts = system.held, *(stage.pulls for stage in system.stages), *(loop.transfers for loop in system.loops)
+    parts = system.held, *(stage.transfers for stage in system.stages), *(loop.transfers for loop in system.loops)
     names = {transfer.name for part in parts for transfer in part}
     return Targets({name: description for name, (_, description) in system.fmus.items()}, names)
 

@@ -81,6 +81,7 @@ class Part:
         number: Number of the component among all, for observers.
         pulls: Copies before its step.
         time: Time [s] to which it has come.
+        has_late: Whether known values are set after its step.
         rank: SOURCES, REPEATABLE, EARLY (may return early, cannot go back) or LAST.
         lead: Longest time [s] by which it was ahead of an event.
         late: Number of such events.
@@ -92,6 +93,7 @@ class Part:
     every: int
     is_flexible: bool
     time: float
+    has_late: bool = False
     rank: int = LAST
     lead: float = 0.0
     late: int = 0
@@ -205,15 +207,16 @@ class Instants:
     def _parts(self) -> list[Part]:
         """Return the components in the schedule's order."""
         master, stages = self.master, self.master.system.stages
-        self.all = master.copying.of((*master.system.held, *(t for stage in stages for t in stage.pulls)))
+        self.all = master.copying.of((*master.system.held, *(t for stage in stages for t in stage.transfers)))
         return [
             Part(
                 stage.component,
                 k,
-                master.pulls[stage.component.name],
+                master.copying.of(stage.pulls),
                 stage.every,
                 takes_part_of_step(stage, master.system.loops),
                 self.begin,
+                has_late=bool(stage.late),
             )
             for k, stage in enumerate(stages)
         ]
@@ -427,6 +430,7 @@ class Instants:
         """Exchange values and handle events at a time."""
         here = [part for part in events if abs(part.time - t) <= self.close or not part.is_flexible]
         self._copy_all(k)
+        self._read_late(t, k)
         for part in here:
             part.component.look()
         self._handle_exchanges(t, k)
@@ -439,6 +443,17 @@ class Instants:
         if asked:
             self._check_progress(t)
             self._handle(t, k, here, asked)
+
+    def _read_late(self, t: float, k: int) -> None:
+        """Set the known values of a time, and read the outputs that follow them."""
+        late = [p for p in (*self.flexible, *self.rigid) if p.has_late and abs(p.time - t) <= self.close]
+        for part in late:
+            self._announce(part, PUT)
+            part.component.put()
+            self._announce(part, GET)
+            part.component.get()
+        if late:
+            self._copy_all(k)
 
     def _handle_exchanges(self, t: float, k: int) -> None:
         """Handle the events of model exchange."""

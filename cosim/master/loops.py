@@ -21,6 +21,7 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import SimulationError
 from cosim.base.messages import code_of
+from cosim.base.times import first_point
 from cosim.blocks.component import EarlyEnd
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.messages import VALUE_NOT_FINITE
@@ -38,7 +39,6 @@ from cosim.system.wiring import Transfer
 SHIFT = 1e-5  # displacement of an input for differences, relative to its magnitude
 PROBES = (1e-3, -1e-3, 0.5, -0.5)  # displacements that show whether an output depends on an input
 REACTION = 1e-9  # smallest relative change of an output that counts
-ROUNDING = 1e-6  # share of a step
 ROUNDED = 1e-13  # residual of rounding, relative to the magnitude
 PROPOSED = 1e-8  # tolerance that a message proposes for a smaller one
 UNIT_GAIN = 1e-8  # smallest singular value of I − ∂g/∂z that counts
@@ -141,6 +141,9 @@ class LoopSolver:
         self._forward = {n: [t for t, is_back in marked if owners[t.target] == n and not is_back] for n in loop.members}
         self._into = {name: copying.of(transfers) for name, transfers in self._forward.items()}
         self._to_back = copying.of(self.back)
+        self._known_into = {
+            s.component.name: copying.of(s.late) for s in system.stages if s.component.name in loop.members
+        }
         self._one = {t.name: copying.of([t]) for t in loop.transfers}
         self.members = members_of(loop, system, row)
         self._roots = self._root_finding()
@@ -206,9 +209,17 @@ class LoopSolver:
     def _solved_step(self, t: float, h: float) -> None:
         for member in self.members:
             member.begin_step(self.doing, t, h)
+        self._set_late(repeats=False)
         self._iterations.append(self._solve(t + h))
         for member in self.members:
             member.end_step(self.doing)
+        self._set_late(repeats=True)
+
+    def _set_late(self, *, repeats: bool) -> None:
+        """Copy known values of the end of a step, to components whose step is repeated after the last repetition."""
+        for member in self.members:
+            if member.repeats == repeats:
+                copy_values(self.row, self._known_into[member.component.name], self._point)
 
     def _row_values(self, places: Sequence[int]) -> Array:
         return np.array([self.row[k] for k in places])
@@ -533,6 +544,6 @@ def step_function(solver: LoopSolver, start: float, h: float) -> Callable[[float
     """
 
     def step(t: float, length: float) -> None:
-        solver.step(t, length, math.ceil((t + length - start) / h - ROUNDING))
+        solver.step(t, length, first_point(t + length, start, h))
 
     return step

@@ -1,7 +1,8 @@
 """The master: steps all components of a system with equal communication steps and records a row per step.
 
 All coupling algorithms use the same loop. They differ in the order of stages, in the transfers right before a stage
-(`Stage.pulls`) and in the transfers at the end of the step (`System.held`). A component with a longer step of its own
+(`Stage.pulls`) and in the transfers at the end of the step (`System.held`). Values of known signals that outputs follow
+are set right after the step (`Stage.late`), and the outputs are read again. A component with a longer step of its own
 makes the step at its end; until then its outputs are held.
 """
 
@@ -20,15 +21,15 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import SimulationError, Terminated, stop_error
 from cosim.base.messages import code_of
-from cosim.blocks.component import EarlyEnd
+from cosim.blocks.component import EarlyEnd, without_step
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.messages import CALL_FAILED, CALL_FAILED_WITH_REASON, VALUE_NOT_FINITE
 from cosim.blocks.stepping import NEVER, NotCompiled
-from cosim.isolation.rows import CALLS, OTHER, Rows
+from cosim.isolation.rows import CALLS, GET, OTHER, Rows
 from cosim.master import messages
 from cosim.master.c_loop import CompiledSteps, LoopData, prepare_steps
 from cosim.master.checkpoint import Keeper
-from cosim.master.copying import Copying, Noisy, Plain, Through, doubles
+from cosim.master.copying import Copying, Noisy, Plain, Through, copy_values, doubles
 from cosim.master.extrapolation import with_courses
 from cosim.master.inbox import MOST_IN_C, Inbox
 from cosim.master.initialization import Initialization
@@ -41,9 +42,9 @@ from cosim.storage.results import Results
 from cosim.system.schedule import Stage
 from cosim.system.system import System
 
-# the step function; its length in steps of the run; its length [s], 0.0 for the difference of communication points; and
-# the transfers before it
-Active = tuple[Callable[[float, float], None], int, float, Plain, Noisy, Through]
+# the step function; its length in steps of the run; its length [s], 0.0 for the difference of communication points; the
+# transfers before it; and what sets known values of its end at a point, if any
+Active = tuple[Callable[[float, float], None], int, float, Plain, Noisy, Through, Callable[[int], None] | None]
 Progress = Callable[[int], None]  # receives the current communication point
 Round = tuple[Active, ...]  # The last entry makes no step; it holds the transfers at the end of the step.
 PROGRESS_EVERY = 50
@@ -172,7 +173,7 @@ class Master:
             component.open(self.system.start, float(self.time[-1]))
 
     def _record_first(self) -> None:
-        for transfer in (*self.system.held, *(t for stage in self.system.stages for t in stage.pulls)):
+        for transfer in (*self.system.held, *(t for stage in self.system.stages for t in stage.transfers)):
             transfer.check_item((self.beside if transfer.beside[1] else self.row)[transfer.target], self.system.start)
         for call in self.calls:
             call(0)
@@ -216,7 +217,7 @@ class Master:
         try:
             for k, actives in zip(range(done, self.steps + 1), rounds, strict=False):
                 t, next_t = next_t, begin + k * h
-                for step, every, length, plain, noisy, through in actives:
+                for step, every, length, plain, noisy, through, late in actives:
                     for target_places, places in plain:
                         target_places[:] = places
                     for source, target, samples in noisy:
@@ -228,6 +229,8 @@ class Master:
                         step(t, length or next_t - t)
                     else:
                         step(since := begin + (k - every) * h, length or next_t - since)
+                    if late is not None:
+                        late(k)
                 if k == call_point:
                     for call in calls:
                         call(k)
@@ -349,9 +352,16 @@ class Master:
             changes = self.inbox.take(k, changes)
             if self.pacer is not None:
                 self.pacer.shift(self.inbox.pause)
-        for component in self.components:
-            if component.name in changes:
-                component.change(changes[component.name])  # type: ignore[attr-defined]
+        changed = [component for component in self.components if component.name in changes]
+        for component in changed:
+            component.change(changes[component.name])  # type: ignore[attr-defined]
+            if not isinstance(component, EventFmu):  # It is read at the instant.
+                self.announce(component, GET)
+                component.get()
+        if changed and self.loop != "C":  # C makes its held transfers again.
+            every = {stage.component.name: stage.every for stage in self.system.stages}
+            held = [t for t in self.system.held if k % every[t.name.partition(".")[0]] == 0]
+            copy_values(self.row, self.copying.of(held), k)
 
     def _cycle(self) -> Sequence[Round]:
         """Return steps and transfers for each point of a cycle. With a single rate, the cycle has one point."""
@@ -367,24 +377,37 @@ class Master:
             key = tuple(stage.component.name for stage in stepping)
             if key not in rounds:
                 waiting = self.copying.of(t for t in held if k % every[t.name.partition(".")[0]] == 0)
-                rounds[key] = (*map(self.active, stepping), (lambda t, h: None, 1, 0.0, *waiting))
+                rounds[key] = (*map(self.active, stepping), (lambda t, h: None, 1, 0.0, *waiting, None))
             return rounds[key]
 
         return [round_at(k) for k in range(period)]
 
     def active(self, stage: Stage) -> Active:
-        """Return a component's step with the copies before it."""
-        component = stage.component
+        """Return a component's step with the copies around it."""
+        component, pulls = stage.component, self.copying.of(stage.pulls)
         for solver in self.solvers:
             if component.name in {member.component.name for member in solver.members}:
                 is_last = component.name == solver.last
                 loop = step_function(solver, self.system.start, self.h) if is_last else lambda t, h: None
-                return loop, 1, 0.0, *self.pulls[component.name]
+                return loop, 1, 0.0, *pulls, None
         length = stage.every * self.h if component.nominal_step else 0.0
         step = component.stepping(self.doing, CALLS * self.components.index(component))
         if any(self.system.courses):
             step = with_courses(step, self.system, stage, self.view)
-        return step, stage.every, length, *self.pulls[component.name]
+        return step, stage.every, length, *pulls, self._set_late(stage)
+
+    def _set_late(self, stage: Stage) -> Callable[[int], None] | None:
+        """Return the function that sets known values after a component's step and reads its outputs again."""
+        if not stage.late:
+            return None
+        copies = self.copying.of(stage.late)
+        exchange = without_step(stage.component, self.doing, CALLS * self.components.index(stage.component))
+
+        def set_late(k: int) -> None:
+            copy_values(self.row, copies, k)
+            exchange()
+
+        return set_late
 
     def _rows_so_far(self) -> Results:
         beside = self.beside_rows if isinstance(self.beside_rows, list) else []

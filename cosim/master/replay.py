@@ -1,13 +1,15 @@
 """Replay of components in a resumed run: the recorded inputs give the state that was not saved.
 
 At point k a component took the inputs of row k − 1, overwritten by the transfers right before its step, whose values
-are in row k. Every step is compared with the recorded outputs, so a component that is not deterministic is found.
+are in row k; after the step it took the late values of row k. Every step is compared with the recorded outputs, so a
+component that is not deterministic is found.
 Components that C can step are replayed by its loop, as fast as in the run.
 """
 
 from __future__ import annotations
 
 import ctypes
+import itertools
 from array import array
 from collections.abc import Callable, Collection, MutableSequence, Sequence
 from dataclasses import dataclass
@@ -17,9 +19,10 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import SimulationError
-from cosim.blocks.component import EarlyEnd
+from cosim.blocks.component import EarlyEnd, without_step
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.stepping import NEVER, Loop, NotCompiled, Slot, StopReason
+from cosim.blocks.stepping import Transfer as CTransfer
 from cosim.isolation.rows import CALLS, OTHER
 from cosim.master import messages
 from cosim.master.copying import Copying, doubles
@@ -75,6 +78,8 @@ class Replayed:
     Attributes:
         inputs: Places of its inputs, `outputs` those of its outputs.
         pulled: Places that transfers right before its step overwrite; the second part is beside the row.
+        late: Places that transfers right after its step overwrite; the second part is beside the row.
+        exchange: Function that puts these values and gets the outputs.
         exact_inputs: Places of inputs beside the row.
     """
 
@@ -84,6 +89,8 @@ class Replayed:
     inputs: slice
     outputs: slice
     pulled: tuple[Sequence[int], Sequence[int]]
+    late: tuple[Sequence[int], Sequence[int]]
+    exchange: Callable[[], None]
     exact_inputs: range
 
 
@@ -125,6 +132,9 @@ class Replay:
                 copy(k)
             for component in events.get(k, ()):
                 self._change(component, events[k][component], parts)
+            for part in parts:
+                if k % part.stage.every == 0:
+                    self._compare(part, k)
             count[0] = k  # Limits count from here; the row itself is there.
 
     def _compiled(self, last: int) -> Sequence[Replayed]:
@@ -148,8 +158,10 @@ class Replay:
         first, beside = master.first_places(component.name)
         inputs, outputs = len(component.inputs), len(component.outputs)
         pulled: tuple[list[int], list[int]] = ([], [])
-        for transfer in stage.pulls:
-            pulled[transfer.beside[1]].append(transfer.target)
+        late: tuple[list[int], list[int]] = ([], [])
+        for places, transfers in ((pulled, stage.pulls), (late, stage.late)):
+            for transfer in transfers:
+                places[transfer.beside[1]].append(transfer.target)
         step, _, length, *_ = master.active(stage)
         return Replayed(
             stage,
@@ -158,13 +170,15 @@ class Replay:
             slice(first, first + inputs),
             slice(first + inputs, first + inputs + outputs),
             pulled,
+            late,
+            without_step(component, master.doing, CALLS * master.components.index(component)),
             range(beside, beside + len(component.exact_inputs)),
         )
 
     def _step(self, part: Replayed, k: int) -> None:
         row, table, width, begin, h = self.row, self.table, self.width, self.master.system.start, self.master.h
         before, now = (k - 1) * width, k * width
-        inputs, outputs = part.inputs, part.outputs
+        inputs = part.inputs
         row[inputs] = table[before + inputs.start : before + inputs.stop]
         for place in part.pulled[0]:
             row[place] = table[now + place]
@@ -173,21 +187,32 @@ class Replay:
         since = begin + (k - part.stage.every) * h
         try:
             part.step(since, part.length or (begin + k * h) - since)
+            if part.stage.late:
+                for place in part.late[0]:
+                    row[place] = table[now + place]
+                for place in part.late[1]:
+                    self.master.beside[place] = self.exact[k][place]
+                part.exchange()
         except EarlyEnd as end:
             raise difference(part, end.reached) from None
-        recorded = table[now + outputs.start : now + outputs.stop]
-        if row[outputs].tobytes() != recorded.tobytes() and not is_same(row[outputs], recorded):
-            raise difference(part, begin + k * h)
+
+    def _compare(self, part: Replayed, k: int) -> None:
+        """Raise SimulationError if outputs differ from those recorded."""
+        outputs, now = part.outputs, k * self.width
+        recorded = self.table[now + outputs.start : now + outputs.stop]
+        if self.row[outputs].tobytes() != recorded.tobytes() and not is_same(self.row[outputs], recorded):
+            raise difference(part, self.master.system.start + k * self.master.h)
 
     def _change(self, name: str, values: Any, parts: Sequence[Replayed]) -> None:
         for part in parts:
             if part.stage.component.name == name:
                 part.stage.component.change(values)  # type: ignore[attr-defined]
+                part.stage.component.get()
 
     def _remembering(self) -> list[Copy]:
         """Return the remembering transfers as functions."""
         system, links = self.master.system, self.master.copying.links
-        transfers = (*system.held, *(transfer for stage in system.stages for transfer in stage.pulls))
+        transfers = (*system.held, *(transfer for stage in system.stages for transfer in stage.transfers))
         return [
             self._copy(transfer.source, transfer.beside[0], links[transfer.name])
             for transfer in transfers
@@ -211,23 +236,30 @@ def difference(part: Replayed, time: float) -> SimulationError:
 class CompiledReplay:
     """Replay of components by the stepping loop in C.
 
-    Before each component a slot writes its recorded inputs into the row. The outputs of many points are compared at
-    once.
+    Before each component slots write its recorded inputs into the row, and the late ones into cells of their own, from
+    which they are transferred after its step. The outputs of many points are compared at once.
     """
 
     def __init__(self, master: SteppedSystem, slots: Sequence[tuple[Replayed, Slot]]) -> None:
         self.master, self.parts = master, [part for part, _ in slots]
         self.width = len(master.view)
-        pairs: list[tuple[Slot, Sequence[Any]]] = []
+        members: list[tuple[Slot, Sequence[Any], Sequence[Any]]] = []
+        self._late_cells = (ctypes.c_double * max(1, sum(len(part.late[0]) for part in self.parts)))()
+        first_late, place_of = ctypes.addressof(self._late_cells), itertools.count()
         for part, slot in slots:
             slot.every, slot.doing = part.stage.every, CALLS * master.components.index(part.stage.component)
             slot.length = part.length
             inputs = Slot(0, every=slot.every, time=slot.time, scalars=part.inputs.stop - part.inputs.start)
             inputs.row = ctypes.addressof(master.row) + 8 * part.inputs.start
-            pairs += [(inputs, ()), (slot, ())]
+            cells = [first_late + 8 * next(place_of) for _ in part.late[0]]
+            to = [ctypes.addressof(master.row) + 8 * place for place in part.late[0]]
+            late = Slot(0, every=slot.every, time=slot.time, scalars=len(cells))
+            late.row = cells[0] if cells else first_late
+            copies = [CTransfer(cell, place, 1, 0, None) for cell, place in zip(cells, to, strict=True)]
+            members += [(inputs, (), ()), (late, (), ()), (slot, (), copies)]
         self.rows = np.zeros((POINTS, self.width))
-        cells: dict[str, Any] = {"counter": master.row_count, "doing": master.doing, "asked": array("q", [0])}
-        self.loop = Loop(pairs, (), master.row, self.rows, begin=master.system.start, h=master.h, **cells)
+        counters: dict[str, Any] = {"counter": master.row_count, "doing": master.doing, "asked": array("q", [0])}
+        self.loop = Loop(members, (), master.row, self.rows, begin=master.system.start, h=master.h, **counters)
         self._values: list[Array] = []
 
     def run(self, last: int) -> None:
@@ -238,7 +270,7 @@ class CompiledReplay:
             try:
                 self._until(end)
             finally:
-                for part, slot in zip(self.parts, self.loop.slots[1::2], strict=True):
+                for part, slot in zip(self.parts, self.loop.slots[2::3], strict=True):
                     part.stage.component.set_time(slot.time)  # type: ignore[attr-defined]
             for part in self.parts:
                 self._compare(part, first, end)
@@ -252,8 +284,10 @@ class CompiledReplay:
             values = table[first - 1 : end, part.inputs].copy()
             for place in part.pulled[0]:
                 values[:, place - part.inputs.start] = table[first : end + 1, place]
-            self._values.append(values)
-            self.loop.prepare(2 * k, values, first)
+            late = table[first : end + 1, part.late[0]].copy()
+            self._values += [values, late]
+            self.loop.prepare(3 * k, values, first)
+            self.loop.prepare(3 * k + 1, late, first)
         self.loop.plan.table = self.rows.ctypes.data - 8 * self.width * first
 
     def _until(self, end: int) -> None:
@@ -266,9 +300,10 @@ class CompiledReplay:
                 for part in self.parts:
                     if (component := part.stage.component).name in events[pause]:
                         component.change(events[pause][component.name])  # type: ignore[attr-defined]
+                        component.get()
                 pause = next(pauses)
             elif why != StopReason.LATER:
-                part = self.parts[loop.plan.place // 2]
+                part = self.parts[loop.plan.place // 3]
                 try:
                     part.stage.component.raise_error(why, loop.plan, loop.slots[loop.plan.place])
                 except EarlyEnd as stop:

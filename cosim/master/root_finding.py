@@ -108,6 +108,11 @@ class RootFinding:
         size = self.size(z, residual)
         is_current, failures = False, 0  # whether the slopes are of this call, and how often they were of no use
         converged = is_small = is_regular = False
+        direction, first = residual, np.maximum(np.maximum(np.abs(z), np.abs(value)), self.scale)
+
+        def beside(change: Array) -> float:
+            return float(np.max(np.abs(change) / first))
+
         for iteration in range(self.most + 1):
             if not residual.any():
                 converged = True
@@ -132,7 +137,10 @@ class RootFinding:
             size = self.size(z, residual)
             is_slow = size > SLOW * before or share < 1.0
             self.slopes = None if is_slow else self._updated(z, z - was[0], value - was[1])
-        return self._end(Outcome(z, residual, iteration, converged), is_small=is_small and is_regular)
+        is_rough = is_small or self._own_size(z, residual, residual) > self.tolerance
+        close = max(beside(residual) / self.tolerance, beside(direction) / self.tolerance**0.5) <= 1.0
+        is_small = is_regular and (is_small or close)
+        return self._end(Outcome(z, residual, iteration, converged), is_small=is_small, is_rough=is_rough)
 
     def anderson(self, g: Map, z: Array) -> Outcome:
         """Solve by accelerated fixed-point iterations from z.
@@ -174,10 +182,10 @@ class RootFinding:
         along = dz / units / length  # without underflow
         return np.asarray(self.slopes + np.outer((dg - self.slopes @ dz) / length, along / units) / (along @ along))
 
-    def _end(self, outcome: Outcome, *, is_small: bool) -> Outcome:
-        """Return an outcome, accepted as rough if its residual is only small beside 1; note its magnitudes."""
+    def _end(self, outcome: Outcome, *, is_small: bool, is_rough: bool = True) -> Outcome:
+        """Return an outcome, accepted if its residual is small; note its magnitudes."""
         if is_small and not outcome.converged:
-            outcome = replace(outcome, converged=True, is_rough=True)
+            outcome = replace(outcome, converged=True, is_rough=is_rough)
         if outcome.converged:
             self._solved = np.maximum(self._solved, np.abs(outcome.z))
         return outcome

@@ -45,6 +45,8 @@ SMALLEST, LARGEST = 0.2, 4.0  # change of a step
 MUCH, MOST_NAMED = 0.01, 3  # allowed error of a step as a share of a signal that is named; number of names
 LEAST_ERROR = 1e-4  # smallest error that enters the controller
 ROUNDING = 1e-9  # relative
+# step function, its length in steps of the run and in seconds, copies before it, and what sets known values after it
+Active = tuple[Callable[[float, float], None], int, float, Plain, Noisy, Through, Callable[[int], None] | None]
 Judged = tuple[float, str]  # error of a step relative to the tolerance, and the signal that has it
 
 
@@ -138,8 +140,8 @@ class ControlledRun(Announcer, Protocol):
     notes: list[str]
     calls: tuple[Callable[[int], None], ...]
 
-    def active(self, stage: Stage) -> tuple[Callable[[float, float], None], int, float, Plain, Noisy, Through]:
-        """Return a component's step with the copies before it."""
+    def active(self, stage: Stage) -> Active:
+        """Return a component's step with the copies around it."""
 
     def look(self, k: int) -> None:
         """Make a due checkpoint after point k."""
@@ -325,9 +327,11 @@ class ControlledSteps:
 
     def _step(self, k: int, t: float, until: float) -> None:
         """Exchange values and step all components."""
-        for step, _, _, plain, noisy, others in self.actives:
+        for step, _, _, plain, noisy, others, late in self.actives:
             copy_values(self.master.row, (plain, noisy, others), k)
             step(t, until - t)
+            if late is not None:
+                late(k)
         self._count_exchange()
 
     def _count_exchange(self) -> None:
@@ -338,10 +342,12 @@ class ControlledSteps:
         """Step the components that step only at rows."""
         master = self.master
         due = [other for other in self.others if k % other[0] == 0]
-        for every, (step, _, _, plain, noisy, others), _ in due:
+        for every, (step, _, _, plain, noisy, others, set_late), _ in due:
             copy_values(master.row, (plain, noisy, others), k)
             begin = master.system.start + (k - every) * master.h
             step(begin, end - begin)
+            if set_late is not None:
+                set_late(k)
         for _, _, late in due:
             copy_values(master.row, late, k)
         if due:

@@ -52,7 +52,9 @@ def co_simulation_structure(prober: Prober, courses: Sequence[Course]) -> Struct
     fmu = prober.fmu
     _, inputs, outputs = fmu.names
     runs: list[tuple[Array, SimulationError | None]] = [prober.call(outputs_along, fmu, course) for course in courses]
-    good = [(course, table) for course, (table, _) in zip(courses, runs, strict=True) if len(table) > 2]
+    # The rows before a failure tell the structure if they are many.
+    counts = [len(table) > (SPAN if stop else 2) for table, stop in runs]
+    good = [(course, table) for course, (table, _), counted in zip(courses, runs, counts, strict=True) if counted]
     if not good:
         raise runs[0][1] or SimulationError(fmu.name, float(courses[0].time[0]), messages.TOO_SHORT())
     values = np.concatenate([table for _, table in good])
@@ -168,11 +170,11 @@ def _areas(course: Course, table: Array) -> tuple[Array, Array, Array]:
 def _summed(values: Array) -> Array:
     """Return sums over spans of rows."""
     spans = len(values) // SPAN
-    return np.asarray(values[: spans * SPAN].reshape(spans, SPAN, -1).sum(axis=1))
+    return np.asarray(values[: spans * SPAN].reshape(spans, SPAN, values.shape[1]).sum(axis=1))
 
 
 def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values * values)))
+    return float(np.sqrt(np.mean(values * values))) if len(values) else np.nan
 
 
 class Responses:

@@ -209,10 +209,11 @@ def begin(block: FmuBlock) -> None:
 
 
 def step_row(block: FmuBlock, row: Any, course: Course, k: int) -> None:
-    """Step from a row of the course to the next and read the outputs."""
+    """Step from a row of the course to the next, and read the outputs for the inputs there."""
     put_row(block, row, course, k)
     here.progress.doing[0] = ADVANCE
     block.advance(float(course.time[k]), float(course.time[k + 1] - course.time[k]))
+    put_row(block, row, course, k + 1)
     here.progress.doing[0] = GET
     block.get()
     here.progress.made[0] += 1

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array, Rows
+from cosim.base.messages import printable_json
 from cosim.report.packed import on_grid, pack, power, power_of_time
 from cosim.report.panels import HELD, LINE, Panel, Trace
 
@@ -122,7 +123,7 @@ def to_json(series: Series, more: Mapping[str, Any] = MappingProxyType({}), *, f
         further: Signals over further axes, each series with its own name.
     """
     data = {**_block(series), **({"further": [_block(s) for s in further]} if further else {}), **more}
-    text = json.dumps(data, separators=(",", ":"), allow_nan=False)
+    text = printable_json(json.dumps(data, separators=(",", ":"), allow_nan=False))
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 

@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from cosim.base.messages import printable
+
 TEMPLATES = Path(__file__).with_name("templates")
 SCRIPTS = ("axes.js", "saving.js", "charts.js", "report.js")  # in this order
 DESK = ("desk.css", "desk.js")  # shared by the pages of a local server
@@ -27,6 +29,7 @@ def render(page: Path, values: Mapping[str, Any], folders: Sequence[Path] = (), 
     environment = Environment(
         loader=FileSystemLoader([page.parent, *folders, TEMPLATES]),
         autoescape=True,
+        finalize=_printable,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
@@ -41,6 +44,11 @@ def render(page: Path, values: Mapping[str, Any], folders: Sequence[Path] = (), 
         [*(f for f in more if f.suffix == ".js"), *sorted(page.parent.glob("*.js")), *(TEMPLATES / n for n in SCRIPTS)]
     )
     return environment.get_template(page.name).render(**values, style=style, script=script)
+
+
+def _printable(value: Any) -> Any:
+    """Return a text of a page without control characters; HTML stays HTML."""
+    return type(value)(text) if isinstance(value, str) and (text := printable(value)) != value else value
 
 
 def inline(files: Sequence[Path]) -> str:

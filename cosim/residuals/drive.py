@@ -15,6 +15,7 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import Fault, FmuError, InputError, SimulationError, refuse
+from cosim.base.times import rounding, roundings
 from cosim.base.units import Conversion, conversion
 from cosim.blocks.component import Signal
 from cosim.blocks.description import takes_any_step
@@ -31,6 +32,7 @@ from cosim.storage.yaml_file import did_you_mean
 
 PLANT = "plant"  # component name in results and messages
 PROGRESS_EVERY = 500
+COARSE = 1e3  # times the tolerance of times, for logs whose times are printed
 PER_ROW = 8  # steps between rows for interpolated inputs, each held at its midpoint
 
 
@@ -231,7 +233,7 @@ class Drive:
     ) -> Array:
         """Simulate the FMU from row `first` to `last` and return the outputs, shape (rows, outputs).
 
-        The command of row k is held from t_k to t_k+1.
+        The command of row k is held from t_k to t_k+1. The outputs of row k are those to its command.
 
         Args:
             memory: State of a cosim FMU at the first row, instead of the state after initialization.
@@ -245,6 +247,7 @@ class Drive:
         table, done, doing = written.table, written.made, written.doing
         here, size = ctypes.addressof(self._row) + 8 * len(self.block.inputs), 8 * len(self.outputs)
         there, block, acting, whole = table.ctypes.data, self.block, first, 0
+        following, width = self._rows_at(steps) if self._commands else [], len(self.inputs)
         each = zip(steps.times, steps.lengths, steps.rows, self._puts(steps, first), steps.reads, strict=True)
         try:
             doing[0] = OTHER
@@ -260,12 +263,16 @@ class Drive:
                     visit(k)
                 acting = k
                 if command is not None:
-                    self._row[: len(self.inputs)] = command
+                    self._row[:width] = command
                     doing[0] = PUT
                     block.put()
                 doing[0] = ADVANCE
                 block.advance(t, h)
                 if reads:
+                    if whole < len(following) and (command := self._commands[following[whole]]) != self._row[:width]:
+                        self._row[:width] = command
+                        doing[0] = PUT
+                        block.put()
                     doing[0] = GET
                     block.get()
                     ctypes.memmove(there + whole * size, here, size)
@@ -329,15 +336,17 @@ class Drive:
             count = np.maximum(1, np.rint(dt / step)).astype(np.intp) * (PER_ROW if self._ramps.any() else 1)
             length = dt / count
             usual = step / PER_ROW if self._ramps.any() else step
-            length[np.abs(length - usual) < 1e-6 * usual] = usual  # rounding of printed times, no jitter
+            length[np.abs(length - usual) < roundings(time[:-1], COARSE * usual)] = usual  # no jitter
             number = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
             times = np.repeat(time[:-1], count) + number * np.repeat(length, count)
             lengths, rows = np.repeat(length, count), np.repeat(np.arange(first, last), count)
             reads = np.diff(rows, append=-1) != 0
         else:
-            times = time[0] + step * np.arange(max(0, math.ceil((time[-1] - time[0]) / step - 1e-6)))
+            times = time[0] + step * np.arange(
+                max(0, math.ceil((time[-1] - time[0] - rounding(time[-1], COARSE * step)) / step))
+            )
             lengths, reads = np.full(times.size, step), np.ones(times.size, bool)
-            rows = first + np.searchsorted(time, times + 1e-6 * step, side="right") - 1
+            rows = first + np.searchsorted(time, times + roundings(times, COARSE * step), side="right") - 1
         reached = [float(time[0]), *(times + lengths)[reads].tolist()]
         return DriveSteps(times.tolist(), lengths.tolist(), rows.tolist(), reads.tolist(), reached)
 
@@ -360,11 +369,19 @@ class Drive:
         ).tolist()
         return moved
 
+    def _rows_at(self, steps: DriveSteps) -> list[int]:
+        """Return the row that acts at each reading of the outputs."""
+        times = np.array(steps.reached)
+        close = roundings(times, COARSE * self.log.step)
+        rows: list[int] = (np.searchsorted(self.log.time, times + close, side="right") - 1).tolist()
+        return rows
+
     def _at_rows(self, table: Array, times: Sequence[float], first: int, last: int) -> Array:
         """Return the outputs at the finished rows of the log, interpolated between steps."""
         times, wanted = times[: len(table)], self.log.time[first : last + 1]
-        reached = wanted[wanted <= (times[-1] if times else -math.inf) + 1e-6 * self.log.step]
-        if len(times) == reached.size and np.allclose(times, reached, rtol=0.0, atol=1e-6 * self.log.step):
+        close = coarse_rounding(self.log)
+        reached = wanted[wanted <= (times[-1] if times else -math.inf) + close]
+        if len(times) == reached.size and np.allclose(times, reached, rtol=0.0, atol=close):
             return table
         return np.column_stack([np.interp(reached, times, column) for column in table.T])
 
@@ -392,7 +409,12 @@ class Drive:
 
 def rows_of(log: Log, first: int, seconds: float) -> int:
     """Return the last row within `seconds` after `first`."""
-    return int(np.searchsorted(log.time, log.time[first] + seconds + 1e-6 * log.step, side="right")) - 1
+    return int(np.searchsorted(log.time, log.time[first] + seconds + coarse_rounding(log), side="right")) - 1
+
+
+def coarse_rounding(log: Log) -> float:
+    """Return the difference [s] within which times of a log are equal, which may be printed."""
+    return rounding(float(log.time[-1]), COARSE * log.step)
 
 
 def as_columns(table: Array, names: Sequence[str]) -> dict[str, Array]:

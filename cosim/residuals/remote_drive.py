@@ -14,6 +14,7 @@ from cosim.base.arrays import Array
 from cosim.base.errors import SimulationError
 from cosim.base.scratch import ScratchFolder, scratch
 from cosim.blocks.compiling import with_permission
+from cosim.blocks.shared_code import claim
 from cosim.fmi.state import Memory, Own
 from cosim.isolation import worker as own_process
 from cosim.isolation.limits import Limits
@@ -50,6 +51,7 @@ class Loaded:
 
 def load(loaded: Loaded) -> None:
     """Create a drive in the worker; its FMU is loaded at the first run."""
+    claim(loaded.fmu)
     drive = Drive(loaded.log, loaded.fmu, interpolated=loaded.interpolated, given=loaded.given)
     own_process.share_log(drive.block)
     drive._new_rows = partial(_map_rows, loaded.table)

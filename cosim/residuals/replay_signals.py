@@ -6,6 +6,7 @@ import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
+from cosim.base.messages import printable
 from cosim.simulation.run_signals import Signals
 from cosim.storage.folders import replay_record
 from cosim.storage.results import cut_rows, is_cut_in_line, read_results, rows_in
@@ -43,6 +44,6 @@ def read_replay(folder: Path, *, kept: bool = True) -> Replay | None:
     rows, missed = (read_results(file, texts, ended=is_cut_in_line(file, record)) for file in places)
     for file, read in zip(places, (rows, missed), strict=True):
         for text in cut_rows(file, read.time.size, record):
-            warnings.warn(text, stacklevel=2)
+            warnings.warn(printable(text), stacklevel=2)
     place = folder if kept else None
     return Replay("replay", rows, place, Signals("residual", missed, place), str(record.get("sentence", "")))

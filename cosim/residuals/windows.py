@@ -17,7 +17,7 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.fmi.state import Memory, Own
 from cosim.logs.log import Log, stretches
-from cosim.residuals.drive import Drive, as_columns, rows_of
+from cosim.residuals.drive import Drive, as_columns, coarse_rounding, rows_of
 from cosim.residuals.residual_statistics import FREE_RUN
 from cosim.residuals.starts import (
     FIRST,
@@ -141,7 +141,9 @@ def self_started(drive: Drive, parameters: Mapping[str, StartParameter], free: R
 def _first_predicted(log: Log, name: str, starts: Sequence[int]) -> int:
     """Return the first window with sufficient past measurements of an output."""
     times = log.time[np.isfinite(log.outputs[name])]
-    begins = [k for k in starts if times.size and log.time[k] >= times[0] + SKIPPED * log.slowness - 1e-6 * log.step]
+    begins = [
+        k for k in starts if times.size and log.time[k] >= times[0] + SKIPPED * log.slowness - coarse_rounding(log)
+    ]
     return min(begins, default=log.rows)
 
 
@@ -170,7 +172,7 @@ def chains(log: Log, horizon: float) -> list[Chain]:
 def window_rows(log: Log, horizon: float, skipped: float = SKIPPED) -> list[int]:
     """Return the first rows of consecutive whole windows, after the first `skipped` seconds."""
     rows: list[int] = []
-    k = int(np.searchsorted(log.time, log.time[0] + skipped - 1e-6 * log.step))
+    k = int(np.searchsorted(log.time, log.time[0] + skipped - coarse_rounding(log)))
     while k < log.rows - 1 and log.time[k] + horizon <= log.time[-1] + 0.5 * log.step:
         last = rows_of(log, k, horizon)
         if last > k:

@@ -154,6 +154,8 @@ class FmuComponent(Part):
     logging:   whether debug logging is on
     solver:    solver for model exchange
     solver_step: longest step of this solver [s]; by default 1/50 of the run
+    max_steps: largest number of steps of this solver between communication points and events; by default 500 for
+        CVODE, any number for solve_ivp
     feedthrough: inputs that an output follows without delay, where the FMU declares no dependencies; [] for none. By
         default a run measures them at its start, if a loop depends on them
     sha256:    SHA-256 of the file, as written to a manifest
@@ -171,6 +173,7 @@ class FmuComponent(Part):
     logging: bool = False
     solver: Literal["cvode", "solve_ivp"] | None = None
     solver_step: PositiveSeconds | None = None
+    max_steps: Annotated[int, Field(strict=True, ge=1)] | None = None
     feedthrough: list[str] | None = None
     sha256: str | None = None
 
@@ -187,15 +190,17 @@ class ReferenceComponent(Part):
 
 
 class PlaybackComponent(Part):
-    """Columns of a CSV file; each value is held until the next row.
+    """Columns of a CSV file.
 
-    block:  playback
-    file:   CSV file, relative to the scenario; its first column is time [s]
-    sha256: SHA-256 of the file, as written to a manifest
+    block:         playback
+    file:          CSV file, relative to the scenario; its first column is time [s]
+    interpolation: held: each value acts until the next row; linear: a line between two rows. Equal times are a jump
+    sha256:        SHA-256 of the file, as written to a manifest
     """
 
     block: Literal["playback"]
     file: str
+    interpolation: Literal["held", "linear"] = "held"
     sha256: str | None = None
 
 

@@ -11,6 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from cosim.base.messages import printable_json
+
 BASE_POLICY = "default-src 'none'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 SANDBOX = "sandbox allow-scripts allow-downloads allow-modals"  # a page in an origin of its own
 
@@ -38,6 +40,7 @@ class Answer:
 
     Attributes:
         file: File to send, in part if the request asks for a range.
+        is_temporary: Whether the file is removed afterwards.
         events: Contents of server-sent events; None keeps the connection alive.
     """
 
@@ -46,6 +49,7 @@ class Answer:
     status: int = 200
     headers: Mapping[str, str] = field(default_factory=dict)
     file: Path | None = None
+    is_temporary: bool = False
     events: Iterator[Any] | None = field(default=None, compare=False)
 
 
@@ -54,7 +58,12 @@ Handler = Callable[[Request], Answer]
 
 def json_answer(content: Any, status: int = 200) -> Answer:
     """Return an answer with JSON."""
-    return Answer(json.dumps(content, ensure_ascii=False).encode(), "application/json; charset=utf-8", status)
+    return Answer(json_text(content).encode(), "application/json; charset=utf-8", status)
+
+
+def json_text(content: Any) -> str:
+    """Return JSON whose texts a page can show: control characters are escapes."""
+    return printable_json(json.dumps(content))
 
 
 def page_answer(html: str, *, alone: bool = False) -> Answer:

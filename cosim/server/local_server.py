@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import errno
 import io
-import json
 import os
 import secrets
 import socket
@@ -28,7 +27,8 @@ from urllib.parse import parse_qsl, unquote, urlsplit
 
 from cosim.base.errors import CosimError, InputError
 from cosim.server import messages
-from cosim.server.answers import Answer, Handler, Request, byte_range, json_answer
+from cosim.server.answers import Answer, Handler, Request, byte_range, json_answer, json_text
+from cosim.storage.files import parse_json
 
 ADDRESS = "127.0.0.1"
 REQUEST_TIME = 10.0  # [s] until the whole request has arrived
@@ -146,21 +146,33 @@ class _Listener(ThreadingHTTPServer):
     request_queue_size = 64
 
     def __init__(self, address: tuple[str, int], owner: Server) -> None:
-        self.owner, self.lock, self.connections = owner, threading.Lock(), set[Any]()
+        self.owner, self.lock = owner, threading.Lock()
+        self.connections = dict[Any, bool]()  # in order of time, and whether each has sent the token
         super().__init__(address, _Connection)
 
     def verify_request(self, request: Any, client_address: Any) -> bool:
-        """Return whether there is room for a connection."""
+        """Return whether there is room for a connection; end the oldest one that has not sent the token, if need be."""
         with self.lock:
             if len(self.connections) >= MOST_CONNECTIONS:
-                return False
-            self.connections.add(request)
+                stranger = next((each for each, has_token in self.connections.items() if not has_token), None)
+                if stranger is None:
+                    return False
+                del self.connections[stranger]
+                with suppress(OSError):
+                    stranger.shutdown(socket.SHUT_RDWR)
+            self.connections[request] = False
         return True
+
+    def keep(self, request: Any) -> None:
+        """Note that a connection has sent the token."""
+        with self.lock:
+            if request in self.connections:
+                self.connections[request] = True
 
     def shutdown_request(self, request: Any) -> None:
         """End a connection."""
         with self.lock:
-            self.connections.discard(request)
+            self.connections.pop(request, None)
         super().shutdown_request(request)
 
     def end_connections(self) -> None:
@@ -252,6 +264,7 @@ class _Connection(BaseHTTPRequestHandler):
         token, slash, path = parts.path.removeprefix("/").partition("/")
         if not secrets.compare_digest(token.encode(), owner.token.encode()):
             raise _Refused(404, "not found")
+        self.server.keep(self.request)
         if not slash:  # Addresses in pages are relative.
             return Answer(status=308, headers={"Location": f"/{owner.token}/"})
         handler, rest = owner.find(method, unquote(path))
@@ -285,7 +298,7 @@ class _Connection(BaseHTTPRequestHandler):
             self.rfile.read(min(length, 16 * MOST_BODY))  # Closing with unread bytes would destroy the answer.
             raise _Refused(413, f"the content is longer than {MOST_BODY} bytes")
         try:
-            return json.loads(self.rfile.read(length))
+            return parse_json(self.rfile.read(length))
         except (ValueError, RecursionError):
             raise _Refused(400, "the content is no JSON") from None
 
@@ -296,7 +309,11 @@ class _Connection(BaseHTTPRequestHandler):
         if answer.events is not None:
             self._send_events(answer.events)
         elif answer.file is not None:
-            self._send_file(answer, answer.file)
+            try:
+                self._send_file(answer, answer.file)
+            finally:
+                if answer.is_temporary:
+                    answer.file.unlink(missing_ok=True)
         else:
             self._send_head(answer.status, answer.kind, {**answer.headers, "Content-Length": str(len(answer.body))})
             if self.command != "HEAD":
@@ -349,7 +366,7 @@ class _Connection(BaseHTTPRequestHandler):
             for content in events:
                 now = time.monotonic()
                 if content is not None:
-                    self.wfile.write(f"data: {json.dumps(content, ensure_ascii=False)}\n\n".encode())
+                    self.wfile.write(f"data: {json_text(content)}\n\n".encode())
                 elif now - alive >= ALIVE:
                     self.wfile.write(b":\n\n")  # fails if the page is gone
                 else:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import far_beyond
+from cosim.base.times import roundings
 from cosim.scenario.scenario import Criterion, Scenario
 from cosim.simulation import metrics
 from cosim.storage.results import Results
@@ -18,7 +19,7 @@ DIGITS, MOST_DIGITS = 4, 17  # of a value and its limit; more where they would l
 @far_beyond
 def evaluate(scenario: Scenario, results: Results) -> list[dict[str, Any]]:
     """Return all criteria with value, limit, unit and outcome."""
-    return [_evaluate(kind, criterion, results) for kind, _, criterion in scenario.goals]
+    return [_evaluate(kind, criterion, results, scenario.step) for kind, _, criterion in scenario.goals]
 
 
 def missed_tolerance(results: Results) -> list[dict[str, Any]]:
@@ -30,10 +31,11 @@ def missed_tolerance(results: Results) -> list[dict[str, Any]]:
     return [{"kind": "step_error", "of": missed["signal"], **limits, "met": False}]
 
 
-def _evaluate(kind: str, criterion: Criterion, results: Results) -> dict[str, Any]:
+def _evaluate(kind: str, criterion: Criterion, results: Results, step: float) -> dict[str, Any]:
     end = math.inf if criterion.until is None else criterion.until
     elapsed = results.time - results.time[0]
-    window = (elapsed >= criterion.after - 1e-9) & (elapsed <= end + 1e-9)
+    close = roundings(results.time, step)
+    window = (elapsed >= criterion.after - close) & (elapsed <= end + close)
     t, signal = results.time[window], results[criterion.of][window]
     target = results[criterion.to][window] if isinstance(criterion.to, str) else np.full_like(signal, criterion.to)
     unit = results.units.get(criterion.of, "")

@@ -12,6 +12,7 @@ from typing import Any
 
 from cosim.base.errors import refuse
 from cosim.base.text import counted
+from cosim.base.times import first_point
 from cosim.base.version import __version__
 from cosim.master.inbox import Change
 from cosim.scenario.pinned import key_of, sha256
@@ -20,7 +21,6 @@ from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation import messages
 from cosim.storage.folders import SCHEMA_VERSION
 from cosim.storage.started import COMMAND
-from cosim.system.events import point_of, time_of
 from cosim.system.system import System
 
 PACKAGES = ("FMPy", "pythonfmu", "numpy", "scipy", "filterpy", "control", "pydantic")
@@ -128,10 +128,10 @@ def add_changes(record: dict[str, Any], scenario: Scenario, changes: Sequence[Ch
     made = []
     others: dict[int, list[dict[str, Any]]] = {}
     for event in events:
-        others.setdefault(point_of(event["at"], scenario.start_time, scenario.step), []).append(event)
+        others.setdefault(first_point(event["at"], scenario.start_time, scenario.step), []).append(event)
     for change in changes:
         at_point = others.setdefault(change.point, [])
-        at = max([time_of(change.point, scenario.start_time, scenario.step), *(e["at"] for e in at_point)])
+        at = max([scenario.start_time + change.point * scenario.step, *(e["at"] for e in at_point)])
         values = {f"{name}.{variable}": v for name, values in change.values.items() for variable, v in values.items()}
         made.append({"at": at, "set": values})
         for event in at_point:  # Two events at one time cannot set a variable twice; the change came last.

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.base.arrays import Array
+from cosim.base.messages import printable
 from cosim.base.text import MISSING, counted, plain
 from cosim.simulation import messages
 from cosim.storage.results import Results
@@ -202,5 +203,5 @@ def read_run(path: Path) -> Run | Signals:
 
     ran = read_ran(path)
     for text in ran.warnings:
-        warnings.warn(text, stacklevel=2)
+        warnings.warn(printable(text), stacklevel=2)
     return run_of(ran.results, ran.manifest, path) if path.is_dir() else Signals(ran.name, ran.results)

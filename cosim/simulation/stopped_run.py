@@ -29,6 +29,7 @@ from cosim.base.drafts import remove_drafts
 from cosim.base.errors import InputError
 from cosim.base.messages import Message, code_of
 from cosim.base.scratch import lock_file
+from cosim.base.times import rounding, roundings
 from cosim.base.version import __version__
 from cosim.blocks.component import Signal
 from cosim.blocks.fmu import FmuBlock
@@ -42,7 +43,8 @@ from cosim.scenario.scenario import Scenario
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation import messages
 from cosim.storage.files import write_json
-from cosim.storage.folders import content_of, prepare_folder
+from cosim.storage.folders import content_of, manifest_in, prepare_folder
+from cosim.storage.record_types import MAPPING, TEXT, TEXTS, WHOLE, Kind, sound_part
 from cosim.storage.results import Results, read_results, rows_in
 from cosim.storage.state_file import BadState, sync, unpack, write_durable
 from cosim.system.system import System
@@ -50,8 +52,21 @@ from cosim.system.system import System
 FOLDER, RUN, MANIFEST = "checkpoint", "run.json", "manifest.json"
 PATIENCE, PAUSE = 15.0, 0.05  # time [s] for the worker of a killed command to end, and between two looks
 ALL = "all-"  # prefix of the files of rows after the end of a run of which a part is recorded
-ROUNDING = 1e-9  # relative tolerance of times on the grid of communication points
 EXTRA = "files"  # key of run.json beside those of a manifest: name of the rows file, warnings of an SSP, codes of all
+EXTRA_KIND = Kind("a mapping", dict, keys={"rows": TEXT, "warnings": TEXTS, "codes": TEXTS})
+DOUBLE = Kind("a number", float)
+CHECKPOINT = Kind(
+    "a mapping",
+    dict,
+    keys={
+        "point": WHOLE,
+        "time": DOUBLE,
+        "elapsed": DOUBLE,
+        "components": MAPPING,
+        "links": Kind("a mapping", dict, Kind("a list", list)),
+        "changes": Kind("a list of changes", list, Kind("a list", list)),
+    },
+)
 
 
 @dataclass(frozen=True)
@@ -210,14 +225,14 @@ class StoppedRun:
     def _check_unfinished(self, scenario: Scenario) -> None:
         """Raise InputError if the recorded rows reach the end."""
         end = scenario.start_time + scenario.duration
-        if len(self.results.time) and self.results.time[-1] >= end - ROUNDING * (1.0 + abs(end)):
+        if len(self.results.time) and self.results.time[-1] >= end - rounding(end, scenario.step):
             raise InputError.at(self.folder, messages.ALREADY_FINISHED(time=end))
 
     def _from_results(self, system: System, scenario: Scenario, count: int) -> Continuation:
         """Return the first rows of the results."""
         results, rows = self.results, self.folder / self.rows_file
-        expected = scenario.start_time + scenario.step * np.arange(len(results.time))
-        on_grid = np.abs(results.time - expected) <= ROUNDING * (1.0 + np.abs(expected))
+        expected = scenario.start_time + scenario.step * np.arange(len(results.time), dtype=np.float64)
+        on_grid = np.abs(results.time - expected) <= roundings(expected, scenario.step)
         complete = len(results.time) if on_grid.all() else int(np.argmin(on_grid))  # An FMU may end a run between.
         count = count or complete
         if not complete:
@@ -245,9 +260,9 @@ def _record_of(folder: Path) -> tuple[Path, dict[str, Any]]:
     record = {} if source is None else content_of(source)
     if source is None or (source.name == MANIFEST and "scenario" not in record):
         raise InputError.at(folder, messages.NOTHING_TO_RESUME())
-    optional: dict[str, Any] = {"warnings": [], "timings": {}, EXTRA: {}}
-    wrong = [key for key, empty in optional.items() if not isinstance(record.get(key, empty), type(empty))]
-    if wrong or not isinstance(record.get("scenario"), dict):
+    sound, _ = sound_part(folder / MANIFEST, record)
+    wrong = [key for key in record if key not in sound or (key == EXTRA and EXTRA_KIND.fault(record[key], key))]
+    if wrong or "scenario" not in sound:
         raise InputError.at(source, messages.DAMAGED_CHECKPOINT(reason=f"it has no {[*wrong, 'scenario'][0]}"))
     if (version := record.get("cosim_version")) != __version__:
         raise InputError.at(source, messages.OTHER_VERSION(version=version, own=__version__))
@@ -281,8 +296,8 @@ def open_stopped(path: Path) -> StoppedRun:
 
 def _is_finished(folder: Path, record: Mapping[str, Any]) -> bool:
     """Return whether a folder has the results of a finished run that a record repeats or extends."""
-    manifest = content_of(folder / MANIFEST)
-    if manifest.get("status") != "ok" or rows_in(folder) is None:
+    manifest = manifest_in(folder)
+    if manifest.get("status") != "ok" or "scenario" not in manifest or rows_in(folder) is None:
         return False
     one, other = (copy.deepcopy(each["scenario"]) for each in (manifest, record))
     for scenario in (one, other):
@@ -298,7 +313,11 @@ def _unpack(path: Path, state: bytes) -> Mapping[str, Any]:
         checkpoint = unpack(state)
         if checkpoint["format"] != FORMAT:
             raise InputError.at(path, messages.OTHER_VERSION(version=f"format {checkpoint['format']}", own=FORMAT))
-    except (BadState, ValueError, LookupError, TypeError) as error:
+        if fault := CHECKPOINT.fault({**dict.fromkeys(CHECKPOINT.keys), **checkpoint}, "checkpoint"):
+            raise BadState(f"{fault.name} is not {fault.wanted}")
+        if checkpoint["point"] < 0 or any(len(change) != 2 for change in checkpoint["changes"]):
+            raise BadState("it has no row to go on from")
+    except (BadState, ValueError, LookupError, TypeError, RecursionError) as error:
         raise InputError.at(path, messages.DAMAGED_CHECKPOINT(reason=str(error))) from None
     return dict(checkpoint)
 

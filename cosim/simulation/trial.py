@@ -16,6 +16,7 @@ from cosim.blocks.compiling import LIMIT, permission
 from cosim.blocks.description import takes_any_step
 from cosim.blocks.fmu import read_description
 from cosim.blocks.guard import validation
+from cosim.blocks.messages import OWN_PROCESS
 from cosim.coupling.messages import ASSUMED_WITHOUT_FEEDTHROUGH
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
@@ -33,7 +34,7 @@ from cosim.system.real_time import real_time_of
 from cosim.system.recording import recording_notes
 from cosim.system.system import System, build_system
 
-OF_LOOPS = {  # warnings of a system that a check shows
+SHOWN = {  # warnings of a system that a check shows
     template.code
     for template in (
         ASSUMED_WITHOUT_FEEDTHROUGH,
@@ -41,6 +42,7 @@ OF_LOOPS = {  # warnings of a system that a check shows
         messages.LOOP_LEFT_OPEN,
         messages.FOLLOWS_AT_START,
         messages.NOT_MEASURED,
+        OWN_PROCESS,
     )
 }
 MAX_CALL_TIME = 60.0  # allowed time [s] of a call during the trial of an FMU
@@ -110,9 +112,8 @@ def check_scenario(path: Path, checking: Checking) -> list[str]:
         check_hosts(real_time_of(file))
         system = with_feedthrough(file, designed, system, worker)
         refuse(_run_once(file, system, path, worker))
-    of_loops = [warning for warning in system.warnings if code_of(warning) in OF_LOOPS]
     notes = recording_notes(file.scenario, system.columns, system.recording)
-    return [*map(with_severity, (*file.warnings, *skipped, *of_loops, *notes))]
+    return [*map(with_severity, (*file.warnings, *skipped, *_shown_warnings(system), *notes))]
 
 
 def check_ssp(path: Path, checking: Checking) -> list[str]:
@@ -126,9 +127,15 @@ def check_ssp(path: Path, checking: Checking) -> list[str]:
     worker = checking.worker
     with temporary_folder("check") as folder:
         file, warnings = lay_out(path, folder)
-        if worker is not None and (faults := _run_once(file, build_system(file), path, worker)):
+        system = build_system(file)
+        if worker is not None and (faults := _run_once(file, system, path, worker)):
             refuse(replace(f, message=f.message.replace(f"{file.path.parent}/", "")) for f in faults)
-        return [*map(with_severity, warnings)]
+        return [*map(with_severity, (*warnings, *_shown_warnings(system)))]
+
+
+def _shown_warnings(system: System) -> list[str]:
+    """Return the warnings of a system that a check shows: of loops and of processes."""
+    return [warning for warning in system.warnings if code_of(warning) in SHOWN]
 
 
 def _run_once(file: ScenarioFile, system: System, path: Path, worker: Worker) -> list[Fault]:

@@ -70,7 +70,7 @@ from cosim.storage.folders import (
     new_earlier,
     rows_of_killed,
 )
-from cosim.storage.kinds import check_form
+from cosim.storage.kinds import check_form, shell_path
 from cosim.storage.results import Results, remove_rows, rows_name
 from cosim.storage.started import KILLED, STARTED, STATUS
 from cosim.system.real_time import real_time_of
@@ -547,7 +547,7 @@ class _Files:
             return stop_error(stop, end, "the rows of the run")
         error = stop_error(stop, end, "the report of the run")
         self.record["no_report"] = error.reason
-        self.record["warnings"].append(messages.NO_REPORT(reason=error.reason, folder=self.rows.parent))
+        self.record["warnings"].append(messages.NO_REPORT(reason=error.reason, folder=shell_path(self.rows.parent)))
         write_json(self.rows.with_name(MANIFEST), self.record)
         return error
 

@@ -19,7 +19,7 @@ from cosim.base.arrays import Array
 from cosim.base.messages import Message
 from cosim.base.text import counted
 from cosim.storage import messages
-from cosim.storage.files import atomic_write
+from cosim.storage.files import atomic_write, open_bytes
 from cosim.storage.table_columns import (
     MOST_TIME,
     Column,
@@ -127,7 +127,7 @@ class _BadLine(Exception):
 
 def _open(path: Path) -> TextIO:
     """Open a CSV with a character per byte and any line end."""
-    return path.open(encoding="latin-1", newline="")
+    return io.TextIOWrapper(open_bytes(path), encoding="latin-1", newline="")
 
 
 def _lines(stream: TextIO, *, ended: bool) -> Iterator[str]:
@@ -300,10 +300,10 @@ def _read_table(cells: _Cells, request: TableRequest) -> Table:
         columns = [SourceColumn(*pair, values) for pair, values in zip(headings, numbers.T, strict=True)]
         trial, lines = Faults(faults.path), range(cells.line + 1, cells.line + 1 + len(numbers))
         candidate = Table(dict(table.columns), header=table.header, first=table.first)
-        fill(candidate, columns, lines, trial, timed=request.timed)
+        fill(candidate, columns, lines, trial, request)
         if not trial.counts:
             return candidate
-    reader = _Reader(table, faults, timed=request.timed)
+    reader = _Reader(table, faults, request)
     cells.rows(reader.row)
     table.whole = cells.whole
     return table
@@ -312,9 +312,9 @@ def _read_table(cells: _Cells, request: TableRequest) -> Table:
 class _Reader:
     """Reader of a table, cell by cell."""
 
-    def __init__(self, table: Table, faults: Faults, *, timed: bool) -> None:
-        self.table, self.faults, self.timed = table, faults, timed
-        columns = [c for c in table.columns.values() if c.cell > 1 or not timed]
+    def __init__(self, table: Table, faults: Faults, request: TableRequest) -> None:
+        self.table, self.faults, self.timed, self.jumps = table, faults, request.timed, request.jumps
+        columns = [c for c in table.columns.values() if c.cell > 1 or not request.timed]
         self.signals = [(c, c.cell - 1, table.values[c.name]) for c in columns]  # all columns but time
 
     def row(self, line: int, row: list[str]) -> None:
@@ -336,7 +336,7 @@ class _Reader:
         if abs(time) > MOST_TIME:
             note_distant(self.faults, line, time)
             return False
-        if before and time <= before[-1]:
+        if before and (time < before[-1] if self.jumps else time <= before[-1]):
             note_backwards(self.faults, line, time, before[-1])
         before.append(time)
         return True

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import errno
+import io
 import json
+import math
 import os
 import signal
 import stat
@@ -23,12 +26,51 @@ from cosim.storage.folder_lock import take_folder
 FilePath = str | os.PathLike[str]
 NOT_BLANK = "give a name, or . for the current folder"
 STOPPING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+MOST_HOLES, SMALL = 1000, 1 << 26  # size over stored bytes, more than any file system compresses; [bytes] always read
+READING = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)  # pipes are not waited for
+
+
+def open_regular(path: Path) -> int:
+    """Return a descriptor of a regular file, for reading.
+
+    Raises:
+        OSError: The file is unreadable, or a pipe or device, which may block or never end, or almost only holes.
+    """
+    descriptor = os.open(path, READING)
+    status = os.fstat(descriptor)
+    stored = 512 * getattr(status, "st_blocks", status.st_size)
+    if stat.S_ISREG(status.st_mode) and status.st_size <= MOST_HOLES * stored + SMALL:
+        return descriptor
+    os.close(descriptor)
+    reason = "is almost without content" if stat.S_ISREG(status.st_mode) else "is no regular file"
+    raise OSError(errno.EINVAL, reason, str(path))
+
+
+def open_bytes(path: Path) -> io.BufferedReader:
+    """Open a regular file for reading; raise OSError for others."""
+    return os.fdopen(open_regular(path), "rb")
+
+
+def parse_json(text: str | bytes) -> Any:
+    """Return the content of JSON; raise ValueError for other text, and for numbers that no double holds."""
+    return json.loads(text, parse_int=_whole, parse_float=_double)
+
+
+def _whole(text: str) -> int:
+    _double(text)
+    return int(text)
+
+
+def _double(text: str) -> float:
+    if math.isinf(number := float(text)):
+        raise ValueError(f"no double holds {text[:20]}")
+    return number
 
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[TextIO]:
-    """Open a text file that replaces `path` after success."""
-    with draft_of(path) as draft, draft.open("w", encoding="utf-8", newline="") as stream:
+    r"""Open a text file that replaces `path` after success; half a surrogate pair is written as \ud800, as in JSON."""
+    with draft_of(path) as draft, draft.open("w", encoding="utf-8", errors="backslashreplace", newline="") as stream:
         yield stream
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import mmap
 import os
 import re
@@ -19,7 +18,7 @@ from cosim.base.scratch import is_own
 from cosim.base.version import __version__
 from cosim.storage import messages
 from cosim.storage.artefact import Artefact, artefacts
-from cosim.storage.files import delay_stops, write_text
+from cosim.storage.files import delay_stops, open_regular, parse_json, write_text
 from cosim.storage.folder_lock import take_folder
 from cosim.storage.record_types import sound_part
 from cosim.storage.started import COMMAND, KILLED, START, STARTED, STATUS, bring_killed, is_killed, write_start
@@ -33,7 +32,6 @@ REPLAY = "replay.json"  # stored with the rows of a replay
 SCHEMA_VERSION = 1  # of manifest.json, replay.json and sweep.json
 MOST_BYTES = 200_000_000  # size of a JSON or YAML file [bytes]
 MOST_LISTED, LONGEST_NAME = 10_000_000, 255  # size of the list of a move [bytes], length of a name
-READING = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)  # pipes are not waited for
 MOST_DIGITS = 15  # of the number of an earlier run
 
 
@@ -99,9 +97,9 @@ def version_of(record: Mapping[str, Any]) -> str:
 
 
 def content_of(path: Path) -> dict[str, Any]:
-    """Return a file's JSON mapping, empty if unreadable."""
+    """Return a file's JSON mapping, empty if unreadable or with a number that no double holds."""
     try:
-        content = json.loads(_plain_bytes(path).decode())
+        content = parse_json(_plain_bytes(path))
     except (OSError, ValueError, RecursionError):
         return {}
     return content if isinstance(content, dict) else {}
@@ -109,11 +107,10 @@ def content_of(path: Path) -> dict[str, Any]:
 
 def _plain_bytes(path: Path) -> bytes:
     """Return the bytes of a regular file, none if large."""
-    stream = os.open(path, READING)  # faster than a file of Python, which `cosim list` notices
+    stream = open_regular(path)  # faster than a file of Python, which `cosim list` notices
     try:
-        status = os.fstat(stream)
-        is_small = stat.S_ISREG(status.st_mode) and status.st_size <= MOST_BYTES
-        return os.read(stream, status.st_size) if is_small else b""
+        size = os.fstat(stream).st_size
+        return os.read(stream, size) if size <= MOST_BYTES else b""
     finally:
         os.close(stream)
 

@@ -16,6 +16,7 @@ from cosim.storage.table_columns import split_heading
 from cosim.storage.table_source import Frame, Source, SourceColumn, as_text, time_among, whole_numbers
 
 MAGIC = b"\x89HDF\r\n\x1a\n"
+MOST_DEFLATED, FILLED = 1032, 1 << 26  # size over stored bytes that deflate can reach; [bytes] that may be no values
 MIN_COMPRESSED = 1000  # rows; the index of compressed parts is larger than a short dataset
 
 
@@ -34,8 +35,10 @@ class Hdf5(Source):
         order: dict[str, int] = {}
 
         def add(place: str, item: Any) -> None:
-            if not isinstance(item, h5py.Dataset) or item.ndim != 1:
-                return
+            if not isinstance(item, h5py.Dataset) or item.ndim != 1 or item.external or item.is_virtual:
+                return  # values in other files, which may be pipes, are not read
+            if item.nbytes > MOST_DEFLATED * item.id.get_storage_size() + FILLED:
+                raise ValueError(f"{place} has fewer values than it declares")
             name, unit = item.attrs.get("name"), item.attrs.get("unit")
             if name is None:
                 name, unit = split_heading(place.replace("/", "."), names)
@@ -61,9 +64,12 @@ class Hdf5(Source):
         optional("h5py", "--format hdf5")
 
     def write(self, path: Path, columns: Sequence[SourceColumn]) -> None:
-        """Write a dataset per column; dots of a name separate groups."""
+        """Write a dataset per column; dots of a name separate groups.
+
+        The file is made in memory, because the HDF5 library ends the process if a disk is full.
+        """
         h5py = optional("h5py", "--format hdf5")
-        with draft_of(path) as draft, h5py.File(draft, "w") as file:
+        with h5py.File(path.name, "w", driver="core", backing_store=False) as file:
             for number, column in enumerate(columns):
                 place = column.name if column.name == "time" else _place(column.name)
                 if place in file or place.startswith("time/"):  # beside the dataset of the time no group has its name
@@ -74,6 +80,10 @@ class Hdf5(Source):
                 compression = "gzip" if len(values) >= MIN_COMPRESSED else None
                 data = file.create_dataset(place, data=values, compression=compression)
                 data.attrs.update({"name": column.name, "unit": column.unit, "column": number})
+            file.flush()
+            content = file.id.get_file_image()
+        with draft_of(path) as draft:
+            draft.write_bytes(content)
 
 
 HDF5 = Hdf5()

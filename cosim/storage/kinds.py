@@ -14,6 +14,7 @@ from pathlib import Path
 from cosim.base.errors import InputError
 from cosim.storage import messages
 from cosim.storage.artefact import Artefact, artefacts, folder_kind, kind_by_keys, kind_where, of_kind
+from cosim.storage.files import open_bytes
 from cosim.storage.kind_names import (
     ANSWER as ANSWER,
 )
@@ -114,10 +115,8 @@ class Form:
 def kind_by_form(path: Path) -> str | None:
     """Return the kind of a file by first bytes or ending; None if only its keys can decide."""
     head = b""
-    with suppress(OSError, ValueError):
-        if path.is_file():
-            with path.open("rb") as stream:
-                head = stream.read(HEAD)
+    with suppress(OSError, ValueError), open_bytes(path) as stream:
+        head = stream.read(HEAD)
     form = Form(path, head)
     return (
         kind_where(form.is_of)

@@ -15,6 +15,7 @@ from cosim.base.arrays import Array
 from cosim.base.drafts import draft_of
 from cosim.base.errors import InputError
 from cosim.storage import messages
+from cosim.storage.files import open_bytes
 from cosim.storage.table_columns import split_heading
 from cosim.storage.table_source import HEAD, Frame, Source, SourceColumn, as_text, time_among, whole_numbers
 
@@ -82,7 +83,7 @@ def _content(path: Path) -> Mapping[str, Any]:
     from scipy.io import loadmat
 
     try:
-        with path.open("rb") as stream:
+        with open_bytes(path) as stream:
             if stream.read(HEAD).startswith(OF_OCTAVE):
                 raise InputError.at(path, messages.OCTAVE_FORMAT())
         content: Mapping[str, Any] = loadmat(path)

@@ -62,6 +62,16 @@ class Kind:
         return bool(self.inner or self.keys)
 
 
+class _Number(Kind):
+    """Type of a number, or of null."""
+
+    def has_class(self, value: Any) -> bool:
+        return type(value) in {int, float, type(None)}
+
+    def is_sound(self, value: Any) -> bool:
+        return self.has_class(value)
+
+
 class WrongValue(NamedTuple):
     """A value of a record that has another type than it should."""
 
@@ -73,7 +83,12 @@ class WrongValue(NamedTuple):
 TEXT, WHOLE = Kind("text", str), Kind("a whole number", int)
 MAPPING = Kind("a mapping", dict)
 TEXTS, MAPPINGS = Kind("a list of texts", list, TEXT), Kind("a list of mappings", list, MAPPING)
-CRITERION = Kind("a mapping", dict, keys={"kind": TEXT, "of": TEXT, "met": Kind("true or false", bool)})
+NUMBER = _Number("a number", float)
+CRITERION = Kind(
+    "a mapping",
+    dict,
+    keys={"kind": TEXT, "of": TEXT, "met": Kind("true or false", bool), "value": NUMBER, "max": NUMBER},
+)
 SCENARIO = Kind("a mapping", dict, keys={"name": TEXT, "components": Kind("a mapping", dict, MAPPING)})
 COMMON = {
     "schema_version": WHOLE,

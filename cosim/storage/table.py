@@ -20,7 +20,7 @@ WHOLE = re.compile(r"[-+]?\d+")
 
 
 def read_columns(path: Path, names: Collection[str] = (), text: Collection[str] = ()) -> Table:
-    """Read time [s] and every fully numeric column.
+    """Read time [s] and every fully numeric column. Equal times are a jump.
 
     Args:
         names: Required columns, whose brackets are not units. If given, other columns may hold non-numbers and are then
@@ -43,7 +43,7 @@ def read_columns(path: Path, names: Collection[str] = (), text: Collection[str] 
         spare = bool(names) and heading.name not in names
         return Column(heading, role="" if spare else "a column played back", spare=spare)
 
-    table = read_table(faults, choose, "signals", "leave out columns or rows", names=names)
+    table = read_table(faults, choose, "signals", "leave out columns or rows", names=names, jumps=True)
     if table.whole and not table.rows and not faults.counts:
         faults.note(table.header + 1, 1, messages.NO_ROW())
     faults.raise_any()
@@ -93,6 +93,7 @@ def read_table(
     timed: bool = True,
     names: Container[str] = (),
     times: Collection[str] = (),
+    jumps: bool = False,
 ) -> Table:
     """Read a file as far as possible and note its faults. Further arguments are those of `TableRequest`."""
     if not is_there(faults):
@@ -102,7 +103,7 @@ def read_table(
     except InputError as error:
         faults.items += error.faults
         return Table()
-    return source.table(faults, TableRequest(choose, holds, shorter, timed, names, times))
+    return source.table(faults, TableRequest(choose, holds, shorter, timed, names, times, jumps))
 
 
 def is_there(faults: Faults) -> bool:

@@ -125,6 +125,7 @@ class TableRequest:
         holds: Description of the columns after time, for messages on empty files.
         shorter: Remedy for a file that is too large.
         timed: Whether the first column is `time`, increasing.
+        jumps: Whether equal times are allowed, which are a jump.
         names: Known names, whose brackets are not units.
         times: Alternative names of the first column.
     """
@@ -135,6 +136,7 @@ class TableRequest:
     timed: bool = True
     names: Container[str] = ()
     times: Collection[str] = ()
+    jumps: bool = False
 
     @property
     def description(self) -> str:

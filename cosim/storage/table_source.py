@@ -19,6 +19,7 @@ from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.base.registry import SOURCES, load, names, resolve
 from cosim.storage import messages
+from cosim.storage.files import open_bytes
 from cosim.storage.table_columns import (
     MOST_TIME,
     Column,
@@ -134,11 +135,13 @@ class Source:
         headings = [Heading(0, cell, c.name, c.unit) for cell, c in enumerate(frame.columns, 1)]
         choose_columns(table, headings, faults, request)
         if not request.timed or "time" in table.columns:
-            fill(table, frame.columns, frame.row_lines, faults, timed=request.timed)
+            fill(table, frame.columns, frame.row_lines, faults, request)
         return table
 
 
-def fill(table: Table, columns: Sequence[SourceColumn], lines: Sequence[int], faults: Faults, *, timed: bool) -> None:
+def fill(
+    table: Table, columns: Sequence[SourceColumn], lines: Sequence[int], faults: Faults, request: TableRequest
+) -> None:
     """Fill a table's columns and note their faults."""
     for column in table.columns.values():
         source = columns[column.cell - 1]
@@ -155,11 +158,12 @@ def fill(table: Table, columns: Sequence[SourceColumn], lines: Sequence[int], fa
             message = messages.COLUMN_WITHOUT_NUMBERS(column=column.name, reason=reason)
             faults.note_cell(1, column.cell, f"cells of {column.name} that are no number", message)
         numbers: Array = column.convert(values)
-        if timed and column.name == "time" and not column.spare:
+        if request.timed and column.name == "time" and not column.spare:
             for row in np.flatnonzero(np.abs(numbers) > MOST_TIME).tolist():
                 note_distant(faults, lines[row], float(numbers[row]))
             numbers = np.clip(numbers, -MOST_TIME, MOST_TIME)
-            for row in (np.flatnonzero(np.diff(numbers) <= 0.0) + 1).tolist():
+            steps = np.diff(numbers)
+            for row in (np.flatnonzero(steps < 0.0 if request.jumps else steps <= 0.0) + 1).tolist():
                 note_backwards(faults, lines[row], float(numbers[row]), float(numbers[row - 1]))
         table.values[column.name] = array("d", numbers.tobytes())
     table.lines = array("q", lines)
@@ -216,7 +220,7 @@ def source_of(path: Path) -> Source:
         InputError: The format is unknown.
     """
     head = b""
-    with suppress(OSError, ValueError), path.open("rb") as stream:
+    with suppress(OSError, ValueError), open_bytes(path) as stream:
         head = stream.read(HEAD)
     by_suffix = [s for s in sources() if path.suffix.lower() in s.suffixes][:1]
     if by_head := [s for s in (*by_suffix, *sources()) if s.magic and head.startswith(s.magic)]:

@@ -129,16 +129,18 @@ class _PartOfBatch:
     def rows(self, columns: Sequence[int]) -> Array:
         """Step all runs and return rows, shape (steps + 1, columns, runs)."""
         table = np.empty((self.steps + 1, len(columns), self.count))
-        pulls = {s.component.name: s.pulls for s in self.system.stages}
-        self._settle(pulls)
+        self._settle({s.component.name: s.transfers for s in self.system.stages})
         table[0] = self.row[columns, : self.count]
         h, begin = self.h, self.system.start
         next_t = begin
         for k in range(1, self.steps + 1):
             t, next_t = next_t, begin + k * h
-            for stage, (name, twin) in zip(self.system.stages, self.twins, strict=True):
-                self._transfer(pulls[name], k)
+            for stage, (_, twin) in zip(self.system.stages, self.twins, strict=True):
+                self._transfer(stage.pulls, k)
                 twin.advance(t, h if stage.component.nominal_step else next_t - t)
+                if stage.late:
+                    self._transfer(stage.late, k)
+                    twin.settle()
             self._transfer(self.system.held, k)
             table[k] = self.row[columns, : self.count]
         return table
@@ -167,4 +169,4 @@ class _PartOfBatch:
 
 
 def _transfers(system: System) -> list[Transfer]:
-    return [*system.held, *(t for stage in system.stages for t in stage.pulls)]
+    return [*system.held, *(t for stage in system.stages for t in stage.transfers)]

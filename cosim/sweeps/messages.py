@@ -86,6 +86,10 @@ DASK_WORKER_FAILED = Template(
     "a dask worker failed: {reason}; see the log of the worker; the same command goes on with the runs that are there",
 )
 STOPPED = Template("E-SWP-036", "stopped: {stored} of {runs} are kept in {path}; the same command goes on with them")
+DISK_FULL = Template(
+    "E-SWP-046",
+    "the disk is full: {stored} of {runs} are kept in {path}; make room, and the same command goes on with them",
+)
 NO_RUN_COMPLETED = Template("E-SWP-037", "all {runs} failed; run 0: {error}")
 ARRAYS_DISAGREE = Template(
     "W-SWP-038",

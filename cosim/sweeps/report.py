@@ -16,6 +16,7 @@ from cosim.report.html_tables import Badge
 from cosim.report.panels import Band, Panel, Trace
 from cosim.report.svg import TICKS_UP, Plot, make_axis
 from cosim.report.template import render
+from cosim.storage.kinds import shell_path
 from cosim.sweeps import messages
 from cosim.sweeps.run_statistics import MIN_RUNS, Sensitivity, quantiles, sensitivity
 from cosim.sweeps.sampling import are_numbers
@@ -63,7 +64,7 @@ def page(swept: Swept) -> str:
             "way": way_sentence(record),
             "check": swept.check,
             "sampling_note": _sampling_note(swept),
-            "repeat": f"cosim sweep {swept.sweep.yaml.path}",
+            "repeat": f"cosim sweep {shell_path(swept.sweep.yaml.path)}",
             "version": __version__,
         },
     )

@@ -17,11 +17,13 @@ from cosim.base.arrays import Array
 from cosim.base.errors import CosimError, InputError
 from cosim.base.messages import Message, code_of
 from cosim.blocks.fmu import FmuBlock
+from cosim.blocks.shared_code import SharedCode
 from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
 from cosim.isolation.rows import GET, Rows
 from cosim.isolation.watch import Watch, fmi_calls
 from cosim.master.master import StoppedRun, simulate
+from cosim.master.own_process import in_own_processes
 from cosim.scenario.controller_design import designed_values
 from cosim.scenario.scenario import Scenario
 from cosim.scenario.scenario_file import ScenarioFile
@@ -264,6 +266,7 @@ def _run_fmus(job: Job, assembled: _AssembledScenario, request: RunRequest) -> R
     if progress is not None:
         progress.made[0] = 0  # clears the count of the previous run
         rows = replace(rows, made=progress.made, doing=progress.doing)
+        system = in_own_processes(system, scenario.limits or Limits())
         for stage in system.stages:
             here.share_log(stage.component)
     try:
@@ -273,6 +276,8 @@ def _run_fmus(job: Job, assembled: _AssembledScenario, request: RunRequest) -> R
             raise KeyboardInterrupt from None
         reason = str(stop.error)
     except CosimError as error:
+        if isinstance(error, SharedCode) and progress is not None:
+            raise  # Another process makes the run.
         reason = str(error)
     else:
         if len(results.time) > scenario.steps:

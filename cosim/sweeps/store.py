@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import errno
 import itertools
 import json
 import os
 import sqlite3
 import stat
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -18,6 +20,7 @@ from cosim.base.drafts import draft_of
 from cosim.base.errors import InputError
 from cosim.base.extras import optional
 from cosim.base.messages import Message, code_of
+from cosim.storage.files import open_bytes
 from cosim.sweeps import messages
 from cosim.sweeps.run_chunks import RunResult
 
@@ -41,13 +44,14 @@ class Database:
         try:
             self._base = sqlite3.connect(self.path)
             self._base.execute("PRAGMA synchronous = NORMAL")
-            for table in (RUNS, CHECKS):
-                self._base.execute(f"CREATE TABLE IF NOT EXISTS {table} ({COLUMNS})")
-            self._base.execute("CREATE TABLE IF NOT EXISTS sweep (key TEXT, content TEXT)")
-            self._base.commit()
+            with self._transaction():
+                for table in (RUNS, CHECKS):
+                    self._base.execute(f"CREATE TABLE IF NOT EXISTS {table} ({COLUMNS})")
+                self._base.execute("CREATE TABLE IF NOT EXISTS sweep (key TEXT, content TEXT)")
+            stored = self.get("key")
         except sqlite3.Error as error:
             raise InputError.at(self.path, messages.DAMAGED_DATABASE(reason=str(error))) from None
-        if self.get("key") not in {None, key}:
+        if stored not in {None, key}:
             self._base.close()
             raise InputError.at(self.path, messages.RUNS_OF_ANOTHER_SWEEP())
         self.put("key", key)
@@ -63,9 +67,20 @@ class Database:
         row = self._base.execute("SELECT content FROM sweep WHERE key = ?", (name,)).fetchone()
         return None if row is None else str(row[0])
 
+    @contextmanager
+    def _transaction(self) -> Iterator[None]:
+        """Store all changes of a block or none; raise OSError for a disk without space."""
+        try:
+            with self._base:
+                yield
+        except sqlite3.Error as error:
+            if error.sqlite_errorcode & 0xFF not in {sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR}:  # also beyond a quota
+                raise
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.path)) from None
+
     def put(self, name: str, content: str) -> None:
         """Store a text under a name."""
-        with self._base:
+        with self._transaction():
             self._base.execute("DELETE FROM sweep WHERE key = ?", (name,))
             self._base.execute("INSERT INTO sweep VALUES (?, ?)", (name, content))
 
@@ -76,7 +91,7 @@ class Database:
             blobs = (np.array(m.values).tobytes(), np.array(m.met, bool).tobytes(), m.signals.tobytes())
             status = f"{m.status}\t{code_of(m.status)}"  # a status has no tab
             rows.append((m.run, status, m.through, *blobs, len(m.signals)))
-        with self._base:
+        with self._transaction():
             self._base.executemany(f"INSERT INTO {table} VALUES (?, ?, ?, ?, ?, ?, ?)", rows)
 
     def numbers(self, table: str = RUNS) -> set[int]:
@@ -152,7 +167,8 @@ def read_table(path: Path) -> tuple[pyarrow.Table, dict[str, Any]]:
     Raises:
         OSError: The file is unreadable; ValueError for a damaged file.
     """
-    table = optional("pyarrow.parquet", TABLE_USE).read_table(path)
+    with open_bytes(path) as stream:
+        table = optional("pyarrow.parquet", TABLE_USE).read_table(stream)
     return table, json.loads((table.schema.metadata or {}).get(b"cosim", b"{}"))
 
 

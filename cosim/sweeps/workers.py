@@ -16,6 +16,7 @@ from cosim.base.errors import CosimError, Fault, InputError, SimulationError, Sw
 from cosim.base.extras import optional
 from cosim.base.text import counted
 from cosim.base.version import __version__
+from cosim.blocks.shared_code import SharedCode
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.storage.yaml_file import YamlFile
@@ -98,7 +99,7 @@ def _call_worker(worker: Worker, chunk: Chunk) -> list[RunResult]:
             make_runs, job, requests, chunk.way, watch=job.watched.watch(chunk.limits)
         )
         return results
-    except SimulationError as error:  # a crash or an exceeded limit
+    except (SimulationError, SharedCode) as error:  # a crash, an exceeded limit, FMUs that share no process
         if len(requests) == 1:
             return [failed_run(requests[0].run, str(error), chunk.criteria, chunk.way)]
     return [run for request in requests for run in _call_worker(worker, replace(chunk, requests=[request]))]

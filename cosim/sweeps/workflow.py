@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.errors import InputError, SweepFailed, SweepStopped, Terminated
+from cosim.base.drafts import is_full
+from cosim.base.errors import DiskFull, InputError, SweepFailed, SweepStopped, Terminated
 from cosim.base.extras import optional
 from cosim.base.messages import Message, code_of
 from cosim.base.settings import Count
@@ -179,6 +180,13 @@ class _Sweep:
             if isinstance(stop, Terminated):
                 error.exit_code = Terminated.exit_code
             raise error from None
+        except OSError as error:
+            if not is_full(error):
+                raise
+            stored, runs = len(self.base.numbers()), counted(self.study.count, "run")
+            full = SweepStopped(messages.DISK_FULL(stored=stored, runs=runs, path=self.base.path))
+            full.exit_code = DiskFull.exit_code
+            raise full from None
         record = self._record(way, why)
         names, signals = [c["name"] for c in record["criteria"]], self.study.job.signals
         about = {"key": self.study.key, "times": record["times"], "units": record["units"], "signals": signals}

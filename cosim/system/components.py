@@ -16,12 +16,13 @@ from cosim.blocks.fixes import COUNT, Fixes, Sensor
 from cosim.blocks.fmi_types import element_names, kinds_of
 from cosim.blocks.fmu import FmuBlock, matches
 from cosim.blocks.remote_fmu import Distant, RemoteFmu, find_distant
-from cosim.blocks.sources import playback, reference
+from cosim.blocks.sources import SourceBlock, playback, reference
 from cosim.blocks.wire import LinkError
 from cosim.scenario.diagnosis import Diagnosis
 from cosim.scenario.scenario import FixComponent, FmuComponent, PlaybackComponent, ReferenceComponent, Scenario
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.scenario.start_values import Misfit, convert_value, kind_of, settable, with_elements
+from cosim.storage.kinds import shell_path
 from cosim.storage.yaml_file import did_you_mean
 from cosim.system import messages
 from cosim.system.event_blocks import event_block
@@ -42,6 +43,7 @@ def build_components(file: ScenarioFile, designed: Designed, diagnosis: Diagnosi
             diagnosis.note(("components", name, "fmu"), str(error), exit_code=3)
         else:
             components |= {name: block} if block is not None else {}
+    _hold_whole_signals(file, components)
     return components
 
 
@@ -54,10 +56,11 @@ def _component(
     diagnosis: Diagnosis,
 ) -> Component | None:
     if isinstance(component, ReferenceComponent):
-        return reference(name, component.signals)
+        return reference(name, component.signals, file.scenario.step)
     if isinstance(component, PlaybackComponent):
-        sources = [connection.source for connection in file.scenario.connections]
-        return playback(name, file.resolve(component.file), _variables_of(name, sources), _exact(file, name, read))
+        names = _variables_of(name, [connection.source for connection in file.scenario.connections])
+        exact, linear = _exact(file, name, read), component.interpolation == "linear"
+        return playback(name, file.resolve(component.file), names, exact, step=file.scenario.step, linear=linear)
     if isinstance(component, FixComponent):
         return _fixes(file.scenario, name, component, diagnosis)
     return _fmu(file, name, component, designed, read, diagnosis)
@@ -80,6 +83,18 @@ def _exact(file: ScenarioFile, name: str, read: Callable[[Path], Any]) -> dict[s
             if of in kinds and kinds[of].beside:
                 types[column] = of
     return types
+
+
+def _hold_whole_signals(file: ScenarioFile, components: Mapping[str, Component]) -> None:
+    """Hold recorded signals that feed inputs other than reals, which are not interpolated."""
+    for connection in file.scenario.connections:
+        owner, _, column = connection.source.partition(".")
+        target, _, variable = connection.target.partition(".")
+        source = components.get(owner)
+        if isinstance(source, SourceBlock) and column in source.interpolated and target in components:
+            signals = (*components[target].inputs, *components[target].exact_inputs)
+            if any(s.is_whole for s in signals if variable in (s.name, s.array)):
+                source.hold(column)
 
 
 def _fixes(scenario: Scenario, name: str, component: FixComponent, diagnosis: Diagnosis) -> Fixes | None:
@@ -147,6 +162,7 @@ def _fmu(
         logging=component.logging,
         solver=component.solver,
         solver_step=component.solver_step,
+        max_steps=component.max_steps,
         feedthrough=None if component.feedthrough is None else frozenset(component.feedthrough),
     )
 
@@ -171,7 +187,7 @@ def _variables_of(component: str, ends: Iterable[str]) -> set[str]:
 def _cure(file: ScenarioFile, path: Path) -> str:
     """Return what provides a missing FMU, "" if nothing is known to."""
     is_built = is_model(BASE) and path.name in model_entry().built
-    cure = f'; "cosim build --out {path.parent}" makes it' if is_built else ""
+    cure = f'; "cosim build --out {shell_path(path.parent)}" makes it' if is_built else ""
     return cure if file.manifest is None else f"{cure}; put it there, or {path.name} beside {file.path.name}"
 
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from cosim.base.times import first_point
 from cosim.blocks.description import enumeration_items, unit_of
-from cosim.blocks.faults import steps_in
 from cosim.blocks.fmu import FmuBlock
 from cosim.scenario.diagnosis import Diagnosis
 from cosim.scenario.scenario import FmuComponent
@@ -19,17 +18,6 @@ from cosim.system import messages
 from cosim.system.event_blocks import clock_interval
 
 Events = Mapping[int, Mapping[str, Mapping[str, Any]]]  # communication point → component → variable → value
-
-
-def point_of(at: float, start: float, step: float) -> int:
-    """Return the first communication point at or after a time [s]."""
-    return math.ceil(steps_in(at - start, step) - 1e-9)
-
-
-def time_of(point: int, start: float, step: float) -> float:
-    """Return a time [s] of an event that acts at a communication point."""
-    at = start + point * step
-    return at if point_of(at, start, step) == point else start + (point - 0.5) * step  # rounding of a late start
 
 
 def changes_of(file: ScenarioFile, blocks: Mapping[str, FmuBlock], diagnosis: Diagnosis) -> Events:
@@ -44,7 +32,7 @@ def changes_of(file: ScenarioFile, blocks: Mapping[str, FmuBlock], diagnosis: Di
     values: dict[tuple[float, str], Any] = {}
     events = zip(file.places["events"], scenario.events, strict=True)
     for k, event in sorted(events, key=lambda placed: placed[1].at):
-        point = point_of(event.at, scenario.start_time, scenario.step)
+        point = first_point(event.at, scenario.start_time, scenario.step)
         if not 0 <= point <= scenario.steps:
             end = scenario.start_time + scenario.duration
             message = messages.EVENT_OUTSIDE_RUN(time=event.at, start=scenario.start_time, end=end)

@@ -1,16 +1,19 @@
-"""Stepping order of components, and the transfers right before each of them."""
+"""Stepping order of components, and the transfers around the step of each of them."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 from cosim.base.messages import Message, code_of, join
 from cosim.base.text import join_names
+from cosim.base.times import steps_in
 from cosim.blocks.component import Component, Signal
 from cosim.blocks.event_mode import EventFmu
-from cosim.blocks.faults import steps_in
+from cosim.blocks.fixes import Fixes
 from cosim.blocks.fmu import FmuBlock
+from cosim.blocks.sources import SourceBlock
 from cosim.coupling.algorithms import DEFAULT, WITHOUT_ORDER, Algorithm, algorithms
 from cosim.coupling.messages import ASSUMED_WITHOUT_FEEDTHROUGH
 from cosim.coupling.order import AlgebraicLoop, Plan
@@ -26,11 +29,23 @@ FEEDTHROUGH = "feedthrough"  # key of a component
 
 @dataclass(frozen=True)
 class Stage:
-    """A component with the transfers before its step, every `every`-th communication point."""
+    """A component with the transfers around its step, every `every`-th communication point.
+
+    Attributes:
+        pulls: Transfers before its step.
+        late: Transfers after its step: values of known signals at the end of the step. The inputs are then set and the
+            outputs read again, so that a value acts from its time on and the outputs of a row belong to its inputs.
+    """
 
     component: Component
     pulls: tuple[Transfer, ...] = ()
     every: int = 1
+    late: tuple[Transfer, ...] = ()
+
+    @property
+    def transfers(self) -> tuple[Transfer, ...]:
+        """Return the transfers before and after its step."""
+        return *self.pulls, *self.late
 
 
 @dataclass(frozen=True)
@@ -58,6 +73,7 @@ class Schedule:
     Attributes:
         opened: Possible loops that are left open: by the order, by the algorithm, or by an assumption.
         assumed: Whether the order assumes that inputs without declared dependencies have no direct feedthrough.
+        known: Names of components whose outputs are known functions of time.
     """
 
     stages: tuple[Stage, ...] = ()
@@ -66,6 +82,7 @@ class Schedule:
     loops: tuple[Loop, ...] = ()
     opened: tuple[Loop, ...] = ()
     assumed: bool = False
+    known: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True)
@@ -75,32 +92,70 @@ class _Graph:
     Attributes:
         every: Component → its step in steps of the scenario.
         wired: Edge and transfers of each connection.
+        interpolates: Whether inputs follow polynomials between values at the start and the end of a step.
     """
 
     components: Components
     every: Mapping[str, int]
     wired: Sequence[tuple[Edge, Sequence[Transfer]]]
+    interpolates: bool = False
 
     @property
     def edges(self) -> list[Edge]:
         """Return the edge of each connection."""
         return [edge for edge, _ in self.wired]
 
-    def sort_transfers(self, plan: Plan) -> tuple[list[Transfer], dict[str, list[Transfer]], tuple[Loop, ...]]:
-        """Return held transfers, pulls by component, and loops with their transfers."""
+    @cached_property
+    def known(self) -> frozenset[str]:
+        """Return the components whose outputs are known functions of time.
+
+        These are references, recordings and FMUs without inputs, and fixes fed only by them.
+        """
+        sources = FmuBlock | SourceBlock
+        known = {n for n, c in self.components.items() if isinstance(c, sources) and not (c.inputs or c.exact_inputs)}
+        fixes = {name for name, component in self.components.items() if isinstance(component, Fixes)}
+        while more := {n for n in fixes - known if known.issuperset(s for s, target, *_ in self.edges if target == n)}:
+            known |= more
+        return frozenset(known)
+
+    def sort_transfers(self, plan: Plan) -> tuple[tuple[Transfer, ...], tuple[Stage, ...], tuple[Loop, ...]]:
+        """Return held transfers, stages with their transfers, and loops with theirs."""
         loop_of = {name: k for k, members in enumerate(plan.loops) for name in members}
         held: list[Transfer] = []
         solved: list[list[Transfer]] = [[] for _ in plan.loops]
         pulls: dict[str, list[Transfer]] = {name: [] for name in plan.order}
-        for ((source, target, *_), connection), is_immediate in zip(self.wired, plan.immediate, strict=True):
-            if not is_immediate:
+        late: dict[str, list[Transfer]] = {name: [] for name in plan.order}
+        for (edge, connection), is_immediate in zip(self.wired, plan.immediate, strict=True):
+            source, target, *_ = edge
+            way = self._way_of_known(edge) or ("pulled" if is_immediate else "held")
+            if way == "late":
+                late[target] += connection
+            elif way == "held":
                 held += connection
             elif target in loop_of and loop_of.get(source) == loop_of[target]:
                 solved[loop_of[target]] += connection
             else:
                 pulls[target] += connection
         loops = (Loop(members, tuple(own)) for members, own in zip(plan.loops, solved, strict=True))
-        return held, pulls, tuple(loops)
+        order = sorted(plan.order, key=lambda name: name not in self.known)  # Known signals come first.
+        stages = (Stage(self.components[n], tuple(pulls[n]), self.every[n], tuple(late[n])) for n in order)
+        return tuple(held), tuple(stages), tuple(loops)
+
+    def _way_of_known(self, edge: Edge) -> str:
+        """Return how an input gets the values of a known signal: pulled, late or held; "" if the plan decides.
+
+        A sampled FMU computes its outputs for the end of its step, where it samples its inputs, so the plan decides.
+        """
+        source, target, name, output = edge
+        component, origin = self.components[target], self.components[source]
+        if source not in self.known or getattr(component, "is_sampled", False):
+            return ""
+        if isinstance(component, Fixes):
+            return "pulled"
+        if self.interpolates and (not isinstance(origin, SourceBlock) or output in origin.interpolated):
+            return "pulled"
+        is_seen = component.depends_on(name) is not False or any(signal.local for signal in component.outputs)
+        return "late" if is_seen else "held"
 
     def left_open(self, solved: Collection[tuple[str, ...]], key: str, assumptions: Sequence[str]) -> Iterator[Loop]:
         """Yield the unsolved loops that exist if inputs without declared dependencies have feedthrough.
@@ -110,7 +165,7 @@ class _Graph:
         """
         note = messages.NO_LOOP_AT_START if key == FEEDTHROUGH and not assumptions else messages.LEFT_OPEN
         plan = DEFAULT.plan_with_loops(self.components, self.edges, None, undeclared=True)
-        for loop in self.sort_transfers(plan)[2]:
+        for loop in self.sort_transfers(plan)[-1]:
             if loop.members not in solved:
                 fault = next((fault for _, fault in self.faults(loop)), None)
                 cure = join("; ", assumptions) or self._cure(loop, key, fault)
@@ -155,34 +210,39 @@ class _Graph:
 
 
 def schedule(
-    scenario: Scenario, components: Components, transfers: Sequence[Sequence[Transfer]], diagnosis: Diagnosis
+    scenario: Scenario,
+    components: Components,
+    transfers: Sequence[Sequence[Transfer]],
+    diagnosis: Diagnosis,
+    *,
+    interpolates: bool = False,
 ) -> Schedule:
     """Return the schedule of a scenario; note a fault and return an empty schedule if none exists.
 
     Args:
         transfers: Transfers of each connection.
+        interpolates: Whether inputs follow polynomials between values at the start and the end of a step.
     """
     every = {name: _every(scenario, name, diagnosis) for name in components}
     wired = [(_edge(c), ends) for c, ends in zip(scenario.connections, transfers, strict=True) if not ends[0].is_clock]
-    graph = _Graph(components, every, wired)
+    graph = _Graph(components, every, wired, interpolates)
     algorithm = algorithms()[scenario.algorithm]
     order = scenario.order if algorithm.sequential else None
     plan = _plan(scenario, algorithm, order, graph, diagnosis)
     if plan is None:
         return Schedule()
     diagnosis.warnings += plan.notes
-    held, pulls, loops = graph.sort_transfers(plan)
+    held, stages, loops = graph.sort_transfers(plan)
     for loop in loops:
         for place, fault in graph.faults(loop):
             diagnosis.note(place, fault)
-    stages = tuple(Stage(components[n], tuple(pulls[n]), every[n]) for n in plan.order)
     assumptions = [note for note in plan.notes if code_of(note) == ASSUMED_WITHOUT_FEEDTHROUGH.code]
     opened: tuple[Loop, ...] = ()
     if scenario.loops is None:
         key = FEEDTHROUGH if algorithm.solves_loops else f"algorithm: {algorithm.name}"
         opened = tuple(graph.left_open(plan.loops, key if order is None else "order", assumptions))
         diagnosis.warnings += _loop_notes(loops, components)
-    return Schedule(stages, tuple(held), _clock_wires(transfers), loops, opened, bool(assumptions))
+    return Schedule(stages, held, _clock_wires(transfers), loops, opened, bool(assumptions), graph.known)
 
 
 def _plan(

@@ -16,6 +16,7 @@ from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fixes import Fixes
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.remote_fmu import RemoteFmu
+from cosim.blocks.shared_code import separate
 from cosim.blocks.sources import Recorded, SourceBlock
 from cosim.fmi.sampled import sampled_by
 from cosim.scenario.diagnosis import Diagnosis, Place
@@ -79,6 +80,7 @@ class System:
     recording: RecordedPart | None = None
     opened: tuple[Loop, ...] = ()
     assumed: bool = False
+    known: frozenset[str] = frozenset()
 
     @property
     def names(self) -> list[str]:
@@ -104,7 +106,7 @@ class System:
             component, signals = stage.component, [s for s in stage.component.outputs if s.discrete or s.is_whole]
             if isinstance(component, SourceBlock):
                 pairs = zip(component.outputs, component.functions, strict=True)
-                signals = [s for s, f in pairs if isinstance(f, Recorded) and not getattr(f, "is_linear", False)]
+                signals = [s for s, f in pairs if isinstance(f, Recorded) and not f.is_linear]
             elif stage.every > 1 or isinstance(component, Fixes):
                 signals = [*component.inputs, *component.outputs]
             elif isinstance(component, FmuBlock) and sampled_by(component.path) is not None:
@@ -141,17 +143,21 @@ def build_system(file: ScenarioFile, start_values: Designed | None = None) -> Sy
     if is_whole:
         _check_criteria(scenario, layout.columns, recording, diagnosis)
     is_connected = is_whole and all(transfers)
-    plan = schedule(scenario, components, transfers, diagnosis) if is_connected else Schedule()
-    check_events(plan, scenario.isolated, diagnosis, scenario.targets)
-    control = control_of(scenario, components, layout, list(chain.from_iterable(transfers)), diagnosis)
+    courses = courses_of(scenario, components)
+    way = {"interpolates": courses[1] > 0}
+    plan = schedule(scenario, components, transfers, diagnosis, **way) if is_connected else Schedule()
     blocks = {name: c for name, c in components.items() if isinstance(c, FmuBlock)}
+    here = [(name, block.path) for name, block in blocks.items() if not isinstance(block, RemoteFmu)]
+    separated, notes = separate(here, scenario.isolated)
+    check_events(plan, scenario.isolated | separated, diagnosis, scenario.targets)
+    control = control_of(scenario, components, layout, list(chain.from_iterable(transfers)), diagnosis)
     events = changes_of(file, blocks, diagnosis)
     _check_record(file, components, diagnosis)
     targets = Targets({name: block.description for name, block in blocks.items()}, scenario.targets)
     check_live(file, targets, layout.columns, layout.beside, diagnosis)
     diagnosis.raise_any()
     of_blocks = chain.from_iterable(block.warnings for block in blocks.values())
-    warnings = *diagnosis.warnings, *connection_warnings(file, components), *of_blocks
+    warnings = *diagnosis.warnings, *connection_warnings(file, components), *of_blocks, *notes
     return System(
         plan.stages,
         plan.held,
@@ -164,16 +170,17 @@ def build_system(file: ScenarioFile, start_values: Designed | None = None) -> Sy
         layout.beside,
         layout.signals,
         events,
-        scenario.isolated,
+        scenario.isolated | separated,
         clock_wires=plan.clock_wires,
         loops=plan.loops,
         solving=scenario.loops,
         control=control,
-        courses=courses_of(scenario, components),
+        courses=courses,
         distant={name: c.distant.sha256 for name, c in blocks.items() if isinstance(c, RemoteFmu)},
         recording=recording,
         opened=plan.opened,
         assumed=plan.assumed,
+        known=plan.known,
     )
 
 

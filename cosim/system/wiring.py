@@ -10,9 +10,10 @@ from typing import Any
 
 from cosim.base.errors import SimulationError
 from cosim.base.messages import with_prefix
+from cosim.base.times import whole_steps
 from cosim.base.units import UnitAssumption, assume_si
 from cosim.blocks.component import Component, Signal
-from cosim.blocks.faults import Addition, LinkFunction, Scaling, fault_function, points, whole_steps
+from cosim.blocks.faults import Addition, LinkFunction, Scaling, fault_function, points
 from cosim.blocks.fmi_types import is_compatible
 from cosim.blocks.noise import gaussian, stream
 from cosim.blocks.stepping import ConvertedLink, LinkKind, link

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Annotated
 
@@ -54,7 +55,7 @@ def command(
         if record.suffix == ".json" and record.is_file() and not content_of(record):
             raise InputError.at(folder, messages.NO_PAGE_OF_DAMAGED())
         cure = (
-            f"`cosim report {folder}` writes it"
+            f"`cosim report {shlex.quote(str(folder))}` writes it"
             if verb in {"run", "simulate", ""}
             else "run the command again with a report"
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from enum import StrEnum
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -20,12 +21,20 @@ if TYPE_CHECKING:
     from cosim.simulation.run_signals import Run
 
 
+class Interpolation(StrEnum):
+    """Values of an input between two rows."""
+
+    HELD = "held"
+    LINEAR = "linear"
+
+
 def simulate(
     fmu: FilePath,
     out: FilePath | None = None,
     set: Given | None = None,
     *,
     input: FilePath | None = None,
+    interpolation: str = "held",
     stop: Seconds | None = None,
     step: PositiveSeconds | None = None,
     record: Sequence[str] = (),
@@ -42,7 +51,8 @@ def simulate(
         fmu: The FMU.
         out: Folder for scenario.yaml, results.csv, manifest.json and report.html; None writes nothing.
         set: Parameter or input → value, or texts "name=value".
-        input: CSV file with time and columns named as inputs; each row holds until the next.
+        input: CSV file with time and columns named as inputs.
+        interpolation: Values of `input` between two rows: "held" from a row until the next, or "linear".
         stop: End of the simulation, in seconds or with a unit ("4 min"); by default that of the FMU or of `input`.
         step: Communication step, in seconds or with a unit; by default that of the FMU.
         record: Names or patterns of local variables and parameters to record too.
@@ -67,7 +77,9 @@ def simulate(
 
     with compiling(compile), results_in(out) as folder:
         steps = partial(simulate_fmu, stop=stop, step=step, in_process=in_process, progress=progress)
-        leaves = partial(steps, report=report and out is not None, force=force, format_=format)
+        leaves = partial(
+            steps, report=report and out is not None, force=force, format_=format, interpolation=interpolation
+        )
         outcome, notes = leaves(fmu, folder, start=normalize_settings(set), recorded=input, record=record)
     manifest = {**outcome.manifest, "warnings": [*notes, *outcome.manifest["warnings"]]}
     return run_of(outcome.results, manifest, None if out is None else outcome.folder)
@@ -84,6 +96,9 @@ def command(
         Path | None,
         typer.Option("--input", help="CSV file with time and columns named as inputs; each row holds until the next."),
     ] = None,
+    interpolation: Annotated[
+        Interpolation, typer.Option("--interpolation", help="Values of --input between two rows.")
+    ] = Interpolation.HELD,
     stop: Annotated[
         float | None,
         time_option("End of the simulation, for example 10 or 4min (default: that of the FMU or of --input)."),
@@ -117,7 +132,7 @@ def command(
 
     with compiling(compile_), progress_bar() as progress:
         steps = partial(simulate_fmu, stop=stop, step=step, in_process=in_process, progress=progress)
-        leaves = partial(steps, report=report, force=force, format_=format_)
+        leaves = partial(steps, report=report, force=force, format_=format_, interpolation=interpolation.value)
         outcome, notes = leaves(fmu, out, start=set_ or (), recorded=recorded, record=record or ())
     warn(*notes)
     if not as_json:

@@ -9,6 +9,8 @@ from contextlib import suppress
 
 import typer
 
+from cosim.base.messages import printable
+
 
 def open_streams() -> None:
     """Open /dev/null for each closed standard stream; otherwise a file opened later would take its number."""
@@ -24,10 +26,25 @@ def open_streams() -> None:
             stream.reconfigure(errors="backslashreplace")
 
 
+class Coloured(str):
+    """A line with a colour."""
+
+    colour: str
+
+    def __new__(cls, text: str, colour: str) -> Coloured:
+        """Return a line of a text."""
+        line = super().__new__(cls, text)
+        line.colour = colour
+        return line
+
+
 def echo(text: str, *, err: bool = False, nl: bool = True) -> None:
-    """Write to stdout or stderr; do nothing if the reader has closed the stream."""
+    """Write to stdout or stderr without control characters; do nothing if the reader has closed the stream."""
+    shown = printable(text)
+    if isinstance(text, Coloured):
+        shown = typer.style(shown, fg=text.colour)
     try:
-        typer.echo(text, err=err, nl=nl)
+        typer.echo(shown, err=err, nl=nl)
     except BrokenPipeError:
         with suppress(OSError, ValueError):  # of a stream that is no file
             nobody = os.open(os.devnull, os.O_WRONLY)

@@ -14,12 +14,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import typer
-
 from cosim.base.errors import CosimError, InputError, SimulationError
-from cosim.base.messages import code_of, with_severity
+from cosim.base.messages import code_of, printable, with_severity
 from cosim.verbs import messages
-from cosim.verbs.streams import echo
+from cosim.verbs.streams import Coloured, echo
 
 LONG_RUN, LONG_TIME = 2000, 2.0  # steps, or time [s], from which a progress bar is shown
 StageNumber = Callable[[str], tuple[int, int]]
@@ -119,7 +117,7 @@ def say_usage(error: Any) -> int:
     options = {*sys.argv[1:]}
     MANNER.verbose = not options.isdisjoint({"-v", "--verbose"})
     message = messages.WRONG_USAGE(reason=error.format_message())
-    error.format_message = lambda: _with_code(message, message.code)
+    error.format_message = lambda: printable(_with_code(message, message.code))
     error.show()
     if "--json" in options:
         say_json({"error": message, "code": message.code, "exit_code": error.exit_code, "faults": []})
@@ -148,12 +146,13 @@ def say_finding(line: str) -> None:
 
 def colour(met: bool, text: str) -> str:
     """Return a line in green or red; without colour for NO_COLOR or without a terminal."""
-    return text if os.environ.get("NO_COLOR") else typer.style(text, fg="green" if met else "red")
+    return text if os.environ.get("NO_COLOR") else Coloured(text, "green" if met else "red")
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     """Return the lines of a table; each column is as wide as its widest cell, empty columns are omitted."""
-    columns = [column for column in zip(header, *rows, strict=True) if any(column[1:])]
+    shown = ((printable(cell, one_line=True) for cell in line) for line in (header, *rows))
+    columns = [column for column in zip(*shown, strict=True) if any(column[1:])]
     cells = [*zip(*columns, strict=True)]
     widths = [max(map(len, column)) for column in columns]
     lines = ("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) for line in cells)
@@ -185,9 +184,10 @@ def progress_bar(activity: str = "simulating") -> Iterator[Callable[[int, int], 
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    columns = TextColumn(activity), BarColumn(), TextColumn("{task.percentage:>3.0f} %"), TimeRemainingColumn()
+    text = TextColumn("{task.description}", markup=False)
+    columns = text, BarColumn(), TextColumn("{task.percentage:>3.0f} %"), TimeRemainingColumn()
     bar = Progress(*columns, console=Console(stderr=True), transient=True)
-    task, first = None, math.inf
+    task, first, label = None, math.inf, printable(activity, one_line=True)
 
     def advance(done: int, total: int) -> None:
         nonlocal task, first
@@ -196,7 +196,7 @@ def progress_bar(activity: str = "simulating") -> Iterator[Callable[[int, int], 
             return
         if task is None:
             bar.start()
-            task = bar.add_task(activity, total=total)
+            task = bar.add_task(label, total=total)
         bar.update(task, completed=done)
 
     try:
@@ -224,14 +224,14 @@ def stages(numbered: StageNumber | None = None) -> Iterator[Callable[[str, float
     from rich.table import Column
 
     clock = TimeElapsedColumn(table_column=Column(no_wrap=True))  # on a narrow terminal the bar gets shorter
-    columns = clock, TextColumn("{task.description}"), BarColumn(bar_width=20)
+    columns = clock, TextColumn("{task.description}", markup=False), BarColumn(bar_width=20)
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("starting", total=None)
 
         def advance(stage: str, share: float) -> None:
             # a stage that counts nothing, or has counted to its end while work goes on, has a bar that only moves
             bar.tasks[task].total = 1.0 if 0.0 < share < 1.0 else None
-            bar.update(task, description=heading(stage), completed=share)
+            bar.update(task, description=printable(heading(stage), one_line=True), completed=share)
 
         yield advance
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from cosim.base.errors import InputError
@@ -44,9 +46,13 @@ class Derivations:
         if name in run.rows.units or name in run.rows.texts or name == TIME:
             raise InputError.at(Path("name"), messages.NAME_TAKEN(name=name))
         with self._lock:
-            if way := self._way(made, of):
-                chain = " ← ".join(signal for _, signal in way)
-                raise InputError.at(Path("name"), messages.OWN_SIGNAL(name=name, way=chain))
+            try:
+                self._ordered({made: Definition(formula, of)})
+            except CycleError as error:
+                cycle: list[Signal] = error.args[1][:0:-1]  # each is derived from the next, and the last from the first
+                place = cycle.index(made)
+                chain = " ← ".join(signal for _, signal in (*cycle[place:], *cycle[:place], made))
+                raise InputError.at(Path("name"), messages.OWN_SIGNAL(name=name, way=chain)) from None
             changed = {made: Definition(formula, of)}
             changed |= {signal: self._definitions[signal] for signal in self._dependents(made)}
             before = {signal: self._definitions[signal] for signal in changed if signal in self._definitions}
@@ -76,16 +82,6 @@ class Derivations:
         """Return the derived signals of a run."""
         return [self._about(signal) for signal in self._definitions if signal[0] == number]
 
-    def _way(self, made: Signal, of: Mapping[str, Signal]) -> list[Signal]:
-        """Return a chain of signals from a signal back to itself, empty without one."""
-        for signal in of.values():
-            if signal == made:
-                return [made, signal]
-            definition = self._definitions.get(signal)
-            if definition is not None and (rest := self._way(made, definition.of)):
-                return [made, signal, *rest[1:]]
-        return []
-
     def _dependents(self, made: Signal) -> Iterator[Signal]:
         """Yield the dependents of a signal in the order of their computation."""
         changed = {made}
@@ -94,19 +90,11 @@ class Derivations:
                 changed.add(signal)
                 yield signal
 
-    def _ordered(self) -> list[Signal]:
-        """Return all derived signals in the order of their computation."""
-        ordered: dict[Signal, None] = {}
-
-        def visit(signal: Signal) -> None:
-            if signal in self._definitions and signal not in ordered:
-                for other in self._definitions[signal].of.values():
-                    visit(other)
-                ordered[signal] = None
-
-        for signal in self._definitions:
-            visit(signal)
-        return [*ordered]
+    def _ordered(self, more: Mapping[Signal, Definition] = MappingProxyType({})) -> list[Signal]:
+        """Return all derived signals, with further ones, in the order of their computation, or raise CycleError."""
+        definitions = {**self._definitions, **more}
+        uses = {made: [s for s in d.of.values() if s in definitions] for made, d in definitions.items()}
+        return [*TopologicalSorter(uses).static_order()]
 
     def _compute(self, signal: Signal, definition: Definition) -> dict[str, Any]:
         number, name = signal

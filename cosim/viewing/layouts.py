@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import threading
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -11,12 +10,13 @@ from pydantic import BaseModel, Field, FiniteFloat, ValidationError
 
 from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.messages import Message
-from cosim.storage.files import write_json
+from cosim.storage.files import open_bytes, parse_json, write_json
 from cosim.viewing import messages
 
 SCHEMA_VERSION = 1
 LONGEST = 80  # characters of a name
 MOST_AXES = 4  # of a plot
+MOST_BYTES = 1 << 26  # of a file
 MOST_FAULTS = 10  # told of a file
 LayoutName = Annotated[str, Field(min_length=1, max_length=LONGEST, pattern=r"\S")]
 
@@ -129,7 +129,8 @@ class Layouts:
     def read(self) -> dict[str, Any]:
         """Return name → layout."""
         try:
-            content = json.loads(self.file.read_text(encoding="utf-8"))
+            with open_bytes(self.file) as stream:
+                content = parse_json(stream.read(MOST_BYTES))
         except FileNotFoundError:
             return {}
         except (OSError, ValueError, RecursionError):

@@ -12,7 +12,6 @@ EARLIER = Template("N-VIE-005", "the newest {count} of {all} results are shown; 
 SLOW_ROWS = Template(
     "N-VIE-006", "{file} is read as a whole each time, because pyarrow is not installed; install it with {command}"
 )
-TEMPORARY = Template("N-VIE-007", "{folder} cannot be written, so that its rows are converted anew each time")
 LOST = Template("W-VIE-008", "{run} was removed or replaced; what is drawn of it stays, zoom shows the others")
 UNREADABLE = Template("E-VIE-009", "cannot be read: {reason}")
 NOT_WRITTEN = Template(

@@ -1,7 +1,7 @@
-"""Rows of a file: small tables in memory, others from Parquet beside them, written once with the extremes of blocks.
+"""Rows of a file: small tables in memory, others from Parquet in the cache, written once with the extremes of blocks.
 
-`.view/NAME` beside a table holds rows.parquet, low.parquet and high.parquet with equal columns, and about.json. Rows of
-low.parquet and high.parquet are the levels of `pyramid`, one behind the other.
+`view/HASH` in the user's cache, by the content of the table, holds rows.parquet, low.parquet and high.parquet with
+equal columns, and about.json. Rows of low.parquet and high.parquet are the levels of `pyramid`, one behind the other.
 """
 
 from __future__ import annotations
@@ -10,11 +10,12 @@ import json
 import os
 import shutil
 import threading
+import time
 from collections import OrderedDict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
-from hashlib import sha256
+from dataclasses import dataclass, field, replace
+from hashlib import file_digest, sha256
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -22,11 +23,15 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array
+from cosim.base.drafts import is_full
 from cosim.base.errors import InputError
 from cosim.base.extras import install_command, optional
+from cosim.base.messages import printable
 from cosim.base.scratch import process_folder
 from cosim.base.units import factor
-from cosim.storage.csv_source import CSV, read_heading
+from cosim.storage.cache import cache_folder, load_or_make
+from cosim.storage.csv_source import CSV, LONGEST_LINE, read_heading
+from cosim.storage.files import open_bytes, scratch_folder
 from cosim.storage.folders import content_of
 from cosim.storage.parquet_source import PARQUET, UNIT
 from cosim.storage.results import INTEGER, Results, is_rounded, read_results
@@ -44,7 +49,10 @@ from cosim.viewing.pyramid import (
     make_levels,
 )
 
-FOLDER, ABOUT, VERSION = ".view", "about.json", 3
+FOLDER, ABOUT, VERSION = "view", "about.json", 4
+UNUSED = 30 * 86_400.0  # [s] from which a conversion is removed
+DRAFT = "draft-"  # prefix of a conversion that is being written
+SETTLED = 2.0  # [s] without a change, after which size and times of a file stand for its content
 TEXTS, TEXT_ROWS = "texts", 1 << 16  # file of texts, and the rows of a group in it
 SMALL = 4_000_000  # size of a table that is read as a whole [bytes]
 GROUP_VALUES = 1 << 23  # values written at a time
@@ -181,53 +189,50 @@ def open_rows(path: Path, columns: ColumnTypes, progress: Progress = None, *, en
     status = path.stat() if path.is_file() else None
     if status is None or status.st_size <= SMALL or not _has_pyarrow():
         return _in_memory(columns.read(path, ended=ended), path)
-    key = _key(status, columns, ended)
-    places = [
-        path.parent / FOLDER / path.name,
-        process_folder() / FOLDER / sha256(os.fsencode(path.resolve())).hexdigest(),
-    ]
-    for place in places:
-        about = content_of(place / ABOUT)
-        if about.get("key") == key and not place.is_symlink() and not place.parent.is_symlink():
-            return StoredRecording(place, about)
-    place = places[0] if _is_writable(path.parent) else places[1]
-    return StoredRecording(place, _convert(path, place, columns, progress, ended))
+    place = cache_folder() / FOLDER / _key(path, status, columns, ended)
+    if about := content_of(place / ABOUT):
+        os.utime(place)
+        return StoredRecording(place, about)
+    return StoredRecording(*_convert(path, status, place, columns, progress, ended))
 
 
 def notes_on(path: Path) -> list[str]:
     """Return notes on rows that are converted each time."""
     if path.stat().st_size <= SMALL:
         return []
-    if not _has_pyarrow():
-        return [messages.SLOW_ROWS(file=path, command=install_command("parquet"))]
-    return [] if _is_writable(path.parent) else [messages.TEMPORARY(folder=path.parent)]
+    return [] if _has_pyarrow() else [messages.SLOW_ROWS(file=path, command=install_command("parquet"))]
 
 
-def _key(status: os.stat_result, columns: ColumnTypes, ended: bool) -> dict[str, Any]:
-    """Return a key of a file and its types."""
-    content = [sorted(columns.units.items()), sorted(columns.text), sorted(columns.words)]
-    known = sha256(json.dumps(content).encode()).hexdigest()
-    key = {"version": VERSION, "size": status.st_size, "time": status.st_mtime_ns, "known": known}
-    return {**key, "ended": True} if ended else key
+def _key(path: Path, status: os.stat_result, columns: ColumnTypes, ended: bool) -> str:
+    """Return a key of the content of a file and of its types."""
+
+    def digest() -> str:
+        with open_bytes(path) as stream:
+            return file_digest(stream, "sha256").hexdigest()
+
+    is_settled = time.time() - max(status.st_mtime, status.st_ctime) > SETTLED
+    content = load_or_make(repr((str(path.resolve()), _state(status))), digest) if is_settled else digest()
+    types = [sorted(columns.units.items()), sorted(columns.text), sorted(columns.words)]
+    return sha256(json.dumps([VERSION, path.suffix, content, types, ended]).encode()).hexdigest()
+
+
+def _state(status: os.stat_result) -> tuple[int, ...]:
+    """Return numbers that differ after a change of a file; only the system sets the last one."""
+    return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns
 
 
 def _has_pyarrow() -> bool:
     return find_spec("pyarrow") is not None
 
 
-def _is_writable(folder: Path) -> bool:
-    """Return whether the cache of a folder can be written; a link may lead elsewhere and is not followed."""
-    cache = folder / FOLDER
-    return not cache.is_symlink() and os.access(cache if cache.is_dir() else folder, os.W_OK | os.X_OK)
-
-
 def _in_memory(results: Results, path: Path) -> Recording:
     if not results.time.size:
         raise InputError.at(path, messages.NO_ROW())
     shown = results.with_integers()
-    columns = {TIME: shown.time, **{name: shown[name] for name in shown.columns}}
-    units = {name: shown.units.get(name, "") for name in shown.columns}
-    recording = Recording(columns, units, shown.time.size, shown.texts())
+    columns = {TIME: shown.time, **{printable(name): shown[name] for name in shown.columns}}
+    units = {printable(name): printable(shown.units.get(name, "")) for name in shown.columns}
+    texts = {printable(name): values for name, values in shown.texts().items()}
+    recording = Recording(columns, units, shown.time.size, texts)
     recording.inexact = _inexact(results)
     return recording
 
@@ -239,34 +244,48 @@ def _inexact(results: Results) -> list[str]:
 # -- conversion -------------------------------------------------------------------------------------------
 
 
-def _convert(path: Path, place: Path, columns: ColumnTypes, progress: Progress, ended: bool) -> Any:
-    """Write the files of a cache and return their description; the faults of a table are those of its reader."""
+def _convert(
+    path: Path, status: os.stat_result, place: Path, columns: ColumnTypes, progress: Progress, ended: bool
+) -> tuple[Path, Any]:
+    """Write the files of a cache; return their folder and description. Faults of a table are those of its reader."""
     import pyarrow
 
-    draft = place.with_name(f".{place.name}.{os.getpid()}")
-    shutil.rmtree(draft, ignore_errors=True)
-    draft.mkdir(parents=True)
-    status = path.stat()
-    try:
+    _remove_unused(place.parent)
+    with scratch_folder(place.parent, DRAFT) as folder:
+        draft = folder / place.name
+        draft.mkdir()
         try:
             table = _table_of(path, columns, ended)
+            table = replace(table, heads=[(printable(name), printable(unit)) for name, unit in table.heads])
             whole, rounded = _write_texts(draft / f"{TEXTS}.parquet", table)
             places = [*table.numbers, *whole]
             integers = {n for n, k in enumerate(places) if k in table.integers}
             about = _write(draft, [table.heads[k] for k in places], table.batches(places), integers, (path, progress))
             about["texts"], about["rounded"] = ([table.heads[k][0] for k in some] for some in (table.texts, rounded))
         except (pyarrow.ArrowException, OSError, ValueError) as error:
+            if is_full(error):
+                raise
             results = columns.read(path, ended=ended)  # which tells each fault by its place
             if not results.time.size:
                 raise InputError.at(path, messages.NO_ROW()) from None
             raise InputError.at(path, messages.UNREADABLE(reason=str(error).partition("\n")[0])) from None
-        (draft / ABOUT).write_text(json.dumps({"key": _key(status, columns, ended), **about}), encoding="utf-8")
+        (draft / ABOUT).write_text(json.dumps(about), encoding="utf-8")
+        if _state(path.stat()) != _state(status):  # no longer the content of its key
+            place = process_folder() / FOLDER / place.name
+            place.parent.mkdir(exist_ok=True)
         shutil.rmtree(place, ignore_errors=True)
         with suppress(OSError):  # Another command was faster.
-            draft.rename(place)
-    finally:
-        shutil.rmtree(draft, ignore_errors=True)
-    return about
+            shutil.move(draft, place)
+    return place, about
+
+
+def _remove_unused(folder: Path) -> None:
+    """Remove conversions of other tables that nobody has looked at for long."""
+    folder.mkdir(mode=0o700, exist_ok=True)
+    for place in folder.iterdir():
+        with suppress(OSError):
+            if not place.name.startswith(DRAFT) and time.time() - place.stat().st_mtime > UNUSED:
+                shutil.rmtree(place)
 
 
 @dataclass(frozen=True)
@@ -352,14 +371,14 @@ def _csv_table(path: Path, columns: ColumnTypes, ended: bool) -> _Table:
 
 def _last_line_end(path: Path) -> int:
     """Return the size of a text down to the end of its last line with an end."""
-    with path.open("rb") as stream:
+    with open_bytes(path) as stream:
         size = start = stream.seek(0, os.SEEK_END)
-        while start:
+        while start and size - start < LONGEST_LINE:
             start = max(0, start - LAST)
             stream.seek(start)
             if (end := stream.read(LAST).rfind(b"\n")) >= 0:
                 return start + end + 1
-    return size
+    raise ValueError("the last line is too long")
 
 
 def _parquet_table(path: Path, columns: ColumnTypes) -> _Table:

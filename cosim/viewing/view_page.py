@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -20,6 +19,7 @@ from cosim.report.template import DESK, render
 from cosim.server.answers import Answer, Handler, Request, json_answer
 from cosim.server.served_page import ServedPage
 from cosim.storage.csv_source import cell_text, write_table
+from cosim.storage.files import parse_json
 from cosim.viewing import messages
 from cosim.viewing.derivations import Derivations
 from cosim.viewing.layouts import Layouts, check_layouts
@@ -180,7 +180,7 @@ class ViewPage(ServedPage):
     def _export(self, request: Request) -> Answer:
         """Return all rows of curves between two times as CSV, time first, a row for each time of any run."""
         try:
-            content = json.loads(request.query.get("of", ""))
+            content = parse_json(request.query.get("of", ""))
         except (ValueError, RecursionError):
             content = None
         asked = Request("", content=content)
@@ -205,6 +205,7 @@ class ViewPage(ServedPage):
         return Answer(
             kind="text/csv; charset=utf-8",
             file=file,
+            is_temporary=True,
             headers={"Content-Disposition": 'attachment; filename="view.csv"'},
         )
 

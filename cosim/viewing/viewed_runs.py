@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from cosim.base.drafts import is_full
 from cosim.base.errors import Fault, InputError, refuse
 from cosim.history.entries import Entry, entries
 from cosim.history.selection import Selected, select_groups
@@ -123,10 +124,14 @@ def open_runs(places: Iterable[RunPlace], bar: Bar) -> tuple[list[ViewedRun], li
                 about += (messages.INEXACT(run=place.label, names=", ".join(rows.inexact[:MOST_NAMES])),)
             runs.append(ViewedRun(place, rows, state))
             notes += [note for note in about if note not in notes]
-        except (InputError, FileNotFoundError) as caught:
+        except (InputError, OSError) as caught:
+            if is_full(caught):
+                raise
             error = caught
             if isinstance(error, FileNotFoundError):
                 error = InputError.at(place.file, storage_messages.GONE())
+            elif isinstance(error, OSError):
+                error = InputError.at(place.file, messages.UNREADABLE(reason=error.strerror))
             (named if place.is_named else faults).extend(error.faults)
             reason = str(error).partition("\n")[0]
             notes.append(messages.LEFT_OUT(run=place.label, reason=reason))

@@ -45,7 +45,12 @@ static void close_library(void *library)
 #ifndef RTLD_DEEPBIND
 #define RTLD_DEEPBIND 0
 #endif
-#define APART (RTLD_LOCAL | RTLD_DEEPBIND)
+
+/* How the original is loaded: with its own symbols first, unless the host replaces an allocator or checks memory. */
+static int scope(void)
+{
+    return getenv("LD_PRELOAD") ? RTLD_LOCAL : RTLD_LOCAL | RTLD_DEEPBIND;
+}
 
 /* The folder of the unpacked FMU by the place of this library; 0 if it is unknown. */
 static int own_folder(char *path)
@@ -104,14 +109,14 @@ static void *open_library(const char *resources, char *reason, size_t size)
         snprintf(reason, size, "%s%s is not in the unpacked FMU", INSIDE, ORIGINAL);
         return NULL;
     }
-    void *library = dlopen(path, RTLD_NOW | APART);
+    void *library = dlopen(path, RTLD_NOW | scope());
     if (library != NULL) return library;
     snprintf(reason, size, "%s", dlerror());
 #ifdef __linux__
     dlopen("libm.so.6", RTLD_NOW | RTLD_GLOBAL); /* some originals leave the mathematics to the host */
-    if ((library = dlopen(path, RTLD_NOW | APART)) != NULL) return library;
+    if ((library = dlopen(path, RTLD_NOW | scope())) != NULL) return library;
 #endif
-    return dlopen(path, RTLD_LAZY | APART); /* some have functions that nobody calls */
+    return dlopen(path, RTLD_LAZY | scope()); /* some have functions that nobody calls */
 }
 
 static void *symbol_of(void *library, const char *name)

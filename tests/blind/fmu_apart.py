@@ -22,7 +22,6 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -31,10 +30,8 @@ from tests.blind.field_rig import Entry
 from tests.blind.field_study import LEAST, conditions
 from tests.blind.field_visibility import middling
 from tests.blind.fmu_rig import FmuRig
+from tests.blind.fmu_study import FmuStudy, draw
 from tests.blind.fmu_truths import RIGS
-
-if TYPE_CHECKING:
-    from tests.blind.fmu_study import FmuStudy
 
 APART = 6.5
 AT_INPUTS = ("bias", "gain", "dead_band", "saturation", "rate_limit", "play", "lag", "second_order_lag")
@@ -185,8 +182,6 @@ def _moved(entry: Entry, sizes: Values, change: Sequence[float]) -> Values:
 
 def table(seeds: Sequence[int]) -> str:
     """Return a line for each effect of the known studies, then how many can be told apart, by size."""
-    from tests.blind.fmu_study import draw  # which asks this module
-
     lines, found = [], dict[str, list[float]]()
     for study in filter(lambda s: s.kind == "known", map(draw, seeds)):
         each = nearest(study)

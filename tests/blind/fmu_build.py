@@ -17,6 +17,9 @@ values (`initial` exact). A step of co-simulation has any length and is divided 
 
 from __future__ import annotations
 
+import os
+import platform
+import shlex
 import shutil
 import subprocess
 import sys
@@ -27,9 +30,9 @@ from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 
-from cosim.fmi.native.compiler import fmi_headers, library_command
-from cosim.fmi.native.platforms import this_platform
+import fmpy
 
+HEADERS = Path(fmpy.__file__).with_name("c-code")
 SOURCES = Path(__file__).with_name("fmus")
 WAYS = ("model_exchange", "co_simulation")
 INPUT, STATE, RATE, READING, PARAMETER, TIME = 0, 100, 200, 300, 400, 999  # first value references
@@ -258,18 +261,25 @@ def build(
         ways: from `WAYS`.
         fault: a key of `FAULTS`.
     """
-    declared, wrong, platform = PLANTS[plant], FAULTS[fault], this_platform()
-    if platform is None:
-        raise RuntimeError("no FMI platform for this machine")
+    declared, wrong = PLANTS[plant], FAULTS[fault]
     write = _fmi2 if version == 2 else _fmi3
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         entries = {
             "modelDescription.xml": write(plant, declared, wrong, ways).encode(),
-            f"binaries/{platform.folder(version)}/{plant}{platform.suffix}": library(plant, version, fault),
+            f"binaries/{_binary(plant, version)}": library(plant, version, fault),
         }
         for name, content in entries.items():
             archive.writestr(zipfile.ZipInfo(name, (2000, 1, 1, 0, 0, 0)), content)
     return path
+
+
+def _binary(plant: str, version: int) -> str:
+    """Return the path of the library of this machine below `binaries`."""
+    system = {"win32": "windows"}.get(sys.platform, sys.platform)
+    machine = {"AMD64": "x86_64", "arm64": "aarch64"}.get(platform.machine(), platform.machine())
+    suffix = {"windows": ".dll", "darwin": ".dylib"}.get(system, ".so")
+    of_two = {"linux": "linux64", "windows": "win64", "darwin": "darwin64"}[system]
+    return f"{of_two if version == 2 and machine == 'x86_64' else f'{machine}-{system}'}/{plant}{suffix}"
 
 
 def build_slave(path: Path, plant: str) -> Path:
@@ -285,12 +295,23 @@ def build_slave(path: Path, plant: str) -> Path:
 def library(plant: str, version: int, fault: str = "") -> bytes:
     """Compile and strip the library of a plant once per process, and return its content."""
     macros = [f"-D{name}={value}" for name, value in FAULTS[fault].macros.items()]
-    command = [*library_command(), "-std=gnu99", "-O2", "-w", "-s", "-fvisibility=hidden", f"-DFMI={version}", *macros]
+    command = [
+        *shlex.split(os.environ.get("CC") or "cc"),
+        "-shared",
+        "-fPIC",
+        "-std=gnu99",
+        "-O2",
+        "-w",
+        "-s",
+        "-fvisibility=hidden",
+        f"-DFMI={version}",
+        *macros,
+    ]
     with tempfile.TemporaryDirectory(prefix="blind-fmu-") as name:
         folder = Path(name)
         (folder / "layout.h").write_text(_layout(PLANTS[plant]))
         made = folder / f"{plant}.so"
-        command += [f'-DPLANT="{SOURCES / f"{plant}.c"}"', f"-I{folder}", f"-I{fmi_headers()}"]
+        command += [f'-DPLANT="{SOURCES / f"{plant}.c"}"', f"-I{folder}", f"-I{HEADERS}"]
         subprocess.run([*command, "-o", str(made), str(SOURCES / "runtime.c"), "-lm"], check=True)
         return made.read_bytes()
 

@@ -29,8 +29,8 @@ from tests.blind.truth import answer, draw, write
 from tests.blind.truth_outside import OUTSIDE
 from tests.blind.truth_study import BASE, EFFECTS, SENSORS
 
-HERE = Path(__file__).resolve().parent
-RESULTS = HERE / "results.jsonl"
+ROOT = Path(__file__).resolve().parents[2]
+RESULTS = ROOT / "results" / "blind.jsonl"
 KINDS = ("known", "nothing", "outside")
 
 LABORATORY, FIELD, MIXED, ARM, FMU = "laboratory", "field", "mixed", "arm", "fmu"
@@ -69,14 +69,14 @@ def command_refiner(template: str, timeout: float) -> Refiner:
 
 
 def revision() -> str:
-    """Return the commit of the working tree, with + for uncommitted changes outside the results file."""
+    """Return the commit of the working tree, with + for uncommitted changes."""
 
     def git(*words: str) -> str:
-        done = subprocess.run(["git", *words], cwd=HERE, capture_output=True, text=True, check=False)
+        done = subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=False)
         return done.stdout.strip() if done.returncode == 0 else ""
 
     commit = git("rev-parse", "--short=12", "HEAD") or "unknown"
-    changed = git("status", "--porcelain", "--untracked-files=no", "--", ":/", f":(exclude,top)**/{RESULTS.name}")
+    changed = git("status", "--porcelain", "--untracked-files=no")
     return commit + ("+" if changed else "")
 
 

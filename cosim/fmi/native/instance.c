@@ -201,11 +201,11 @@ static int settle(Instance *m)
     return m->phase == INITIALIZATION ? refresh(m) : 0;
 }
 
-/* Before outputs are read, which a solver may have left behind. */
+/* Before outputs are read, which a solver or a new input may have left behind. A filter's belong to its sample. */
 static int make_readable(Instance *m)
 {
     if (settle(m)) return 1;
-    if (!m->exchange || !m->is_stale || (m->phase != EVENT && m->phase != CONTINUOUS)) return 0;
+    if (!EXCHANGE || !m->is_stale || (m->phase != STEP && m->phase != EVENT && m->phase != CONTINUOUS)) return 0;
     begin_computing(m);
     return end_computing(m, refresh_outputs(m));
 }

@@ -72,12 +72,16 @@ def native_source(name: str, signals: Mapping[str, TimeSignal], step: float, sto
     identifier = re.sub(r"[^A-Za-z0-9_]", "_", f"source_{name}")
     parts = {file: part(file) for file in ("source.c", "steps_only.c")}
     return Native(
-        identifier, VariableLayout(about), GeneratedSources(f"{variables}\n{tables(signals)}\n", sizes), parts, TEXT
+        identifier,
+        VariableLayout(about),
+        GeneratedSources(f"{variables}\n{tables(signals, step)}\n", sizes),
+        parts,
+        TEXT,
     )
 
 
-def tables(signals: Mapping[str, TimeSignal]) -> str:
-    """Return the C tables of all changes of the reference signals."""
+def tables(signals: Mapping[str, TimeSignal], step: float) -> str:
+    """Return the step and the C tables of all changes of the signals."""
     changes = [change for signal in signals.values() for change in signal.pieces]
     columns = {
         "AT": [c.at for c in changes],
@@ -86,7 +90,7 @@ def tables(signals: Mapping[str, TimeSignal]) -> str:
         "RATE": [c.rate for c in changes],
     }
     counts = ", ".join(str(len(signal.pieces)) for signal in signals.values())
-    lines = [f"static const int CHANGES[] = {{{counts}}};"]
+    lines = [f"static const double GRID = {step.hex()};", f"static const int CHANGES[] = {{{counts}}};"]
     for name, column in columns.items():
         lines.append(f"static const double {name}[] = {{")
         lines += ["    " + ", ".join(v.hex() for v in column[k : k + 6]) + "," for k in range(0, len(column), 6)]

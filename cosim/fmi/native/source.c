@@ -1,8 +1,8 @@
 /* A model whose outputs are functions of time alone.
  *
- * Printed above this text: CHANGES[OUTPUTS], how many changes each output has, and AT, FROM, TO, RATE of all of them, output
- * after output, the first of each before all times. From AT on an output runs from FROM to TO with slope RATE a second, at
- * once where RATE is 0. */
+ * Printed above this text: GRID, the step of the default experiment [s], CHANGES[OUTPUTS], how many changes each output has,
+ * and AT, FROM, TO, RATE of all of them, output after output, the first of each before all times. From AT on an output runs
+ * from FROM to TO with slope RATE a second, at once where RATE is 0. */
 #include "model.h"
 
 static double value_after(double from, double to, double rate, double elapsed)
@@ -15,10 +15,11 @@ static double value_after(double from, double to, double rate, double elapsed)
 /* The last change at or before a time; one that is a step's but for rounding belongs to the step. */
 static double value_at(int first, int count, double time)
 {
+    const double rounding = 4.0 * (nextafter(fabs(time), INFINITY) - fabs(time)) + 1e-9 * GRID;
     int low = 0, high = count;
     while (low < high) {
         const int middle = (low + high) / 2;
-        if (AT[first + middle] <= time + 1e-9) low = middle + 1;
+        if (AT[first + middle] <= time + rounding) low = middle + 1;
         else high = middle;
     }
     const int k = first + (low > 0 ? low - 1 : 0);

@@ -33,7 +33,7 @@ def number(value: Any, default: float = float("nan")) -> float:
     """Return a float, or the default if not numeric."""
     try:
         return float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return default
 
 

@@ -537,9 +537,10 @@
   function chosen() {
     const of = {};
     for (const letter of LETTERS) {
-      const text = one(`#letter-${letter}`).value.trim();
+      const run = Number(one(`#run-${letter}`).value),
+        { value } = one(`#letter-${letter}`),
+        text = value in runs[run].units ? value : value.trim(); // a name may end in a blank
       if (!text || !one("#formula").value.match(`\\b${letter}\\b`)) continue;
-      const run = Number(one(`#run-${letter}`).value);
       if (!(text in runs[run].units)) throw new Error(`${text} is no signal of ${runs[run].label}.`);
       if (runs[run].kinds[text] === "text") throw new Error(`${text} has texts, and a formula takes numbers.`);
       of[letter] = [run, text];

@@ -1,0 +1,227 @@
+"""Code of FMUs that a process finds by name: libraries, unique symbols of C++ and Python modules.
+
+A process has one library, symbol or module of a name. An FMU that brings another one of that name would execute the
+code of the FMU that was loaded first. Such FMUs need processes of their own.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import platform
+import re
+import sys
+import zipfile
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path, PurePosixPath
+from zlib import crc32
+
+from cosim.base.errors import FmuError
+from cosim.base.messages import Message
+from cosim.blocks import messages
+from cosim.blocks.elf import ElfLibrary, read_elf
+from cosim.storage.archive import DAMAGES, DESCRIPTION
+
+ENDING = {"Windows": r"\.dll", "Darwin": r"\.dylib|\.so"}.get(platform.system(), r"\.so(\.\d+)*")
+LIBRARY = re.compile(rf".*({ENDING})", re.IGNORECASE)
+PLATFORM = re.compile(r"(?:^|/)binaries/([^/]+)/")
+RESOURCES = re.compile(r"(?:resources/original/)*resources/(?P<name>(?P<top>[^/.]+)[^/]*(?P<rest>/.*)?)")
+IDENTIFIER = re.compile(rb'modelIdentifier\s*=\s*"([^"]*)"')
+CODE = (".py", ".pyc", ".pyd", ".so")
+NAME_OF_SLAVE = "slavemodule.txt"  # of pythonfmu, no data of a module
+OF_STD = re.compile(r"_Z(G[VR]|T[ISVT])?[ZNK]*S[tabsiod]")  # symbols of the C++ library, equal in all of its builds
+VERSION = ("fmi2GetVersion", "fmi3GetVersion", "fmiGetVersion")  # which the library of an FMU exports
+ALLOCATORS = {"malloc", "calloc", "realloc", "free"}
+
+
+class SharedCode(FmuError):
+    """Error: this process has loaded other code of a name that an FMU brings."""
+
+
+@dataclass(frozen=True)
+class Code:
+    """Code of an FMU by name, each with a digest of its content.
+
+    Attributes:
+        wanted: Code that is found by name: a library that another needs, a unique symbol, a module.
+        offered: Code that another FMU's search by name could find.
+        symbols: Symbols that its libraries define.
+        needed: Libraries that its libraries need.
+        modules: Python module → checksum of its file.
+    """
+
+    wanted: Mapping[str, str] = field(default_factory=dict)
+    offered: Mapping[str, str] = field(default_factory=dict)
+    symbols: frozenset[str] = frozenset()
+    needed: frozenset[str] = frozenset()
+    modules: Mapping[str, int] = field(default_factory=dict)
+
+    def clash(self, other: Code) -> str:
+        """Return what both FMUs have by one name and with different content, "" if nothing."""
+        pairs = (self.wanted, other.offered), (other.wanted, self.offered)
+        names = [n for one, two in pairs for n in one.keys() & two.keys() if one[n] != two[n]]
+        return min(names, default="")
+
+
+def code_of(path: Path) -> Code:
+    """Return the code of an FMU; none if it cannot be read, which its loading reports."""
+    try:
+        about = path.stat()
+        return _code_of(path.resolve(), about.st_mtime_ns, about.st_size)
+    except DAMAGES:
+        return Code()
+
+
+@lru_cache(64)
+def _code_of(path: Path, _changed: int, _size: int) -> Code:
+    wanted: dict[str, str] = {}
+    offered: dict[str, str] = {}
+    symbols: set[str] = set()
+    needed: set[str] = set()
+    with zipfile.ZipFile(path) as archive:
+        files = [info for info in archive.infolist() if not info.is_dir()]
+        own = {name.decode() for name in IDENTIFIER.findall(archive.read(DESCRIPTION))}
+        for info in files:
+            if not _is_library(info.filename):
+                continue
+            name, digest = PurePosixPath(info.filename).name, f"{info.CRC:08x}-{info.file_size}"
+            elf = read_elf(archive.read(info)) if sys.platform.startswith("linux") else ElfLibrary()
+            names = {f"library {n}": digest for n in (name, elf.soname) if n}
+            offered |= names
+            if not (name.partition(".")[0] in own or elf.defined & {*VERSION} or _is_of_fmi1(elf, own)):
+                wanted |= names
+            unique = {f"C++ symbol {n}": digest for n in elf.unique if not OF_STD.match(n)}
+            wanted |= unique
+            offered |= unique
+            symbols |= elf.defined
+            needed |= elf.needed
+    modules = _modules([(info.filename, f"{info.CRC:08x}-{info.file_size}") for info in files])
+    scripts = {info.filename: info.CRC for info in files if info.filename.endswith(".py")}
+    own_files = dict[str, int]()
+    for name in (module.removeprefix("Python module ") for module in modules):
+        places = f"resources/{name}.py", f"resources/{name}/__init__.py"
+        own_files |= dict.fromkeys([name], next((c for file, c in scripts.items() if file.endswith(places)), 0))
+    return Code(wanted | modules, offered | modules, frozenset(symbols), frozenset(needed), own_files)
+
+
+def _is_of_fmi1(elf: ElfLibrary, identifiers: Iterable[str]) -> bool:
+    return any(f"{identifier}_fmiGetVersion" in elf.defined for identifier in identifiers)
+
+
+def _is_library(name: str) -> bool:
+    """Return whether a file of an FMU is a library that this system can load."""
+    if not LIBRARY.fullmatch(name):
+        return False
+    folder = PLATFORM.findall(name)
+    return not folder or any(word in folder[-1] for word in _words_of_platform())
+
+
+def _words_of_platform() -> tuple[str, ...]:
+    """Return words in the folders of this system's libraries, of FMI 1.0, 2.0 and 3.0."""
+    return {"Windows": ("win", "windows"), "Darwin": ("darwin",)}.get(platform.system(), ("linux",))
+
+
+def _modules(files: Iterable[tuple[str, str]]) -> dict[str, str]:
+    """Return the Python modules in the resources, each with the digests of its files and of the data beside it."""
+    parts: dict[str, list[tuple[str, str]]] = {}
+    for name, digest in files:
+        if (match := RESOURCES.fullmatch(name)) and match["name"] != NAME_OF_SLAVE:
+            parts.setdefault(match["top"], []).append((match["name"], digest))
+    modules = {top: part for top, part in parts.items() if any(n.endswith(CODE) for n, _ in part)}
+    data = [entry for top, part in parts.items() if top not in modules for entry in part]
+    if not any(n.endswith(".py") for part in modules.values() for n, _ in part):
+        return {}
+    return {f"Python module {top}": repr(sorted([*part, *data])) for top, part in modules.items()}
+
+
+# -- FMUs of one process ---------------------------------------------------------------------------
+
+_loaded: dict[Path, Code] = {}  # FMUs of this process, also those that are freed: modules and some libraries stay
+
+
+def claim(path: Path) -> list[Message]:
+    """Note that this process loads an FMU; return warnings of modules that the process has loaded from elsewhere.
+
+    Raises:
+        SharedCode: It has loaded an FMU with other code of the same name.
+    """
+    code = code_of(path)
+    for other, known in _loaded.items():
+        if what := code.clash(known):
+            raise SharedCode(messages.SHARED_CODE(file=path, other=other, what=what))
+    if code not in _loaded.values():
+        _loaded[path] = code
+    warnings = []
+    for name, checksum in code.modules.items():
+        file = getattr(sys.modules.get(name), "__file__", None)
+        with suppress(OSError):  # The folder of an earlier FMU with the same code is removed.
+            if file is not None and checksum and crc32(Path(file).read_bytes()) != checksum:
+                warnings.append(messages.HIDDEN_MODULE(file=path.name, module=name, other=file))
+    return warnings
+
+
+def separate(fmus: Iterable[tuple[str, Path]], apart: Iterable[str]) -> tuple[set[str], list[Message]]:
+    """Return the components that need processes of their own, with a note for each.
+
+    Args:
+        fmus: Components and their FMUs.
+        apart: Components that have processes of their own.
+    """
+    shared: dict[Path, tuple[str, Code]] = {}
+    names, notes = set[str](), list[Message]()
+    for name, path in fmus:
+        if name in apart or path in shared:
+            continue
+        code = code_of(path)
+        clashes = ((other, code.clash(known)) for other, known in shared.values())
+        other, what = next((clash for clash in clashes if clash[1]), ("", ""))
+        if what:
+            names.add(name)
+            notes.append(messages.OWN_PROCESS(name=name, other=other, what=what))
+        else:
+            shared[path] = name, code
+    return names, notes
+
+
+# -- symbols of the process --------------------------------------------------------------------------
+
+
+@contextmanager
+def own_symbols_first(path: Path, library: Path) -> Iterator[None]:
+    """Load a library so that its references find its own symbols before those of the process, if both have some.
+
+    A process that replaces the allocator (LD_PRELOAD), an FMU that has an allocator and one that needs Python's library
+    share the symbols of the process.
+    """
+    handle, folder = None, os.getcwd()
+    if _needs_own_symbols(code_of(path)):
+        library = library.resolve()
+        os.chdir(library.parent)  # as FMPy does
+        with suppress(OSError):  # FMPy's load reports it.
+            handle = ctypes.CDLL(str(library), mode=os.RTLD_NOW | os.RTLD_LOCAL | os.RTLD_DEEPBIND)._handle
+        os.chdir(folder)
+    try:
+        yield  # Another load of the library gets the same one.
+    finally:
+        if handle is not None:
+            from _ctypes import dlclose
+
+            dlclose(handle)
+
+
+def _needs_own_symbols(code: Code) -> bool:
+    if not hasattr(os, "RTLD_DEEPBIND") or "LD_PRELOAD" in os.environ:
+        return False
+    if code.symbols & ALLOCATORS or any(name.startswith("libpython") for name in code.needed):
+        return False
+    from _ctypes import dlsym
+
+    process = ctypes.CDLL(None)._handle
+    for symbol in code.symbols:
+        with suppress(OSError):
+            dlsym(process, symbol)
+            return True
+    return False

@@ -1,0 +1,297 @@
+"""Verdicts of one revision on fixed blind studies, a line of JSON each in `baseline.jsonl`: `make baseline`.
+
+    python -m tests.blind.baseline                                     go on with the revision in tests/corpus/revision
+    python -m tests.blind.baseline --python ENV/bin/python --revision SHA
+    python -m tests.blind.baseline --summary [--revision SHA]          the table
+
+This tree draws a study, the environment of the revision refines it, both in processes of their own. Ctrl-C loses the
+studies that are under way. Model files of plants are those of the revision, whose classes they use. A study that
+`fmu_apart` cannot tell from another is a near-tie: it stays, and figures are printed with and without such studies.
+"""
+
+from __future__ import annotations
+
+import argparse
+import fcntl
+import json
+import math
+import os
+import resource
+import shlex
+import signal
+import statistics
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from tests.blind import field_score, fmu_apart, fmu_study, harness
+from tests.blind.harness import ARM, FIELD, FMU, LABORATORY, MIXED, SCORES, RefinerFailed
+from tests.blind.score import Line, wilson
+
+ROOT = Path(__file__).resolve().parents[2]
+LINES = Path(__file__).with_name("baseline.jsonl")
+SUITES = {  # suite → first seed, number of studies; chosen before any of these seeds was drawn
+    LABORATORY: (410000, 40),
+    FIELD: (420000, 80),
+    MIXED: (430000, 40),
+    ARM: (440000, 30),
+    FMU: (450000, 80),
+}
+TIMEOUT = 1200.0  # time limit of a study [s]
+STUDY = ("kind", "plant", "way", "version", "size", "disturbance", "disturbed", "truth", "strangers", "costs")
+ANSWER = ("error_true", "yardstick")
+FOUND = ("verdict", "grade", "rivals", "not_excluded", "alike", "failure")
+STAGES = ("before", "recalibrated", "after", "nearest")
+CLAIM = ("value", "ci95")
+BEST = 5  # candidates with scores
+ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+
+
+# -- one study ---------------------------------------------------------------------------------------------
+
+
+def conduct(suite: str, seed: int, python: str, revision: str, folder: Path) -> Line:
+    """Draw a study in a folder, refine it with the Python of an environment, and return its line."""
+    study, told = harness.invent(suite, seed, folder / "study")
+    if not revision.endswith("+"):
+        for path in study.parent.glob("*.py"):
+            shown = ["git", "show", f"{revision}:tests/blind/plants/{path.name}"]
+            path.write_bytes(subprocess.run(shown, cwd=ROOT, capture_output=True, check=True).stdout)
+    refine = harness.command_refiner(f"{shlex.quote(python)} -P -m cosim refine {{study}} --out {{out}}", TIMEOUT)
+    begin = _processor_seconds()
+    try:
+        refine(study, folder / "out")
+        found = json.loads((folder / "out" / "refine.json").read_text())
+    except (RefinerFailed, OSError, ValueError) as e:
+        found = {"verdict": "failed", "failure": str(e)[-300:]}
+    seconds = _processor_seconds() - begin
+    return line_of(suite, json.loads(told), found) | {"revision": revision, "processor_seconds": round(seconds, 1)}
+
+
+def _processor_seconds() -> float:
+    """Return the processor seconds of the child processes that have ended, and of theirs."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def line_of(suite: str, told: Line, found: dict[str, Any]) -> Line:
+    """Return the line of a study from its answer and from refine.json, numbers with six digits.
+
+    The keys are those of the harness, but `error` has stage → set of logs → channel, and `sensors` only those of the
+    truth.
+    """
+    line = {"suite": suite, "seed": told["seed"], "near_tie": suite == FMU and is_near_tie(told["seed"])}
+    line |= {key: told[key] for key in (*STUDY, *ANSWER) if key in told}
+    line |= {"sensors": sorted(set(told.get("sensors", ())) & set(told["truth"]))}
+    line |= {key: found[key] for key in FOUND if found.get(key)}
+    line["rivals"] = [r if isinstance(r, str) else r["name"] for r in found.get("rivals", ())]
+    line["effects"] = [
+        {"name": e["name"], "parameters": {p: {k: v.get(k) for k in CLAIM} for p, v in e["parameters"].items()}}
+        for e in found.get("effects", ())
+    ]
+    line["scores"] = [
+        [" + ".join(c["names"]), c.get("log_likelihood_gain"), c.get("score_gain")]
+        for c in found.get("candidates", ())[:BEST]
+    ]
+    errors = found.get("error") or {}
+    line["error"] = {
+        stage: {logs: errors[stage][logs] for logs in ("estimation", "validation")}
+        for stage in STAGES
+        if errors.get(stage)
+    }
+    line["noise_floor"] = found.get("noise_floor") or {}
+    return dict(_rounded(line))
+
+
+def is_near_tie(seed: int) -> bool:
+    """Return whether a study of an FMU hides an effect that cannot be told from a replacement, or not be seen."""
+    study = fmu_study.draw(seed)
+    return study.kind == "known" and not fmu_apart.can_be_told(study)
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, float):
+        return float(f"{value:.6g}")
+    if isinstance(value, dict):
+        return {key: _rounded(v) for key, v in value.items()}
+    return [_rounded(v) for v in value] if isinstance(value, list | tuple) else value
+
+
+# -- all studies -------------------------------------------------------------------------------------------
+
+
+def read(path: Path, revision: str) -> dict[tuple[str, int], Line]:
+    """Return (suite, seed) → line of a revision."""
+    texts = path.read_text().splitlines() if path.exists() else []
+    return {(line["suite"], line["seed"]): line for line in map(json.loads, texts) if line["revision"] == revision}
+
+
+def missing(path: Path, revision: str, suites: Sequence[str] = ()) -> list[tuple[str, int]]:
+    """Return the studies without a line of a revision."""
+    have = read(path, revision)
+    table = [(suite, first + k) for suite, (first, count) in SUITES.items() for k in range(count)]
+    return [key for key in table if key not in have and (not suites or key[0] in suites)]
+
+
+def append(path: Path, line: Line) -> None:
+    """Add a line to a file that several commands may write."""
+    with path.open("a") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        file.write(json.dumps(line, separators=(",", ":"), ensure_ascii=False) + "\n")
+
+
+def run(todo: Sequence[tuple[str, int]], python: str, revision: str, path: Path, jobs: int) -> int:
+    """Conduct studies, several at a time; return how many could not be drawn."""
+    running: set[subprocess.Popen[str]] = set()
+    stopped, failed = threading.Event(), 0
+    for ending in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(ending, signal.default_int_handler)
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"} | ONE_THREAD
+
+    def one(suite: str, seed: int) -> tuple[Line | None, str]:
+        with tempfile.TemporaryDirectory(prefix="baseline-") as folder:
+            if stopped.is_set():
+                return None, ""
+            words = [sys.executable, "-m", "tests.blind.baseline", "--python", python, "--revision", revision]
+            process = subprocess.Popen(
+                [*words, "--study", suite, str(seed), folder], cwd=ROOT, env=environment | {"TMPDIR": folder},
+                stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+            )  # fmt: skip
+            running.add(process)
+            try:
+                told, why = process.communicate()
+            finally:
+                _kill(process)
+                running.discard(process)
+            return (json.loads(told), "") if process.returncode == 0 else (None, why[-1000:])
+
+    with ThreadPoolExecutor(jobs) as pool:
+        pending = {pool.submit(one, *key): key for key in todo}
+        try:
+            for number, done in enumerate(as_completed(pending), start=1):
+                line, why = done.result()
+                suite, seed = pending[done]
+                if line is None:
+                    failed += 1
+                    print(f"{number:4d}/{len(todo)}  {suite} {seed}: {why}", file=sys.stderr)
+                    continue
+                append(path, line)
+                outcome = line.get("failure") or SCORES[suite].outcome_text(scored(line))
+                label = SCORES[suite].label(line)
+                seconds = line["processor_seconds"]
+                print(f"{number:4d}/{len(todo)}  {suite:10} {seed}  {label:50} {outcome}  {seconds} s", file=sys.stderr)
+        except KeyboardInterrupt:
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
+            print("stopped; the same command goes on", file=sys.stderr)
+            raise SystemExit(130) from None
+        finally:
+            stopped.set()
+            pool.shutdown(wait=False, cancel_futures=True)
+            for process in list(running):
+                _kill(process)
+    return failed
+
+
+def _kill(process: subprocess.Popen[str]) -> None:
+    """End a process and those that it has started."""
+    with suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)
+
+
+# -- the table ---------------------------------------------------------------------------------------------
+
+
+def scored(line: Line) -> Line:
+    """Return a line as the scores read it: errors of the sealed logs."""
+    return line | {"error": {stage: of["validation"] for stage, of in line["error"].items()}}
+
+
+def counts(suite: str, lines: Sequence[Line]) -> dict[str, tuple[int, int]]:
+    """Return figure → (number of hits, number of cases), without those of a size of disturbance."""
+    lines = [scored(line) for line in lines]
+    counted: dict[str, tuple[int, int]] = SCORES[suite].counts(lines)
+    if suite in (MIXED, ARM):
+        nothing = [line for line in lines if line["kind"] == "nothing"]
+        hits = [hit for line in lines for hit in field_score.claims(line)]
+        counted |= {"false_alarms": (sum(map(field_score.is_false_alarm, nothing)), len(nothing))}
+        counted |= {"coverage": (sum(hits), len(hits))}
+    return {name: pair for name, pair in counted.items() if "disturbed" not in name}
+
+
+def table(lines: Sequence[Line]) -> str:
+    """Return the figures of each suite with 95 % intervals, of all studies and of those that are no near-ties."""
+    text = []
+    for suite, (_, of) in SUITES.items():
+        every = [line for line in lines if line["suite"] == suite]
+        apart = [line for line in every if not line["near_tie"]]
+        failed = sum(line["verdict"] == "failed" for line in every)
+        text += ["", f"{suite}: {len(every)} of {of} studies, {failed} failed, {len(every) - len(apart)} near-ties"]
+        groups = [counts(suite, every)] + ([counts(suite, apart)] if len(apart) < len(every) else [])
+        for name in groups[0]:
+            text.append(f"  {name:25}" + "   without near-ties".join(_share(*group[name]) for group in groups))
+        if every:
+            seconds = sorted(line["processor_seconds"] for line in every)
+            late = seconds[math.ceil(0.95 * len(seconds)) - 1]
+            text.append(f"  processor seconds: median {statistics.median(seconds):.0f}, 95 % {late:.0f}")
+        if len(apart) < len(every):
+            text.append("  near-ties: " + " ".join(str(line["seed"]) for line in every if line["near_tie"]))
+    return "\n".join(text[1:])
+
+
+def _share(hits: int, of: int) -> str:
+    low, high = wilson(hits, of)
+    part = f"{100 * hits / of:5.1f} %" if of else "    – "
+    return f" {hits:3d} of {of:3d}  {part}  [{100 * low:5.1f}, {100 * high:5.1f}]"
+
+
+# -- the command -------------------------------------------------------------------------------------------
+
+
+def environment_of(named: str | None) -> tuple[str, str]:
+    """Return revision and Python of a named revision, else of that of the corpus, else of this tree."""
+    corpus = ROOT / "tests" / "corpus" / "revision"
+    if named is None and corpus.exists():
+        named = dict(line.split(": ") for line in corpus.read_text().splitlines())["revision"]
+    if named is None or named.endswith("+"):
+        return named or harness.revision(), sys.executable
+    asked = ["git", "rev-parse", "--verify", f"{named}^{{commit}}"]
+    commit = subprocess.run(asked, cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
+    return commit[:12], str(ROOT / "build" / "corpus" / commit / "env" / "bin" / "python")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="python -m tests.blind.baseline", description=__doc__.splitlines()[0])
+    parser.add_argument("suites", nargs="*", metavar="SUITE", help=f"{', '.join(SUITES)}; by default all")
+    parser.add_argument("--revision", help="by default the one in tests/corpus/revision")
+    parser.add_argument("--python", help="of the environment of the revision; by default build/corpus/REVISION/env")
+    parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)), help="studies at a time")
+    parser.add_argument("--lines", type=Path, default=LINES, help="file of lines")
+    parser.add_argument("--summary", action="store_true", help="print the table, run nothing")
+    parser.add_argument("--study", nargs=3, metavar=("SUITE", "SEED", "FOLDER"), help="print the line of one study")
+    options = parser.parse_args(arguments)
+    if strangers := set(options.suites) - set(SUITES):
+        parser.error(f"unknown suites {', '.join(sorted(strangers))}; there are {', '.join(SUITES)}")
+    revision, python = environment_of(options.revision)
+    python = options.python or python
+    if options.study:
+        suite, seed, folder = options.study
+        print(json.dumps(conduct(suite, int(seed), python, revision, Path(folder))))
+        return 0
+    if not options.summary:
+        if not Path(python).exists() or subprocess.run([python, "-P", "-c", "import cosim, plant"]).returncode:
+            parser.error(f"{python} has no cosim and hovercraft: `make corpus` installs those of a revision")
+        todo = missing(options.lines, revision, options.suites)
+        if run(todo, python, revision, options.lines, options.jobs):
+            return 1
+    print(f"revision {revision}\n{table(list(read(options.lines, revision).values()))}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

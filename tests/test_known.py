@@ -1,0 +1,34 @@
+"""The table of known answers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.known.cases import CASES
+from tests.known.table import Case, check
+
+VARIANTS = [(case, variant) for case in CASES for variant in case.runs]
+
+
+@pytest.mark.parametrize(
+    ("case", "variant"),
+    [
+        pytest.param(
+            case, variant, id=f"{case.name}-{variant}" if variant else case.name,
+            marks=[pytest.mark.xfail(strict=True, reason=case.later)] if case.later else [],
+        )
+        for case, variant in VARIANTS
+    ],
+)  # fmt: skip
+def test_the_answer_is_known(case: Case, variant: str, tmp_path: Path) -> None:
+    outcome = case.runs[variant](tmp_path)
+    for answer in case.answers:
+        check(outcome, answer)
+
+
+def test_the_page_has_the_rows_of_the_table() -> None:
+    page = (Path(__file__).parent.parent / "docs" / "known.md").read_text(encoding="utf-8")
+    names = [line.split("`")[1] for line in page.splitlines() if line.startswith("| `")]
+    assert sorted(names) == sorted(case.name for case in CASES)
