@@ -112,7 +112,7 @@ class System:
             elif isinstance(component, FmuBlock) and sampled_by(component.path) is not None:
                 signals = [*component.outputs]
             names |= {f"{component.name}.{s.name}" for s in signals}
-        transfers = (*self.held, *chain.from_iterable(stage.pulls for stage in self.stages))
+        transfers = (*self.held, *chain.from_iterable((*stage.pulls, *stage.late) for stage in self.stages))
         return frozenset(names | {transfer.name for transfer in transfers if transfer.origin in names})
 
     @property
