@@ -157,10 +157,9 @@ def rover_log(
     place, psi, v, w = 0j, 0.0, 0.0, 0.0
     fine = []
     for k in range((count - 1) * FINE + 1):
-        force, moment = u[max(0, k - 1) // FINE]  # an output takes the command held until then
+        force, moment = u[k // FINE]
         ahead = gain * force / MASS - DRAG * v
         fine.append((place, psi, w, ahead))
-        force, moment = u[k // FINE]
         # the speeds exactly, the heading from its exact integral, the place by Simpson's rule
         ends = []
         for part in (0.5 * h, h):

@@ -178,18 +178,16 @@ def test_initialization_ends_exactly_where_it_can_and_within_rounding_where_it_c
     assert 860 <= sweeps <= 960  # 0.97^n ≈ 1e-12/0.97…
 
 
-def test_values_that_grow_or_swing_for_ever_are_an_algebraic_loop_that_does_not_settle() -> None:
-    for gain in (-1.0, 1.0):
-        with pytest.raises(StoppedRun, match=r"\.u at t = 0 s: it still changes after 2000 exchanges"):
-            initialized(gain)
+def test_a_loop_without_a_solution_does_not_settle() -> None:
+    with pytest.raises(StoppedRun, match=r"\.u at t = 0 s"):
+        initialized(1.0)
 
 
-def test_values_that_come_to_rest_slowly_are_waited_for() -> None:
-    sweeps, value = initialized(0.9985)  # after 1000 sweeps a change is 0.22 of what it was
-    assert value == pytest.approx(1.0 / 0.0015, rel=1e-6)
-    assert 10_000 < sweeps < 20_000
-    with pytest.raises(StoppedRun, match="after 2000 exchanges"):
-        initialized(0.99992)  # 0.92 of what it was: not less and less
+@pytest.mark.parametrize("gain", [-1.0, 0.9985, 0.99992])
+def test_a_loop_whose_exchanges_grow_swing_or_shrink_slowly_is_solved(gain: float) -> None:
+    sweeps, value = initialized(gain)
+    assert value == pytest.approx(1.0 / (1.0 - gain), rel=1e-6)
+    assert sweeps < 20_000
 
 
 def test_outputs_that_are_right_only_after_initialization_reach_the_others() -> None:

@@ -258,7 +258,7 @@ def evaluated(kind: str, **more: Any) -> dict[str, Any]:
     signals = np.column_stack([[4.0, -2.0, 1.0, 1.0, 3.0], [1.0, 1.0, 1.0, 1.0, 1.0]])
     results = Results(time, ("a.y", "a.r"), signals, {"a.y": "m"})
     criterion = Criterion.model_validate({"of": "a.y", "max": 2.0} | more)
-    (found,) = evaluate(SimpleNamespace(goals=[(kind, 0, criterion)]), results)  # type: ignore[arg-type]
+    (found,) = evaluate(SimpleNamespace(goals=[(kind, 0, criterion)], step=1.0), results)  # type: ignore[arg-type]
     return found
 
 

@@ -158,7 +158,9 @@ def test_time_and_step_events_are_counted(tmp_path: Path) -> None:
     ticking = probe_structure(build(tmp_path / "a.fmu", "drive", fault="time_events"), logs)
     assert [(e.state, e.time, e.step) for e in ticking.events] == [(0, 490, 0)]  # each millisecond
     asking = probe_structure(build(tmp_path / "b.fmu", "drive", fault="step_events"), logs)
-    assert [(e.state, e.time, e.step) for e in asking.events] == [(0, 0, 49)]
+    (asked,) = asking.events  # at each step of the solver, several a row, and the solver goes on
+    assert (asked.state, asked.time) == (0, 0)
+    assert 49 < asked.step < 1000
     assert [p.velocity for p in asking.pairs] == ["motor.w", "load.w"]
 
 
@@ -305,7 +307,7 @@ def test_the_verb_shows_places_as_a_table_and_as_json(tmp_path: Path) -> None:
 def test_an_fmu_that_fails_soon_has_no_places_and_is_named(tmp_path: Path, call: str, deed: str, at: int) -> None:
     told = cosim("info", deeds_fmu(tmp_path / "bad.fmu", call, deed, at), "--places")
     assert told.returncode == 4
-    assert re.fullmatch(r"error: bad.fmu at t = 0\.0\d+ s: fmi2.*\n", told.stderr)
+    assert re.fullmatch(r"error: bad.fmu at t = 0\.\d+ s: fmi2.*\n", told.stderr)
 
 
 @pytest.mark.thorough

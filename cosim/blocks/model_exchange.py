@@ -292,14 +292,22 @@ class ModelExchange2(Calls):
 
     def handle_event(self, h: float) -> None:
         """Handle the event at which the step of `h` [s] has come to; raise SimulationError for chattering."""
-        self.event_counts[self.cause] += 1
-        self.cause = ""
+        cause, self.cause = self.cause, ""
+        self.event_counts[cause] += 1
         self._events.append(self.time)
         if len(self._events) == self._events.maxlen and self._events[-1] - self._events[0] <= AT_ONCE * h:
             fault = messages.CHATTERING(count=len(self._events), span=AT_ONCE * h)
             raise SimulationError(self.name, self.time, fault)
+        before = self._point() if cause == "step" else None
         self.event()
-        self.solver.reset(self.time)
+        if before is None or self._point() != before:  # Else the solution goes on smoothly.
+            self.solver.reset(self.time)
+
+    def _point(self) -> tuple[list[float], ...]:
+        """Return continuous states, their derivatives and the event indicators."""
+        states = self.save()[1]
+        indicators = self._indicators(self.time, states) if self.description.numberOfEventIndicators else []
+        return states, self._rates(), indicators
 
     def update(self) -> None:
         """Update discrete states until stable; note the next time event."""

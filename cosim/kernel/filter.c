@@ -166,7 +166,7 @@ int filter(const Log *log, const double *p, const double *x0, const double *P0, 
         if (k > 0) {
             double before = t - log->step;
             if (has_past) {
-                row_command(log, k, command); /* what acted since: an output that takes a command did not jump */
+                row_command(log, k - 1, command); /* acts over the step: an output that takes a command does not jump within it */
                 measure(before, x, command, p, y);
                 path.late = log->late ? log->late + NY * k : NULL;
                 path_begin(&path, y);

@@ -99,7 +99,7 @@ def predicted_outputs(model: Model, log: RunLog, ignored: Mapping[str, Rows]) ->
     table = np.full((len(log.time), len(model.outputs)), np.nan)
     for k, ahead, _ in moments(stepper, log, ignored):
         try:
-            table[k] = stepper.output(ahead.t, ahead.state, commands[max(0, k - 1)])
+            table[k] = stepper.output(ahead.t, ahead.state, commands[k])
         except (ArithmeticError, ValueError):
             break
     return dict(zip((q.name for q in model.outputs), table.T, strict=True))

@@ -94,10 +94,10 @@ static void substep(double t, double h, double *x, const double *u, const double
 }
 #endif
 
-/* The commands with which the FMU gives its outputs in row k: those held over the step that ends there, or interpolated. */
+/* The commands with which the FMU gives its outputs in row k: those of the row, which act from there on. */
 static void row_command(const Log *log, int k, double *u)
 {
-    memcpy(u, row_of(log, k - 1), sizeof(double) * NU);
+    memcpy(u, row_of(log, k), sizeof(double) * NU);
     on_ramps(log, k, u);
 }
 
