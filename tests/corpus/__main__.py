@@ -1,4 +1,4 @@
-"""`python -m tests.corpus [--rev REV] [--only PATTERN]`: run the corpus with a revision and with this tree, and compare.
+"""Run the corpus with a revision and with this tree, and compare: `python -m tests.corpus [--rev REV]`.
 
 Exit code 1: a difference is not intended, or an entry of `intended.yaml` is not used.
 """

@@ -192,16 +192,19 @@ def leaf_difference(old: Leaf, new: Leaf, tolerance: float) -> tuple[str, str] |
     if isinstance(old, np.ndarray) and isinstance(new, np.ndarray):
         return _column_difference(old, new, tolerance)
     if _is_number(old) and _is_number(new):
-        if old == new or (math.isnan(old) and math.isnan(new)):
-            return None
-        floor = NEXT_TO_ZERO if tolerance else 0.0
-        if math.isfinite(old) and abs(old - new) <= max(tolerance * max(abs(old), abs(new)), floor):
-            return None
+        equal = _are_near(old, new, tolerance)
     elif isinstance(old, str) and isinstance(new, str) and _is_sentence(old) and _is_sentence(new):
-        return None
-    elif type(old) is type(new) and np.array_equal(old, new):
-        return None
-    return _shown(old), _shown(new)
+        equal = True
+    else:
+        equal = type(old) is type(new) and not isinstance(old, np.ndarray) and old == new
+    return None if equal else (_shown(old), _shown(new))
+
+
+def _are_near(old: float, new: float, tolerance: float) -> bool:
+    if old == new or (math.isnan(old) and math.isnan(new)):
+        return True
+    floor = NEXT_TO_ZERO if tolerance else 0.0
+    return math.isfinite(old) and abs(old - new) <= max(tolerance * max(abs(old), abs(new)), floor)
 
 
 def _column_difference(old: np.ndarray, new: np.ndarray, tolerance: float) -> tuple[str, str] | None:
@@ -238,7 +241,7 @@ def _shown(leaf: Leaf) -> str:
 
 
 def _csv_columns(text: str) -> dict[str, Leaf]:
-    rows = [row for row in csv.reader(io.StringIO(text))]
+    rows = list(csv.reader(io.StringIO(text)))
     if not rows:
         return {}
     head, *rows = rows

@@ -184,7 +184,7 @@ def write_wrong(folder: Path) -> None:
     with zipfile.ZipFile(place / "undescribed.fmu", "w") as archive:
         archive.writestr("readme.txt", "nothing")
     pack(place / "no_library.fmu", text, None, {})
-    pack(place / "no_functions.fmu", text, binary, {})
+    pack(place / "no_functions.fmu", text, library("nothing", ()), {})
     pack(place / "version.fmu", text.replace('fmiVersion="2.0"', 'fmiVersion="9.0"'), None, {})
     pack(place / "no_guid.fmu", slides.replace(' guid="g"', ""), binary, {})
     pack(place / "twice.fmu", slides.replace('name="velocity"', 'name="position"'), binary, {})

@@ -21,7 +21,7 @@ from typing import Any
 
 from tests.corpus.revisions import Side
 
-TIMEOUT_S = 300.0
+TIMEOUT_S = 900.0  # some minutes on a machine that is busy
 # Read by nobody: only their presence counts, and copies would be large.
 PLACEHOLDERS = {".html", ".png", ".svg", ".pdf", ".so", ".mcap", ".npy", ".sqlite"}
 ARCHIVES = {".fmu", ".ssp"}
@@ -107,8 +107,8 @@ def environment(side: Side) -> dict[str, str]:
     """Return the environment variables of a command: no network, fixed seeds and dates, a home of its own."""
     home = side.folder / "home"
     (home / "tmp").mkdir(parents=True, exist_ok=True)
-    proxies = {name: NO_NETWORK for name in ("http_proxy", "https_proxy", "HTTP_PROXY", "HTTPS_PROXY", "ALL_PROXY")}
-    threads = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
+    proxies = dict.fromkeys(("http_proxy", "https_proxy", "HTTP_PROXY", "HTTPS_PROXY", "ALL_PROXY"), NO_NETWORK)
+    threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     return {
         "PATH": f"{side.programs}:{os.defpath}",
         "HOME": str(home),
