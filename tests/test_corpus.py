@@ -46,6 +46,7 @@ def keys(folder: Path, tolerance: float = 0.0, **new: Any) -> list[str]:
         ({"printed": PRINTED | {"further": 1}}, ["printed:further"]),
         ({"printed": None}, ["printed"]),
         ({"rows": ROWS.replace("4.0", "4.5")}, ["out/results.csv:x"]),
+        ({"rows": ROWS.replace("4.0", "")}, ["out/results.csv:x"]),
         ({"rows": ROWS.replace("off", "on")}, ["out/results.csv:mode"]),
         ({"rows": ROWS.replace("x", "y")}, ["out/results.csv:x", "out/results.csv:y"]),
         ({"rows": ROWS.rsplit("2,", 1)[0]}, ["out/results.csv:mode", "out/results.csv:time", "out/results.csv:x"]),
@@ -63,6 +64,12 @@ def test_a_tolerance_is_relative_to_a_number_and_to_the_largest_of_a_column(tmp_
     assert leaf_difference(float("nan"), float("nan"), 0.0) is None
     assert leaf_difference(True, 1, 0.0) is not None
     assert leaf_difference(np.array([np.nan, 1.0]), np.array([1.0, 1.0]), 0.1) is not None
+
+
+def test_integers_beyond_doubles_are_compared_by_their_digits(tmp_path: Path) -> None:
+    first, second = ("n\n9007199254740993\n", "n\n9007199254740992\n")
+    old, new = outcome(tmp_path / "a", {"n": 2**53 + 1}, first), outcome(tmp_path / "b", {"n": 2**53}, second)
+    assert [d.key for d in differences("desk: run", old, new)] == ["out/results.csv:n", "printed:n"]
 
 
 def test_a_missing_file_is_one_difference(tmp_path: Path) -> None:

@@ -33,6 +33,7 @@ MOST_INTENDED = 30  # entries of an issue
 NEXT_TO_ZERO = 1e-12  # where a tolerance is stated
 TEXT_BLANKS = 3  # a text with so many blanks is a sentence: that it is there counts, not its wording
 TABLE_VALUES = 8  # a list with more numbers is compared as a column
+EXACT = 2**53  # integers beyond it are compared by their digits, as doubles do not tell them apart
 
 Leaf = Any  # a number, a text, None, or a column: an array of numbers or a tuple of texts
 
@@ -181,7 +182,7 @@ def flatten(value: Any, key: str = "") -> dict[str, Leaf]:
             found |= {place: "volatile"} if name in VOLATILE else flatten(part, place)
         return found or {key: "{}"}
     if isinstance(value, list):
-        if len(value) > TABLE_VALUES and all(isinstance(v, int | float) and not isinstance(v, bool) for v in value):
+        if len(value) > TABLE_VALUES and all(_is_number(v) and not _is_long(v) for v in value):
             return {key: np.array(value, dtype=float)}
         return {k: v for i, part in enumerate(value) for k, v in flatten(part, f"{key}.{i}").items()} or {key: "[]"}
     return {key: value}
@@ -226,6 +227,10 @@ def _is_number(value: Leaf) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
+def _is_long(value: float) -> bool:
+    return isinstance(value, int) and abs(value) > EXACT
+
+
 def _is_sentence(text: str) -> bool:
     return text.count(" ") >= TEXT_BLANKS
 
@@ -252,6 +257,8 @@ def _csv_columns(text: str) -> dict[str, Leaf]:
 
 
 def _column(cells: Sequence[str]) -> Leaf:
+    if any(cell.lstrip("-").isdecimal() and _is_long(int(cell)) for cell in cells):
+        return tuple(cells)
     try:
         return np.array([float(cell) if cell else math.nan for cell in cells])
     except ValueError:
