@@ -1,6 +1,7 @@
 """Run the corpus with a revision and with this tree, and compare: `python -m tests.corpus [--rev REV]`.
 
-Exit code 1: a difference is not intended, or an entry of `intended.yaml` is not used.
+Exit code 1: a difference is not intended, or an entry of `intended.yaml` is not used. The last commit of an issue
+writes the one before it into `revision` (the line `old` stays) and empties `intended.yaml`.
 """
 
 from __future__ import annotations

@@ -49,7 +49,12 @@ def revision(name: str = "revision") -> str:
 
 def revision_side(name: str) -> Side:
     """Install a revision once, and return its side."""
-    commit = git("rev-parse", "--verify", f"{name}^{{commit}}").decode().strip()
+    try:
+        commit = git("rev-parse", "--verify", f"{name}^{{commit}}").decode().strip()
+    except subprocess.CalledProcessError:
+        raise SystemExit(
+            f"{name} is no revision of this clone; a shallow clone needs `git fetch --unshallow`"
+        ) from None
     side = Side(commit[:8], PLACE / commit)
     if not (side.folder / "installed").is_file():
         shutil.rmtree(side.folder, ignore_errors=True)
@@ -63,7 +68,8 @@ def revision_side(name: str) -> Side:
 def working_side() -> Side:
     """Install the working tree, with uncommitted files, and return its side."""
     side = Side("this tree", PLACE / "this")
-    shutil.rmtree(side.tree, ignore_errors=True)
+    for place in (side.tree, side.folder / "home"):
+        shutil.rmtree(place, ignore_errors=True)
     for name in git("ls-files", "--cached", "--others", "--exclude-standard", "-z").decode().split("\0"):
         if name and (ROOT / name).is_file():
             (side.tree / name).parent.mkdir(parents=True, exist_ok=True)
