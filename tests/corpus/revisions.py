@@ -52,9 +52,7 @@ def revision_side(name: str) -> Side:
     try:
         commit = git("rev-parse", "--verify", f"{name}^{{commit}}").decode().strip()
     except subprocess.CalledProcessError:
-        raise SystemExit(
-            f"{name} is no revision of this clone; a shallow clone needs `git fetch --unshallow`"
-        ) from None
+        raise SystemExit(f"{name} is no revision of this clone; a shallow one needs git fetch --unshallow") from None
     side = Side(commit[:8], PLACE / commit)
     if not (side.folder / "installed").is_file():
         shutil.rmtree(side.folder, ignore_errors=True)
