@@ -89,7 +89,9 @@ def lines_of(found: Sequence[Difference], few: int | None) -> Iterator[str]:
 def main() -> int:
     """Run both sides, print differences, and return the exit code."""
     options = argparse.ArgumentParser(prog="python -m tests.corpus", description=__doc__)
-    options.add_argument("--rev", default="", help="revision to compare with (default: that of tests/corpus/revision)")
+    options.add_argument(
+        "--rev", default="revision", help="a commit, or a line of tests/corpus/revision: revision (default) or old"
+    )
     options.add_argument("--only", default="*", metavar="PATTERN", help="desks to run, such as 'scenarios' or 'fit*'")
     options.add_argument("--jobs", type=int, default=2, help="commands at a time (default: 2)")
     options.add_argument("--fresh", action="store_true", help="run the old side again, too")
@@ -99,7 +101,7 @@ def main() -> int:
     if not desks:
         raise SystemExit(f"no desk matches {asked.only!r}")
     intended = read_intended(HERE / "intended.yaml")
-    old, new = revision_side(asked.rev or revision()), working_side()
+    old, new = revision_side(revision(asked.rev) if asked.rev in {"revision", "old"} else asked.rev), working_side()
     inputs = make_inputs(PLACE)
     begin = time.monotonic()
     with ThreadPoolExecutor(asked.jobs) as jobs:

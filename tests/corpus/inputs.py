@@ -121,7 +121,7 @@ def write_logs(folder: Path) -> None:
         write_log(folder / f"{name}.csv", sliding_log(10 + number, dry=0.25))
     for number, name in enumerate(("late_a", "late_b", "late_c")):
         write_log(folder / f"{name}.csv", sliding_log(20 + number, dry=0.0, delay=4))
-    for kind, dry, load in (("motor", 0.0, 0.0), ("rubbing", 0.01, 0.0), ("odd", 0.0, 0.004)):
+    for kind, dry, load in (("motor", 0.0, 0.0), ("rubbing", 0.01, 0.0), ("odd", 0.0, 0.02)):
         for number, name in enumerate("abc"):
             write_log(folder / f"{kind}_{name}.csv", motor_log(30 + number, dry, load))
 
