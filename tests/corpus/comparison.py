@@ -22,12 +22,13 @@ from tests.corpus.running import Outcome
 # Keys of JSON and YAML whose values differ between two runs of one revision, or name the revision. A value below one of
 # them is not compared.
 VOLATILE = {
-    "cosim": "version of the package",
-    "created": "time of the day",
-    "environment": "versions of packages and of the machine",
+    "cosim_version": "version of the package",
+    "guid": "of an FMU, a hash of what it was built from",
+    "seconds": "duration",
     "sha256": "hash of an FMU, which has the sources of its revision",
     "timings": "durations",
     "version": "version of the package",
+    "versions": "versions of packages and of the machine",
 }
 MOST_INTENDED = 30  # entries of an issue
 NEXT_TO_ZERO = 1e-12  # where a tolerance is stated
