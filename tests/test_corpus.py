@@ -63,6 +63,7 @@ def test_a_tolerance_is_relative_to_a_number_and_to_the_largest_of_a_column(tmp_
     assert leaf_difference(0.0, 1e-13, 1e-6) is None
     assert leaf_difference(float("nan"), float("nan"), 0.0) is None
     assert leaf_difference(True, 1, 0.0) is not None
+    assert leaf_difference("2026-11-28T19:40:37+00:00", "2026-11-28T20:00:52+00:00", 0.0) is None
     assert leaf_difference(np.array([np.nan, 1.0]), np.array([1.0, 1.0]), 0.1) is not None
 
 

@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import math
+import re
 import zipfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -32,6 +33,7 @@ VOLATILE = {
 }
 MOST_INTENDED = 30  # entries of an issue
 NEXT_TO_ZERO = 1e-12  # where a tolerance is stated
+CLOCK_TIME = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d")
 TEXT_BLANKS = 3  # a text with so many blanks is a sentence: that it is there counts, not its wording
 TABLE_VALUES = 8  # a list with more numbers is compared as a column
 EXACT = 2**53  # integers beyond it are compared by their digits, as doubles do not tell them apart
@@ -195,7 +197,7 @@ def leaf_difference(old: Leaf, new: Leaf, tolerance: float) -> tuple[str, str] |
         return _column_difference(old, new, tolerance)
     if _is_number(old) and _is_number(new):
         equal = _are_near(old, new, tolerance)
-    elif isinstance(old, str) and isinstance(new, str) and _is_sentence(old) and _is_sentence(new):
+    elif isinstance(old, str) and isinstance(new, str) and _kind(old) and _kind(old) == _kind(new):
         equal = True
     else:
         equal = type(old) is type(new) and not isinstance(old, np.ndarray) and old == new
@@ -232,8 +234,11 @@ def _is_long(value: float) -> bool:
     return isinstance(value, int) and abs(value) > EXACT
 
 
-def _is_sentence(text: str) -> bool:
-    return text.count(" ") >= TEXT_BLANKS
+def _kind(text: str) -> str:
+    """Return the kind of a text whose wording does not count."""
+    if CLOCK_TIME.match(text):
+        return "time of the day"
+    return "sentence" if text.count(" ") >= TEXT_BLANKS else ""
 
 
 def _shown(leaf: Leaf) -> str:
