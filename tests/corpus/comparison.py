@@ -25,14 +25,16 @@ from tests.corpus.running import Outcome
 VOLATILE = {
     "cosim_version": "version of the package",
     "guid": "of an FMU, a hash of what it was built from",
+    "growth": "memory of a process",
+    "runs_a_second": "inverse of a duration",
     "seconds": "duration",
-    "sha256": "hash of an FMU, which has the sources of its revision",
     "timings": "durations",
     "version": "version of the package",
     "versions": "versions of packages and of the machine",
 }
 MOST_INTENDED = 30  # entries of an issue
 NEXT_TO_ZERO = 1e-12  # where a tolerance is stated
+HASH = re.compile(r"[0-9a-f]{64}")  # of an FMU, which has the sources of its revision, or of places
 CLOCK_TIME = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d")
 TEXT_BLANKS = 3  # a text with so many blanks is a sentence: that it is there counts, not its wording
 TABLE_VALUES = 8  # a list with more numbers is compared as a column
@@ -236,6 +238,8 @@ def _is_long(value: float) -> bool:
 
 def _kind(text: str) -> str:
     """Return the kind of a text whose wording does not count."""
+    if HASH.fullmatch(text):
+        return "hash"
     if CLOCK_TIME.match(text):
         return "time of the day"
     return "sentence" if text.count(" ") >= TEXT_BLANKS else ""
