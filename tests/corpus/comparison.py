@@ -225,7 +225,10 @@ def _column_difference(old: np.ndarray, new: np.ndarray, tolerance: float) -> tu
     apart = np.where(equal, 0.0, np.where(np.isnan(apart), np.inf, apart))
     place = np.unravel_index(int(apart.argmax()), apart.shape)
     row = ", ".join(str(int(k)) for k in place)
-    return f"{old[place]!r}", f"{new[place]!r} (row {row}; {int((~equal).sum())} of {old.size} values differ)"
+    return (
+        f"{float(old[place])!r}",
+        f"{float(new[place])!r} (row {row}; {int((~equal).sum())} of {old.size} values differ)",
+    )
 
 
 def _is_number(value: Leaf) -> bool:
