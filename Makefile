@@ -9,7 +9,7 @@ DOCUMENTING := .venv/.documenting
 MUTATING := .venv/.mutating
 RELEASING := .venv/.releasing
 
-.PHONY: run test thorough refine bench blind blind-fmu baseline crash kills fuzz mutants seed check docs dist trial versions clean fmus
+.PHONY: run test thorough refine bench blind blind-fmu baseline corpus crash kills fuzz mutants seed check docs dist trial versions clean fmus
 N ?= 24
 CRASHES ?= 200
 KILLS ?= 200
@@ -80,6 +80,10 @@ blind-fmu: $(TESTING)
 # the frozen blind studies at the revision in tests/corpus/revision, as far as they are missing
 baseline: $(TESTING)
 	$(BIN)/python -m tests.blind.baseline
+
+# the same commands with the wheels of REV (that of tests/corpus/revision) and of this tree; ONLY a pattern of desks
+corpus: $(TESTING)
+	$(BIN)/python -m tests.corpus $(if $(REV),--rev $(REV)) $(if $(ONLY),--only '$(ONLY)')
 
 crash: $(TESTING)
 	$(BIN)/python -m tests.crash $(CRASHES)

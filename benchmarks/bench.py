@@ -19,7 +19,6 @@ import numpy as np
 from benchmarks.bench_coupling import coupling_figures
 from benchmarks.bench_library import library_figures
 from benchmarks.bench_native import native_figures
-from benchmarks.bench_remote import remote_step_us
 from controller.gains import Settings
 from controller.loop import Loop
 from cosim.base.arrays import Array
@@ -112,7 +111,6 @@ def bench() -> dict[str, float | str]:
         }
         if compiler() is not None:
             figures["isolated_over_inprocess"] = isolated_over_inprocess(place)
-            figures["remote_step_us"] = remote_step_us(place / "lags.fmu")
             figures["sweep_over_fmpy"] = sweep_over_fmpy(place, compiled=True)
         else:
             figures["sweep_over_fmpy"] = "no C compiler"
