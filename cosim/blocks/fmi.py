@@ -91,6 +91,9 @@ class Calls(ABC):
         """End initialization."""
         self.fmu.exitInitializationMode()
 
+    def settle(self) -> None:  # noqa: B027 - co-simulation has no such events
+        """Handle an event at the end of a step that no change of inputs has handled; only model exchange has one."""
+
     def bare(self, prototype: Any, name: str) -> Any:
         """Return a library function without FMPy's checks and copies."""
         function = getattr(self.fmu.dll, self.symbol(name))

@@ -316,6 +316,22 @@ class FmuBlock:
             instance.judge(instance.step_name, status)
         instance.time = t + h
 
+    def await_inputs(self, times: Collection[float] = (), *, always: bool = False) -> None:
+        """Let model exchange handle an event at the end of a step together with the inputs that change there.
+
+        Args:
+            times: Ends of steps [s] at which `change` follows.
+            always: Whether inputs are set after every step.
+        """
+        if isinstance(self._calls, ModelExchange2):
+            self._calls.awaits_inputs, self._calls.changes_at = always, frozenset(times)
+
+    def settle(self) -> None:
+        """Handle an event of model exchange at the end of a step, if inputs do not change there."""
+        if isinstance(self._calls, ModelExchange2):
+            with self.instance.check_calls():
+                self._calls.settle()
+
     def change(self, values: Mapping[str, Any]) -> None:
         """Set tunable parameters and inputs during a run."""
         with self.instance.check_calls():

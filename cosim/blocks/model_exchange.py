@@ -42,6 +42,8 @@ class ModelExchange2(Calls):
         max_steps: Largest number of solver steps between communication points and events; None for the solver's own.
         stops_at_events: Whether a step ends at its first event, which `handle_event` then handles.
         cause: Kind of the event at which the last step ended; "" without one.
+        awaits_inputs: Whether inputs follow each step. An event at its end is handled with them, as one event.
+        changes_at: Times [s] at which inputs or parameters are changed after the step that ends there, likewise.
     """
 
     way: Way = "model-exchange"
@@ -62,6 +64,7 @@ class ModelExchange2(Calls):
         self._events: deque[float] = deque(maxlen=MOST_EVENTS)  # times of the last events
         self.event_counts = {"state": 0, "time": 0, "step": 0}
         self.stops_at_events, self.cause = False, ""
+        self.awaits_inputs, self.changes_at, self._length = False, frozenset[float](), 0.0
 
     def prepare(self) -> None:
         self._started, self.solver = False, None
@@ -82,8 +85,16 @@ class ModelExchange2(Calls):
         if not self._started:
             take()
             return
+        if self.cause and not self.stops_at_events:
+            self.event_counts[self.cause] += 1
+            self.cause = ""
         self.event(take)
         self.solver.reset(self.time)
+
+    def settle(self) -> None:
+        """Handle an event at the end of a step that no change of inputs has handled, unless a change is due."""
+        if self.cause and not self.stops_at_events and not self._is_changed_at(self.time, CLOSE * self._length):
+            self.handle_event(self._length)
 
     def event(self, change: Callable[[], None] | None = None) -> None:
         """Handle an event: change inputs, then update discrete states."""
@@ -156,7 +167,9 @@ class ModelExchange2(Calls):
 
     def _step(self, component: Any, t: float, h: float, _: int) -> int:
         """Integrate to the communication point across all events."""
-        end = t + h
+        end, self._length = t + h, h
+        if self.cause and not self.stops_at_events:  # Nothing has changed at the last step's end.
+            self.handle_event(h)
         spacing = math.ulp(max(abs(t), abs(end)))
         close = ULPS * spacing + CLOSE * h
         if h <= 2 * ULPS * spacing:
@@ -174,8 +187,13 @@ class ModelExchange2(Calls):
                 )
                 if self.stops_at_events:
                     return 0
+                if end - self.time <= close and (self.awaits_inputs or self._is_changed_at(end, close)):
+                    return 0
                 self.handle_event(h)
         return 0
+
+    def _is_changed_at(self, time: float, close: float) -> bool:
+        return any(abs(time - at) <= close for at in self.changes_at)
 
     def _integrate(self, target: float, min_span: float) -> tuple[bool, bool]:
         """Integrate to the target or the first event; return whether a state event and a step event occurred.

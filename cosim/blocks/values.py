@@ -94,10 +94,11 @@ class Values:
 
     def _put_if_changed(self) -> None:
         values = [self.content(e) for e in self.ports.fed]
-        if values == self.watched:
-            return
-        self.watched = values
         with self.instance.check_calls():
+            if values == self.watched:
+                self._calls.settle()
+                return
+            self.watched = values
             self._calls.inputs_changed(self.put_all)
 
     def put_all(self) -> None:

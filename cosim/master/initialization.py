@@ -61,7 +61,10 @@ class Initialization:
         for k, component in enumerate(self.components):
             self.doing[0] = CALLS * k + GET
             component.get()
-        if self._values() != before:  # Some FMUs (20-sim) have valid outputs only after initialization.
+        for _ in self.components:  # Some FMUs (20-sim) have valid outputs only after initialization.
+            if self._values() == before:
+                break
+            before = self._values()
             self.sweep()
         if solved and self._grows(solved):  # The loop is there after initialization too.
             raise self._not_settled(self.system.columns[solved[0]], 1)

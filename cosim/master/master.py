@@ -23,6 +23,7 @@ from cosim.base.errors import SimulationError, Terminated, stop_error
 from cosim.base.messages import code_of
 from cosim.blocks.component import EarlyEnd, without_step
 from cosim.blocks.event_mode import EventFmu
+from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.messages import CALL_FAILED, CALL_FAILED_WITH_REASON, VALUE_NOT_FINITE
 from cosim.blocks.stepping import NEVER, NotCompiled
 from cosim.isolation.rows import CALLS, GET, OTHER, Rows
@@ -122,6 +123,10 @@ class Master:
         self.partners = None if inbox is None else inbox.partners
         self._sends = self.partners.send if self.partners is not None and self.partners.sends else None
         self.pacer = None if pace is None else Pacer(pace, steps, h, rows.doing, progress)
+        for stage in system.stages:
+            if isinstance(stage.component, FmuBlock):
+                points = [k for k, changes in system.events.items() if stage.component.name in changes]
+                stage.component.await_inputs([float(self.time[k]) for k in points if k], always=bool(stage.late))
         self.calls = self._calls(progress)
         self.copying = Copying(system, self.row, self.beside, steps, h)
         self.pulls = self.copying.by_component()

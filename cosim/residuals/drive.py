@@ -136,6 +136,7 @@ class Drive:
         self.description = read_description(fmu)
         self.traits = traits_of(fmu)  # None for an FMU of another tool
         self.block = RestartableFmu(PLANT, fmu, self.description, {}, frozenset(log.inputs))
+        self.block.await_inputs(always=True)
         self._check_signals()
         self.inputs = tuple(s.name for s in self.block.inputs if s.name in log.inputs)
         self.outputs = tuple(s.name for s in self.block.outputs)
@@ -269,10 +270,12 @@ class Drive:
                 doing[0] = ADVANCE
                 block.advance(t, h)
                 if reads:
+                    doing[0] = PUT
                     if whole < len(following) and (command := self._commands[following[whole]]) != self._row[:width]:
                         self._row[:width] = command
-                        doing[0] = PUT
                         block.put()
+                    else:
+                        block.settle()
                     doing[0] = GET
                     block.get()
                     ctypes.memmove(there + whole * size, here, size)

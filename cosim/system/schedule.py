@@ -155,7 +155,8 @@ class _Graph:
         if self.interpolates and (not isinstance(origin, SourceBlock) or output in origin.interpolated):
             return "pulled"
         is_seen = component.depends_on(name) is not False or any(signal.local for signal in component.outputs)
-        return "late" if is_seen else "held"
+        # Model exchange has an event at the change, and one with it if another event is at the same time.
+        return "late" if is_seen or getattr(component, "changes_by_events", False) else "held"
 
     def left_open(self, solved: Collection[tuple[str, ...]], key: str, assumptions: Sequence[str]) -> Iterator[Loop]:
         """Yield the unsolved loops that exist if inputs without declared dependencies have feedthrough.

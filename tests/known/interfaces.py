@@ -260,6 +260,20 @@ ENDING = Model(
     event="next = 0.5; end = time >= 0.5;",
     depends={},
 )
+HOLD = Model(
+    "hold",
+    (u(), V("x", start=0.0), V("y", start=0.0, variability="discrete")),
+    {"x": "y"},
+    start="next = 0.25;",
+    event="if (!initializing && time >= next - 1e-12) { y = u; next += 0.25; }",
+)
+HIT = Model(
+    "hit",
+    (u(start=1.0), V("x", start=0.0), V("y", start=0.0, variability="discrete")),
+    {"x": "1"},
+    zeros=("x - 0.5",),
+    event="if (x >= 0.5 - 1e-9 && y == 0) y = u;",
+)
 DELAY = Model(  # the last 100 completed steps; y is x of 0.1 s before
     "delay",
     (V("x", start=0.0), V("y"), V("calls", type="Int32", start=0)),
@@ -325,6 +339,30 @@ def stopped(run: Callable[[Path], Any], *signals: str) -> Callable[[Path], Any]:
     return ended
 
 
+def jumping(model: Model, before: float, after: float, version: int, step: float, door: str) -> Callable[[Path], Any]:
+    """Return the run of model exchange whose input jumps at 0.5 s."""
+
+    def content(folder: Path) -> dict[str, Any]:
+        component = part(model, version, "me", start={"u": before})
+        if door == "event":
+            return scenario({"m": component}, (), 1, step, events=[{"at": 0.5, "set": {"m.u": after}}])
+        rows = {"file": table(folder / "u.csv", "time,u", (0, before), (0.5, after))}
+        signals = {"signals": {"u": {"start": before, "changes": [{"at": 0.5, "to": after}]}}}
+        source = {"block": "playback"} | rows if door == "playback" else {"block": "reference"} | signals
+        keys = {"algorithm": "jacobi"} if door == "jacobi" else {}
+        return scenario({"r": source, "m": component}, ["r.u > m.u"], 1, step, **keys)
+
+    return runs(content)
+
+
+def all_jumping(model: Model, before: float, after: float) -> dict[str, Any]:
+    return {
+        f"FMI {version}, step {step} s, {door}": jumping(model, before, after, version, step, door)
+        for version in (1, 2, 3)
+        for step, door in ((0.25, "playback"), (0.05, "reference"), (0.05, "event"), (0.25, "jacobi"))
+    }
+
+
 TICKS = np.floor(np.arange(11) + 1.0)
 EVENTS = [
     Case(
@@ -339,6 +377,16 @@ EVENTS = [
         "time-events", "event", "x' = 1, from the time event at 0.35 s on 2; another time event 1e-9 s later.",
         "x(1) = 0.35 + 2 · 0.65 = 1.65, two events", everywhere(ALARM, kinds=EXCHANGE),
         [*at(1.0, 1e-8, m_x=1.65), *at(1.0, 0, m_n=2)], because="CVODE at 1e-10 a step", peer=peer(ALARM, 1),
+    ),
+    Case(
+        "sampled-at-a-jump", "event", "x' = y; y becomes u at time events each 0.25 s; u jumps from 0 to 1 at 0.5 s.",
+        "y(0.5) = 1, x(1) = 0.5: of one time, inputs are set before discrete states are updated (FMI 3.0, 3.2)",
+        all_jumping(HOLD, 0.0, 1.0), [*at(0.25, 0, m_y=0.0), *at(0.5, 0, m_y=1.0), *at(1.0, 1e-8, m_x=0.5)],
+        because="CVODE at 1e-10 a step",
+    ),
+    Case(
+        "state-event-at-a-jump", "event", "x' = 1; y becomes u at x = 0.5; u jumps from 1 to 2 at 0.5 s.",
+        "y(1) = 2, as above", all_jumping(HIT, 1.0, 2.0), at(1.0, 0, m_y=2.0),
     ),
     Case(
         "event-on-a-communication-point", "event",
