@@ -154,7 +154,7 @@ class FmuBlock:
         feeding, is_complete = self._feeding if outputs is None else self._feeding_of(outputs)
         if id(variable) in feeding:
             return True
-        if is_complete and self.description.fmiVersion != "1.0":
+        if is_complete:
             return False
         return True if self._is_followed(name) else None
 

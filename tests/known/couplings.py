@@ -276,7 +276,7 @@ MULTI_RATE = [
         "The same, with a fast FMU of FMI 1.0 that declares no DirectDependency.",
         "the same: an empty DirectDependency is no feedthrough (FMI 1.0)",
         {"": runs(lambda _: scenario({"a": part(FAST, 1), "b": part(SLOW, step=0.5)}, ["b.z > a.u", "a.x > b.w"]))},
-        columns(rates(False)), later="DirectDependency of FMI 1.0 is not read",
+        columns(rates(False)),
     ),
     Case(
         "slow-with-feedthrough", "multi-rate", "The same, with y = z + x of the slow FMU as input of the fast one.",
