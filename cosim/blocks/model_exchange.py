@@ -170,7 +170,7 @@ class ModelExchange2(Calls):
         end, self._length = t + h, h
         if self.cause and not self.stops_at_events:  # Nothing has changed at the last step's end.
             self.handle_event(h)
-        spacing = math.ulp(max(abs(t), abs(end)))
+        spacing = math.ulp(max(abs(t), abs(end), end - self.start_time))
         close = ULPS * spacing + CLOSE * h
         if h <= 2 * ULPS * spacing:
             raise SimulationError(self.name, t, messages.STEP_TOO_SHORT(step=h, spacing=spacing))
@@ -228,7 +228,8 @@ class ModelExchange2(Calls):
         if not self.description.numberOfEventIndicators:
             event, _, time = self.solver.step(self.time, target)
             return bool(event), float(time)
-        saved, spacing = self.save(), math.ulp(max(abs(self.time), abs(target)))
+        spacing = math.ulp(max(abs(self.time), abs(target), target - self.start_time))
+        saved = self.save()
         hidden, false = set[int](), set[int]()  # indicators for which the step is too long
         while True:
             is_first = self.solver.is_first

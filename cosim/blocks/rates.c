@@ -16,12 +16,13 @@ typedef struct {
     int status;      /* its status; 0 if a rate was not finite */
     ptrdiff_t place; /* index of the last rate that was not finite, and the rate */
     double rate;
+    double start;    /* time of the run at which CVODE's time is 0 */
 } Model;
 
 int rates(double t, void **y, void **dy, Model *m) {
     const double *x = *(double **)((char *)*y + m->data);
     double *dx = *(double **)((char *)*dy + m->data);
-    int call = 0, status = m->set_time(m->instance, t);
+    int call = 0, status = m->set_time(m->instance, m->start + t);
     if (status <= WARNING) {
         call = 1;
         status = m->set_states(m->instance, x, m->states);

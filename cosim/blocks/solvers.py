@@ -80,10 +80,13 @@ class CompiledRates(ctypes.Structure):
         ("status", ctypes.c_int),
         ("place", ctypes.c_ssize_t),
         ("rate", ctypes.c_double),
+        ("start", ctypes.c_double),
     )
 
     @classmethod
-    def of(cls, fmu: Any, states: int, data: int, symbol: Callable[[str], str] | None) -> CompiledRates | None:
+    def of(
+        cls, fmu: Any, states: int, data: int, start: float, symbol: Callable[[str], str] | None
+    ) -> CompiledRates | None:
         """Return the derivatives of an FMU; None without states or compiler, or if its calls are logged.
 
         Args:
@@ -100,7 +103,7 @@ class CompiledRates(ctypes.Structure):
         names = "SetTime", "SetContinuousStates", f"{derivatives[0].upper()}{derivatives[1:]}"
         functions = (ctypes.cast(getattr(fmu.dll, symbol(name)), ctypes.c_void_p) for name in names)
         instance = ctypes.cast(fmu.component, ctypes.c_void_p)
-        rates = cls(instance, (ctypes.c_void_p * 3)(*(f.value for f in functions)), states, data)
+        rates = cls(instance, (ctypes.c_void_p * 3)(*(f.value for f in functions)), states, data, start=start)
         version = next(number for number in "123" if hasattr(fmu, f"fmi{number}SetTime"))
         rates.names = [f"fmi{version}{name}" for name in names]
         return rates
@@ -136,6 +139,7 @@ def cvode(
 ) -> Any:
     """Return FMPy's CVODE for an FMU, whose derivatives C calls if there is a compiler.
 
+    CVODE's own time begins with the run, since it locates events to 100 roundings of its time.
     Failed FMU calls are stored in `failed`, because exceptions cannot pass through C.
 
     Args:
@@ -148,12 +152,15 @@ def cvode(
     from fmpy.sundials.libraries import sundials_cvode as library
     from fmpy.sundials.nvector_serial import _N_VectorContent_Serial
 
-    set_time, set_states, get_derivatives = fmu.setTime, fmu.setContinuousStates, derivatives_of(fmu)
+    set_states, get_derivatives = fmu.setContinuousStates, derivatives_of(fmu)
     at, data = DOUBLES.from_address, _N_VectorContent_Serial.data.offset
 
-    compiled = CompiledRates.of(fmu, states, data, symbol)
+    compiled = CompiledRates.of(fmu, states, data, start, symbol)
 
     whole, most = longest, MAX_STEPS if max_steps is None else max_steps
+
+    def set_time(since: float) -> None:
+        fmu.setTime(start + since)
 
     class Guarded(CVodeSolver):  # type: ignore[misc]
         is_first, goal, steps = True, math.nan, 0  # first step after a reset; last target, single steps towards it
@@ -189,8 +196,10 @@ def cvode(
             therefore the same as without. A step beyond the last target ends at a point that is returned first.
             """
             is_single = single_steps or (self.is_first and indicators > 0)
-            reached = self._number("CVodeGetCurrentTime")
-            goal = reached if is_single and t < reached < target else target
+            goal, since = target, target - start
+            current = self._number("CVodeGetCurrentTime")
+            if is_single and t < start + current < target:
+                goal, since = start + current, current
             if target != self.goal:
                 self.goal, self.steps = target, 0
                 self.failed, self.refusals = None, []
@@ -200,7 +209,7 @@ def cvode(
             if states:
                 self.get_x(self.px, self.nx)
             time = ctypes.c_double()
-            flag = library.CVode(self.memory, ctypes.c_double(goal), self.x, ctypes.byref(time), NORMAL)
+            flag = library.CVode(self.memory, ctypes.c_double(since), self.x, ctypes.byref(time), NORMAL)
             if states:
                 self.set_x(self.px, self.nx)
             self.steps += is_single
@@ -210,10 +219,11 @@ def cvode(
             roots = (ctypes.c_int * indicators)()
             if flag == ROOT_RETURN:
                 library.CVodeGetRootInfo(self.memory, roots)
-            return flag == ROOT_RETURN, list(roots), time.value
+            reached = goal if time.value == since else min(start + time.value, goal)
+            return flag == ROOT_RETURN, list(roots), reached
 
         def reset(self, time: float, longest: float | None = None) -> None:
-            super().reset(time)
+            super().reset(time - start)
             self.is_first, self.goal = True, math.nan
             library.CVodeSetInitStep(self.memory, ctypes.c_double(longest or 0.0))
             library.CVodeSetMaxStep(self.memory, ctypes.c_double(longest or whole))
@@ -266,9 +276,9 @@ def cvode(
         get_dx=derivatives_of(fmu),
         get_z=fmu.getEventIndicators,
         get_nominals=partial(nominals, fmu),
-        set_time=fmu.setTime,
+        set_time=set_time,
         input=SimpleNamespace(apply=lambda time: None),  # Inputs are constant over a communication step.
-        startTime=start,
+        startTime=0.0,
         maxStep=longest,
         relativeTolerance=tolerance,
     )

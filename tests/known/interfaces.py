@@ -518,7 +518,6 @@ START = [
         "epoch-event-cvode", "start time", "The same by CVODE.", "the same", {"": epoch_ball("cvode")},
         [Answer("m.when", EPOCH + 1.6, EPOCH + bounce(3), 1e-5)],
         because="times are rounded to 2.4e-7 s, at three bounces",
-        later="CVODE locates events to 100 roundings of the time, 4e-5 s at epoch times",
     ),
     Case(
         "fractional-start", "start time", "Steps of 0.1 s from 0.05 s.", "rows at 0.05 + 0.1 k, x = t²/2 − 0.00125",
