@@ -161,6 +161,22 @@ def test_a_free_run_is_that_of_the_fmu(folder: Path) -> None:
     assert np.abs(run.outputs - own).max(axis=0) == pytest.approx(0.0, abs=1e-9)
 
 
+def test_free_runs_with_held_and_interpolated_inputs_are_kept_apart(folder: Path) -> None:
+    """A worker keeps free runs; which worker filters a log is up to chance."""
+    study = study_of_way(folder, "co_simulation")
+    used, fresh = problem_of(study), problem_of(study)
+    noise, ramped = used.plain, frozenset(used.layout.inputs)
+
+    def likelihoods(problem: Problem) -> list[float]:
+        ways = [[replace(log, interpolated=way) for log in problem.logs] for way in (ramped, frozenset[str]())]
+        return [replace(problem, logs=logs).score(used.values, noise).nll for logs in ways]
+
+    used.score(used.values, noise)
+    interpolated, held = likelihoods(used)
+    assert abs(interpolated - held) > 10.0
+    assert likelihoods(fresh) == [interpolated, held]
+
+
 def test_a_parameter_of_the_fmu_changes_the_filter(study: Study) -> None:
     problem = problem_of(study)
     noise = problem.plain

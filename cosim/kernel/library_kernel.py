@@ -184,7 +184,7 @@ class LibraryKernel(CompiledKernel):
         """Return the free run at parameter values; the last ones are kept, since noise levels change more often."""
         acting = p.copy()
         acting[self._not_of_run] = 0.0
-        key = data.u.tobytes(), data.start, data.substeps, acting.tobytes(), x0.tobytes()
+        key = *_driven(data), acting.tobytes(), x0.tobytes()
         for known, run in self._runs:
             if known == key:
                 return run
@@ -220,7 +220,7 @@ class LibraryKernel(CompiledKernel):
         the inputs in the first row tell the propagation.
         """
         count, rows = len(self._fmu.starts), len(data.u)
-        key = data.u.tobytes(), data.start, data.substeps, x0.tobytes()
+        key = *_driven(data), x0.tobytes()
         known = next((responses for other, responses in self._slopes if other == key), None)
         if known is None:
             p = np.array([self._fmu.values.get(name, 0.0) for name in self.layout.parameters])
@@ -281,6 +281,11 @@ class LibraryKernel(CompiledKernel):
             setattr(both, name, array.ctypes.data)
         self._own.both = both, prepared, arrays  # C keeps their addresses
         return both
+
+
+def _driven(data: Data) -> tuple[Any, ...]:
+    """Return everything of a log on which a free run depends."""
+    return data.u.tobytes(), data.interpolated, data.start, data.step, data.substeps
 
 
 def _asks_past(data: Data) -> bool:

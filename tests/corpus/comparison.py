@@ -25,7 +25,6 @@ from tests.corpus.running import Outcome
 VOLATILE = {
     "cosim_version": "version of the package",
     "guid": "of an FMU, a hash of what it was built from",
-    "gain_otherwise": "differs from run to run for an FMU by co-simulation: its refit ends at one of several optima",
     "growth": "memory of a process",
     "runs_a_second": "inverse of a duration",
     "seconds": "duration",
