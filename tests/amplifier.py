@@ -63,13 +63,15 @@ def packed(path: Path, library: Path, files: dict[str, bytes] | None = None) -> 
     return path
 
 
-def with_library(path: Path, gain: float, *, name: str = "libgain.so", soname: str = "libgain.so") -> Path:
+def with_library(
+    path: Path, gain: float, *, name: str = "libgain.so", soname: str = "libgain.so", function: str = "amplified"
+) -> Path:
     """The gain is in a library beside that of the FMU."""
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
-        (folder / "gain.c").write_text(f"double amplified(double u) {{ return {gain} * u; }}\n")
+        (folder / "gain.c").write_text(f"double {function}(double u) {{ return {gain} * u; }}\n")
         helper = compiled(folder, name, folder / "gain.c", flags=(f"-Wl,-soname,{soname}",))
-        flags = (f"-L{folder}", f"-l:{name}", "-Wl,-rpath,$ORIGIN")
+        flags = (f"-L{folder}", f"-l:{name}", "-Wl,-rpath,$ORIGIN", f'-DOWN_NAME="{function}"')
         main = compiled(folder, "amplifier.so", SOURCE, flags=flags)
         # the loader looks for the file by the name that the library has in the process
         return packed(path, main, {f"binaries/linux64/{soname}": helper.read_bytes()})

@@ -132,6 +132,34 @@ def test_an_fmu_calls_its_own_function_of_a_name_that_the_process_has_too(tmp_pa
         assert run["own.y"].tolist() == [2.0, 2.0, 2.0]
 
 
+LIBM = "libm.so.6"  # which Python has loaded
+
+
+def test_an_fmu_that_uses_a_library_of_the_process_in_place_of_its_own_is_warned_of(tmp_path: Path) -> None:
+    own = with_library(tmp_path / "own.fmu", 2.0, name="own.so", soname=LIBM, function="y1")
+    (loaded,) = {line.split()[-1] for line in Path("/proc/self/maps").read_text().splitlines() if LIBM in line}
+    same = tmp_path / "same.fmu"
+    with zipfile.ZipFile(own) as given, zipfile.ZipFile(same, "w") as changed:
+        for name in given.namelist():
+            changed.writestr(name, Path(loaded).read_bytes() if LIBM in name else given.read(name))
+    for fmu, warned in ((own, 1), (same, 0)):
+        path = scenario(tmp_path, fmu.name, fmu.name)
+        outcome = cosim.run(path, tmp_path / "out", report=False, force=True)
+        assert outcome.results["a.y"][-1] == pytest.approx(-0.7812128213)  # the Bessel function, not 2
+        assert [LIBM in w for w in outcome.manifest["warnings"] if w.startswith("a: ")] == [True] * warned
+        for checked, count in ((path, 2 * warned), (fmu, warned)):
+            assert sum(LIBM in line and loaded in line for line in cosim.check(checked)) == count
+
+
+def test_a_library_of_the_process_without_the_function_is_named_as_the_cause(tmp_path: Path) -> None:
+    for name, soname in (("own.so", LIBM), ("libz.so", "libz.so.1")):
+        with_library(tmp_path / "own.fmu", 2.0, name=name, soname=soname)
+        done = command("check", "own.fmu", cwd=tmp_path)
+        assert (done.returncode, len(done.stderr.splitlines())) == (3, 1)
+        assert f"own.fmu brings {soname}" in done.stderr
+        assert "export it again" not in done.stderr
+
+
 BIAS = TermCode(
     source="static void readings(double t, const double *y, const double *p, double *out) { out[0] = y[0] + p[0]; }",
     parameters=(Parameter("bias.level", 0.0, "", "added to the output", neutral=0.0),),

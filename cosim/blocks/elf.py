@@ -34,15 +34,15 @@ class ElfLibrary:
     unique: frozenset[str] = frozenset()
 
 
-def read_elf(content: bytes) -> ElfLibrary:
-    """Return the names of a library; none for another kind of file and for a damaged one."""
+def read_elf(content: bytes, *, symbols: bool = True) -> ElfLibrary:
+    """Return the names of a library, if asked with its symbols; none for another kind of file and a damaged one."""
     try:
-        return _read(content) if content.startswith(HEAD) else ElfLibrary()
+        return _read(content, symbols) if content.startswith(HEAD) else ElfLibrary()
     except (struct.error, ValueError, IndexError, OverflowError):
         return ElfLibrary()
 
 
-def _read(content: bytes) -> ElfLibrary:
+def _read(content: bytes, with_symbols: bool) -> ElfLibrary:
     (first,) = struct.unpack_from("<Q", content, 40)
     size, count = struct.unpack_from("<HH", content, 58)
     sections = [struct.unpack_from("<IIQQQQI", content, first + k * size) for k in range(count)]
@@ -60,7 +60,7 @@ def _read(content: bytes) -> ElfLibrary:
                     needed.add(text(strings + value))
                 elif tag == SONAME:
                     soname = text(strings + value)
-        elif kind == DYNAMIC_SYMBOLS:
+        elif kind == DYNAMIC_SYMBOLS and with_symbols:
             strings = sections[link][4]
             symbols = np.frombuffer(content, SYMBOL, length // SYMBOL.itemsize, offset)
             is_defined = (symbols["section"] != 0) & (symbols["size"] > 0) & np.isin(symbols["other"] & 3, VISIBLE)

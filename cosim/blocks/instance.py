@@ -77,7 +77,7 @@ class Instance:
         previous, self._words = os.getcwd(), ""
         try:
             library, warning = self._library(folder)
-            self._load_library(folder, library)
+            self._load_library(folder, library, hidden=bool(hidden))
             for text in filter(None, (warning, *hidden)):
                 self.remember(text)
             # pythonfmu reports its reasons in debug messages only.
@@ -102,13 +102,13 @@ class Instance:
             return compile_library(folder, self.description, identifier), ""
         raise FmuError(no_library(platform_of(self.description), platforms))
 
-    def _load_library(self, folder: Path, library: Path) -> None:
+    def _load_library(self, folder: Path, library: Path, *, hidden: bool) -> None:
         """Load the library; raise FmuError with reason and remedy."""
         try:
             with own_symbols_first(self.path, library):
                 self.calls.load(folder, library)
         except Exception as error:  # FMPy raises bare Exceptions.
-            raise FmuError(load_error(library, error)) from None
+            raise FmuError(load_error(library, error, hidden=hidden)) from None
 
     def _load_fault(self, reason: str) -> Message:
         """Return the message of an FMU that does not load; a reason with a code of its own keeps that code."""
@@ -237,7 +237,7 @@ class Instance:
 
     def remember(self, text: str) -> None:
         """Add a message to the log."""
-        self.log.append(text[:LONGEST_MESSAGE])
+        self.log.append(text if len(text) <= LONGEST_MESSAGE else text[:LONGEST_MESSAGE])  # keeps a message's code
 
     def last_words(self) -> str:
         """Return the FMU's last message on a single line."""

@@ -30,12 +30,12 @@ SYMBOL = re.compile(r"undefined symbol: (?P<name>[^\s,]+)")
 MAKERS = {"GLIBC": "glibc", "GLIBCXX": "libstdc++", "CXXABI": "libstdc++", "GCC": "libgcc"}
 
 
-def load_error(library: Path, error: Exception) -> Message:
-    """Return the reason in a line, with the remedy."""
+def load_error(library: Path, error: Exception, *, hidden: bool = False) -> Message:
+    """Return the reason in a line, with the remedy, unless libraries that the process hides are a reason."""
     text = " ".join(str(error).split())
     text = text.removeprefix(f"Failed to load shared library {library}. ")  # FMPy's prefix
     text = re.sub(rf"{re.escape(str(library.parent))}/?", "", text)
-    return header_fault(library) or _loader_fault(library.name, text, error)
+    return header_fault(library) or _loader_fault(library.name, text, error, hidden)
 
 
 def header_fault(library: Path) -> Message | None:
@@ -69,8 +69,10 @@ def header_fault(library: Path) -> Message | None:
     return None
 
 
-def _loader_fault(name: str, text: str, error: Exception) -> Message:
+def _loader_fault(name: str, text: str, error: Exception, hidden: bool) -> Message:
     """Return the message for a text of the loader, with the remedy of a known cause."""
+    if hidden and not isinstance(error, AttributeError) and (TOO_NEW.search(text) or SYMBOL.search(text)):
+        return messages.LOADER_ERROR(library=name, reason=text)
     if match := TOO_NEW.search(text):
         own = ""
         if sys.platform == "linux" and match["name"] == "GLIBC":

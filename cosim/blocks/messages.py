@@ -239,3 +239,8 @@ HIDDEN_MODULE = Template(
     "W-BLK-085",
     "{file} does not get its own module {module}, since its process has loaded {other}; rename the module in the FMU",
 )
+HIDDEN_LIBRARY = Template(
+    "W-BLK-086",
+    "{file} brings {library}, but its process has already loaded another one, {other}, which the FMU therefore uses; "
+    "rename the FMU's library, or link it statically",
+)

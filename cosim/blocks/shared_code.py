@@ -51,6 +51,7 @@ class Code:
         symbols: Symbols that its libraries define.
         needed: Libraries that its libraries need.
         modules: Python module → checksum of its file.
+        libraries: Name and digest of each library in the FMU.
     """
 
     wanted: Mapping[str, str] = field(default_factory=dict)
@@ -58,6 +59,7 @@ class Code:
     symbols: frozenset[str] = frozenset()
     needed: frozenset[str] = frozenset()
     modules: Mapping[str, int] = field(default_factory=dict)
+    libraries: frozenset[tuple[str, str]] = frozenset()
 
     def clash(self, other: Code) -> str:
         """Return what both FMUs have by one name and with different content, "" if nothing."""
@@ -81,6 +83,7 @@ def _code_of(path: Path, _changed: int, _size: int) -> Code:
     offered: dict[str, str] = {}
     symbols: set[str] = set()
     needed: set[str] = set()
+    libraries: set[tuple[str, str]] = set()
     with zipfile.ZipFile(path) as archive:
         files = [info for info in archive.infolist() if not info.is_dir()]
         own = {name.decode() for name in IDENTIFIER.findall(archive.read(DESCRIPTION))}
@@ -91,6 +94,7 @@ def _code_of(path: Path, _changed: int, _size: int) -> Code:
             elf = read_elf(archive.read(info)) if sys.platform.startswith("linux") else ElfLibrary()
             names = {f"library {n}": digest for n in (name, elf.soname) if n}
             offered |= names
+            libraries |= {(n, digest) for n in (name, elf.soname)}
             if not (name.partition(".")[0] in own or elf.defined & {*VERSION} or _is_of_fmi1(elf, own)):
                 wanted |= names
             unique = {f"C++ symbol {n}": digest for n in elf.unique if not OF_STD.match(n)}
@@ -104,7 +108,8 @@ def _code_of(path: Path, _changed: int, _size: int) -> Code:
     for name in (module.removeprefix("Python module ") for module in modules):
         places = f"resources/{name}.py", f"resources/{name}/__init__.py"
         own_files |= dict.fromkeys([name], next((c for file, c in scripts.items() if file.endswith(places)), 0))
-    return Code(wanted | modules, offered | modules, frozenset(symbols), frozenset(needed), own_files)
+    every = frozenset(symbols), frozenset(needed), own_files, frozenset(libraries)
+    return Code(wanted | modules, offered | modules, *every)
 
 
 def _is_of_fmi1(elf: ElfLibrary, identifiers: Iterable[str]) -> bool:
@@ -143,7 +148,7 @@ _loaded: dict[Path, Code] = {}  # FMUs of this process, also those that are free
 
 
 def claim(path: Path) -> list[Message]:
-    """Note that this process loads an FMU; return warnings of modules that the process has loaded from elsewhere.
+    """Note that this process loads an FMU; return warnings of modules and libraries that it has from elsewhere.
 
     Raises:
         SharedCode: It has loaded an FMU with other code of the same name.
@@ -160,7 +165,31 @@ def claim(path: Path) -> list[Message]:
         with suppress(OSError):  # The folder of an earlier FMU with the same code is removed.
             if file is not None and checksum and crc32(Path(file).read_bytes()) != checksum:
                 warnings.append(messages.HIDDEN_MODULE(file=path.name, module=name, other=file))
+    brought = code.needed & {name for name, _ in code.libraries}
+    for file in _libraries_of_process() if brought else ():
+        name, digest = _soname_and_digest(file)
+        if name in brought and (name, digest) not in code.libraries:
+            warnings.append(messages.HIDDEN_LIBRARY(file=path.name, library=name, other=file))
     return warnings
+
+
+def _libraries_of_process() -> list[str]:
+    """Return the files of the libraries that this process has loaded; none except on Linux."""
+    try:
+        maps = [line.split(maxsplit=5) for line in Path("/proc/self/maps").read_text().splitlines()]
+    except OSError:
+        return []
+    return sorted({parts[5] for parts in maps if len(parts) == 6 and ".so" in parts[5]})
+
+
+@lru_cache(1024)
+def _soname_and_digest(file: str) -> tuple[str, str]:
+    """Return the name by which the loader knows a library, and the digest of its content; "" if it is removed."""
+    try:
+        content = Path(file).read_bytes()
+    except OSError:
+        return "", ""
+    return read_elf(content, symbols=False).soname or Path(file).name, f"{crc32(content):08x}-{len(content)}"
 
 
 def separate(fmus: Iterable[tuple[str, Path]], apart: Iterable[str]) -> tuple[set[str], list[Message]]:

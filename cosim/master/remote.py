@@ -16,6 +16,7 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.drafts import is_full
 from cosim.base.errors import CosimError, DiskFull, SimulationError, Terminated, stop_error
+from cosim.base.messages import with_prefix
 from cosim.base.scratch import ScratchFolder, lock_file, scratch, temporary_folder
 from cosim.blocks.component import EarlyEnd
 from cosim.isolation import worker as here
@@ -76,7 +77,8 @@ class SteppedRun:
 
 def _log_lines(system: System) -> list[str]:
     """Return the messages of all FMUs as lines."""
-    return [f"{s.component.name}: {text}" for s in system.stages for text in getattr(s.component, "log", ())]
+    stages = [stage.component for stage in system.stages]
+    return [with_prefix(f"{one.name}: ", text) for one in stages for text in getattr(one, "log", ())]
 
 
 def simulate_here(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import tempfile
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from cosim.blocks.compiling import LIMIT, permission
 from cosim.blocks.description import takes_any_step
 from cosim.blocks.fmu import read_description
 from cosim.blocks.guard import validation
-from cosim.blocks.messages import OWN_PROCESS
+from cosim.blocks.messages import HIDDEN_LIBRARY, HIDDEN_MODULE, OWN_PROCESS
 from cosim.coupling.messages import ASSUMED_WITHOUT_FEEDTHROUGH
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
@@ -34,7 +35,7 @@ from cosim.system.real_time import real_time_of
 from cosim.system.recording import recording_notes
 from cosim.system.system import System, build_system
 
-SHOWN = {  # warnings of a system that a check shows
+SHOWN = {  # warnings of a system and of its first step that a check shows
     template.code
     for template in (
         ASSUMED_WITHOUT_FEEDTHROUGH,
@@ -43,6 +44,8 @@ SHOWN = {  # warnings of a system that a check shows
         messages.FOLLOWS_AT_START,
         messages.NOT_MEASURED,
         OWN_PROCESS,
+        HIDDEN_LIBRARY,
+        HIDDEN_MODULE,
     )
 }
 MAX_CALL_TIME = 60.0  # allowed time [s] of a call during the trial of an FMU
@@ -52,13 +55,17 @@ STEP, STEPS = 0.01, 500  # step [s] without a default experiment, and steps in a
 
 def check_loaded_fmu(path: Path, checking: Checking) -> list[str]:
     """Return violations of FMI rules; raise InputError if the FMU cannot be run."""
-    refuse(check_fmu(path, checking.worker))
+    notes: list[str] = []
+    refuse(check_fmu(path, checking.worker, notes))
     # FMPy's findings are about a readable FMU, as accepted by importing tools.
-    return [messages.FMI_RULE(problem=problem).after("warning: ") for problem in validation(path)]
+    return notes + [messages.FMI_RULE(problem=problem).after("warning: ") for problem in validation(path)]
 
 
-def check_fmu(path: Path, worker: Worker | None = None) -> list[Fault]:
-    """Return faults of an FMU; with a worker, try a step. Mere violations of FMI rules are no faults."""
+def check_fmu(path: Path, worker: Worker | None = None, notes: list[str] | None = None) -> Sequence[Fault]:
+    """Return faults of an FMU; with a worker, try a step and add its warnings to `notes`.
+
+    Mere violations of FMI rules are no faults.
+    """
     if not path.is_file():
         return [Fault(path, 0, 0, messages.NO_FMU())]
     try:
@@ -75,7 +82,10 @@ def check_fmu(path: Path, worker: Worker | None = None) -> list[Fault]:
     scenario.write_text(json.dumps(content), encoding="utf-8")
     try:
         file = ScenarioFile(scenario)
-        return _run_once(file, build_system(file), path, worker)
+        faults, said = _run_once(file, build_system(file), path, worker)
+        if notes is not None:
+            notes += [with_severity(text.removeprefix("fmu: ")) for text in _shown(said)]
+        return faults
     except InputError as error:
         return [replace(fault, file=path, line=0, column=0) for fault in error.faults]
 
@@ -102,6 +112,7 @@ def check_scenario(path: Path, checking: Checking) -> list[str]:
     file, worker = ScenarioFile(path), checking.worker
     check_pinned(file)
     skipped: list[str] = []
+    said: Sequence[str] = ()
     try:
         designed = designed_apart(file, worker) if worker is not None else designed_values(file)
     except errors.NotExecuted as error:
@@ -111,9 +122,10 @@ def check_scenario(path: Path, checking: Checking) -> list[str]:
     if worker is not None:
         check_hosts(real_time_of(file))
         system = with_feedthrough(file, designed, system, worker)
-        refuse(_run_once(file, system, path, worker))
+        faults, said = _run_once(file, system, path, worker)
+        refuse(faults)
     notes = recording_notes(file.scenario, system.columns, system.recording)
-    return [*map(with_severity, (*file.warnings, *skipped, *_shown_warnings(system), *notes))]
+    return [*map(with_severity, (*file.warnings, *skipped, *_shown((*system.warnings, *said)), *notes))]
 
 
 def check_ssp(path: Path, checking: Checking) -> list[str]:
@@ -128,31 +140,33 @@ def check_ssp(path: Path, checking: Checking) -> list[str]:
     with temporary_folder("check") as folder:
         file, warnings = lay_out(path, folder)
         system = build_system(file)
-        if worker is not None and (faults := _run_once(file, system, path, worker)):
+        said: Sequence[str] = ()
+        if worker is not None:
+            faults, said = _run_once(file, system, path, worker)
             refuse(replace(f, message=f.message.replace(f"{file.path.parent}/", "")) for f in faults)
-        return [*map(with_severity, (*warnings, *_shown_warnings(system)))]
+        return [*map(with_severity, (*warnings, *_shown((*system.warnings, *said))))]
 
 
-def _shown_warnings(system: System) -> list[str]:
-    """Return the warnings of a system that a check shows: of loops and of processes."""
-    return [warning for warning in system.warnings if code_of(warning) in SHOWN]
+def _shown(texts: Iterable[str]) -> list[str]:
+    """Return the warnings that a check shows: of loops, of processes and of hidden code."""
+    return [text for text in texts if code_of(text) in SHOWN]
 
 
-def _run_once(file: ScenarioFile, system: System, path: Path, worker: Worker) -> list[Fault]:
-    """Return the fault of a failed first step, located at `path`."""
+def _run_once(file: ScenarioFile, system: System, path: Path, worker: Worker) -> tuple[Sequence[Fault], Sequence[str]]:
+    """Return the fault of a failed first step, located at `path`, and the messages of the FMUs."""
     load_limit = MAX_CALL_TIME + (LIMIT if permission.get() else 0.0)
     limits = file.scenario.limits or Limits(step=MAX_CALL_TIME, load=load_limit)
     worker.start()
     try:
-        failure = simulate_apart(worker, system, 1, file.scenario.step, Path(tempfile.gettempdir()), limits).failure
+        stepped = simulate_apart(worker, system, 1, file.scenario.step, Path(tempfile.gettempdir()), limits)
     except FmuError as error:
-        return [error.fault(path, path.resolve())]
+        return [error.fault(path, path.resolve())], ()
     except errors.DiskFull as error:
-        return [Fault(path, 0, 0, messages.NO_SPACE_FOR_TRIAL.around(error.reason), FmuError.exit_code)]
-    if failure is None:
-        return []
+        return [Fault(path, 0, 0, messages.NO_SPACE_FOR_TRIAL.around(error.reason), FmuError.exit_code)], ()
+    if (failure := stepped.failure) is None:
+        return [], stepped.log
     if isinstance(failure, (errors.Interrupted, errors.Signalled)):
         raise failure
     code = failure.exit_code if isinstance(failure, errors.TimedOut) else FmuError.exit_code
     cure = "; --no-load checks it without" if isinstance(failure, (errors.Crashed, errors.TimedOut)) else ""
-    return [Fault(path, 0, 0, messages.FAILED_TRIAL.around(failure, cure=cure), code)]
+    return [Fault(path, 0, 0, messages.FAILED_TRIAL.around(failure, cure=cure), code)], ()
