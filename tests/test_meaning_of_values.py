@@ -432,3 +432,15 @@ def test_long_names_draw_without_a_warning(tmp_path: Path) -> None:
         warnings.simplefilter("error")
         cosim_package.read(tmp_path / "a.csv").plot().savefig(tmp_path / "a.png")
         cosim_package.compare(tmp_path / "a.csv", tmp_path / "b.csv").plot().savefig(tmp_path / "ab.png")
+
+
+def test_characters_that_yaml_does_not_take_are_no_fault_of_a_description(tmp_path: Path) -> None:
+    odd = "\x9b\x85\u2028"
+    replaced = {'modelName="': f'modelName="a{odd}', 'name="u"': 'name="u\x9b"', 'name="gain"': f'name="gain{odd}"'}
+    unit_fmu(tmp_path / "m.fmu", (f"m{odd}", ""), **replaced)
+    (tmp_path / "in.csv").write_text("time,u\x9b\n0,3\n1,3\n", encoding="utf-8")
+    columns = ran(tmp_path, "simulate", "m.fmu", "--input", "in.csv")
+    assert last(columns, "m.y") == last(columns, "m.u\x9b") == 3.0
+    done = cosim("init", "m.fmu", "--out", "s.yaml", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert last(ran(tmp_path, "run", "s.yaml"), "m.u\x9b") == 0.0

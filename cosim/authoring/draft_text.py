@@ -11,7 +11,7 @@ from typing import Any
 
 from cosim.authoring.matching import Match, Matches, text
 from cosim.authoring.parts import DraftPart, Times
-from cosim.base.text import counted
+from cosim.base.text import NOT_IN_YAML, as_yaml, counted
 from cosim.blocks.description import unit_of
 from cosim.coupling.algorithms import DEFAULT, Algorithm
 from cosim.scenario.start_values import settable
@@ -111,7 +111,7 @@ def _connections(matches: Matches) -> list[str]:
     for m in matches.connections:
         lines.append(f"  - {{from: {scalar(text(m.source))}, to: {scalar(text(m.target))}}} # {_why(m)}")
     for port, candidates in matches.unconnected:
-        unit_text = f", {unit}" if (unit := port[1].unit) else ""
+        unit_text = f", {_comment(unit)}" if (unit := port[1].unit) else ""
         alike = len(matches.choices.get(text(port), ()))
         choice = f"; the first {alike} fit alike:" if alike else "; fits:" if candidates else ""
         lines.append(f"  # {_comment(text(port))}{unit_text}: not connected, stays at its start value{choice}")
@@ -155,8 +155,8 @@ def scalar(value: Any, literal: bool = False) -> str:
     if not isinstance(value, str):
         return json.dumps(value)
     plain = PLAIN.fullmatch(value) and value.lower() not in NOT_TEXT
-    return value if plain or (literal and value) else json.dumps(value, ensure_ascii=False)
+    return value if plain or (literal and value) else as_yaml(value)
 
 
 def _comment(value: str) -> str:
-    return " ".join(value.split())
+    return " ".join(NOT_IN_YAML.sub(" ", value).split())

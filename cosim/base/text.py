@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from collections.abc import Container, Sequence
+from typing import Any
 
 from cosim.base.units import DISPLAY
 
@@ -12,6 +14,7 @@ DEGREES = DISPLAY["rad"][1]  # displayed value per radian
 ANGLE = re.compile(r"rad([./]s\d?)?")  # an angle, its rates and its time integral
 POWER = re.compile(r"(?<=[A-Za-z])\d")
 RAISED = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
+NOT_IN_YAML = re.compile(r"[\x7f-\x9f\u2028\u2029\ufeff\ufffe\uffff]")
 MINUS = "\u2212"
 MISSING = "\u2013"
 MOST_NAMED = 3  # names in a sentence; a reader loses the thread of a longer chain
@@ -127,3 +130,9 @@ def finer(unit: str, size: float) -> tuple[str, float]:
     if unit == "m/s" and size < 0.05:
         return "mm/s", 1000.0
     return display(unit)
+
+
+def as_yaml(value: Any) -> str:
+    """Return a value as JSON that YAML reads too: what it takes for a line break, or for no character, is escaped."""
+    text = json.dumps(value, ensure_ascii=False)
+    return NOT_IN_YAML.sub(lambda found: f"\\u{ord(found[0]):04x}", text)

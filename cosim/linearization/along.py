@@ -12,6 +12,7 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError, SimulationError
 from cosim.base.scratch import temporary_folder
+from cosim.base.text import as_yaml
 from cosim.base.times import rounding, roundings
 from cosim.base.units import read_quantity
 from cosim.linearization import messages
@@ -46,7 +47,7 @@ class Along:
             self._name = self._component(source, component)
             if source.states and not isinstance(source, EquationSource):
                 states = [f"{self._name}.{state}" for state in source.states]
-                record = json.dumps([*(self._manifest["scenario"].get("record") or ()), *states], ensure_ascii=False)
+                record = as_yaml([*(self._manifest["scenario"].get("record") or ()), *states])
                 fmu = json.dumps(str(source.files[0].resolve()))
                 overrides = [f"record={record}", f"components.{self._name}.fmu={fmu}"]
                 self._results, self._manifest = _run(moment.scenario, folder, overrides)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from cosim.base.text import as_yaml
 from cosim.loading.refined import ANSWER, folder_of
 from cosim.residuals.compare import Comparison
 from cosim.storage.folders import content_of
@@ -44,7 +44,7 @@ def next_study(folder: Path, fmu: Path, log: Path, columns: Mapping[str, str], s
     lines.append(f"  estimation: [{_written(log, folder)}] # add more logs; co-simulation needs two")
     lines.append("  validation: [] # logs that decide nothing and prove the result")
     if columns:
-        lines.append(f"columns: {json.dumps(dict(columns), ensure_ascii=False)}")
+        lines.append(f"columns: {as_yaml(dict(columns))}")
     if start:
         lines.append(f"# {', '.join(start)} of the replay: `cosim fit` takes such values as --start")
     return "\n".join(lines) + "\n"
@@ -56,4 +56,4 @@ def _written(path: Path, folder: Path) -> str:
         name = os.path.relpath(path.resolve(), folder.resolve())
     except ValueError:  # on Windows
         name = str(path.resolve())
-    return json.dumps(Path(name).as_posix(), ensure_ascii=False)
+    return as_yaml(Path(name).as_posix())
