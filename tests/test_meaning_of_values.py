@@ -16,6 +16,7 @@ import pytest
 
 import cosim as cosim_package
 from cosim.comparison.differences import Compared
+from tests.known.interfaces import OPPOSITE, TWO_NAMES
 from tests.meaning import alias_fmu, exact_fmu, node_fmu, unit_fmu
 from tests.warm import cosim
 
@@ -444,3 +445,23 @@ def test_characters_that_yaml_does_not_take_are_no_fault_of_a_description(tmp_pa
     done = cosim("init", "m.fmu", "--out", "s.yaml", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert last(ran(tmp_path, "run", "s.yaml"), "m.u\x9b") == 0.0
+
+
+@pytest.mark.parametrize(
+    ("version", "wires", "events", "code"),
+    [
+        (2, {"m.same": "a.v"}, {}, 0),
+        (2, {"m.same": "a.v", "m.u": "a.v"}, {}, 0),
+        (2, {"m.same": "a.v", "m.u": "a.w"}, {}, 2),
+        (1, {"m.same": "a.v", "m.u": "a.v"}, {}, 2),  # one has the opposite sign
+        (2, {"m.same": "a.v"}, {"m.u": 1}, 2),
+    ],
+)
+def test_a_variable_of_two_names_has_one_source(
+    tmp_path: Path, version: int, wires: Mapping[str, str], events: Mapping[str, float], code: int
+) -> None:
+    fmu = (OPPOSITE if version == 1 else TWO_NAMES).fmu(version, "cs")
+    (tmp_path / "in.csv").write_text("time,v,w\n0,1,2\n1,1,2\n")
+    components = {"a": {"block": "playback", "file": "in.csv"}, "m": {"fmu": str(fmu)}}
+    keys = {"events": [{"at": 0.5, "set": events}]} if events else {}
+    assert cosim("check", scenario(tmp_path, components, wires, **keys)).returncode == code

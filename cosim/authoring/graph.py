@@ -61,6 +61,6 @@ def _graph(file: ScenarioFile) -> Graph:
     system = build_system(file, designed)
     units = {name: signal.unit for name, signal in system.signals.items()}
     arrays = {f"{n.partition('.')[0]}.{s.array}": s.unit for n, s in system.signals.items() if s.array}
-    held = {transfer.name for transfer in system.held}
+    held = {transfer.name for transfer in system.held if not transfer.of}
     order = system.names
     return graph_from(resolve_defaults(file.scenario), order, held, {**arrays, **units})

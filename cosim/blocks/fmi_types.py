@@ -139,17 +139,13 @@ class Exchange:
         values: list[Any] = self.buffer[:]
         if self.kind.function == "String":
             return [(value or b"").decode("utf-8", "replace") for value in values]
-        return [self._negative(value) for value in values] if self.negated else values
-
-    def _negative(self, value: Any) -> Any:
-        """Return the value of a negated alias from that of its value reference, and the reverse."""
-        return (1 if self.kind.function == "Boolean" else 0) - value
+        return [negative(self.kind.function, value) for value in values] if self.negated else values
 
     def encode(self, values: Sequence[Any]) -> None:
         """Put values into the buffer; raise ValueError, with the variable, outside the type."""
         for k, (name, value) in enumerate(zip(self.names, values, strict=True)):
             try:
-                self.buffer[k] = self.kind.encode(self._negative(value) if self.negated else value)
+                self.buffer[k] = self.kind.encode(negative(self.kind.function, value) if self.negated else value)
             except (ValueError, OverflowError) as error:
                 raise ValueError(f"{name}: {error}") from None
 
@@ -197,6 +193,25 @@ def named_bytes(name: str, value: Any) -> bytes:
 def is_negated(variable: Any) -> bool:
     """Return whether a variable is a negated alias of FMI 1.0; see `unread_attributes`."""
     return getattr(variable, "negated", False)
+
+
+def input_aliases(description: Any) -> dict[str, dict[str, bool]]:
+    """Return input → the other inputs of its value reference, each with whether its sign is the opposite one."""
+    groups: dict[tuple[str, int], list[Any]] = {}
+    for v in description.modelVariables:
+        if v.causality == "input" and not v.shape:
+            groups.setdefault((v.type, v.valueReference), []).append(v)
+    return {
+        v.name: {w.name: is_negated(w) != is_negated(v) for w in group if w is not v}
+        for group in groups.values()
+        if len(group) > 1
+        for v in group
+    }
+
+
+def negative(kind: str, value: Any) -> Any:
+    """Return the value of a negated alias from that of its value reference, and the reverse."""
+    return (1 if kind == "Boolean" else 0) - value
 
 
 def element_names(variable: Any) -> list[str]:

@@ -13,7 +13,7 @@ from typing import Any
 from cosim.base.errors import SimulationError
 from cosim.blocks import messages
 from cosim.blocks.component import PUT, Row
-from cosim.blocks.fmi_types import Exchange, as_bytes, element_names, elements, named_bytes
+from cosim.blocks.fmi_types import Exchange, as_bytes, element_names, elements, input_aliases, named_bytes, negative
 from cosim.blocks.instance import Instance
 from cosim.blocks.stepping import Move, Plan, StopReason, move
 from cosim.blocks.variable_access import Ports
@@ -35,6 +35,7 @@ class Values:
         self.setter, self.getter = f"{prefix}Set{real}", f"{prefix}Get{real}"
         self.watched: list[Any] | None = None
         self._variables = {v.name: v for v in instance.description.modelVariables}
+        self._aliases = input_aliases(instance.description)
 
     def bind(self, row: Row, first: int, beside: list[Any] | None, first_beside: int) -> None:
         """Set the places of the signals, inputs first."""
@@ -175,6 +176,7 @@ class Values:
         Args:
             readable: Whether inputs without a start value can be read.
         """
+        values = self._with_aliases(values)
         for exchange in self.ports.inward:
             try:
                 content = [
@@ -207,6 +209,7 @@ class Values:
 
     def show_changes(self, values: Mapping[str, Any]) -> None:
         """Store the values that an event has set for unconnected inputs in the row."""
+        values = self._with_aliases(values)
         for exchange in self.ports.unfed:
             place = exchange.places.start
             for variable in exchange.variables:
@@ -215,6 +218,16 @@ class Values:
                     content = elements(exchange.kind, variable, values[variable.name])
                     self._target(exchange)[slice(place, end)] = content
                 place = end
+
+    def _with_aliases(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Return values with those of the other inputs of their value references."""
+        found = dict(values)
+        for name in values:
+            kind = self._variables[name].type
+            for alias, is_negative in self._aliases.get(name, {}).items():
+                if alias not in values:
+                    found[alias] = negative(kind, values[name]) if is_negative else values[name]
+        return found
 
     def _target(self, exchange: Exchange) -> Any:
         return self._beside if exchange.kind.beside else self.row

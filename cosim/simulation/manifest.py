@@ -84,7 +84,7 @@ def manifest(
         **_real_time(file.scenario),
         "seed": scenario.seed,
         "order": system.names,
-        "held": [transfer.name for transfer in system.held],
+        "held": [transfer.name for transfer in system.held if not transfer.of],
         "beside": [column for column in system.beside if column in recorded],
         **({"texts": texts} if (texts := sorted(system.texts & recorded)) else {}),
         "discrete": sorted(system.discrete & recorded),

@@ -33,7 +33,7 @@ def kinds_of(system: System) -> dict[str, TwinMaker] | str:
         "components form an algebraic loop": system.loops,
         "communication steps are controlled, or inputs follow polynomials": system.control or any(system.courses),
         "faults are injected, or enumerations connected": any(
-            t.faults or t.items is not None for t in _transfers(system)
+            t.faults or t.items is not None or t.of for t in _transfers(system)
         ),
     }
     for reason, applies in obstacles.items():

@@ -8,6 +8,7 @@ from typing import Any
 
 from cosim.base.times import first_point
 from cosim.blocks.description import enumeration_items, unit_of
+from cosim.blocks.fmi_types import input_aliases
 from cosim.blocks.fmu import FmuBlock
 from cosim.scenario.diagnosis import Diagnosis
 from cosim.scenario.scenario import FmuComponent
@@ -88,7 +89,11 @@ class Targets:
     """
 
     def __init__(self, descriptions: Mapping[str, Any], connected: Collection[str]) -> None:
-        self._descriptions, self._connected = descriptions, connected
+        aliases = {name: input_aliases(description) for name, description in descriptions.items()}
+        others = (
+            f"{n}.{w}" for n, of in aliases.items() for v, ws in of.items() if f"{n}.{v}" in connected for w in ws
+        )
+        self._descriptions, self._connected = descriptions, {*connected, *others}
         self._variables = {name: {v.name: v for v in d.modelVariables} for name, d in descriptions.items()}
 
     def value(self, target: str, written: Any) -> Any:

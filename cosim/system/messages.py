@@ -163,6 +163,9 @@ WRONG_END = Template("E-SYS-034", "{signal} is one of the {side} of {component};
 ONLY_RECORDED = Template("E-SYS-035", "{signal} is recorded, but no output of {component}; an output goes to an input")
 UNKNOWN_END = Template("E-SYS-036", '{component} has no {side} "{name}"{hint} (its {side}s: {names})')
 SEVERAL_SOURCES = Template("E-SYS-037", "two sources for {target}: {first} and {second}; keep one")
+SOURCES_OF_ALIASES = Template(
+    "E-SYS-111", "{target} and {other} are one variable of the FMU with two sources: {source} and {first}; keep one"
+)
 INPUTS_NOT_CONNECTED = Template("W-SYS-039", "not connected, at the start value of the FMU: {names}")
 FIXES_NOT_CONNECTED = Template("W-SYS-040", "inputs not connected, so their fixes are 0: {names}")
 

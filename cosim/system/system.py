@@ -32,7 +32,7 @@ from cosim.system.feasible import check_feasible
 from cosim.system.real_time import RealTime, check_live
 from cosim.system.recording import RecordedPart, recorded_part
 from cosim.system.schedule import Loop, Schedule, Stage, schedule
-from cosim.system.wiring import Transfer, connect, connection_warnings, lay_out
+from cosim.system.wiring import Transfer, alias_transfers, connect, connection_warnings, lay_out
 
 
 @dataclass(frozen=True)
@@ -137,6 +137,7 @@ def build_system(file: ScenarioFile, start_values: Designed | None = None) -> Sy
     is_whole = len(components) == len(scenario.components) and not file.broken
     layout = lay_out(components)
     transfers = connect(file, components, layout, diagnosis)
+    of_aliases = alias_transfers(components, layout, transfers, diagnosis)
     _check_design(file, diagnosis)
     check_feasible(components.values(), diagnosis)
     recording = recorded_part(scenario, components, layout, diagnosis)
@@ -160,7 +161,7 @@ def build_system(file: ScenarioFile, start_values: Designed | None = None) -> Sy
     warnings = *diagnosis.warnings, *connection_warnings(file, components), *of_blocks, *notes
     return System(
         plan.stages,
-        plan.held,
+        (*plan.held, *of_aliases),
         layout.columns,
         layout.units,
         scenario.seed,

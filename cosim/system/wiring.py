@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from typing import Any
 
@@ -14,7 +14,8 @@ from cosim.base.times import whole_steps
 from cosim.base.units import UnitAssumption, assume_si
 from cosim.blocks.component import Component, Signal
 from cosim.blocks.faults import Addition, LinkFunction, Scaling, fault_function, points
-from cosim.blocks.fmi_types import is_compatible
+from cosim.blocks.fmi_types import input_aliases, is_compatible, negative
+from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.noise import gaussian, stream
 from cosim.blocks.stepping import ConvertedLink, LinkKind, link
 from cosim.scenario.diagnosis import Diagnosis, Place
@@ -65,6 +66,8 @@ class Transfer:
         items: Items of an enumeration as target; `origin` is the name of the source.
         beside: Whether source and target are beside the row.
         is_clock: Whether clocks are connected, whose ticks are no values to copy.
+        of: For an input that shares the value reference of a connected one, the name of that one.
+        sign: Factor and offset of this input's value from that one's.
     """
 
     source: int
@@ -78,11 +81,14 @@ class Transfer:
     items: Mapping[str, int] | None = None
     origin: str = ""
     is_clock: bool = False
+    of: str = ""
+    sign: tuple[float, float] = (1.0, 0.0)
 
     @property
     def plain(self) -> bool:
         """Return whether values are copied within the row, apart from noise."""
-        changed = self.factor != 1.0 or self.offset != 0.0 or self.faults or self.items is not None
+        converted = (self.factor, self.offset, *self.sign) != (1.0, 0.0, 1.0, 0.0)
+        changed = converted or self.faults or self.items is not None
         return not changed and self.beside == (False, False)
 
     def check_item(self, value: Any, t: float) -> None:
@@ -95,7 +101,7 @@ class Transfer:
         """Return noise samples per communication point, None without noise."""
         if self.noise is None:
             return None
-        return gaussian(stream(seed, self.name), self.noise.variance, self.noise.bias, count)
+        return gaussian(stream(seed, self.of or self.name), self.noise.variance, self.noise.bias, count)
 
     def through(self, seed: int, start: float, step: float, count: int) -> tuple[LinkFunction, ...]:
         """Return the value's conversions in order: unit, noise, faults."""
@@ -106,10 +112,12 @@ class Transfer:
             chain.append(Addition(samples))
         for number, fault in enumerate(self.faults):
             window = points(fault.begin, fault.end, start, step, count)
-            rng = stream(seed, f"{self.name} {fault.kind} {number}")
+            rng = stream(seed, f"{self.of or self.name} {fault.kind} {number}")
             delay = 0 if fault.delay is None else whole_steps(fault.delay, step)
             settings = {"value": fault.value, "probability": fault.probability, "delay": delay}
             chain.append(fault_function(fault.kind, window, count, rng, **settings))  # type: ignore[arg-type]
+        if self.sign != (1.0, 0.0):
+            chain.append(Scaling(*self.sign))
         if self.items is not None:
             chain.append(_Checked(self, start, step))
         return tuple(chain)
@@ -163,6 +171,34 @@ def connect(
     wiring = _Wiring(file, components, layout, diagnosis)
     lines = zip(file.places["connections"], file.scenario.connections, strict=True)
     return [wiring.transfers(k, connection) for k, connection in lines]
+
+
+def alias_transfers(
+    components: Components, layout: RowLayout, connections: Sequence[Sequence[Transfer]], diagnosis: Diagnosis
+) -> tuple[Transfer, ...]:
+    """Return the transfers that show the values of connected inputs in unconnected inputs of their value references.
+
+    Two sources of one value reference are a fault.
+    """
+    fed = {t.name: (t, k) for k, transfers in enumerate(connections) for t in transfers}
+    found: dict[str, Transfer] = {}
+    for owner, component in components.items():
+        for name, others in input_aliases(component.description).items() if isinstance(component, FmuBlock) else ():
+            transfer, k = fed.get(f"{owner}.{name}", (None, 0))
+            if transfer is None:
+                continue
+            for other, is_negative in others.items():
+                full = f"{owner}.{other}"
+                if full not in fed and full in layout.place:
+                    aside, place = layout.place[full]
+                    sign = (-1.0, negative(layout.signals[full].kind, 0.0)) if is_negative else (1.0, 0.0)
+                    sides = transfer.beside[0], aside
+                    found[full] = replace(transfer, target=place, name=full, beside=sides, of=transfer.name, sign=sign)
+                elif full in fed and fed[full][1] < k and (is_negative or fed[full][0].origin != transfer.origin):
+                    ends = {"target": transfer.name, "source": transfer.origin, "other": full}
+                    message = messages.SOURCES_OF_ALIASES(**ends, first=fed[full][0].origin)
+                    diagnosis.note(("connections", k, "to"), message)
+    return tuple(found.values())
 
 
 def assumed_conversion(
@@ -354,7 +390,9 @@ def connection_warnings(file: ScenarioFile, components: Components) -> Iterator[
     driven |= set() if file.scenario.live is None else {*file.scenario.live.inputs}
     for name, component in components.items():
         declared = file.scenario.components[name]
-        start = declared.start.keys() if isinstance(declared, FmuComponent) else set()
+        start = {*declared.start} if isinstance(declared, FmuComponent) else set[str]()
+        aliases = input_aliases(component.description) if isinstance(component, FmuBlock) else {}
+        start |= {other for v, others in aliases.items() if v in start or f"{name}.{v}" in driven for other in others}
         free = [
             f"{name}.{s.name}"
             for s in _signals(component, "inputs")

@@ -83,6 +83,32 @@ NEGATED = Model(
     "negated", (u(), V("flow_out", start=6.0), V("flow_in", alias="-flow_out")), {"flow_out": "u"}, depends={}
 )
 NEGATED_INPUT = Model("negated", (u(), u("back", None, alias="-u"), V("x", start=0.0)), {"x": "u"}, depends={})
+TWO_NAMES = Model(
+    "two_names", (u(), u("same", None, alias="u"), u("n", 0, type="Int32"), u("nn", None, type="Int32", alias="n"),
+        V("x", start=0.0)), {"x": "u + n"}, depends={}
+)  # fmt: skip
+OPPOSITE = Model(
+    "opposite", (u(), u("same", None, alias="-u"), u("n", 0, type="Int32"), u("nn", None, type="Int32", alias="-n"),
+        V("x", start=0.0)), {"x": "u + n"}, depends={}
+)  # fmt: skip
+
+
+def two_names(way: str, version: int, kind: Way) -> Callable[[Path], Any]:
+    """Return a run that brings 2 and 3 into the second names of two inputs."""
+
+    def content(folder: Path) -> Any:
+        m, values = part(OPPOSITE if version == 1 else TWO_NAMES, version, kind), {"same": 2.0, "nn": 3}
+        if way == "start":
+            return scenario({"m": m | {"start": values}}, (), 1)
+        if way == "event":
+            return scenario({"m": m}, (), 1, events=[{"at": 0, "set": {f"m.{n}": v for n, v in values.items()}}])
+        played = {"block": "playback", "file": table(folder / "u.csv", "time,same,nn", (0, 1, 3), (1, 1, 3))}
+        faults = [{"on": "m.same", "kind": "bias", "value": 1.0}]
+        return scenario({"r": played, "m": m}, ["r.same > m.same", "r.nn > m.nn"], 1, faults=faults)
+
+    return runs(content)
+
+
 TIMED = Model("timed", (V("x", start=0.0), V("now")), {"x": "time"}, "now = time;", depends={})
 ACCUMULATED = Model(
     "steps",
@@ -167,6 +193,19 @@ INTERFACE = [
         "x(1) = −Σ 0.1 (6 + t_k) = −6.45", {"": runs(lambda _: scenario(
             {"n": part(NEGATED, 1, start={"u": 1}), "m": part(PLAIN)}, ["n.flow_in > m.u"], 1))},
         at(1.0, m_x=-6.45),
+    ),
+    *(
+        Case(
+            f"{'negated' if sign < 0 else 'same'}-input", "interface",
+            f"A Real of 2 and an Int32 of 3 into {'negated aliases' if sign < 0 else 'second names'} of the inputs u "
+            "and n of x' = u + n; the Real comes as 1 with a bias of 1 where it is connected.",
+            f"u = {2 * sign}, n = {3 * sign}, x(1) = {5 * sign}: both names have the value of one variable",
+            {f"FMI {v} {w}, {way}": two_names(way, v, w) for v in versions for w in WAYS
+             for way in ("start", "event", "connection")},
+            at(1.0, 1e-8, m_u=2.0 * sign, m_n=3 * sign, m_same=2.0, m_nn=3, m_x=5.0 * sign),
+            because="CVODE at 1e-5 of a constant slope",
+        )
+        for sign, versions in ((-1, (1,)), (1, (2,)))
     ),
     Case(
         "open-input", "interface", "x' = u with u = 0.5 in `start` and no source.", "x(1) = 0.5",
