@@ -294,6 +294,39 @@ def test_a_replayed_log_drives_inputs_whose_values_no_double_holds(tmp_path: Pat
     assert rows_of(tmp_path / "r")["plant.i_out"][-1] == "9007199254740993"
 
 
+@pytest.mark.parametrize(("unit", "here", "there", "value"), PAIRS)
+def test_runs_are_compared_by_the_definitions_of_their_units(
+    tmp_path: Path, unit: str, here: str, there: str, value: float | None
+) -> None:
+    for name, definition in (("b", here), ("a", there)):
+        unit_fmu(tmp_path / "m.fmu", ("", unit), definition)
+        ran(tmp_path, "simulate", "m.fmu", "--set", "u=100")
+        (tmp_path / "out").rename(tmp_path / name)
+    value = 100e3 if unit == "kW" else value  # the kW without a definition is the common one
+    wanted = math.inf if value is None else pytest.approx(abs(value - 100), rel=1e-9, abs=1e-9)
+    for runs in (("a", "b"), ("a", "b", "b")):
+        done = cosim("compare", *runs, "--tol", "0.01", "--out", "c", "--force", cwd=tmp_path)
+        assert done.returncode == (0 if value == 100 else 5), done.stderr
+    compared = cosim_package.compare(tmp_path / "a", tmp_path / "b", tmp_path / "d", tolerance=0.01)
+    assert isinstance(compared, Compared)
+    assert {d.name: d.largest for d in compared.differences}["m.y"] == wanted
+    manifests = {name: json.loads((tmp_path / name / "manifest.json").read_text()) for name in "ab"}
+    assert bool(manifests["a"]["unit_definitions"]) == bool(there)
+    for name, manifest in manifests.items():  # of an earlier version
+        del manifest["unit_definitions"]
+        (tmp_path / name / "manifest.json").write_text(json.dumps(manifest))
+        earlier = cosim_package.compare(tmp_path / "a", tmp_path / "b", tmp_path / f"e{name}", tolerance=0.01)
+        assert isinstance(earlier, Compared)
+        assert {d.name: d.largest for d in earlier.differences}["m.y"] == 0.0
+
+
+def test_a_manifest_has_the_definitions_of_uncommon_units_only(tmp_path: Path) -> None:
+    angle = '<Unit name="deg"><BaseUnit rad="1" factor="0.0174532925199433"/></Unit>'
+    unit_fmu(tmp_path / "m.fmu", ("kW", "deg"), power(1000, "kW") + angle)
+    ran(tmp_path, "simulate", "m.fmu")
+    assert json.loads((tmp_path / "out" / "manifest.json").read_text())["unit_definitions"] == {}
+
+
 # -- discrete signals in compare ------------------------------------------------------------------
 
 

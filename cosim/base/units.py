@@ -111,6 +111,19 @@ def parse(text: str) -> Unit | None:
     return Unit({name: count for name, count in exponents.items() if count}, size)
 
 
+def definition_of(text: str) -> tuple[float, ...] | None:
+    """Return a known unit's exponents of `SI`, factor and offset."""
+    unit = parse(text)
+    return None if unit is None else (*(float(unit.exponents.get(n, 0)) for n in SI), unit.factor, unit.offset)
+
+
+def is_as_known(text: str, definition: Sequence[float]) -> bool:
+    """Return whether a definition is that of the known unit, but for rounding and for angles with or without rad."""
+    known, rad = definition_of(text), SI.index("rad")
+    pairs = () if known is None else zip(known, definition, strict=True)
+    return known is not None and all(k == rad or math.isclose(x, y, rel_tol=1e-9) for k, (x, y) in enumerate(pairs))
+
+
 def _words(text: str) -> list[tuple[str, int]] | None:
     """Return the symbols of a unit and their powers, or None if a symbol is unknown."""
     words = []

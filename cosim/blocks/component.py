@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from cosim.base.errors import SimulationError
-from cosim.base.units import SI, parse
+from cosim.base.units import SI, definition_of
 
 Row = ctypes.Array[ctypes.c_double]
 PUT, ADVANCE, GET = range(3)  # calls counted in `doing`
@@ -79,10 +79,7 @@ class Signal:
 
         The FMU's definition takes precedence over common units.
         """
-        if self.definition is not None:
-            return self.definition
-        unit = parse(self.unit)
-        return None if unit is None else (*(float(unit.exponents.get(n, 0)) for n in SI), unit.factor, unit.offset)
+        return definition_of(self.unit) if self.definition is None else self.definition
 
 
 class Component(Protocol):

@@ -14,7 +14,8 @@ from cosim.base.errors import InputError
 from cosim.base.messages import Message, join
 from cosim.base.text import amount, counted
 from cosim.base.times import rounding
-from cosim.base.units import Conversion, conversion
+from cosim.base.units import Conversion, conversion, definition_of
+from cosim.blocks.component import Signal
 from cosim.comparison import messages, signals
 from cosim.comparison.intermediate_rows import rows_at_jumps, rows_between, surroundings
 from cosim.comparison.signals import Difference, Tolerance, format_share, format_size
@@ -224,7 +225,7 @@ class _Overlap:
         if not all(name in r and not (name in r.exact and is_rounded(r[name])) for r in (a, b)):
             return signals.compare_text(self.a, self.b, name, self.rows, self.held, has_tolerance=has_tolerance)
         unit, other = a.units.get(name, ""), b.units.get(name, "")
-        by = conversion(other, unit)
+        by = unit_conversion(self.b, self.a, name)
         if by is None:
             return signals.compare_other_units(name, unit, other, self.time, has_tolerance=has_tolerance)
         first, second = a[name], b[name] if by == Conversion() else by.factor * b[name] + by.offset
@@ -240,11 +241,28 @@ class _Overlap:
             at_times = np.where(at_jumps, self.jumps.nearest(second, first)[self.rows], at_times)
         self.values[name] = first[self.rows], at_times
         difference = signals.compare_numbers(name, unit or other, self.time, self.values[name], self.allowed, by)
-        difference = replace(difference, note=signals.unit_note(unit, other, difference))
+        difference = replace(difference, note=signals.unit_note(unit, other, difference, by))
         if between is None:
             return difference
         outside, at = between.outside(first, second)
         return signals.include_rows_between(difference, outside, at, self.allowed)
+
+
+def unit_conversion(of: RecordedRun, to: RecordedRun, name: str) -> Conversion | None:
+    """Return the conversion of a signal to its unit in another run; None for other dimensions.
+
+    Definitions of units by the FMUs count if both runs have a record of them.
+    """
+    units = [run.results.units.get(name, "") for run in (of, to)]
+    definitions: list[Any] = [run.manifest.get("unit_definitions") for run in (of, to)]
+    if None in definitions or not any(name in known for known in definitions):
+        return conversion(*units)
+    here, there = (
+        Signal(name, unit, tuple(known[name]) if name in known else definition_of(unit))
+        for unit, known in zip(units, definitions, strict=True)
+    )
+    by = here.conversion(there)
+    return None if by is None else Conversion(*by)
 
 
 def is_held(a: RecordedRun, b: RecordedRun, name: str) -> bool:

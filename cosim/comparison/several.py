@@ -14,8 +14,14 @@ from cosim.base.arrays import Array, Rows
 from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.messages import Message
 from cosim.base.text import counted
-from cosim.base.units import conversion
-from cosim.comparison.differences import Compared, compare_runs, criterion_title, describe_largest, is_held
+from cosim.comparison.differences import (
+    Compared,
+    compare_runs,
+    criterion_title,
+    describe_largest,
+    is_held,
+    unit_conversion,
+)
 from cosim.comparison.signals import Difference, format_share, format_size, time_tolerance
 from cosim.history.inputs import DifferingInput, differing_inputs, labels_of
 from cosim.simulation.run_files import RecordedRun
@@ -263,7 +269,7 @@ def _with_curves(compared: ComparedRuns, baseline: RecordedRun, drawn: Iterable[
     names = [name for name in compared.ranking if name in base][:MAX_SIGNALS]
     units = {name: base.units.get(name, "") for name in names}
     runs = (replace(run, results=run.results.with_integers()) for run in drawn)
-    by_run = [[_at_times(run, baseline, name, units[name]) for name in names] for run in runs]
+    by_run = [[_at_times(run, baseline, name) for name in names] for run in runs]
     curves = {name: [values[place] for values in by_run] for place, name in enumerate(names)}
     return replace(compared, curves=curves, units=units)
 
@@ -329,11 +335,11 @@ class _Reader:
         return run
 
 
-def _at_times(run: RecordedRun, base: RecordedRun, name: str, unit: str) -> Array:
-    """Return a signal of a run at the times of the baseline, in another unit; NaN where the run has no value."""
+def _at_times(run: RecordedRun, base: RecordedRun, name: str) -> Array:
+    """Return a signal of a run at the times of the baseline, in its unit there; NaN where the run has no value."""
     time = base.results.time
     results = run.results
-    by = conversion(results.units.get(name, ""), unit) if name in results else None
+    by = unit_conversion(run, base, name) if name in results else None
     if by is None or not results.time.size:
         return np.full(time.size, np.nan)
     values = results[name]

@@ -129,10 +129,12 @@ def compare_other_units(name: str, unit: str, other: str, time: Array, *, has_to
     return Difference(name, unit, math.inf, float(time[0]), math.inf, 1.0, math.inf, has_tolerance, note, alike=False)
 
 
-def unit_note(unit: str, other: str, d: Difference) -> str:
+def unit_note(unit: str, other: str, d: Difference, by: Conversion) -> str:
     """Return a note on the units of both runs."""
+    if unit and unit == other:
+        return f"{unit} of another definition in b, converted" if by != Conversion() else ""
     if unit and other:
-        return f"{other} in b, converted" if unit != other else ""
+        return f"{other} in b, converted"
     return f"no unit in {'b' if unit else 'a'}, taken as {d.unit}" if (unit or other) and d.largest else ""
 
 

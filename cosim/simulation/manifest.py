@@ -13,6 +13,7 @@ from typing import Any
 from cosim.base.errors import refuse
 from cosim.base.text import counted
 from cosim.base.times import first_point
+from cosim.base.units import is_as_known
 from cosim.base.version import __version__
 from cosim.master.inbox import Change
 from cosim.scenario.pinned import key_of, sha256
@@ -89,6 +90,11 @@ def manifest(
         **({"texts": texts} if (texts := sorted(system.texts & recorded)) else {}),
         "discrete": sorted(system.discrete & recorded),
         "units": {column: unit for column, unit in system.units.items() if unit and column in recorded},
+        "unit_definitions": {
+            column: list(signal.definition)
+            for column, signal in system.signals.items()
+            if signal.definition and column in recorded and not is_as_known(signal.unit, signal.definition)
+        },
         "items": {c: dict(s.items) for c, s in system.signals.items() if s.items and c in recorded},
         "fmus": {
             name: {

@@ -106,6 +106,7 @@ TYPES: Mapping[str, Mapping[str, Kind]] = {
         "rows": WHOLE,
         "criteria": Kind("a list of criteria", list, CRITERION),
         "units": Kind("a mapping", dict, TEXT),
+        "unit_definitions": Kind("a mapping", dict, Kind("a list of numbers", list, NUMBER)),
         "items": MAPPING,
         "fmus": Kind("a mapping", dict, MAPPING),
         "order": TEXTS,
