@@ -104,7 +104,7 @@ class Transfer:
         return gaussian(stream(seed, self.of or self.name), self.noise.variance, self.noise.bias, count)
 
     def through(self, seed: int, start: float, step: float, count: int) -> tuple[LinkFunction, ...]:
-        """Return the value's conversions in order: unit, noise, faults."""
+        """Return the value's conversions in order: unit, noise, faults, sign of an alias."""
         chain: list[LinkFunction] = []
         if self.factor != 1.0 or self.offset != 0.0:
             chain.append(Scaling(self.factor, self.offset))
