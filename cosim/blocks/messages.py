@@ -162,8 +162,8 @@ PAST_EVENT = Template(
 )
 DERIVATIVE_NOT_FINITE = Template(
     "E-BLK-048",
-    "the derivative {name} is {value}, also with the shortest steps of the solver. If the solution is finite, its error "
-    "grew: make `tolerance` smaller than the smallest state, or use solver: solve_ivp",
+    "the derivative {name} is {value}, also with the shortest steps of the solver. If the solution is finite, its "
+    "error grew: make `tolerance` smaller than the smallest state, or use solver: solve_ivp",
 )
 TOO_MANY_SOLVER_STEPS = Template(
     "E-BLK-049",
