@@ -33,6 +33,7 @@ from typing import Any
 from tests.blind import field_score, fmu_apart, fmu_study, harness
 from tests.blind.harness import ARM, FIELD, FMU, LABORATORY, MIXED, SCORES, RefinerFailed
 from tests.blind.score import Line, wilson
+from tests.corpus import revisions
 
 ROOT = Path(__file__).resolve().parents[2]
 LINES = Path(__file__).with_name("baseline.jsonl")
@@ -253,23 +254,19 @@ def _share(hits: int, of: int) -> str:
 # -- the command -------------------------------------------------------------------------------------------
 
 
-def environment_of(named: str | None) -> tuple[str, str]:
-    """Return revision and Python of a named revision, else of that of the corpus, else of this tree."""
-    corpus = ROOT / "tests" / "corpus" / "revision"
-    if named is None and corpus.exists():
-        named = dict(line.split(": ") for line in corpus.read_text().splitlines())["revision"]
-    if named is None or named.endswith("+"):
-        return named or harness.revision(), sys.executable
-    asked = ["git", "rev-parse", "--verify", f"{named}^{{commit}}"]
-    commit = subprocess.run(asked, cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
-    return commit[:12], str(ROOT / "build" / "corpus" / commit / "env" / "bin" / "python")
+def commit_of(named: str | None) -> str:
+    """Return the full hash of a revision, by default of that of the corpus; one that ends in + is left as it is."""
+    named = named or revisions.revision()
+    if named.endswith("+"):
+        return named
+    return revisions.git("rev-parse", "--verify", f"{named}^{{commit}}").decode().strip()
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.blind.baseline", description=__doc__.splitlines()[0])
     parser.add_argument("suites", nargs="*", metavar="SUITE", help=f"{', '.join(SUITES)}; by default all")
     parser.add_argument("--revision", help="by default the one in tests/corpus/revision")
-    parser.add_argument("--python", help="of the environment of the revision; by default build/corpus/REVISION/env")
+    parser.add_argument("--python", help="of an environment; by default one into which the wheels of the revision are installed")
     parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)), help="studies at a time")
     parser.add_argument("--lines", type=Path, default=LINES, help="file of lines")
     parser.add_argument("--summary", action="store_true", help="print the table, run nothing")
@@ -277,15 +274,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     if strangers := set(options.suites) - set(SUITES):
         parser.error(f"unknown suites {', '.join(sorted(strangers))}; there are {', '.join(SUITES)}")
-    revision, python = environment_of(options.revision)
-    python = options.python or python
+    commit = commit_of(options.revision)
+    revision = commit if commit.endswith("+") else commit[:12]
     if options.study:
         suite, seed, folder = options.study
-        print(json.dumps(conduct(suite, int(seed), python, revision, Path(folder))))
+        print(json.dumps(conduct(suite, int(seed), options.python, revision, Path(folder))))
         return 0
     if not options.summary:
-        if not Path(python).exists() or subprocess.run([python, "-P", "-c", "import cosim, plant"]).returncode:
-            parser.error(f"{python} has no cosim and hovercraft: `make corpus` installs those of a revision")
+        python = options.python or str(revisions.revision_side(commit).programs / "python")
+        if subprocess.run([python, "-P", "-c", "import cosim, plant"]).returncode:
+            parser.error(f"{python} has no cosim and hovercraft")
         todo = missing(options.lines, revision, options.suites)
         if run(todo, python, revision, options.lines, options.jobs):
             return 1
