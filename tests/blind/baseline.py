@@ -266,7 +266,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.blind.baseline", description=__doc__.splitlines()[0])
     parser.add_argument("suites", nargs="*", metavar="SUITE", help=f"{', '.join(SUITES)}; by default all")
     parser.add_argument("--revision", help="by default the one in tests/corpus/revision")
-    parser.add_argument("--python", help="of an environment; by default one into which the wheels of the revision are installed")
+    parser.add_argument("--python", help="of an environment; by default one with the wheels of the revision")
     parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)), help="studies at a time")
     parser.add_argument("--lines", type=Path, default=LINES, help="file of lines")
     parser.add_argument("--summary", action="store_true", help="print the table, run nothing")
