@@ -12,8 +12,9 @@ from pathlib import Path
 import pytest
 
 from cosim.fmi.native.compiler import compiler
+from tests.corpus.inputs import FMU_SOURCES
 
-SOURCE = Path(__file__).with_name("bounce1.c")
+SOURCE = FMU_SOURCES / "bounce1.c"
 NAMES = ("kick_at", "ask_at", "end_at", "fail_at")
 PARAMETERS = {"g": (3, 9.81), "e": (4, 0.7)} | {name: (5 + k, 1e9) for k, name in enumerate(NAMES)}
 DISCRETE = 'causality="output" variability="discrete"'

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from cosim.fmi.native.compiler import compiler
+from tests.corpus.inputs import FMU_SOURCES
 
 LINEAR, LOOP_A, LOOP_B, SQUARE, CHASSIS, WHEEL = range(6)
 INPUTS, OUTPUTS = (1, 1, 2, 1, 1, 1), (1, 2, 1, 1, 2, 2)
@@ -29,7 +30,7 @@ def library(law: int) -> Path:
     if command is None or platform.system() != "Linux" or platform.machine() != "x86_64":
         pytest.skip("no C compiler for this platform")
     made = Path(tempfile.mkdtemp(prefix="coupled-")) / "coupled.so"
-    source = Path(__file__).with_name("coupled.c")
+    source = FMU_SOURCES / "coupled.c"
     options = ["-O1", "-w", "-shared", "-fPIC", f"-DLAW={law}"]
     subprocess.run([*command, *options, "-o", str(made), str(source), "-lm"], check=True)
     return made

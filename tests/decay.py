@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from cosim.fmi.native.compiler import compiler
+from tests.corpus.inputs import FMU_SOURCES
 
 DEEDS = (
     "nothing", "error of step", "error of update", "error of derivative", "discarded", "no number", "chatters",
@@ -47,7 +48,7 @@ def library() -> Path:
     if command is None or platform.system() != "Linux" or platform.machine() != "x86_64":
         pytest.skip("no C compiler for this platform")
     made = Path(tempfile.mkdtemp(prefix="decay-")) / "decay.so"
-    source = Path(__file__).with_name("decay.c")
+    source = FMU_SOURCES / "decay.c"
     subprocess.run([*command, "-O1", "-w", "-shared", "-fPIC", "-o", str(made), str(source), "-lm"], check=True)
     return made
 

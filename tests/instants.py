@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from cosim.fmi.native.compiler import compiler
+from tests.corpus.inputs import FMU_SOURCES
 
 HEAD = '<fmiModelDescription fmiVersion="3.0" modelName="instants" instantiationToken="g">'
 CO_SIMULATION = (
@@ -62,7 +63,7 @@ def library() -> Path:
     if command is None or platform.system() != "Linux" or platform.machine() != "x86_64":
         pytest.skip("no C compiler for this platform")
     made = Path(tempfile.mkdtemp(prefix="instants-")) / "instants.so"
-    source = Path(__file__).with_name("instants.c")
+    source = FMU_SOURCES / "instants.c"
     subprocess.run([*command, "-O1", "-w", "-shared", "-fPIC", "-o", str(made), str(source), "-lm"], check=True)
     return made
 

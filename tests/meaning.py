@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from cosim.fmi.native.compiler import compiler
+from tests.corpus.inputs import FMU_SOURCES
 
 HERE = Path(__file__).parent
 OPTIONAL2 = (
@@ -124,7 +125,7 @@ def _library(kind: int) -> Path:
         source += "".join(f"int fmi2{name}() {{ return 3; }}\n" for name in OPTIONAL2.split())
     elif kind > 2:
         part = source.split("#elif FMI == 3")[1].split("#else")[kind - 3]
-        names = {*re.findall(r"fmi3\w+", (HERE / "typed3.c").read_text())} - {*re.findall(r"(fmi3\w+)\(", part)}
+        names = {*re.findall(r"fmi3\w+", (FMU_SOURCES / "typed3.c").read_text())} - {*re.findall(r"(fmi3\w+)\(", part)}
         names -= {f"fmi3{verb}{type_}" for verb in ("Get", "Set") for type_ in re.findall(r"^BOTH\((\w+)", part, re.M)}
         source += 'const char *fmi3GetVersion(void) { return "3.0"; }\n'
         fine = {f"fmi3{name}" for name in FINE3.split()}

@@ -15,6 +15,7 @@ import pytest
 from numpy.typing import NDArray
 
 from cosim.fmi.native.compiler import compiler
+from tests.corpus.inputs import FMU_SOURCES
 from tests.logs import write_log
 
 FOLDERS = {2: "linux64", 3: "x86_64-linux"}
@@ -40,7 +41,7 @@ def library() -> Path:
     if command is None or platform.system() != "Linux" or platform.machine() != "x86_64":
         pytest.skip("no C compiler for this platform")
     made = Path(tempfile.mkdtemp(prefix="slider-")) / "slider.so"
-    source = Path(__file__).with_name("slider.c")
+    source = FMU_SOURCES / "slider.c"
     subprocess.run([*command, "-O1", "-w", "-shared", "-fPIC", "-o", str(made), str(source), "-lm"], check=True)
     return made
 

@@ -19,7 +19,8 @@ from cosim.blocks import compiling
 from cosim.fmi.native.compiler import compiler
 from cosim.verbs.cli import app
 from tests.bounce1 import bounce_fmu, library
-from tests.typed import HERE, TYPED2, TYPED3
+from tests.corpus.inputs import FMU_SOURCES
+from tests.typed import TYPED2, TYPED3
 
 ASKED = "it has sources: --compile (in Python compile=True) compiles and runs them"
 BUILD3 = """<?xml version="1.0" encoding="UTF-8"?>
@@ -66,7 +67,7 @@ def fmu2(path: Path, files: dict[str, str] | None = None, listed: tuple[str, ...
     names = "".join(f'<File name="{name}"/>' for name in listed)
     text = TYPED2.replace('"typed"/>', f'"typed"><SourceFiles>{names}</SourceFiles></ModelExchange>')
     text = text.replace('StepSize="true"/>', f'StepSize="true"><SourceFiles>{names}</SourceFiles></CoSimulation>')
-    return fmu_of(path, text, {"typed2.c": (HERE / "typed2.c").read_text()} if files is None else files)
+    return fmu_of(path, text, {"typed2.c": (FMU_SOURCES / "typed2.c").read_text()} if files is None else files)
 
 
 def refusal(*paths: Path, **more: bool) -> str:
@@ -144,7 +145,12 @@ def test_python_compiles_too(tmp_path: Path, compiled: Callable[[], int]) -> Non
 
 def test_lists_of_sources_are_followed(tmp_path: Path, compiled: Callable[[], int]) -> None:
     two = fmu2(tmp_path / "two.fmu")
-    files = {"code/typed3.c": (HERE / "typed3.c").read_text(), "two.c": TWO, "headers/two.h": "", "unused.c": "#error"}
+    files = {
+        "code/typed3.c": (FMU_SOURCES / "typed3.c").read_text(),
+        "two.c": TWO,
+        "headers/two.h": "",
+        "unused.c": "#error",
+    }
     three = fmu_of(tmp_path / "three.fmu", TYPED3, {**files, "buildDescription.xml": BUILD3})
     whole = fmu_of(tmp_path / "all.fmu", TYPED2, {"all.c": '#include "typed2.c"', "typed2.c": files_of(2)})
     every = fmu_of(tmp_path / "every.fmu", TYPED2, {"typed2.c": files_of(2), "two.c": "int two;"})
@@ -153,7 +159,7 @@ def test_lists_of_sources_are_followed(tmp_path: Path, compiled: Callable[[], in
 
 
 def files_of(version: int) -> str:
-    return (HERE / f"typed{version}.c").read_text()
+    return (FMU_SOURCES / f"typed{version}.c").read_text()
 
 
 def test_a_library_for_this_platform_is_taken_before_sources(tmp_path: Path, compiled: Callable[[], int]) -> None:

@@ -37,7 +37,7 @@ def needing_another(folder: Path) -> bytes:
 
 
 def patched(at: int, value: int) -> Callable[[Path], bytes]:
-    """The library of tests/decay.c with one byte of its header changed."""
+    """The library of decay.c with one byte of its header changed."""
 
     def made(folder: Path) -> bytes:
         content = bytearray(library().read_bytes())

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from cosim.fmi.native.compiler import compiler
+from tests.corpus.inputs import FMU_SOURCES
 
 HERE = Path(__file__).parent
 FOLDERS = {2: "linux64", 3: "x86_64-linux"}
@@ -103,7 +104,7 @@ def library(version: int) -> Path:
     if command is None or platform.system() != "Linux" or platform.machine() != "x86_64":
         pytest.skip("no C compiler for this platform")
     made = Path(tempfile.mkdtemp(prefix="typed-")) / "typed.so"
-    source = HERE / f"typed{version}.c"
+    source = FMU_SOURCES / f"typed{version}.c"
     subprocess.run([*command, "-O1", "-w", "-shared", "-fPIC", "-o", str(made), str(source)], check=True)
     return made
 

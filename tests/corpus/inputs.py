@@ -18,6 +18,7 @@ import numpy as np
 import yaml
 
 SOURCES = Path(__file__).parent / "inputs"
+FMU_SOURCES = SOURCES / "fmus"  # of tests, too
 FIXED_DATE = (2020, 1, 1, 0, 0, 0)
 # FMU → source, options of the compiler, further members; its description is NAME.xml, of another FMU where stated
 FMUS: Mapping[str, tuple[str, tuple[str, ...], Mapping[str, str]]] = {
@@ -72,10 +73,10 @@ def write_fmus(folder: Path) -> None:
     if platform.system() != "Linux" or platform.machine() != "x86_64":
         raise SystemExit("the corpus needs Linux on x86_64 and a C compiler")
     for name, (source, options, members) in FMUS.items():
-        text = (SOURCES / "fmus" / f"{OF_ANOTHER.get(name, name)}.xml").read_text(encoding="utf-8")
+        text = (FMU_SOURCES / f"{OF_ANOTHER.get(name, name)}.xml").read_text(encoding="utf-8")
         pack(folder / f"{name}.fmu", text, library(source, options), members)
-    text = (SOURCES / "fmus" / "decay.xml").read_text(encoding="utf-8")
-    code = (SOURCES / "fmus" / "decay.c").read_text(encoding="utf-8")
+    text = (FMU_SOURCES / "decay.xml").read_text(encoding="utf-8")
+    code = (FMU_SOURCES / "decay.c").read_text(encoding="utf-8")
     pack(folder / "uncompiled.fmu", text, None, {"sources/decay.c": code})
 
 
@@ -84,7 +85,7 @@ def library(source: str, options: tuple[str, ...]) -> bytes:
     with tempfile.TemporaryDirectory() as place:
         made = Path(place) / "library.so"
         flags = ["-O1", "-w", "-shared", "-fPIC", "-Wl,--build-id=none", *options]
-        path = SOURCES / "fmus" / f"{source}.c"
+        path = FMU_SOURCES / f"{source}.c"
         subprocess.run([os.environ.get("CC", "cc"), *flags, "-o", str(made), str(path), "-lm", "-ldl"], check=True)
         return made.read_bytes()
 
@@ -179,8 +180,8 @@ def write_wrong(folder: Path) -> None:
     (place / "binary.csv").write_bytes(bytes(range(256)))
     (place / "empty.fmu").write_bytes(b"")
     (place / "text.fmu").write_text("this is no archive")
-    text = (SOURCES / "fmus" / "decay.xml").read_text(encoding="utf-8")
-    slides, binary = (SOURCES / "fmus" / "slider2cs.xml").read_text(encoding="utf-8"), library("slider", ())
+    text = (FMU_SOURCES / "decay.xml").read_text(encoding="utf-8")
+    slides, binary = (FMU_SOURCES / "slider2cs.xml").read_text(encoding="utf-8"), library("slider", ())
     with zipfile.ZipFile(place / "undescribed.fmu", "w") as archive:
         archive.writestr("readme.txt", "nothing")
     pack(place / "no_library.fmu", text, None, {})

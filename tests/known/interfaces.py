@@ -350,7 +350,7 @@ def both_solvers(model: Model, duration: float, step: float) -> dict[str, Any]:
 
 
 def instants(duration: float = 1, step: float = 0.1, sample: str | None = None, **more: Any) -> Callable[[Path], Any]:
-    """Return the run of `tests/instants.c`, an FMU of FMI 3.0 with event mode: x rises by u up to `level`."""
+    """Return the run of `instants.c`, an FMU of FMI 3.0 with event mode: x rises by u up to `level`."""
     start, keys = more.pop("start", {}), more.pop("keys", {})
 
     def run(folder: Path) -> Any:
