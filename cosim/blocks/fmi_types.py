@@ -196,7 +196,7 @@ def is_negated(variable: Any) -> bool:
 
 
 def input_aliases(description: Any) -> dict[str, dict[str, bool]]:
-    """Return input → the other inputs of its value reference, each with whether its sign is the opposite one."""
+    """Return input → its aliases among the inputs, each with True if the sign is negated."""
     groups: dict[tuple[str, int], list[Any]] = {}
     for v in description.modelVariables:
         if v.causality == "input" and not v.shape:

@@ -31,7 +31,7 @@ def resident(pid: int) -> int:
 
 
 class ProcessTree:
-    """A process with all that it has started, except those that ended their parent and began a session."""
+    """A process and its descendants, except orphans that began a session of their own."""
 
     def __init__(self, pid: int) -> None:
         self.pid = pid
@@ -69,7 +69,7 @@ class ProcessTree:
 
 
 def _descendants(pending: set[int]) -> set[int]:
-    """Return processes with all that they have started."""
+    """Return processes and all their descendants."""
     found = set[int]()
     while pending:
         found.add(pid := pending.pop())

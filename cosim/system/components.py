@@ -86,7 +86,7 @@ def _exact(file: ScenarioFile, name: str, read: Callable[[Path], Any]) -> dict[s
 
 
 def _hold_whole_signals(file: ScenarioFile, components: Mapping[str, Component]) -> None:
-    """Hold recorded signals that feed inputs other than reals, which are not interpolated."""
+    """Hold recorded signals between rows where they feed Integer, Boolean or enumeration inputs."""
     for connection in file.scenario.connections:
         owner, _, column = connection.source.partition(".")
         target, _, variable = connection.target.partition(".")

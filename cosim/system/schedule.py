@@ -155,7 +155,7 @@ class _Graph:
         if self.interpolates and (not isinstance(origin, SourceBlock) or output in origin.interpolated):
             return "pulled"
         is_seen = component.depends_on(name) is not False or any(signal.local for signal in component.outputs)
-        # Model exchange has an event at the change, and one with it if another event is at the same time.
+        # In model exchange, a change of inputs and another event at the same time are one event.
         return "late" if is_seen or getattr(component, "changes_by_events", False) else "held"
 
     def left_open(self, solved: Collection[tuple[str, ...]], key: str, assumptions: Sequence[str]) -> Iterator[Loop]:
