@@ -226,6 +226,8 @@ class YamlFile:
         name = ".".join(short(part) for part in location)
         if kind == "extra_forbidden":
             keys, takers = _allowed_keys(model, error["loc"])
+            if cure := REMOVED_KEYS.get(str(location[-1])):
+                return self.fault(location, f'"{short(location[-1])}" is no longer supported. {cure}', key=True)
             hint = takers or did_you_mean(str(location[-1]), keys)
             message = messages.UNKNOWN_KEY(key=short(location[-1]), hint=hint, keys=", ".join(keys))
             return self.fault(location, message, key=True)
@@ -307,6 +309,7 @@ def _reason(error: Any) -> str:
     return reason[:1].lower() + reason[1:]
 
 
+REMOVED_KEYS: dict[str, str] = {}  # key of earlier versions → what to use instead
 _WORDS = {
     **dict.fromkeys(("dict_type", "model_type", "model_attributes_type"), "it should be a mapping of keys to values"),
     **dict.fromkeys(("list_type", "tuple_type"), "it should be a list"),
