@@ -134,8 +134,6 @@ def _faults(file: ScenarioFile, system: System) -> Iterator[Fault]:
             yield file.fault((*where, "block"), messages.FIX_NOT_IN_SSP())
         if not isinstance(component, FmuComponent):
             continue
-        if component.at:
-            yield file.fault((*where, "at"), messages.AT_NOT_IN_SSP())
         if component.step is not None and component.step != scenario.step:
             yield file.fault((*where, "step"), messages.OWN_STEP(step=component.step))
         description = system.fmus[name][1]

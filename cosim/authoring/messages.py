@@ -96,4 +96,3 @@ OTHER_ALGORITHM = Template(
     "libcosim, ecos and FMPy step by {theirs}, this scenario by {ours}, so their results may differ; compare "
     "theirs with `cosim run --set algorithm={algorithm} --set noise=off`",
 )
-AT_NOT_IN_SSP = Template("E-AUT-036", "the FMU is on another machine; an SSP holds its FMUs, so take out at:")

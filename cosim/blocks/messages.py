@@ -204,29 +204,6 @@ TWICE_AT_ONCE = Template(
     "clock {clock} was due twice at t = {time:.6g} s; FMI allows one activation at a time, so one is left out",
 )
 
-# -- FMUs on other machines ----------------------------------------------------------------------------
-
-KEYS_MISSING = Template(
-    "E-BLK-074",
-    "{at} is another machine, or keys are given in part: {server} must name the file of the server's public key, "
-    "{client} the file of your secret key (cosim serve --new-key NAME makes both)",
-)
-NO_KEY_FILE = Template("E-BLK-075", "{file} is no key file: {reason}; cosim serve --new-key NAME makes one")
-OPEN_KEY = Template("E-BLK-076", "{file} is a secret key that others may read; chmod 600 {file}")
-UNREACHABLE = Template("E-BLK-077", "no server answers at {at}; start one there: cosim serve FOLDER --port PORT")
-UNUSABLE_ADDRESS = Template("E-BLK-078", "{at} cannot be used: {reason}")
-HANDSHAKE_FAILED = Template(
-    "E-BLK-079",
-    "what listens at {at} refuses the connection: it is no server of cosim, or the keys here (COSIM_SERVER_KEY, "
-    "COSIM_CLIENT_KEY) and there do not match",
-)
-SERVER_SILENT = Template("E-BLK-080", "the server at {at} has not answered for {wait:g} s")
-OTHER_VERSION = Template(
-    "E-BLK-081",
-    "the server at {at} has version {there} of the protocol, this side version {here}; install the same cosim on both",
-)
-CONNECTION_LOST = Template("E-BLK-082", "the connection to {at} is lost: {reason}")
-
 # -- code of one name ------------------------------------------------------------------------------------
 
 OWN_PROCESS = Template("N-BLK-083", "{name} runs in a process of its own: its {what} differs from that of {other}")

@@ -154,15 +154,4 @@ PACE_NOT_KEPT = Template(
     "the pace {pace:g} is not kept: {count} of {points} communication points came more than a step late, at worst "
     "{worst:.3g} ms at t = {at:.6g} s, and the last {end:.3g} ms; the run went on as fast as it could",
 )
-PARTNER_LOST = Template(
-    "W-MAS-053",
-    "{input}: no message from {partner} for more than {limit:g} s, {count}, first from t = {at:.6g} s on, at "
-    "longest for {longest:.3g} s; its last value was held",
-)
-MESSAGE_REFUSED = Template(
-    "W-MAS-054", "{input}: {count} messages from {partner} refused and the value held; the first {reason}"
-)
-NOT_SENT = Template("W-MAS-055", "{count} messages to {partner} not sent: {reason}")
 NO_FUNCTION = Template("E-MAS-058", "{name} is of type {value}; give a function of time and signals")
-NO_OBJECT = Template("E-MAS-056", 'it is no JSON object with "{field}"')
-NO_JSON = Template("E-MAS-057", "it is no JSON with finite numbers: {content}")

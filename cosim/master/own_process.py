@@ -16,7 +16,6 @@ from cosim.blocks.fmi import Calls
 from cosim.blocks.fmi_types import Exchange
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.instance import Instance
-from cosim.blocks.remote_fmu import RemoteFmu
 from cosim.blocks.values import Values as InstanceValues
 from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
@@ -420,7 +419,7 @@ class _ChangedInputs(InstanceValues):
 
 def _apart(component: Component, limits: Limits) -> OwnProcess:
     """Return a component in a process of its own."""
-    if isinstance(component, RemoteFmu) or is_exchange(component) or not isinstance(component, FmuBlock):
+    if is_exchange(component) or not isinstance(component, FmuBlock):
         return OwnProcess(component, limits)
     kind = OwnEvents if isinstance(component, EventFmu) else OwnFmu
     proxy: OwnProcess = type(kind.__name__, (kind, type(component)), {})(component, limits)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -39,7 +39,7 @@ from cosim.master import messages
 from cosim.master.c_loop import compile_beforehand
 from cosim.master.checkpoint import BESIDE, ROWS, STATE, Continuation, Keeper, Keeping
 from cosim.master.halving import Halved
-from cosim.master.inbox import Change, Channel, Control, FileChannel, Inbox, MemoryChannel
+from cosim.master.inbox import Change, Channel, Control, Inbox
 from cosim.master.master import StoppedRun, results_of, simulate
 from cosim.master.observer import MAX_CHARACTERS, Feed, ObservedRun, Observer
 from cosim.master.own_process import in_own_processes
@@ -85,34 +85,37 @@ def simulate_here(
     system: System, steps: int, h: float, observers: Sequence[Observer] = (), *, start: Continuation | None = None
 ) -> SteppedRun:
     """Step a system in this process."""
-    channel = MemoryChannel()
-    feed = _feed(observers, system, steps, h, channel)
-    rows = Rows.in_memory(steps + 1, len(system.columns))
-    feed.table = rows.table
-    if start is not None:
-        rows.beside.extend(start.exact)  # type: ignore[attr-defined]
-        rows = replace(rows, given=start.count, keeper=Keeper(Path(), rows.asked, [0], start=start))
+    with ExitStack() as stack:
+        channel = Channel(stack.enter_context(temporary_folder("changes")), Progress()) if observers else None
+        feed = _feed(observers, system, steps, h, channel)
+        rows = Rows.in_memory(steps + 1, len(system.columns))
+        feed.table = rows.table
+        if start is not None:
+            rows.beside.extend(start.exact)  # type: ignore[attr-defined]
+            rows = replace(rows, given=start.count, keeper=Keeper(Path(), rows.asked, [0], start=start))
 
-    def give(done: int) -> None:
-        feed(done)
-        if feed.failure is not None:
-            raise feed.failure
-        if feed.stop:
-            raise _early_end(system, h, done)
+        def give(done: int) -> None:
+            feed(done)
+            if feed.failure is not None:
+                raise feed.failure
+            if feed.stop:
+                raise _early_end(system, h, done)
 
-    try:
-        with _inbox(system, h, channel, observed=bool(observers)) as inbox:
-            results, failure = _run(system, steps, h, give if observers else None, rows, inbox), None
-    except StoppedRun as run:
-        results, failure = run.results, run.error
-    feed.end(results.values)
-    return SteppedRun(results, _log_lines(system), failure or feed.failure, channel.noted())
+        inbox = None if channel is None else Inbox(channel)
+        failure: SimulationError | None = None
+        try:
+            results = _run(system, steps, h, give if observers else None, rows, inbox)
+        except StoppedRun as run:
+            results, failure = run.results, run.error
+        feed.end(results.values)
+        changes = () if channel is None else channel.noted()
+        return SteppedRun(results, _log_lines(system), failure or feed.failure, changes)
 
 
-def _feed(observers: Sequence[Observer], system: System, steps: int, h: float, channel: Channel) -> Feed:
+def _feed(observers: Sequence[Observer], system: System, steps: int, h: float, channel: Channel | None) -> Feed:
     """Return the feed of rows to a run's observers, which may send changes through a channel."""
     time = _times_of(system, steps, h)
-    control = Control(system, channel) if observers else None
+    control = None if channel is None else Control(system, channel)
     return Feed(observers, ObservedRun(system.columns, steps + 1, system.start, h, system.units, control), time)
 
 
@@ -134,19 +137,6 @@ def _time_of_call(system: System, steps: int, h: float, rows: int, call: int) ->
 def _last_time(system: System, h: float, rows: int) -> float:
     """Return the time [s] of the last finished row."""
     return system.start + h * max(0, rows - 1)
-
-
-@contextmanager
-def _inbox(system: System, h: float, channel: Channel, *, observed: bool) -> Iterator[Inbox | None]:
-    """Yield the inbox of a run with observers or partners, None without; links to partners are open meanwhile."""
-    plan = None if system.real_time is None else system.real_time.live
-    if plan is None:
-        yield Inbox(channel) if observed else None
-        return
-    from cosim.master.live_values import LiveValues
-
-    with closing(LiveValues(system, plan, h)) as partners:
-        yield Inbox(channel, partners)
 
 
 def _run(
@@ -226,8 +216,8 @@ def simulate_rows(system: System, steps: int, h: float, job: RowsJob) -> WorkerE
         keeper = _keeper(job, mapped) if job.keeps else None
         shared = progress.made, progress.doing, _store_loop, progress.asked, keeper, job.given, progress.steps
         rows = Rows(mapped, beside, *shared)
-        with _inbox(system, h, FileChannel(job.channel, progress), observed=job.observed) as inbox:
-            results = _run(system, steps, h, obey if job.observed else None, rows, inbox)
+        inbox = Inbox(Channel(job.channel, progress)) if job.observed else None
+        results = _run(system, steps, h, obey if job.observed else None, rows, inbox)
     except StoppedRun as run:
         results, failure = run.results, run.error
     except OSError as error:
@@ -307,9 +297,9 @@ def simulate_apart(
         counters = worker.progress
         counters.loop, counters.stop[0], counters.hold[0], counters.sent[0] = b"", 0, 0, 0
         exchange = stack.enter_context(temporary_folder("changes"))  # outlives a crash of the worker
-        channel = FileChannel(exchange, counters)
+        channel = Channel(exchange, counters)
         table, count = _begin_rows(stack, worker, folder, (steps + 1, 8 * columns), kept)
-        feed = _feed(observers, system, steps, h, channel)
+        feed = _feed(observers, system, steps, h, channel if observers else None)
         if observers and columns:
             feed.table = np.memmap(table, np.float64, "r", shape=(count, columns))
         job = RowsJob(table, limits, exchange, bool(observers), kept.interval, given, keeping is not None)

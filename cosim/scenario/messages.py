@@ -76,4 +76,3 @@ FORMS_OF_RECORD = Template(
 )
 
 # -- real time ------------------------------------------------------------------------------------
-NO_ADDRESS = Template("E-SCN-051", "it is a port from 1 to 65535, such as 5005, or host:port, such as 192.168.0.7:5005")

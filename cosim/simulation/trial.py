@@ -21,7 +21,6 @@ from cosim.blocks.messages import HIDDEN_LIBRARY, HIDDEN_MODULE, OWN_PROCESS
 from cosim.coupling.messages import ASSUMED_WITHOUT_FEEDTHROUGH
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
-from cosim.master.live_values import check_hosts
 from cosim.master.remote import simulate_apart
 from cosim.scenario.controller_design import designed_apart, designed_values
 from cosim.scenario.scenario_file import ScenarioFile
@@ -31,7 +30,6 @@ from cosim.simulation.packaged import lay_out
 from cosim.simulation.undeclared import with_feedthrough
 from cosim.storage.artefact import Checking
 from cosim.system.messages import LOOP_BY_FEEDTHROUGH
-from cosim.system.real_time import real_time_of
 from cosim.system.recording import recording_notes
 from cosim.system.system import System, build_system
 
@@ -120,7 +118,6 @@ def check_scenario(path: Path, checking: Checking) -> list[str]:
         skipped.append(messages.DESIGN_NOT_CHECKED(reason=error))
     system = build_system(file, designed)
     if worker is not None:
-        check_hosts(real_time_of(file))
         system = with_feedthrough(file, designed, system, worker)
         faults, said = _run_once(file, system, path, worker)
         refuse(faults)

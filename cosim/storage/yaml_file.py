@@ -309,7 +309,10 @@ def _reason(error: Any) -> str:
     return reason[:1].lower() + reason[1:]
 
 
-REMOVED_KEYS: dict[str, str] = {}  # key of earlier versions → what to use instead
+REMOVED_KEYS: dict[str, str] = {  # key of earlier versions → what to use instead
+    "at": "Run FMUs on this machine; `cosim sweep --dask` spreads runs over many machines.",
+    "live": "Exchange values with a function of Python: cosim.run(..., inputs={...}); examples/live shows one.",
+}
 _WORDS = {
     **dict.fromkeys(("dict_type", "model_type", "model_attributes_type"), "it should be a mapping of keys to values"),
     **dict.fromkeys(("list_type", "tuple_type"), "it should be a list"),
@@ -342,8 +345,6 @@ def _errors_of_branches(errors: Sequence[Any], data: Any) -> list[Any]:
 
 
 _PATTERNS = {  # part of a pattern in use → form of its texts
-    ":[1-9]": "host:port, such as 192.168.0.7:5600",
-    "[^#+": "a topic without # and +",
     "\\.": "component.variable, the component's name of letters, digits and _ that begins with no digit",
     "": "a name of letters, digits and _ that begins with no digit",
 }

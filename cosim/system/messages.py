@@ -209,13 +209,3 @@ CLOCK_NOT_TUNABLE = Template(
     "E-SYS-084", "{name} is a clock whose interval cannot be set; a tunable clock with intervalDecimal takes one"
 )
 NO_INTERVAL = Template("E-SYS-085", "{name} is {value!r}; give the interval of the clock, a time above 0 s")
-
-# Partners
-ONE_PARTNER = Template("E-SYS-091", "{name} needs one of udp and mqtt")
-NO_DOUBLE_OUTPUT = Template("E-SYS-092", "{name} is text or a 64-bit integer; only numbers are sent")
-SAME_FIELD = Template("E-SYS-093", "{name} and {other} would both be {field} of one message; name their fields")
-NOT_REMOTE = Template(
-    "E-SYS-086",
-    "{fmu} uses model exchange, event mode, clocks or scheduled execution, which are not offered at another machine; "
-    "leave out at: (process: own keeps it apart here), or give interface: co-simulation or event_mode: false",
-)
