@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import pickle
 import queue
@@ -20,9 +21,20 @@ from cosim.base.errors import Crashed, SimulationError, Terminated
 from cosim.base.scratch import ScratchFolder, scratch
 from cosim.blocks.shared_code import SharedCode
 from cosim.isolation import messages
-from cosim.isolation.rows import NOTHING, Progress, mapped_progress
+from cosim.isolation.rows import NOTHING, OTHER, Progress, mapped_progress
 from cosim.isolation.watch import Clock, Watch, how_ended
-from cosim.isolation.worker import ALONG, PROGRESS, STREAMS_LOST, BadStream, Begin, receive, send, transfer_fault
+from cosim.isolation.worker import (
+    ALONG,
+    PROGRESS,
+    STREAMS_LOST,
+    BadStream,
+    call_object,
+    free_object,
+    make_object,
+    receive,
+    send,
+    transfer_fault,
+)
 from cosim.storage.cache import cache_environment
 from cosim.storage.files import delay_stops
 
@@ -82,20 +94,7 @@ class Worker:
         self._output = _Output(self._process.stderr)
         threading.Thread(target=self._listen, args=(self._process.stdout, self._answers), daemon=True).start()
         python_path = os.environ.get("PYTHONPATH")
-        self._ask(pickle.dumps(Begin(self._scratch.path, list(sys.path), python_path, self._modules)))
-
-    def _replace_process(self) -> None:
-        """Replace the process by a new one with the same folder and shared progress."""
-        process, self._process = self._process, None
-        assert process is not None
-        with suppress(OSError):
-            send(process.stdin, b"")
-        with suppress(subprocess.TimeoutExpired):
-            process.wait(ENDING)
-        _end_group(process, kill=True)
-        self._output.join()
-        _close(process.stdin)
-        self._start_process()
+        self._ask(pickle.dumps((self._scratch.path, list(sys.path), python_path, self._modules)))
 
     @property
     def folder(self) -> Path:
@@ -153,7 +152,9 @@ class Worker:
         answer, error = pickle.loads(content)
         if isinstance(error, SharedCode) and self._jobs > 1:
             with delay_stops():
-                self._replace_process()
+                self.finish()
+                self.end(replaced=True)
+                self._start_process()
             return self.call(function, *arguments, watch=watch, doing=doing)
         if error is not None:
             raise error
@@ -164,8 +165,8 @@ class Worker:
         self._ask(b"")
         self._finishing = True
 
-    def end(self, kill: bool = False) -> None:
-        """End the process and its children, and remove its files."""
+    def end(self, kill: bool = False, *, replaced: bool = False) -> None:
+        """End the process and its children, and remove its files unless a new one takes its place."""
         process, self._process = self._process, None
         if process is None:
             return
@@ -179,7 +180,8 @@ class Worker:
         _end_group(process, kill)
         self._output.join()
         _close(process.stdin)  # The readers of the other streams close them; closing here would wait for a read.
-        self._scratch.remove()
+        if not replaced:
+            self._scratch.remove()
 
     # -- internal -------------------------------------------------------------------------------
 
@@ -252,6 +254,45 @@ class Worker:
         component, at, call = clock.place()
         template = messages.CRASH_WITH_WORDS if words else messages.CRASH
         return Crashed(component, at, template(call=call, end=how_ended(code), words=words[:MOST_WORDS]))
+
+
+class Remote:
+    """An object in a worker, made there at its first call, and again in a new process after a crash.
+
+    Args:
+        worker: Worker, which may hold several objects.
+        make: Function that makes the object there.
+        arguments: Arguments of `make`.
+    """
+
+    _numbers = itertools.count()
+
+    def __init__(self, worker: Worker, make: Callable[..., Any], *arguments: Any) -> None:
+        self.worker, self._recipe = worker, (make, arguments)
+        self._number, self._process = next(self._numbers), 0
+
+    @property
+    def is_made(self) -> bool:
+        """Return whether the object is in the process that runs."""
+        return self._process == self.worker.starts and self.worker.running
+
+    def make(self, watch: Watch | None = None) -> None:
+        """Make the object unless it is there, supervised as in `Worker.call`."""
+        if not self.is_made:
+            self.worker.call(make_object, self._number, *self._recipe, watch=watch, doing=OTHER)
+            self._process = self.worker.starts
+
+    def call(self, method: str, *arguments: Any, watch: Watch | None = None, doing: int = OTHER, **options: Any) -> Any:
+        """Call a method of the object there and return its result; errors are those of `Worker.call`."""
+        self.make(watch)
+        call = self._number, method, arguments, options
+        return self.worker.call(call_object, *call, watch=watch, doing=doing)
+
+    def free(self, method: str, *arguments: Any, watch: Watch | None = None) -> None:
+        """Call a last method of the object and forget it, if it is there."""
+        if self.is_made:
+            self.worker.call(free_object, self._number, method, arguments, watch=watch, doing=OTHER)
+        self._process = 0
 
 
 class _Output:

@@ -17,8 +17,8 @@ import tempfile
 import threading
 import time
 import traceback
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 from zlib import crc32
@@ -35,29 +35,30 @@ STREAMS_LOST = 121  # exit code of a worker whose streams an FMU has closed, rea
 PROGRESS, ALONG = "progress", "along"
 
 
-@dataclass(frozen=True)
-class Begin:
-    """Settings of a worker before its first job.
-
-    Attributes:
-        scratch: Folder for all unpacked files.
-        path: Module search path of the caller.
-        pythonpath: PYTHONPATH of the caller.
-        modules: Modules to import at once.
-    """
-
-    scratch: Path
-    path: list[str]
-    pythonpath: str | None
-    modules: tuple[str, ...]
-
-
 class BadStream(OSError):
     """Error: a stream has something that is no message, or does not wait for one."""
 
 
 progress: Progress  # shared with the caller
 abandoned = threading.Event()  # set when the caller has ended
+
+
+_objects: dict[int, Any] = {}  # those of `Remote`, by number
+
+
+def make_object(number: int, make: Callable[..., Any], arguments: Sequence[Any]) -> None:
+    """Make an object of this process."""
+    _objects[number] = make(*arguments)
+
+
+def call_object(number: int, method: str, arguments: Sequence[Any], options: Mapping[str, Any]) -> Any:
+    """Call a method of an object of this process."""
+    return getattr(_objects[number], method)(*arguments, **options)
+
+
+def free_object(number: int, method: str, arguments: Sequence[Any]) -> None:
+    """Call a last method of an object and forget it."""
+    getattr(_objects.pop(number), method)(*arguments)
 
 
 def share_log(component: Any) -> None:
@@ -98,14 +99,15 @@ def main() -> None:
     requests, answers = _take_streams()
     state = _state_of(requests, answers)
     _end_with_caller()
-    begin: Begin = pickle.loads(receive(requests) or sys.exit())
-    scratch, sys.path[:] = begin.scratch, begin.path
-    _restore("PYTHONPATH", begin.pythonpath)
+    scratch, sys.path[:], python_path, modules = pickle.loads(receive(requests) or sys.exit())
+    os.environ.pop("PYTHONPATH", None)  # that of the caller, and not that by which cosim is found
+    if python_path is not None:
+        os.environ["PYTHONPATH"] = python_path
     tempfile.tempdir = os.environ["TMPDIR"] = os.environ["TEMP"] = os.environ["TMP"] = str(scratch)
     progress = mapped_progress(scratch / PROGRESS)
     jobs: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     threading.Thread(target=_read, args=(requests, jobs, scratch), daemon=True).start()
-    for name in begin.modules:
+    for name in modules:
         importlib.import_module(name)
     _name_calls()
     while content := jobs.get():
@@ -153,13 +155,6 @@ def _take_streams() -> tuple[BinaryIO, BinaryIO]:
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     os.dup2(2, 1)
     return requests, answers
-
-
-def _restore(name: str, value: str | None) -> None:
-    """Restore a changed environment variable of the caller."""
-    os.environ.pop(name, None)
-    if value is not None:
-        os.environ[name] = value
 
 
 def _read(requests: BinaryIO, jobs: queue.SimpleQueue[bytes], scratch: Path) -> None:

@@ -18,7 +18,6 @@ STATE_NOT_RESTORED = Template(
 )
 OBSERVER_FAILED = Template("E-MAS-003", "{error}: {reason}")
 UNEXPECTED_ERROR = Template("E-MAS-004", "{call}: {error}: {reason} (--in-process shows where)")
-DISK_FULL = Template("E-MAS-005", "the disk is full: it has room for {count} of {rows} rows while the run lasts")
 END_REQUESTED = Template("N-MAS-006", "it asked for the end")
 UNUSABLE_STATE = Template(
     "E-MAS-062", "the checkpoint has no state of these components ({reason}); run the scenario again from its start"
