@@ -64,10 +64,8 @@ class Worker:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+    def __exit__(self, *_: object) -> None:
         with delay_stops():
-            if kind is None:
-                self.finish()
             self.end()
 
     progress: Progress  # also valid after the process has ended
@@ -88,7 +86,7 @@ class Worker:
 
     def _start_process(self) -> None:
         """Start a process with the folder and the shared progress that are there."""
-        self._process, self._finishing, self._jobs = _from_lasting_thread(_spawn), False, 0
+        self._process, self._jobs = _from_lasting_thread(), 0
         self.starts += 1
         self._answers: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
         self._output = _Output(self._process.stderr)
@@ -152,7 +150,6 @@ class Worker:
         answer, error = pickle.loads(content)
         if isinstance(error, SharedCode) and self._jobs > 1:
             with delay_stops():
-                self.finish()
                 self.end(replaced=True)
                 self._start_process()
             return self.call(function, *arguments, watch=watch, doing=doing)
@@ -160,20 +157,15 @@ class Worker:
             raise error
         return answer
 
-    def finish(self) -> None:
-        """Tell the process to end by itself, after its current jobs."""
-        self._ask(b"")
-        self._finishing = True
-
     def end(self, kill: bool = False, *, replaced: bool = False) -> None:
         """End the process and its children, and remove its files unless a new one takes its place."""
         process, self._process = self._process, None
         if process is None:
             return
         if not kill:
-            if not self._finishing:
-                _close(process.stdin)
             try:
+                with suppress(OSError):
+                    send(process.stdin, b"")
                 process.wait(ENDING)
             except subprocess.TimeoutExpired:
                 kill = True
@@ -330,23 +322,20 @@ def _show(text: bytes) -> None:
         sys.stderr.flush()
 
 
-def _from_lasting_thread(spawn: Callable[[], Any]) -> Any:
+def _from_lasting_thread() -> subprocess.Popen[bytes]:
     """Return a process started by a thread that lasts as long as this process.
 
     For the kernel of Linux the thread that starts a process is its parent. The worker would end after a short thread.
     """
     if threading.current_thread() is threading.main_thread():
-        return spawn()
+        return _spawn()
     with _starting:
-        if os.getpid() not in _starters:  # The threads of a process are not those of its fork.
-            _starters.clear()
-            _starters[os.getpid()] = ThreadPoolExecutor(1, "start of workers")
-        starter = _starters[os.getpid()]
-    return starter.submit(spawn).result()
+        starter = _starters.setdefault(os.getpid(), ThreadPoolExecutor(1, "start of workers"))
+    return starter.submit(_spawn).result()
 
 
 _starting = threading.Lock()
-_starters: dict[int, ThreadPoolExecutor] = {}
+_starters: dict[int, ThreadPoolExecutor] = {}  # by process: the threads of a process are not those of its fork
 
 
 def _spawn() -> subprocess.Popen[bytes]:

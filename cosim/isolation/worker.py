@@ -168,22 +168,13 @@ def _read(requests: BinaryIO, jobs: queue.SimpleQueue[bytes], scratch: Path) -> 
     except OSError:
         os._exit(STREAMS_LOST)
     abandoned.set()  # The removal takes a while, in which another command may use the same folders.
-    for path in (*_registered_folders(scratch), scratch):
-        remove(path)
+    with suppress(OSError, ValueError):  # The caller lists folders in a file: a job with them may not have begun.
+        for line in filter(None, (scratch / ALONG).read_text(encoding="utf-8").split("\0")):
+            remove(Path(line))
+    remove(scratch)
     if sys.platform != "win32" and os.getpgid(0) == os.getpid():
         os.killpg(0, signal.SIGKILL)  # including processes started by an FMU
     os._exit(1)
-
-
-def _registered_folders(scratch: Path) -> list[Path]:
-    """Return the folders to remove after the caller's end.
-
-    The caller lists them in a file, because the job with these folders may not have begun.
-    """
-    try:
-        return [Path(line) for line in (scratch / ALONG).read_text(encoding="utf-8").split("\0") if line]
-    except (OSError, ValueError):
-        return []
 
 
 def _end_with_caller() -> None:
@@ -228,7 +219,17 @@ def _answer(content: bytes) -> bytes:
     try:
         return pickle.dumps((function(*arguments), None))
     except Exception as error:
-        return _pickled_error(error, traceback.format_exc())
+        place = f"in a worker:\n{traceback.format_exc()}"
+        if not isinstance(error, CosimError):
+            error.add_note(place)
+        try:
+            content = pickle.dumps((None, error))
+            pickle.loads(content)
+        except Exception:  # Some errors cannot be pickled, or only fail when unpickled.
+            plain = RuntimeError(f"{type(error).__name__}: {error}")
+            plain.add_note(place)
+            content = pickle.dumps((None, plain))
+        return content
 
 
 def transfer_fault(error: Exception) -> InputError:
@@ -236,17 +237,3 @@ def transfer_fault(error: Exception) -> InputError:
     reason = " ".join(str(error).split())[:200]
     message = messages.UNSENDABLE_OBJECT(kind=type(error).__name__, reason=reason)
     return InputError.at(Path("the worker process"), message)
-
-
-def _pickled_error(error: Exception, place: str) -> bytes:
-    """Return an error in pickled form; an error that cannot be pickled becomes a RuntimeError with its text."""
-    if not isinstance(error, CosimError):
-        error.add_note(f"in a worker:\n{place}")
-    try:
-        content = pickle.dumps((None, error))
-        pickle.loads(content)
-    except Exception:  # Some errors fail only when unpickled.
-        plain = RuntimeError(f"{type(error).__name__}: {error}")
-        plain.add_note(f"in a worker:\n{place}")
-        return pickle.dumps((None, plain))
-    return content

@@ -424,7 +424,6 @@ def _step(
         if prepared.bring_back is not None:
             prepared.bring_back()
         raise
-    worker.finish()
     return stepped
 
 
