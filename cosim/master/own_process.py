@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Collection, Mapping, MutableSequence, Sequence
+from collections.abc import Callable, Collection, Mapping, MutableSequence
 from dataclasses import replace
 from itertools import count
 from typing import Any
 
-from cosim.blocks.component import Component, Row, Signal, in_turn
+from cosim.blocks.component import Component, Row, Signal
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmi_types import Exchange
 from cosim.blocks.fmu import FmuBlock
@@ -22,8 +22,7 @@ from cosim.isolation.watch import Watch, fmi_calls
 from cosim.system.event_blocks import is_exchange
 from cosim.system.system import System
 
-Values = tuple[list[float], list[Any]]  # in the row, and beside the row
-NOTHING: Values = [], []
+Signals = tuple[list[float], list[Any]]  # in the row, and beside the row
 Request = tuple[Any, ...]  # method of the component, or of `HostedComponent`, and its arguments
 COPIED = (
     *("name", "inputs", "outputs", "exact_inputs", "exact_outputs", "nominal_step"),
@@ -45,13 +44,13 @@ class HostedComponent:
         self._states: dict[int, Any] = {}
         self._numbers = count()
 
-    def do(self, values: Values, *requests: Request) -> tuple[Any, Values, dict[str, Any]]:
-        """Set the first signals, then call methods.
+    def do(self, signals: Signals, *requests: Request) -> tuple[Any, Signals, dict[str, Any]]:
+        """Set all signals and call methods.
 
         Returns:
             The result of the last method, all signals, and the attributes that the proxy mirrors.
         """
-        self.row[: len(values[0])], self.beside[: len(values[1])] = [*values[0]], values[1]
+        self.row[:], self.beside[:] = [*signals[0]], signals[1]
         result = None
         for method, *arguments in requests:
             owner = self if hasattr(self, method) else self.component
@@ -83,6 +82,11 @@ class HostedComponent:
         return list(getattr(self.component, "log", ()))
 
 
+def _there(method: str, doing: int = OTHER) -> Any:
+    """Return a method that is called there, by `OwnProcess.act`."""
+    return lambda self, *arguments: self.act((method, *arguments), doing=doing)
+
+
 class OwnProcess:
     """Proxy of a component in another process; a crash there becomes an error naming the component."""
 
@@ -96,93 +100,59 @@ class OwnProcess:
     log: Any
     saves: Any
     depends_on: Any
+    start, change, checkpoint, restore = map(_there, ("start", "change", "checkpoint", "restore"))
+    put, get = _there("put", PUT), _there("get", GET)
 
     def __init__(self, component: FmuBlock, limits: Limits) -> None:
         self.__dict__ |= {name: getattr(component, name) for name in COPIED}
         self._limits, self._remote = limits, Remote(Worker(__name__), HostedComponent, component)
         self.reached = 0.0  # time [s] for messages
-        self._pending: Values | None = None  # signals to set with the next call
-        self._stepped: Values | None = None  # signals received with a step
-
-    def stepping(self, doing: MutableSequence[int], first: int) -> Callable[[float, float], None]:
-        """Put, advance and get."""
-        return in_turn(self, doing, first)
 
     def bind(self, row: Row, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:
         """Set the places of the component's signals in the row and in the list of exact values."""
-        counts = len(self.inputs), len(self.exact_inputs), len(self.outputs), len(self.exact_outputs)
-        self._spans: Sequence[tuple[Any, int, int, int]] = (  # place, first signal, number of inputs, of all
-            (row, first, counts[0], counts[0] + counts[2]),
-            ([] if beside is None else beside, first_beside, counts[1], counts[1] + counts[3]),
-        )
+        counts = len(self.inputs) + len(self.outputs), len(self.exact_inputs) + len(self.exact_outputs)
+        self._row, self._beside = row, [] if beside is None else beside
+        self._own, self._own_beside = slice(first, first + counts[0]), slice(first_beside, first_beside + counts[1])
 
     def open(self, start: float, stop: float) -> None:
         """Start the process and load the component."""
         self.reached = start
-        self.show(self.do(("open", start, stop))[1])
-
-    def start(self) -> None:
-        """End initialization."""
-        self.do(("start",))
-
-    def change(self, values: Mapping[str, Any]) -> None:
-        """Set the values of an event in the component."""
-        self.show(self.do(("change", dict(values)))[1], outputs=False)
-
-    def put(self) -> None:
-        """Keep the inputs for the next call."""
-        self._pending = self.signals()
+        self.act(("open", start, stop))
 
     def advance(self, t: float, h: float) -> None:
-        """Step and receive the outputs."""
+        """Step there."""
+        self._step(t, h, ("advance", t, h))
+
+    def stepping(self, doing: MutableSequence[int], first: int) -> Callable[[float, float], None]:
+        """Put, advance and get by one message."""
+
+        def step(t: float, h: float) -> None:
+            doing[0] = first + ADVANCE
+            self._step(t, h, ("put",), ("advance", t, h), ("get",))
+
+        return step
+
+    def _step(self, t: float, h: float, *requests: Request) -> None:
         self.reached = t
-        self._stepped = self.exchange(("advance", t, h), ("get",), doing=ADVANCE)[1]
+        self.act(*requests, doing=ADVANCE)
         self.reached = t + h
-
-    def get(self) -> None:
-        """Write the outputs of the last step, or of the current inputs."""
-        values, self._stepped = self._stepped, None
-        self.show(self.exchange(("get",), doing=GET)[1] if values is None else values, inputs=False)
-
-    def checkpoint(self) -> Any:
-        """Return the state of the component."""
-        return self.do(("checkpoint",))[0]
-
-    def restore(self, state: Any) -> None:
-        """Restore the state of the component."""
-        self.do(("restore", state))
 
     def close(self) -> None:
         """Free the component and end its process."""
         try:
             if self._remote.is_made:
-                self.log.first.extend(self.do(("close",))[0])
+                self.log.first.extend(self.act(("close",)))
         finally:
             self._remote.worker.end()
 
-    def signals(self) -> Values:
-        """Return all signals: those in the row, and those beside it."""
-        row, beside = (place[first : first + number] for place, first, _, number in self._spans)
-        return row, beside
-
-    def show(self, values: Values, *, inputs: bool = True, outputs: bool = True) -> None:
-        """Write received signals."""
-        for (place, first, middle, number), received in zip(self._spans, values, strict=True):
-            begin, end = 0 if inputs else middle, number if outputs else middle
-            place[first + begin : first + end] = received[begin:end]
-
-    def do(self, *requests: Request, values: Values = NOTHING, doing: int = OTHER) -> tuple[Any, Values, Any]:
-        """Call methods there, as `HostedComponent.do`."""
+    def act(self, *requests: Request, doing: int = OTHER) -> Any:
+        """Set all signals and call methods there; show their effects here, and return the last result."""
         watch = Watch([self.name], [fmi_calls(self.description)], lambda row, doing: self.reached, self._limits)
-        answer: tuple[Any, Values, Any] = self._remote.call("do", values, *requests, watch=watch, doing=doing)
-        return answer
-
-    def exchange(self, *requests: Request, doing: int = OTHER) -> tuple[Any, Values, Any]:
-        """Set the signals that were put, and call methods there."""
-        values, self._pending = self._pending, None
-        if values is None:
-            return self.do(*requests, doing=doing)
-        return self.do(("put",), *requests, values=values, doing=doing)
+        signals = self._row[self._own], self._beside[self._own_beside]
+        result, (row, beside), mirrored = self._remote.call("do", signals, *requests, watch=watch, doing=doing)
+        self._row[self._own], self._beside[self._own_beside] = row, beside
+        self.__dict__ |= mirrored
+        return result
 
 
 class _OwnInstance(Instance):
@@ -193,49 +163,28 @@ class _OwnInstance(Instance):
         self.owner, self.fmu, self.log = owner, owner, component.log  # a crash loses the FMU, and ends the run
 
     def save_state(self) -> Any:
-        return self.owner.do(("save_state",))[0]
+        return self.owner.act(("save_state",))
 
     def restore_state(self, state: Any, *, keep: bool = False) -> None:
-        self.owner.do(("restore_state", state, keep))
+        self.owner.act(("restore_state", state, keep))
 
     def free_state(self, state: Any) -> None:
-        self.owner.do(("free_state", state))
+        self.owner.act(("free_state", state))
 
 
 class OwnFmu(OwnProcess, FmuBlock):
     """An FMU for co-simulation in another process, whose steps can be repeated."""
+
+    try_inputs, slopes = _there("put", PUT), _there("slopes")
 
     def __init__(self, component: FmuBlock, limits: Limits) -> None:
         self.__dict__ |= component.__dict__
         OwnProcess.__init__(self, component, limits)
         self.instance = _OwnInstance(self, component)
 
-    def bind(self, row: Row, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:
-        """Set the places of the signals."""
-        OwnProcess.bind(self, row, first, beside, first_beside)
-        super(OwnProcess, self).bind(row, first, beside, first_beside)
-
-    def try_inputs(self) -> None:
-        """Keep the inputs for the next call."""
-        self.put()
-
-    def slopes(self, outputs: Sequence[str], inputs: Sequence[str]) -> list[list[float]] | None:
-        """Return directional derivatives of outputs, None if unavailable."""
-        slopes: list[list[float]] | None = self.exchange(("get",), ("slopes", outputs, inputs))[0]
-        return slopes
-
     def slot(self) -> str:
         """Return the reason against the C loop."""
         return f"{self.name} has a process of its own"
-
-
-def _there(method: str, doing: int = OTHER) -> Any:
-    """Return a method that is called there with all signals, and whose effects show here."""
-
-    def call_there(self: OwnEvents, *arguments: Any) -> Any:
-        return self.act(method, *arguments, doing=doing)
-
-    return call_there
 
 
 class OwnEvents(OwnFmu, EventFmu):
@@ -245,18 +194,22 @@ class OwnEvents(OwnFmu, EventFmu):
     part in an instant costs no message.
     """
 
-    start, get, enter, change = _there("start"), _there("get", GET), _there("enter"), _there("change")
-    go, update, leave = _there("go", ADVANCE), _there("update"), _there("leave")
+    enter, go, update, leave = _there("enter"), _there("go", ADVANCE), _there("update"), _there("leave")
     ask_for_small_steps = _there("ask_for_small_steps")
 
     def __init__(self, component: EventFmu, limits: Limits) -> None:
         super().__init__(component, limits)
         self._values = _ChangedInputs(self.instance, self._ports)
 
+    def bind(self, row: Row, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:
+        """Set the places of the signals."""
+        OwnProcess.bind(self, row, first, beside, first_beside)
+        super(OwnProcess, self).bind(row, first, beside, first_beside)
+
     def open(self, start: float, stop: float) -> None:
         """Start the process and load the FMU."""
-        self._given, self._seen, self.reached = {}, [], start
-        self._mirror(self.do(("open", start, stop)))
+        self._given, self._seen = {}, []
+        super().open(start, stop)
 
     def put(self) -> None:
         """Set changed inputs, as far as the mode allows."""
@@ -265,32 +218,27 @@ class OwnEvents(OwnFmu, EventFmu):
         values.has_changed = False
         super(OwnProcess, self).put()
         if values.has_changed:
-            self.act("put", doing=PUT)
+            self.act(("put",), doing=PUT)
 
     def tick(self, names: Collection[str]) -> None:
         """Activate input clocks."""
-        self.act("tick", [*names])
+        self.act(("tick", [*names]))
         self._forget(names)
 
     def fired(self) -> list[str]:
         """Return output clocks that tick since the last call."""
-        names: list[str] = self.act("fired") if self.output_clocks else []
+        names: list[str] = self.act(("fired",)) if self.output_clocks else []
         self._forget(names)
         return names
 
     def restore_schedule(self, schedule: Mapping[str, Any]) -> None:
         """Restore a schedule after state and row."""
-        self.act("restore_schedule", dict(schedule))
+        self.act(("restore_schedule", schedule))
         super(OwnProcess, self).restore_schedule(schedule)
 
-    def act(self, method: str, *arguments: Any, doing: int = OTHER) -> Any:
-        """Set all signals and call a method there; show its effects here, and return its result."""
-        return self._mirror(self.do((method, *arguments), values=self.signals(), doing=doing))
-
-    def _mirror(self, answer: tuple[Any, Values, Any]) -> Any:
-        result, values, attributes = answer
-        self.show(values)
-        self.__dict__ |= attributes
+    def act(self, *requests: Request, doing: int = OTHER) -> Any:
+        """Call methods there, as `OwnProcess.act`."""
+        result = super().act(*requests, doing=doing)
         self.instance.time = self.reached
         return result
 
