@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cosim.base import messages
 from cosim.base.messages import Message, code_of, join, printable, with_prefix
 
 
@@ -88,7 +87,7 @@ class NotExecuted(CosimError):
 
     def __init__(self, file: Path) -> None:
         self.file = file
-        super().__init__(messages.PYTHON_FILE(file=file))
+        super().__init__(f"{file} is Python, which is not executed here")
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.file,), self.__dict__
@@ -168,7 +167,7 @@ class Terminated(BaseException):
 
     def __init__(self, signal: str = "SIGTERM") -> None:
         self.signal = signal
-        super().__init__(messages.END_BY_SIGNAL(signal=signal))
+        super().__init__(f"ended by {signal}")
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.signal,), self.__dict__
@@ -179,7 +178,7 @@ def stop_error(stop: BaseException, now: float, subject: str = "the run") -> Sim
     if isinstance(stop, SimulationError):
         return stop
     if isinstance(stop, KeyboardInterrupt):
-        return Interrupted(subject, now, messages.INTERRUPTION())
+        return Interrupted(subject, now, "interrupted from the keyboard")
     return Signalled(subject, now, str(stop))
 
 

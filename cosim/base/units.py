@@ -254,7 +254,9 @@ def assume_si(written: str, of: str = "the model", cure: str = "leave the unit o
     if unit.is_coherent:
         return UnitAssumption(written)
     wanted = coherent(written)
-    note = messages.SI_UNIT_TAKEN(owner=of, wanted=wanted, unit=written, cure=cure)
+    note = (
+        f"has no unit in {of}: it is taken as {wanted}, so {written} are converted; {cure} if it is in {written} itself"
+    )
     return UnitAssumption(wanted, unit.factor, note, unit.offset)
 
 
@@ -384,7 +386,7 @@ def unit_definitions(names: set[str]) -> Element:
     for name in sorted(names):
         unit = parse(name)
         if unit is None:
-            raise ValueError(messages.UNKNOWN_UNIT(name=name))
+            raise ValueError(f'unknown unit "{name}"')
         node = SubElement(root, "Unit", name=name)
         base = {k: str(v) for k, v in unit.exponents.items()}
         if unit.factor != 1.0:

@@ -27,9 +27,9 @@ def check_fmu_file(path: Path) -> None:
     try:
         check_archive(path)
     except BadArchive as error:
-        raise FmuError(messages.NO_ARCHIVE.around(error, file=path)) from None
+        raise FmuError(f"{path} is no FMU: {error}") from None
     except OSError as error:
-        raise FmuError(messages.UNREADABLE_FILE(file=path, reason=error.strerror)) from None
+        raise FmuError(f"{path} cannot be read: {error.strerror}") from None
 
 
 def reason_of(error: Exception) -> str:
@@ -47,7 +47,7 @@ def check_identifiers(path: Path, description: Any) -> None:
         for way in filter(None, (description.coSimulation, description.modelExchange)):
             check_identifier(way.modelIdentifier)
     except BadArchive as error:
-        raise FmuError(messages.INVALID_FMU.around(error, file=path)) from None
+        raise FmuError(f"{path} is not a valid FMU: {error}") from None
 
 
 def check_numbers(path: Path, description: Any) -> None:

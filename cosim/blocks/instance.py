@@ -112,7 +112,7 @@ class Instance:
 
     def _load_fault(self, reason: str) -> Message:
         """Return the message of an FMU that does not load; a reason with a code of its own keeps that code."""
-        return messages.NOT_LOADED.around(reason, file=self.path)
+        return f"{self.path} does not load: {reason}"
 
     def _unpack(self) -> Path:
         if self.place is not None:
@@ -123,7 +123,9 @@ class Instance:
             unpack(self.path, folder)
         except Exception as error:  # FMPy raises bare Exceptions, zipfile its own.
             if is_full(error):
-                full = messages.NO_SPACE_TO_UNPACK(file=self.path.name)
+                full = (
+                    f"the disk is full: no room to unpack {self.path.name} in the folder for temporary files (TMPDIR)"
+                )
                 raise DiskFull(self.name, self.time, full) from None
             raise FmuError(self._load_fault(str(error))) from None
         return folder
@@ -283,7 +285,7 @@ class Instance:
             SimulationError: The call failed.
         """
         if status == WARNING:
-            self.remember(messages.CALL_WARNING(function=function))
+            self.remember(f"{function} returned Warning")
             return
         if status == DISCARD and function == self.step_name and (reached := self.calls.end_time(self.time)) is not None:
             words = self.last_words()

@@ -26,6 +26,11 @@ from cosim.blocks.wire import (
     zeromq,
 )
 
+HANDSHAKE_FAILED = (
+    "what listens at {at} refuses the connection: it is no server of cosim, or the keys here (COSIM_SERVER_KEY, "
+    "COSIM_CLIENT_KEY) and there do not match"
+)
+
 CONNECTING, ANSWERING, STARTING = 5.0, 5.0, 60.0  # times [s] for a handshake, an answer, a new process of the server
 ERROR = int(Operation.ERROR)
 LIVENESS = 1.0  # time [s] without answer after which the server is asked whether the session goes on
@@ -48,7 +53,11 @@ def _connect(context: Any, at: str, keys: Keys | None) -> tuple[Any, Any]:
     if keys is not None:
         socket.curve_publickey, socket.curve_secretkey, socket.curve_serverkey = keys.public, keys.secret, keys.server
     watch = socket.get_monitor_socket()
-    failure, connected, end = messages.UNREACHABLE(at=at), False, time.monotonic() + CONNECTING
+    failure, connected, end = (
+        f"no server answers at {at}; start one there: cosim serve FOLDER --port PORT",
+        False,
+        time.monotonic() + CONNECTING,
+    )
     try:
         socket.connect(f"tcp://{at}")
         while watch.poll(max(0, int(1000 * (end - time.monotonic())))):
@@ -60,12 +69,12 @@ def _connect(context: Any, at: str, keys: Keys | None) -> tuple[Any, Any]:
                 break
         else:
             if connected:
-                connected, failure = False, messages.SERVER_SILENT(at=at, wait=CONNECTING)
+                connected, failure = False, f"the server at {at} has not answered for {CONNECTING:g} s"
     except zmq.ZMQError as error:
-        failure = messages.UNUSABLE_ADDRESS(at=at, reason=str(error))
+        failure = f"{at} cannot be used: {error!s}"
     _close(socket, watch)
     if connected:
-        raise LinkError(messages.HANDSHAKE_FAILED(at=at), exit_code=2)
+        raise LinkError(HANDSHAKE_FAILED.format(at=at), exit_code=2)
     raise LinkError(failure)
 
 
@@ -90,7 +99,7 @@ def _connect_session(host: str, port: int) -> socket.socket:
         return socket.create_connection((host, port), CONNECTING)
     except OSError as error:
         place = f"{host}:{port}"
-        raise LinkError(messages.UNUSABLE_ADDRESS(at=place, reason=error.strerror or str(error))) from None
+        raise LinkError(f"{place} cannot be used: {error.strerror or str(error)}") from None
 
 
 class Control:
@@ -130,16 +139,19 @@ class Control:
         end = (time.monotonic() if since is None else since) + wait
         while not self._socket.poll(int(1000 * max(0.0, min(LIVENESS, end - time.monotonic())))):
             if self._has_ended():
-                raise LinkError(messages.CONNECTION_LOST(at=self.at, reason="the server has ended or is out of reach"))
+                raise LinkError(f"the connection to {self.at} is lost: the server has ended or is out of reach")
             if time.monotonic() >= end:
-                raise LinkError(messages.SERVER_SILENT(at=self.at, wait=wait))
+                raise LinkError(f"the server at {self.at} has not answered for {wait:g} s")
         try:
             answer: dict[str, Any] = decode(self._socket.recv())
             version = answer["protocol"]
         except (ValueError, KeyError, TypeError):
-            raise LinkError(messages.HANDSHAKE_FAILED(at=self.at), exit_code=2) from None
+            raise LinkError(HANDSHAKE_FAILED.format(at=self.at), exit_code=2) from None
         if version != VERSION:
-            raise LinkError(messages.OTHER_VERSION(at=self.at, there=version, here=VERSION))
+            raise LinkError(
+                f"the server at {self.at} has version {version} of the protocol, this side version {VERSION}; "
+                "install the same cosim on both"
+            )
         if (error := answer.get("error")) is not None:
             message = Message(f"{self.at}: {error['text']}", error["code"])
             raise LinkError(message, error.get("key", "at"), error.get("exit_code", 3))
@@ -228,7 +240,7 @@ class Session:
             raise self._lost(str(error)) from None
 
     def _lost(self, reason: str) -> Crashed:
-        return Crashed(self.name, self.time, messages.CONNECTION_LOST(at=self.at, reason=reason))
+        return Crashed(self.name, self.time, f"the connection to {self.at} is lost: {reason}")
 
     def _raise(self, error: dict[str, Any]) -> None:
         """Raise the error that an answer reports."""

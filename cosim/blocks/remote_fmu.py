@@ -11,7 +11,6 @@ from typing import Any
 
 from cosim.base.drafts import draft_of
 from cosim.base.errors import FmuError, SimulationError
-from cosim.blocks import messages
 from cosim.blocks.component import ADVANCE, Row, in_turn
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.instance import Instance
@@ -231,7 +230,7 @@ class RemoteFmu(FmuBlock):
         try:
             content = unpack(answer, place, self._has_exact)
         except ValueError:
-            message = messages.CONNECTION_LOST(at=self.distant.at, reason="its answer has other signals")
+            message = f"the connection to {self.distant.at} is lost: its answer has other signals"
             raise SimulationError(self.name, self.instance.time, message) from None
         if self._has_exact:
             self._beside[exact] = content

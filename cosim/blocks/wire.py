@@ -18,7 +18,8 @@ from typing import Any
 from cosim.base.errors import CosimError
 from cosim.base.extras import optional
 from cosim.base.messages import Message
-from cosim.blocks import messages
+
+NO_KEY_FILE = "{file} is no key file: {reason}; cosim serve --new-key NAME makes one"
 
 VERSION = 3
 LOOPBACK = "127.0.0.1"
@@ -125,12 +126,12 @@ def read_key(path: Path, *, secret: bool) -> tuple[bytes, bytes]:
     try:
         public, private = load_certificate(path)
         if secret and private and os.name == "posix" and stat.S_IMODE(path.stat().st_mode) & 0o077:
-            raise LinkError(messages.OPEN_KEY(file=path), exit_code=2)
+            raise LinkError(f"{path} is a secret key that others may read; chmod 600 {path}", exit_code=2)
     except (OSError, ValueError) as error:
-        raise LinkError(messages.NO_KEY_FILE(file=path, reason=" ".join(str(error).split())), exit_code=2) from None
+        raise LinkError(NO_KEY_FILE.format(file=path, reason=" ".join(str(error).split())), exit_code=2) from None
     if len(public) != 40 or (secret and len(private or b"") != 40):
         kind = "secret" if secret else "public"
-        raise LinkError(messages.NO_KEY_FILE(file=path, reason=f"it has no {kind} key of 40 characters"), exit_code=2)
+        raise LinkError(NO_KEY_FILE.format(file=path, reason=f"it has no {kind} key of 40 characters"), exit_code=2)
     return public, private or b"" if secret else b""
 
 
@@ -145,5 +146,12 @@ def client_keys(at: str) -> Keys | None:
         public, secret = read_key(Path(own), secret=True)
         return Keys(public, secret, read_key(Path(server), secret=False)[0])
     if server or own or split_address(at)[0] != LOOPBACK:
-        raise LinkError(messages.KEYS_MISSING(at=at, server=SERVER_KEY, client=CLIENT_KEY), exit_code=2)
+        raise LinkError(
+            (
+                f"{at} is another machine, or keys are given in part: {SERVER_KEY} must name the file of the "
+                f"server's public key, {CLIENT_KEY} the file of your secret key (cosim serve --new-key NAME makes "
+                "both)"
+            ),
+            exit_code=2,
+        )
     return None

@@ -103,7 +103,7 @@ def fit(
         keep_earlier(place, "cosim fit", read=files)
         _remove(place)
         if request.unused:
-            behaved.append(messages.UNUSED_KEYS(keys=join_names(request.unused)))
+            behaved.append(f"`cosim fit` does not use {join_names(request.unused)}: `cosim refine` does")
         written, told = _write(place, outcome, begin, stop, lambda file: load(read[0], file), behaved)
         if report:
             from cosim.calibration.report import page
@@ -178,8 +178,12 @@ def _path_faults(request: Request) -> tuple[list[Fault], list[Path]]:
     faults = check_missing(request)
     paths = [p for p in request.logs if not faults or p.exists()]
     if not request.estimation:
-        faults.append(request.no_logs_fault(messages.NO_LOGS()))
-    faults += [request.log_fault(k, messages.USED_TWICE()) for k, p in enumerate(request.logs) if p in request.logs[:k]]
+        faults.append(request.no_logs_fault("names no log to estimate from; name at least one"))
+    faults += [
+        request.log_fault(k, "is named twice; a log is used once, for the estimate or as a sealed log")
+        for k, p in enumerate(request.logs)
+        if p in request.logs[:k]
+    ]
     return faults, paths
 
 
@@ -195,7 +199,11 @@ def find_misbehaviour(request: Request, log: Log, given: Mapping[str, Any]) -> l
     except (FmuError, SimulationError):
         return []  # the first simulation reports it
     if found.way == "co-simulation" and found.has(OWN_STEP):
-        message = messages.OWN_STEP_ABOVE(own=found.own_step, step=log.step)
+        message = (
+            f"its co-simulation takes steps of its own of about {found.own_step:.3g} s, above the {log.step:.3g} "
+            "s of the logs, so its results are wrong there; export it with a shorter step, or record rows every "
+            f"{found.own_step:.3g} s"
+        )
         raise InputError.at(request.fmu, message)
     return [f for f in found.findings if f.code not in UNIMPORTANT]
 
@@ -208,7 +216,10 @@ def _chosen(request: Request, description: Any, given: Mapping[str, Any]) -> lis
         return read_vary(description, offered, request.vary, request.vary_fault)
     chosen = [p for p in offered.values() if not p.per_log and p.low <= p.start <= p.high and p.name not in given]
     if not chosen:
-        raise InputError.at(request.fmu, messages.NO_PARAMETERS())
+        raise InputError.at(
+            request.fmu,
+            ("has no parameter to estimate: no floating-point parameter with a start value may be set before a run"),
+        )
     return chosen
 
 
@@ -236,7 +247,14 @@ def _run(estimate: Estimate, chosen: Sequence[Parameter], *, screening: bool, li
     try:
         estimate.run(chosen, screening=screening)
     except OutOfTime:
-        error = TimedOut("the fit", 0.0, messages.STOPPED_AT_LIMIT(limit=limits.total))
+        error = TimedOut(
+            "the fit",
+            0.0,
+            (
+                f"the limit of {limits.total:g} s (limits: total) is reached; the best values so far are written, "
+                "without proof"
+            ),
+        )
         if estimate.point is None:
             raise error from None
         return error
@@ -312,7 +330,7 @@ def _write(
         start = {n: v for n, v in estimate.likelihood.values(estimate.point.x, 0).items() if n not in values}
         reason = why_no_copy(estimate.logs.drives[0], values, start, place / "fitted.fmu", load)
         if reason is not None:
-            told.append(messages.NO_COPY(reason=reason, command=command(outcome, values)))
+            told.append(f"no fitted.fmu: {reason}. fitted.ssv has the values; `{command(outcome, values)}` sets them")
     remarks = list(notes(outcome))
     written = record(outcome, verdict(outcome), time.monotonic() - begin, told, remarks)
     write_json(place / "fit.json", written.model_dump(mode="json"), allow_nan=False)

@@ -85,11 +85,13 @@ class Compared:
         count = sum(d.alike for d in different)
         template = messages.SIGNALS_BEYOND if self.judged else messages.SIGNALS_DIFFER
         reasons = [template(count=counted(count, "signal"), verb=_differ(count))] if count else []
-        reasons += [messages.NOT_COMPARABLE(name=d.name, note=d.note) for d in different if not d.alike]
+        reasons += [f"{d.name} is {d.note}" for d in different if not d.alike]
         if missing := len(self.only_a):
             names = ", ".join(self.only_a[:MAX_LISTED]) + (", …" if missing > MAX_LISTED else "")
             subject = {"count": counted(missing, "signal"), "path": self.a.path, "verb": _are(missing)}
-            reasons.append(messages.SIGNALS_MISSING(**subject, other=self.b.path, names=names))
+            reasons.append(
+                "{count} of {path} {verb} missing in {other}: {names}".format(**subject, other=self.b.path, names=names)
+            )
         return reasons + ([self.shorter] if self.shorter else [])
 
     def __repr__(self) -> str:
@@ -185,12 +187,12 @@ def compare_runs(a: RecordedRun, b: RecordedRun, tolerance: float | None = None,
     common = [name for name in _names(a) if name in in_both]
     if not common:
         names = [", ".join(_names(r)[:5]) or "none" for r in (a, b)]
-        raise InputError.at(b.path, messages.NO_COMMON_SIGNAL(other=a.path, own=names[1], theirs=names[0]))
+        raise InputError.at(b.path, f"shares no signal with {a.path}: it has {names[1]}; that has {names[0]}")
     rows, aligned = signals.common_rows(a, b)
     time = a.results.time[rows]
     if not time.size:
         spans = [f"{t[0]:g} … {t[-1]:g} s" if t.size else "no rows" for t in (a.results.time, b.results.time)]
-        raise InputError.at(b.path, messages.NO_COMMON_TIME(other=a.path, own=spans[1], theirs=spans[0]))
+        raise InputError.at(b.path, f"shares no time with {a.path}: it has {spans[1]}, that {spans[0]}")
     overlap = _Overlap(a, b, rows, aligned, Tolerance(tolerance, absolute))
     differences = tuple(overlap.difference(name) for name in common)
     only_a, only_b = (tuple(name for name in _names(r) if name not in in_both) for r in (a, b))
@@ -345,5 +347,5 @@ def _describe_ends(a: RecordedRun, b: RecordedRun) -> Message:
         if abs(at[0] - at[1]) > rounding(max(map(abs, at)), 1e3 * step):
             first, second = (a, b) if at[0] < at[1] else (b, a)
             ends = {"path": first.path, "time": min(at), "other": second.path, "later": max(at)}
-            parts.append(messages.OTHER_END(verb=verb, **ends))
+            parts.append("{path} {verb} at {time:.6g} s, {other} at {later:.6g} s".format(verb=verb, **ends))
     return join("; ", parts)

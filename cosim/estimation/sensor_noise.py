@@ -10,7 +10,6 @@ import numpy as np
 from cosim.base.arrays import Array, Flags
 from cosim.base.messages import Message
 from cosim.base.text import join_names, plain, written
-from cosim.estimation import messages
 from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.problem import Problem
@@ -90,9 +89,15 @@ def noise_warnings(problem: Problem, noise: Noise, subject: Subject) -> tuple[Me
             comparisons.append(f"{name} {plain(level, 2)}, not {plain(expected, 2)} {units[name]}".rstrip())
     warnings = []
     if different:
-        warnings.append(messages.DIFFERENT_NOISE(levels="; ".join(comparisons), line=_line(different)))
+        warnings.append(
+            f"the noise in the logs differs from the stated noise ({'; '.join(comparisons)}); the noise of the "
+            f"logs is used. Write {_line(different)} into the study to state it"
+        )
     if unstated:
-        warnings.append(messages.UNSTATED_NOISE(outputs=join_names([*unstated]), line=_line(unstated)))
+        warnings.append(
+            f"the model does not state the noise of {join_names([*unstated])} (sensor_variance); the logs show "
+            f"{_line(unstated)}, which is used. Write it into the study to state another"
+        )
     return tuple(warnings)
 
 
@@ -102,7 +107,16 @@ def cell_warnings(problem: Problem, subject: Subject) -> tuple[Message, ...]:
     units = {q.name: written(q.unit) for q in subject.outputs}
     pairs = zip(problem.layout.outputs, finest.tolist(), strict=True)
     cells = [f"{name} reads in cells of {plain(cell, 3)} {units[name]}".rstrip() for name, cell in pairs if cell > 0.0]
-    return (messages.CELLS(cells=join_names(cells)),) if cells else ()
+    return (
+        (
+            (
+                f"the readings repeat a few values: {join_names(cells)}. The noise of such a sensor is at least its cell "
+                "over √12; this is read off the logs, and no candidate"
+            ),
+        )
+        if cells
+        else ()
+    )
 
 
 def _line(levels: Mapping[str, float]) -> str:

@@ -10,7 +10,6 @@ import numpy as np
 from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.registry import model_entry, resolve
 from cosim.base.settings import Count, Seed
-from cosim.estimators import messages
 from cosim.estimators.consistency import ConsistencyRow, consistency_of
 from cosim.estimators.report import page
 from cosim.storage.files import check_writable, write_json, write_text
@@ -40,7 +39,7 @@ def consistency(
         InputError: Too few or too many runs or steps, or too little memory.
     """
     bounds = (("runs", runs, MIN_RUNS), ("steps", steps, MIN_STEPS), ("seed", seed, 0))
-    refuse(Fault(Path(n), 0, 0, messages.BELOW_MINIMUM(value=v, least=low)) for n, v, low in bounds if v < low)
+    refuse(Fault(Path(n), 0, 0, f"is {v}; give {low} or more") for n, v, low in bounds if v < low)
     check_size(runs, steps)
     squares_of, cases = resolve(model_entry().estimators), resolve(model_entry().cases)
     rows = []
@@ -48,7 +47,7 @@ def consistency(
         try:
             squares = squares_of(case, runs, steps, np.random.default_rng([seed, k]))
         except MemoryError:
-            message = messages.NOT_ENOUGH_MEMORY(runs=runs, steps=steps)
+            message = f"there is not enough memory for {runs:,} runs of {steps:,} steps; give fewer"
             raise InputError.at(Path("--runs"), message, exit_code=4) from None
         for name, (values, degrees, at) in squares.items():
             result, flight = consistency_of(values, degrees, white=name != "NEES"), case.flight
@@ -68,8 +67,20 @@ def check_size(runs: int, steps: int) -> None:
         return
     size = {"runs": runs, "steps": steps, "limit": MAX_SAMPLES}
     if MIN_RUNS * steps <= MAX_SAMPLES:
-        raise InputError.at(Path("--runs"), messages.TOO_MANY_RUNS(**size, most=MAX_SAMPLES // steps))
-    raise InputError.at(Path("--steps"), messages.TOO_MANY_STEPS(**size, most=MAX_SAMPLES // MIN_RUNS))
+        raise InputError.at(
+            Path("--runs"),
+            (
+                "{runs:,} runs of {steps:,} steps are more than the {limit:,} samples that fit into memory; give "
+                "{most:,} at most with {steps:,} steps"
+            ).format(**size, most=MAX_SAMPLES // steps),
+        )
+    raise InputError.at(
+        Path("--steps"),
+        (
+            "{runs:,} runs of {steps:,} steps are more than the {limit:,} samples that fit into memory; give "
+            "{most:,} at most"
+        ).format(**size, most=MAX_SAMPLES // MIN_RUNS),
+    )
 
 
 def check_folder(folder: Path, *, force: bool = False) -> None:

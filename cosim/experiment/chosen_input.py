@@ -81,7 +81,10 @@ class Excitation:
         warnings = []
         if pairs := [f"{a} from {b}" for a, b in self.hardest_first if self.apart[a, b] < MIN_SEPARATION]:
             pairs[MAX_LISTED_PAIRS:] = [f"{len(pairs) - MAX_LISTED_PAIRS} more"] if pairs[MAX_LISTED_PAIRS:] else []
-            warnings.append(messages.INSEPARABLE_RIVALS(pairs=", ".join(pairs), needed=MIN_SEPARATION))
+            warnings.append(
+                f"the best input does not tell {', '.join(pairs)} (less than {MIN_SEPARATION:g} standard "
+                "deviations apart); try a wider --limit, a longer --duration or more outputs --measured"
+            )
         excess, (count, least) = self.usual_trial.excess(self.question.limits), merit_of(self.usual)
         if 1.0 < excess < np.inf and (count, least) > merit_of(self.apart):
             text = messages.USUAL_INPUT_IS_BETTER

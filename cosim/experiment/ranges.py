@@ -10,7 +10,6 @@ import numpy as np
 
 from cosim.base.messages import Message
 from cosim.base.units import NUMBER, conversion
-from cosim.experiment import messages
 from cosim.experiment.rigs import Ranges
 from cosim.logs.log import Log
 from cosim.model.model import Model
@@ -51,7 +50,10 @@ def limits_and_ranges(
         if math.isfinite(reach) and reach > 0.0:
             spans[q.name], reaches[q.name] = (low, high), reach
         else:
-            faults.append(messages.NO_LIMIT(start=q.start, name=q.name, unit=q.unit))
+            faults.append(
+                f"how far from {q.start:g} may {q.name} go? Say --limit {q.name}=VALUE or --range "
+                f"{q.name}=MIN..MAX [{q.unit}]"
+            )
     return reaches, {name: span for name, span in spans.items() if any(map(math.isfinite, span))}
 
 
@@ -68,14 +70,14 @@ def _limits(model: Model, texts: Sequence[str], faults: list[Message]) -> dict[s
     for text, name, match in _read_items(LIMIT, texts):
         if name not in units:
             cure = did_you_mean(name, units)
-            faults.append(messages.LIMIT_OF_UNKNOWN_SIGNAL(text=text, name=name, cure=cure))
+            faults.append(f'--limit {text}: no input or output "{name}"{cure}')
             continue
         convert = conversion(match["unit"].strip(), units[name], difference=True) if match else None
         size = convert(float(match["number"])) if match and convert else math.nan
         if size > 0:
             limits[name] = size
         else:
-            faults.append(messages.LIMIT_NOT_A_DISTANCE(text=text, name=name, unit=units[name]))
+            faults.append(f"--limit {text}: say how far {name} may go, above 0 [{units[name]}], such as {name}=0.1")
     return limits
 
 
@@ -85,14 +87,17 @@ def _narrow_ranges(model: Model, texts: Sequence[str], spans: dict[str, tuple[fl
     for text, name, match in _read_items(RANGE, texts):
         if name not in units:
             cure, inputs = did_you_mean(name, units), ", ".join(units)
-            yield messages.RANGE_OF_UNKNOWN_INPUT(text=text, name=name, cure=cure, inputs=inputs)
+            yield f'--range {text}: no input "{name}"{cure} (inputs: {inputs})'
             continue
         convert, (low, high) = conversion(match["unit"].strip(), units[name]) if match else None, spans[name]
         lower, upper = (convert(float(match[end])) if match and convert else math.nan for end in ("low", "high"))
         if not lower < upper:
-            yield messages.RANGE_NOT_AN_INTERVAL(text=text, name=name, unit=units[name])
+            yield f"--range {text}: say between what {name} stays, lower end first [{units[name]}], as {name}=0..10"
         elif not max(lower, low) < min(upper, high):
-            yield messages.RANGE_OUTSIDE_BOUNDS(text=text, low=low, high=high, unit=units[name], name=name)
+            yield (
+                f"--range {text}: the model declares {low:g}..{high:g} {units[name]} of {name}; choose a range "
+                "that overlaps"
+            )
         else:
             spans[name] = max(lower, low), min(upper, high)
 

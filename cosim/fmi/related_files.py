@@ -20,8 +20,9 @@ from xml.etree.ElementTree import Element, SubElement, fromstring, indent, tostr
 
 from cosim.base.drafts import draft_of
 from cosim.base.messages import Message, join
-from cosim.fmi import messages
 from cosim.storage.archive import BadArchive, check_xml
+
+ATTRIBUTE_MISSING = "{name}: <{tag}> has no attribute {attribute}, or an empty one"
 
 NAME = "org.fmi-standard.fmi-ls-ref"
 FOLDER = f"extra/{NAME}"
@@ -136,23 +137,25 @@ def read_manifest(text: bytes) -> RelatedManifest:
         root.get(f"{{{NAMESPACE}}}fmi-ls-{key}") for key in ("name", "version", "description")
     )
     if name != NAME:
-        raise BadArchive(messages.OTHER_LAYERED_STANDARD(name=MANIFEST, standard=name, needed=NAME))
+        raise BadArchive(f"{MANIFEST} is of the layered standard {name}, not of {NAME}")
     if not version:
-        raise BadArchive(messages.ATTRIBUTE_MISSING(name=MANIFEST, tag="fmiReferences", attribute="fmi-ls-version"))
+        raise BadArchive(ATTRIBUTE_MISSING.format(name=MANIFEST, tag="fmiReferences", attribute="fmi-ls-version"))
     if version not in READ_VERSIONS:
         known = " and ".join(READ_VERSIONS)
-        warnings.append(messages.OTHER_VERSION(name=MANIFEST, version=version, known=known, taken=VERSION))
+        warnings.append(f"{MANIFEST} has version {version}; {known} are known; read as {VERSION}")
     if description is None:
-        warnings.append(messages.NO_DESCRIPTION(name=MANIFEST))
+        warnings.append(f"{MANIFEST} has no fmi-ls-description, which FMI-LS-REF requires")
     if unknown := [*_unknown(root)]:
         if version in READ_VERSIONS:
             raise BadArchive(join("; ", unknown))
-        warnings += [messages.ADDED(unknown=each) for each in unknown]
+        warnings += [f"{each}; it is left out" for each in unknown]
     files = []
     for element in root.findall("Related"):
         source, role = (_needed(MANIFEST, element, key) for key in ("source", "role"))
         if not ROLE.fullmatch(role):
-            raise BadArchive(messages.UNKNOWN_ROLE(name=MANIFEST, source=source, role=role))
+            raise BadArchive(
+                f'{MANIFEST}: {source} has the role "{role}"; FMI-LS-REF has for example experiment, result, parameter'
+            )
         labels = tuple((_needed(MANIFEST, e, "name"), e.get("description", "")) for e in element.findall("Label"))
         type_, about = element.get("type", BINARY), element.get("description", "")
         checksum = element.get("checksum", ""), element.get("checksumType", "")
@@ -169,7 +172,7 @@ def read_experiments(name: str, text: bytes) -> list[Experiment]:
     experiments = []
     for element in _root_of(name, text, "Experiments"):
         if element.tag != "Experiment":
-            raise BadArchive(messages.UNKNOWN_ELEMENT(name=name, tag=element.tag))
+            raise BadArchive(f"{name}: FMI-LS-REF has no element <{element.tag}>")
         settings: dict[str, Any] = {}
         for key, attribute in ATTRIBUTES.items():
             if (word := element.get(attribute)) is not None:
@@ -178,18 +181,18 @@ def read_experiments(name: str, text: bytes) -> list[Experiment]:
                 except ValueError:
                     settings[key] = math.nan
                 if not math.isfinite(settings[key]):
-                    raise BadArchive(messages.NO_NUMBER(name=name, attribute=attribute, value=word))
+                    raise BadArchive(f'{name}: {attribute} is "{word}"; give a number')
         for part in element:
             if part.tag not in {"Parameters", "Stimuli", "References"}:
-                raise BadArchive(messages.UNKNOWN_ELEMENT(name=name, tag=part.tag))
+                raise BadArchive(f"{name}: FMI-LS-REF has no element <{part.tag}>")
             default = SSV if part.tag == "Parameters" else CSV
             if (type_ := part.get("type", default)) != default:
-                raise BadArchive(messages.UNKNOWN_TYPE(name=name, tag=part.tag, type=type_, needed=default))
+                raise BadArchive(f"{name}: <{part.tag}> is of type {type_}; only {default} is read")
             settings[part.tag.lower()] = _needed(name, part, "source")
         title, about = _needed(name, element, "name"), element.get("description", "")
         experiments.append(Experiment(title, about, **settings))
     if not experiments:
-        raise BadArchive(messages.NO_EXPERIMENT(name=name))
+        raise BadArchive(f"{name} has no experiment")
     return experiments
 
 
@@ -253,7 +256,7 @@ def _root_of(name: str, text: bytes, tag: str) -> Element:
     check_xml(name, text, "FMI-LS-REF")
     root = fromstring(text)
     if root.tag != tag:
-        raise BadArchive(messages.OTHER_ROOT(name=name, tag=root.tag, needed=tag))
+        raise BadArchive(f"{name} begins with <{root.tag}>; <{tag}> is needed")
     return root
 
 
@@ -263,18 +266,18 @@ def _unknown(element: Element) -> Iterator[Message]:
     for key in element.attrib:
         if key not in attributes and not key.startswith(f"{{{INSTANCE}}}"):
             known = ", ".join(name.rpartition("}")[2] for name in attributes)
-            yield messages.UNKNOWN_ATTRIBUTE(name=MANIFEST, attribute=key, tag=element.tag, known=known)
+            yield f"{MANIFEST}: FMI-LS-REF has no attribute {key} of <{element.tag}>; known are {known}"
     for each in element:
         if each.tag in elements:
             yield from _unknown(each)
         elif each.tag != "Annotations":
-            yield messages.UNKNOWN_ELEMENT(name=MANIFEST, tag=each.tag)
+            yield f"{MANIFEST}: FMI-LS-REF has no element <{each.tag}>"
 
 
 def _needed(name: str, element: Element, attribute: str) -> str:
     value = element.get(attribute)
     if not value:
-        raise BadArchive(messages.ATTRIBUTE_MISSING(name=name, tag=element.tag, attribute=attribute))
+        raise BadArchive(ATTRIBUTE_MISSING.format(name=name, tag=element.tag, attribute=attribute))
     return value
 
 

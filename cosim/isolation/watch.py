@@ -10,7 +10,6 @@ from typing import Any
 
 from cosim.base.errors import SimulationError, TimedOut
 from cosim.base.messages import Message
-from cosim.isolation import messages
 from cosim.isolation.component_times import ComponentTimes
 from cosim.isolation.limits import Limits
 from cosim.isolation.memory import ProcessTree
@@ -113,9 +112,20 @@ class Clock:
         limit, name = (limits.loading, "load") if loading else (limits.step, "step")
         component, at, call = self.place()
         if limit is not None and duration > limit:
-            raise TimedOut(component, at, messages.LONG_CALL(call=call, limit=limit, name=name))
+            raise TimedOut(
+                component,
+                at,
+                f"{call} takes longer than {limit:g} s (limits: {name}); raise this limit if the FMU is only slow",
+            )
         if limits.total is not None and self.watch.spent[0] > limits.total:
-            raise TimedOut(component, at, messages.LONG_RUN(call=call, limit=limits.total))
+            raise TimedOut(
+                component,
+                at,
+                (
+                    f"{call} was stopped: the run takes longer than {limits.total:g} s in all (limits: total); raise "
+                    "this limit or shorten the run"
+                ),
+            )
         self.check_memory(pid)
 
     def check_memory(self, pid: int) -> None:
@@ -129,7 +139,10 @@ class Clock:
         size = self._tree.size(limit + rows) - rows
         if size > limit:
             component, at, call = self.place()
-            message = messages.LARGE_PROCESS(call=call, size=size / 1e6, limit=limit / 1e6)
+            message = (
+                f"{call}: the process and those that it started hold {size / 1e6:.4g} MB, more than "
+                f"{limit / 1e6:.4g} MB (limits: memory)"
+            )
             raise SimulationError(component, at, message)
 
     def place(self) -> tuple[str, float, str]:
@@ -162,9 +175,17 @@ class Clock:
         watch = self.watch
         fmus = [name for name, calls in zip(watch.components, watch.calls, strict=False) if calls is not PLAIN_CALLS]
         if is_certain or len(fmus) < 2:
-            return fmus[0] if len(fmus) == 1 else component, at, messages.STREAMS_CHANGED(call=call)
+            return (
+                fmus[0] if len(fmus) == 1 else component,
+                at,
+                f"{call} closed, read or wrote descriptors that the FMU did not open: it must leave them alone",
+            )
         names = " or ".join(fmus) if len(fmus) <= MOST_NAMED else f"one of {len(fmus)} FMUs"
-        return names, at, messages.STREAMS_CHANGED_BY_ONE()
+        return (
+            names,
+            at,
+            "closed, read or wrote descriptors that it did not open; give them process: own, which shows the FMU",
+        )
 
     def _is_loading(self) -> bool:
         if self.progress.made[0] or self.progress.doing[0] % CALLS != OTHER:  # NOTHING counts as OTHER too.

@@ -22,10 +22,9 @@ from numpy.typing import NDArray
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.base.linear_algebra import eigenvalues
-from cosim.base.messages import Message
+from cosim.base.messages import Message, Note
 from cosim.base.registry import is_model
 from cosim.base.text import amount, plain
-from cosim.loading import messages
 from cosim.loading.file import LoadedModel
 from cosim.loading.own_run import RunLog, command_rows, moments
 from cosim.loading.source import ModelText
@@ -93,7 +92,14 @@ def _refuse_growth(loaded: LoadedModel, modes: Sequence[tuple[StateMode, float]]
     for mode, h in sorted(modes, key=lambda pair: -pair[0].speed * pair[1]):
         if _grows(mode.eigenvalue * h):
             lengths = {"substep": _ms(loaded.model.substep), "step": _ms(h), "longest": _ms(MAX_DEFAULT / mode.speed)}
-            raise _error(loaded, "substep", messages.UNSTABLE_SUBSTEP(mode=mode, **lengths))
+            raise _error(
+                loaded,
+                "substep",
+                (
+                    "substep is {substep}, unstable for this model: {mode}, and RK4 in steps of {step} lets it "
+                    "grow; state at most {longest}, or leave substep out: then it follows the model"
+                ).format(mode=mode, **lengths),
+            )
 
 
 def _choose(loaded: LoadedModel, fastest: _Fastest, mode: StateMode) -> tuple[LoadedModel, list[Message]]:
@@ -103,12 +109,12 @@ def _choose(loaded: LoadedModel, fastest: _Fastest, mode: StateMode) -> tuple[Lo
     too_fast = model.integrator == AUTO and count > MOST_SUBSTEPS
     if model.integrator == STIFF or (too_fast and fastest.die_within_a_row()):
         substep = fastest.stiff_substep()
-        note = messages.IMPLICIT_METHOD(substep=_ms(substep), mode=mode)
+        note = Note(f"integrated by the implicit method, in substeps of {_ms(substep)}, not by RK4: {mode}")
         return replace(loaded, model=model.with_substep(substep, STIFF)), [note]
     if count > MOST_SUBSTEPS:
         raise _error(loaded, "", _stiff(model, mode))
     substep = model.rate / count
-    note = messages.SHORTER_SUBSTEP(substep=_ms(substep), default=_ms(Model.substep), mode=mode)
+    note = Note(f"integrated in substeps of {_ms(substep)}, not of the default {_ms(Model.substep)}: {mode}")
     return replace(loaded, model=model.with_substep(substep, model.chosen_integrator)), [note]
 
 
@@ -209,11 +215,18 @@ def _stiff(model: Model, mode: StateMode) -> Message:
     """Return the message on a mode too fast for the model's rate."""
     name = type(model).__name__
     if mode.eigenvalue.real > 0.0:
-        return messages.GROWING_MODE(model=name, mode=mode)
+        return f"{name} runs away: {mode} that grows; check its parameters, start values and the units of the log"
     fields = {"model": name, "mode": mode, "most": MOST_SUBSTEPS, "rate": _ms(model.rate)}
     if model.integrator == RK4 and mode.eigenvalue.real * model.rate <= -DEAD:
-        return messages.STIFF_MODEL_WITH_RK4(**fields)
-    return messages.STIFF_MODEL(state=mode.state, longest=_ms(MAX_DEFAULT / mode.speed), **fields)
+        return (
+            "{model} is stiff: {mode}, for which RK4 takes more than {most} substeps in a rate of {rate}; state "
+            "integrator = 'stiff', or leave it out"
+        ).format(**fields)
+    return (
+        "{model} is stiff: {mode}, for which RK4 takes more than {most} substeps in a rate of {rate}; let "
+        "{state} follow the rest at once, as an algebraic equation, or state a substep of at most {longest} and "
+        "take the time that it costs"
+    ).format(state=mode.state, longest=_ms(MAX_DEFAULT / mode.speed), **fields)
 
 
 def _ms(seconds: float) -> str:

@@ -21,7 +21,6 @@ from cosim.base.errors import Fault, refuse
 from cosim.base.messages import Message
 from cosim.base.units import Conversion, alternatives, assume_si, conversion
 from cosim.blocks.component import Signal
-from cosim.logs import messages
 from cosim.storage.table import read_table
 from cosim.storage.table_columns import Column, Faults, Heading
 from cosim.storage.yaml_file import closest, did_you_mean, short
@@ -237,7 +236,7 @@ class LogReader:
         by = conversion(heading.unit, wanted, difference=name in self.differences, definitions=self.definitions)
         if by is None:
             units = ", ".join(alternatives(wanted))
-            message = messages.WRONG_UNIT(unit=heading.unit, name=name, wanted=wanted, alternatives=units)
+            message = f'"{heading.unit}" is no unit of {name}, which is in {wanted}; known here: {units}'
             self.faults.note(heading.line, heading.cell, message)
         by = by or Conversion()
         return Column(heading, by.factor, role, offset=by.offset)
@@ -248,18 +247,44 @@ class LogReader:
         line, columns = self.table.header, self.table.columns
         missing = [name for name in self.inputs if name not in columns]
         if missing and not self._is_of_model():
-            self.faults.note(line, 1, messages.OTHER_MODEL(names=name_list(self.signals)))
+            self.faults.note(
+                line,
+                1,
+                (
+                    f"holds none of the columns of the model: {name_list(self.signals)}; a log of another model is "
+                    "checked with --model FILE:CLASS and replayed with --plant FMU; where columns have other names, "
+                    "--column COLUMN=VARIABLE, or `columns` of a study, says which is which"
+                ),
+            )
             return
         kind, inputs = self._kind, name_list(self.inputs)
         for name in missing:
             if close := closest(name, self.unread):
-                message = messages.SIMILAR_INPUT(column=close, name=name, kind=kind, inputs=inputs)
+                message = (
+                    f'"{close}" is no column of the model; did you mean "{name}", which is missing? A {kind} '
+                    f"holds every input of the model: {inputs}"
+                )
                 self.faults.note(line, self.cells[close], message)
             else:
-                self.faults.note(line, 1, messages.MISSING_INPUT(name=name, kind=kind, inputs=inputs))
+                self.faults.note(
+                    line,
+                    1,
+                    (
+                        f'input "{name}" is missing; a {kind} holds every input of the model: {inputs}; for a column '
+                        f"of another name say --column COLUMN={name}, or `columns` in a study"
+                    ),
+                )
         if not missing and not any(name in columns for name in self.outputs):
             cure = "".join(dict.fromkeys(self._unread().values()))
-            self.faults.note(line, 1, messages.NO_OUTPUT(cure=cure, outputs=name_list(self.outputs)))
+            self.faults.note(
+                line,
+                1,
+                (
+                    f"holds no output of the model{cure}; at least one of {name_list(self.outputs)} is measured; "
+                    "where columns have other names, --column COLUMN=VARIABLE, or `columns` of a study, says which "
+                    "is which"
+                ),
+            )
 
     @property
     def _kind(self) -> str:
@@ -271,13 +296,15 @@ class LogReader:
         for column, name in self.renamings.items():
             if name == "time" and self.timed:
                 if column != first:
-                    self.faults.note(line, 1, messages.TIME_NOT_FIRST(column=column, first=first))
+                    self.faults.note(line, 1, f'"{column}" is to be the time, which is the first column, "{first}"')
             elif name not in self.signals:
                 cure, names = did_you_mean(name, self.signals), name_list(self.signals)
-                self.faults.note(line, 1, messages.UNKNOWN_VARIABLE(column=column, name=name, cure=cure, names=names))
+                self.faults.note(
+                    line, 1, f'"{column}" is to be {name}, which the model does not have{cure} (it has {names})'
+                )
             elif column not in self.cells and (self.alone or name not in self.table.columns):
                 cure = did_you_mean(column, self.cells)
-                self.faults.note(line, 1, messages.UNKNOWN_COLUMN(column=column, cure=cure, name=name))
+                self.faults.note(line, 1, f'has no column "{column}"{cure} (it is to be {name})')
 
     def _is_of_model(self) -> bool:
         """Return True if some column belongs to the model, or has a name similar to one of its signals."""
@@ -292,7 +319,9 @@ class LogReader:
         table, counts = self.table, self.faults.counts
         if table.rows < 2 and not counts:
             count, usual = "no row" if table.rows == 0 else "one row", "some hundred" if self.timed else "a dozen"
-            self.faults.note(table.header + 1, 1, messages.TOO_FEW_ROWS(count=count, kind=self._kind, usual=usual))
+            self.faults.note(
+                table.header + 1, 1, f"holds {count}; a {self._kind} has at least two, and {usual} to be of use"
+            )
             return
         if not table.rows:
             return
@@ -300,14 +329,16 @@ class LogReader:
         for name, column in table.columns.items():
             values = table[name]
             if name in self.outputs and column.cell not in faulty and np.isnan(values).all():
-                self.faults.note(table.header, column.cell, messages.EMPTY_COLUMN(name=name))
+                self.faults.note(
+                    table.header, column.cell, f'column "{name}" holds no value (NaN in every row); delete the column'
+                )
             self._check_sizes(column, values)
 
     def _check_sizes(self, column: Column, values: Array) -> None:
         name, cure = column.name, "leave the row out" if column.role else "leave the cell empty"
         kind = f"cells of {name} far beyond the rest"
         for row in _absurd_rows(values):
-            message = messages.ABSURD_VALUE(name=name, value=values[row], cure=cure)
+            message = f'{name} is {values[row]:g} here, far beyond the rest: a mark for "invalid"? Then {cure}'
             self.faults.note_cell(self.table.lines[row], column.cell, kind, message)
 
 
@@ -319,7 +350,10 @@ def read_column_names(texts: Sequence[str], log: Path) -> dict[str, str]:
     """
     parts = [(text, *text.partition("=")) for text in texts]
     wrong = [text for text, column, sign, name in parts if not (column.strip() and sign and name.strip())]
-    refuse(Fault(log, 0, 0, messages.COLUMN_OPTION(text=short(text))) for text in wrong)
+    refuse(
+        Fault(log, 0, 0, f'--column "{short(text)}" is not COLUMN=VARIABLE, as in measured_speed=motor.w')
+        for text in wrong
+    )
     return {column.strip(): name.strip() for _, column, _, name in parts}
 
 

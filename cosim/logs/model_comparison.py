@@ -72,7 +72,16 @@ def scales(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
         is_alike = fit.correlation > LIKE
         if fit.correlation < -LIKE or (fit.is_certain and SAME_SIZE[0] < -fit.slope < SAME_SIZE[1]):
             text = {"slope": plain(fit.slope), "error": plain(fit.error, 1), "correlation": plain(fit.correlation, 2)}
-            yield Finding("warning", "sign", name, messages.WRONG_SIGN(**text), numbers)
+            yield Finding(
+                "warning",
+                "sign",
+                name,
+                (
+                    "moves against the model ({slope} ± {error} times as far, correlation {correlation}): it, or a "
+                    "command, has the wrong sign"
+                ).format(**text),
+                numbers,
+            )
         elif is_alike or fit.is_certain:
             if message := _unit_mistake(log, name, fit):
                 yield Finding("fault" if is_alike else "warning", "unit", name, message, numbers)
@@ -98,7 +107,10 @@ def _size_findings(log: Log, name: str, model: Array) -> Iterator[Finding]:
     size, own = (float(np.nanstd(moving_part(log, values))) for values in (y, model))
     ratio = size / own if own > 0.0 else 0.0
     if ratio > OTHER_SIZE and size > MIN_SIGNAL * noise and (unit := other_unit(log.units[name], ratio)):
-        text = messages.OTHER_RANGE(ratio=plain(ratio, 2), unit=unit, name=name)
+        text = (
+            f"moves {plain(ratio, 2)} times as far as the model; is its unit {unit}? Then call the column "
+            f'"{name} [{unit}]"'
+        )
         yield Finding("warning", "unit", name, text, {"ratio": ratio})
 
 
@@ -110,7 +122,10 @@ def swaps(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
         least = min(correlations)
         own = (_largest_correlation(log, log.outputs[name], model[name]) for name in (one, other))
         if least >= 0.5 * TELLING and max(own) < least:
-            text = messages.SWAPPED(name=one, other=other, correlation=plain(least, 2))
+            text = (
+                f"moves as {other} does in the model (correlation {plain(least, 2)}), and {other} as {one}: are "
+                "the columns swapped?"
+            )
             yield Finding("warning", "swapped", one, text, {"correlation": least})
 
 

@@ -8,8 +8,8 @@ from itertools import combinations
 import numpy as np
 
 from cosim.base.arrays import Array
+from cosim.base.messages import Note
 from cosim.base.text import amount, counted, percent, plain
-from cosim.logs import messages
 from cosim.logs.finding import Finding
 from cosim.logs.frames import angle_cure
 from cosim.logs.log import Log
@@ -24,14 +24,22 @@ STILL = 1e-9  # share of the largest value within which a column is constant
 def table_findings(log: Log, traits: Traits | None = None) -> Iterator[Finding]:
     """Yield findings on time, few rows, constant columns, correlated inputs and degrees."""
     if "time" in log.written:
-        yield Finding("note", "time", "time", messages.UNUSED_TIME())
+        yield Finding(
+            "note", "time", "time", Note("time is not read: the model has no states, each row stands for itself")
+        )
     measured = int(np.isfinite(np.column_stack(list(log.outputs.values()))).any(axis=1).sum())
     rows = counted(measured, "row")
     if measured < LEAST:
-        message = messages.TOO_FEW_MEASUREMENTS(rows=rows, least=LEAST)
+        message = f"something is measured in {rows}; it takes {LEAST}, and a dozen to be of use"
         yield Finding("fault", "short", "", message, {"rows": float(measured)})
     elif measured < FEW:
-        yield Finding("warning", "short", "", messages.FEW_MEASUREMENTS(rows=rows), {"rows": float(measured)})
+        yield Finding(
+            "warning",
+            "short",
+            "",
+            f"something is measured in {rows}; a dozen and more tell more",
+            {"rows": float(measured)},
+        )
     yield from _inputs(log)
     yield from _outputs(log)
     yield from _angles(log, traits.bounds if traits else {})
@@ -46,7 +54,7 @@ def _angles(log: Log, bounds: Mapping[str, tuple[float, float]]) -> Iterator[Fin
         values = columns[name]
         if np.nanmin(values) < low or np.nanmax(values) > high:
             size, cure = plain(float(np.nanmax(np.abs(values)))), angle_cure(log, name)
-            message = messages.ANGLE_BEYOND_BOUNDS(size=size, low=plain(low), high=plain(high), cure=cure)
+            message = f"reaches {size} rad, beyond what the model allows ({plain(low)} to {plain(high)}); {cure}"
             yield Finding("fault", "degrees", name, message)
 
 
@@ -55,11 +63,18 @@ def _inputs(log: Log) -> Iterator[Finding]:
     for name, values in log.inputs.items():
         if np.ptp(values) <= STILL * np.abs(values).max():
             value = amount(float(values[0]), log.units[name])
-            yield Finding("note", "constant", name, messages.CONSTANT_TABLE_INPUT(value=value))
+            yield Finding(
+                "note",
+                "constant",
+                name,
+                Note(f"is constant at {value}: effects that act only through it cannot be identified"),
+            )
         else:
             moving[name] = values
     if log.inputs and not moving:
-        yield Finding("warning", "no_excitation", "", messages.NO_VARIATION())
+        yield Finding(
+            "warning", "no_excitation", "", "no input varies: such a table says next to nothing about a model"
+        )
     yield from alike_inputs(moving, "goes")
 
 
@@ -69,7 +84,10 @@ def alike_inputs(inputs: Mapping[str, Array], verb: str) -> Iterator[Finding]:
         rho = float(np.corrcoef(inputs[one], inputs[other])[0, 1])
         if abs(rho) > ALIKE:
             direction, correlation = "with" if rho > 0 else "against", plain(rho, 3)
-            message = messages.ALIKE_INPUTS(verb=verb, direction=direction, other=other, correlation=correlation)
+            message = Note(
+                f"{verb} {direction} {other} (correlation {correlation}): what one does cannot be separated from "
+                "what the other does"
+            )
             yield Finding("note", "alike", one, message, {"correlation": rho})
 
 
@@ -78,7 +96,9 @@ def _outputs(log: Log) -> Iterator[Finding]:
         readings = values[np.isfinite(values)]
         share = readings.size / values.size
         if share < 1.0:
-            yield Finding("note", "missing", name, messages.SPARSE_TABLE_OUTPUT(share=percent(share)), {"share": share})
+            yield Finding("note", "missing", name, Note(f"measured in {percent(share)} of the rows"), {"share": share})
         if np.ptp(readings) <= STILL * np.abs(readings).max():
             value = amount(float(readings[0]), log.units[name])
-            yield Finding("warning", "constant", name, messages.CONSTANT_OUTPUT(value=value))
+            yield Finding(
+                "warning", "constant", name, f"is constant at {value} throughout; check that the sensor is connected"
+            )

@@ -13,7 +13,6 @@ from typing import Any
 
 from cosim.base.errors import InputError, refuse
 from cosim.base.text import counted
-from cosim.master import messages
 from cosim.master.inbox import targets_of
 from cosim.partners.links import Broker, NoLink, UdpReceiver, UdpSender, resolved
 from cosim.scenario.start_values import Misfit
@@ -186,12 +185,19 @@ class LiveValues:
             if each.lost_count:
                 first, count = each.outages[0]["from"], counted(each.lost_count, "time")
                 times = {"at": first, "longest": each.longest, "limit": self._plan.lost}
-                notes.append(messages.PARTNER_LOST(**fields, **times, count=count))
+                notes.append(
+                    (
+                        "{input}: no message from {partner} for more than {limit:g} s, {count}, first from t = "
+                        "{at:.6g} s on, at longest for {longest:.3g} s; its last value was held"
+                    ).format(**fields, **times, count=count)
+                )
             if each.refused:
-                notes.append(messages.MESSAGE_REFUSED(**fields, count=each.refused, reason=each.reason))
-        notes += [
-            messages.NOT_SENT(partner=o.port.label, count=o.failed, reason=o.reason) for o in self._outputs if o.failed
-        ]
+                notes.append(
+                    "{input}: {count} messages from {partner} refused and the value held; the first {reason}".format(
+                        **fields, count=each.refused, reason=each.reason
+                    )
+                )
+        notes += [f"{o.failed} messages to {o.port.label} not sent: {o.reason}" for o in self._outputs if o.failed]
         return notes
 
     @property
@@ -227,11 +233,11 @@ class LiveValues:
                     return None
                 written = written[port.field]
             elif not port.takes_bare:
-                return Misfit(messages.NO_OBJECT(field=port.field))
+                return Misfit(f'it is no JSON object with "{port.field}"')
             return self._targets.value(port.name, written)
         except (ValueError, OverflowError, RecursionError, TypeError):
             shown = content[:40].decode("utf-8", "replace")
-            return Misfit(messages.NO_JSON(content=" ".join(shown.split())))
+            return Misfit(f"it is no JSON with finite numbers: {' '.join(shown.split())}")
 
 
 def _finite(text: str) -> float:

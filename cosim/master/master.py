@@ -20,7 +20,7 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import SimulationError, Terminated, stop_error
-from cosim.base.messages import code_of
+from cosim.base.messages import Note, code_of
 from cosim.blocks.component import EarlyEnd, without_step
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
@@ -252,7 +252,7 @@ class Master:
 
         With several FMUs, the others would have no state at that time.
         """
-        self.notes.append(messages.ENDED_EARLY(component=end.component, time=end.reached, reason=end.reason))
+        self.notes.append(Note(f"{end.component} ended the simulation at t = {end.reached:.6g} s: {end.reason}"))
         alone = len(self.system.fmus) == 1
         k = self.done
         if not (0 < k <= self.steps and end.readable and alone and end.reached > self.time[k - 1]):
@@ -276,7 +276,7 @@ class Master:
         codes += [] if self.done else [CALL_FAILED.code, CALL_FAILED_WITH_REASON.code]
         if loop is None or code_of(error) not in codes:
             return error
-        message = messages.OPEN_LOOP.around(error.reason, left_open=loop.left_open)
+        message = Note(f"{error.reason}. {loop.left_open}")
         return SimulationError(error.component, error.time, message)
 
     # -- parts --------------------------------------------------------------------------------

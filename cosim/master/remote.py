@@ -16,7 +16,7 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.drafts import is_full
 from cosim.base.errors import CosimError, DiskFull, SimulationError, Terminated, stop_error
-from cosim.base.messages import with_prefix
+from cosim.base.messages import Note, with_prefix
 from cosim.base.scratch import ScratchFolder, lock_file, scratch, temporary_folder
 from cosim.blocks.component import EarlyEnd
 from cosim.isolation import worker as here
@@ -35,7 +35,6 @@ from cosim.isolation.rows import (
     read_table,
 )
 from cosim.isolation.watch import Clock, Watch, fmi_calls
-from cosim.master import messages
 from cosim.master.c_loop import compile_beforehand
 from cosim.master.checkpoint import BESIDE, ROWS, STATE, Continuation, Keeper, Keeping
 from cosim.master.halving import Halved
@@ -118,7 +117,7 @@ def _feed(observers: Sequence[Observer], system: System, steps: int, h: float, c
 
 def _early_end(system: System, h: float, done: int) -> EarlyEnd:
     """Return the early end requested by an observer."""
-    return EarlyEnd("an observer", _last_time(system, h, done), messages.END_REQUESTED())
+    return EarlyEnd("an observer", _last_time(system, h, done), Note("it asked for the end"))
 
 
 def _times_of(system: System, steps: int, h: float) -> Array:
@@ -373,7 +372,7 @@ def _convert_unexpected(error: Exception, watch: Watch, counters: Progress) -> S
     """Return an unexpected error with its call as SimulationError."""
     component, at, call = Clock(watch, counters).place()
     reason = " ".join(str(error).split())[:MAX_CHARACTERS]
-    message = messages.UNEXPECTED_ERROR(call=call, error=type(error).__name__, reason=reason)
+    message = f"{call}: {type(error).__name__}: {reason} (--in-process shows where)"
     return SimulationError(component, at, message)
 
 
@@ -419,7 +418,7 @@ def _write_start(folder: Path, start: Continuation, rows: str = ROWS) -> None:
 
 def _disk_full(time: float, count: int, rows: int) -> DiskFull:
     """Return the error of a disk without space for the rows."""
-    return DiskFull("the run", time, messages.DISK_FULL(count=count, rows=rows))
+    return DiskFull("the run", time, f"the disk is full: it has room for {count} of {rows} rows while the run lasts")
 
 
 def _allocate_rows(folders: Sequence[Path], rows: int, width: int) -> tuple[ScratchFolder, int]:

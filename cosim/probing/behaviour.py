@@ -14,14 +14,13 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import Crashed, FmuError, InputError, SimulationError, TimedOut
-from cosim.base.messages import Message, Template
+from cosim.base.messages import Message, Note, Template
 from cosim.base.scratch import temporary_folder
 from cosim.blocks.derivatives import REALS, reals
 from cosim.blocks.description import Way, state_names, unit_of, ways
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.logs.log import Log
-from cosim.probing import messages
 from cosim.probing.log_runs import SAME, Course, amplitude_of, limits_of, moved_within, sine_course
 from cosim.probing.parameter_trials import settable_parameters, trial_values
 from cosim.probing.prober import LIMITS, MODULES, Prober, quantities
@@ -119,7 +118,7 @@ def probe_behaviour(
         offered = ways(prober.description)
         chosen = way or offered[0]
         if chosen not in offered:
-            raise InputError.at(path, messages.NO_INTERFACE(way=chosen, ways=", ".join(offered)))
+            raise InputError.at(path, f"has no usable interface for {chosen}; it offers {', '.join(offered)}")
         unpack(path, place)
         course = Course.of(logs[0]) if logs else sine_course(prober.description, values)
         trials = Trials(prober, chosen, _excited(prober, course.first(ROWS)))
@@ -171,10 +170,12 @@ class Trials:
         table, stop = self._prober.call(outputs_of, self._trial)
         if len(table) < 2:
             raise stop or SimulationError(
-                self._prober.fmu.name, float(self._trial.course.time[0]), messages.TOO_SHORT()
+                self._prober.fmu.name,
+                float(self._trial.course.time[0]),
+                "the log has too few rows to probe the FMU; give a longer one",
             )
         if stop is not None:
-            self._note(messages.ENDS_EARLY(error=str(stop)))
+            self._note(Note(f"{stop!s}; its behaviour is tried before that time"))
             self._trial = self._trial.along(self._trial.course.first(len(table)))
         self._table = table
         self._quick = self._prober.hurried(self._prober.call(time_of, self._trial))
@@ -197,7 +198,7 @@ class Trials:
         try:
             probe()
         except (SimulationError, FmuError) as error:
-            self._note(messages.PROBE_FAILED(error=str(error), probe=sentence))
+            self._note(f"{error!s} (while {sentence} was tried)")
 
     def _note(self, message: Message) -> None:
         self.found.findings.append(message)
@@ -229,7 +230,12 @@ class Trials:
         worst = max(filter(None, differences), key=lambda d: d.share, default=None)
         self.found.repeats = worst is None
         if worst is not None:
-            self._note(messages.TWO_RUNS_DIFFER(**worst.fields, share=worst.share))
+            self._note(
+                (
+                    "two simulations with equal values differ: {output} by {difference:.3g}, {share:.2g} of its "
+                    "largest value; no estimate is more accurate than that"
+                ).format(**worst.fields, share=worst.share)
+            )
         for table in (first, second, elsewhere):
             rows = min(len(table), len(self._table))
             gaps = np.abs(table[:rows] - self._table[:rows]).max(axis=0, initial=0.0)
@@ -241,7 +247,12 @@ class Trials:
         worst = max(filter(None, differences), key=lambda d: d.share, default=None)
         self.found.independent = worst is None
         if worst is not None:
-            self._note(messages.INSTANCES_DISTURB(**worst.fields))
+            self._note(
+                (
+                    "two instances in one process disturb each other: {output} differs by {difference:.3g}; each "
+                    "needs a process of its own"
+                ).format(**worst.fields)
+            )
 
     def _reset(self) -> None:
         prefix = "fmi3" if self._prober.description.fmiVersion.startswith("3") else "fmi2"
@@ -252,12 +263,17 @@ class Trials:
             raise
         except SimulationError as error:
             self.found.resets = False
-            self._note(messages.RESET_REFUSED(reason=error.reason))
+            self._note(Note(f"refuses a reset ({error.reason}); it is instantiated again for every simulation"))
             return
         difference = self._difference(table)
         self.found.resets = difference is None
         if difference is not None:
-            self._note(messages.IDLE_RESET(function=f"{prefix}Reset", **difference.fields))
+            self._note(
+                (
+                    "{function} returns OK but does not restore the start: {output} differs by {difference:.3g} in "
+                    "the next simulation; it is instantiated again for every simulation"
+                ).format(function=f"{prefix}Reset", **difference.fields)
+            )
 
     def _parameters(self) -> None:
         """Set each parameter at all moments; the first that act also before and inside initialization mode only."""
@@ -269,7 +285,11 @@ class Trials:
             except SimulationError as error:
                 failing.append(variable.name)
                 fields = {"name": variable.name, "value": self._tried, "start": value}
-                self._note(messages.VALUE_FAILED(error=str(error), **fields))
+                self._note(
+                    "{error} (with {name} = {value:g}; its value in the file is {start:g})".format(
+                        error=str(error), **fields
+                    )
+                )
                 continue
             if moments is None:
                 continue
@@ -282,7 +302,10 @@ class Trials:
             self.found.keeps_early = not forgotten
             self.found.keeps_inside = True
         if forgotten:
-            self._note(messages.FORGETS_EARLY(names=", ".join(forgotten)))
+            self._note(
+                f"forgets parameters that are set before initialization mode ({', '.join(forgotten)}); they are "
+                "set again inside it"
+            )
 
     def _moments(self, variable: Any, value: float, *, everything: bool) -> tuple[bool, bool] | None:
         """Return whether a value acts if set before initialization mode, and if set inside it; None if it never acts.
@@ -316,12 +339,19 @@ class Trials:
             difference = self._difference(table)
             if difference is not None:
                 self.found.moves = False
-                self._note(messages.FOLDER_MATTERS(folder=name, **difference.fields))
+                self._note(
+                    "depends on the {folder}: {output} differs by {difference:.3g} in another one".format(
+                        folder=name, **difference.fields
+                    )
+                )
 
     def _memory(self) -> None:
         self.found.growth = size = max(0.0, self._run(growth, self._trial))
         if size > LEAK:
-            self._note(messages.GROWS(size=size / 1e6, count=MANY, total=MANY * size / 1e9))
+            self._note(
+                f"keeps {size / 1e6:.2g} MB of memory for each instance after its end; {MANY} instances need "
+                f"{MANY * size / 1e9:.2g} GB"
+            )
 
     def _own_step(self) -> None:
         """Compare results after the same time by steps of several lengths, with constant inputs."""
@@ -338,13 +368,19 @@ class Trials:
         if rising and int(np.argmin(gaps)) > 0:
             self.found.own_step = own = self._own(tables[0], step, course)
             if own > step:
-                self._note(messages.OWN_STEP(own=own, step=step))
+                self._note(
+                    f"makes steps of its own of about {own:.3g} s, above the step of {step:.3g} s that is asked "
+                    f"for: its results are wrong there; use model exchange, or steps of whole {own:.3g} s"
+                )
             return
         moved = np.diff(self._table, axis=0) != 0.0
         still = 1.0 - moved.any(axis=1).mean()
         if moved.any() and still > STILL and moved[len(moved) // 2 :].any():
             self.found.own_step = own = roundest(step / max(1e-3, 1.0 - still))
-            self._note(messages.STAIRS(own=own, step=step))
+            self._note(
+                f"its outputs change only every {own:.3g} s or so, with steps of {step:.3g} s; use steps of "
+                f"whole {own:.3g} s"
+            )
 
     def _own(self, table: Array, step: float, course: Array) -> float:
         """Return the own step: so many short steps reach the result of a single long one."""
@@ -364,12 +400,17 @@ class Trials:
         except (Crashed, TimedOut):
             raise
         except SimulationError as error:
-            self._note(messages.ROLLBACK_REFUSED(reason=error.reason))
+            self._note(f"declares that its state can be saved, but refuses it: {error.reason}")
             return
         difference = self._difference(again, first)
         self.found.rolls_back = difference is None
         if difference is not None:
-            self._note(messages.ROLLBACK_FAILS(**difference.fields))
+            self._note(
+                (
+                    "does not come back to a saved state: {output} differs by {difference:.3g} when the same steps "
+                    "are repeated; steps are never repeated"
+                ).format(**difference.fields)
+            )
 
     def _events(self) -> None:
         if "model-exchange" not in ways(self._prober.description):
@@ -378,14 +419,17 @@ class Trials:
         self.found.events = sum(counts.values()) / steps
         if self.found.events > ALWAYS:
             kind = max(counts, key=lambda name: counts[name])
-            self._note(messages.EVENTS_ALWAYS(count=sum(counts.values()), kind=kind, steps=steps))
+            self._note(
+                f"has events in model exchange at every step: {sum(counts.values())} {kind} events in {steps} "
+                "steps; a filter over its states is not possible, its co-simulation is used if it has one"
+            )
 
     def _declared(self) -> None:
         description = self._prober.description
         if not settable_parameters(description):
-            self._note(messages.NO_PARAMETERS())
+            self._note("has no real parameter that may be set before initialization; only terms can be added to it")
         if not any(unit_of(v) for v in description.modelVariables if v.type in REALS):
-            self._note(messages.NO_UNITS())
+            self._note("declares no unit; numbers are taken as they are")
 
 
 def roundest(value: float) -> float:

@@ -9,12 +9,11 @@ from types import MappingProxyType
 from typing import Any
 
 from cosim.base.errors import FmuError, InputError, SimulationError
-from cosim.base.messages import Message
+from cosim.base.messages import Message, Note
 from cosim.blocks.description import Way, read_description, ways
 from cosim.isolation.limits import Limits
 from cosim.logs.log import Log
 from cosim.model.quantities import Quantity
-from cosim.probing import messages
 from cosim.probing.behaviour import Behaviour, probe_behaviour
 from cosim.probing.fmu_structure import Structure
 from cosim.probing.probe_structure import probe_structure
@@ -41,9 +40,16 @@ class Places:
     @property
     def findings(self) -> tuple[Message, ...]:
         """Return everything that deviates, with codes."""
-        stops = [messages.RUN_ENDS(error=stop) for stop in self.structure.stops]
+        stops = [f"{stop}; the structure is that before it" for stop in self.structure.stops]
         apart = [d for d in self.structure.directions if not d.in_step]
-        lost = [messages.NOT_IN_STEP(parameter=d.parameter, velocity=d.pair.velocity) for d in apart]
+        lost = [
+            (
+                f"{d.parameter} brakes {d.pair.velocity} and would tell how forces there change other rates, but a "
+                "second instance cannot be kept in step: events occur, or a process holds one instance only; forces "
+                f"at {d.pair.velocity} act through an input, or on its rate alone"
+            )
+            for d in apart
+        ]
         return (*self.behaviour.findings, *lost, *stops)
 
     def as_json(self) -> dict[str, Any]:
@@ -116,14 +122,14 @@ def probe_places(
     behaviour = probe_behaviour(fmu, logs, values, limits=limits)
     if "model-exchange" not in offered:
         structure = probe_structure(fmu, logs, values, limits=limits)
-        return Places("co-simulation", messages.ONLY_CO_SIMULATION(), structure, behaviour)
+        return Places("co-simulation", Note("it has no model exchange"), structure, behaviour)
     try:
         exchange = probe_structure(fmu, logs, values, way="model-exchange", limits=limits)
     except (InputError, FmuError, SimulationError) as error:
         if "co-simulation" not in offered:
             raise
         structure = probe_structure(fmu, logs, values, way="co-simulation", limits=limits)
-        return Places("co-simulation", messages.NO_USABLE_EXCHANGE(error=str(error)), structure, behaviour)
+        return Places("co-simulation", Note(f"its model exchange fails: {error!s}"), structure, behaviour)
     way, reason = choose_way(exchange, behaviour, offered)
     if way == "co-simulation":
         exchange = probe_structure(fmu, logs, values, way=way, limits=limits)
@@ -140,15 +146,21 @@ def choose_way(exchange: Structure, behaviour: Behaviour, offered: Sequence[Way]
     events = sum(count.total for count in exchange.events)
     objection: Message | None = None
     if events:
-        objection = messages.EVENTS_ON_LOGS(count=events)
+        objection = Note(f"model exchange has {events} events along the logs")
     elif stiffness > FASTEST:
-        objection = messages.TOO_FAST(stiffness=stiffness, most=FASTEST)
+        objection = Note(f"step times largest eigenvalue is {stiffness:.3g} in model exchange, above {FASTEST:g}")
     elif not exchange.states:
-        objection = messages.NO_STATES()
+        objection = Note("model exchange has no continuous states")
     if objection is None:
-        return "model-exchange", messages.EXCHANGE_FITS(stiffness=stiffness, most=FASTEST)
+        return "model-exchange", Note(
+            "its states and derivatives are accessible, no events occur along the logs, and step times largest "
+            f"eigenvalue is {stiffness:.2g}, at most {FASTEST:g}"
+        )
     if "co-simulation" not in offered:
-        return "model-exchange", messages.ONLY_EXCHANGE(objection=objection)
+        return "model-exchange", Note(f"it has no co-simulation, although {objection}")
     if behaviour.own_step:
-        return "model-exchange", messages.OWN_STEP_TOO_LONG(objection=objection, own=behaviour.own_step)
+        return "model-exchange", Note(
+            f"its co-simulation has steps of its own of {behaviour.own_step:.3g} s, above those of the logs, "
+            f"although {objection}"
+        )
     return "co-simulation", objection

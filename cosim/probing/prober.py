@@ -18,7 +18,6 @@ from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.isolation.watch import Watch, fmi_calls
 from cosim.model.quantities import Quantity
-from cosim.probing import messages
 from cosim.probing.log_runs import Fmu, limits_of
 from cosim.storage.yaml_file import did_you_mean
 
@@ -42,9 +41,7 @@ class Prober:
         self.path, self.description = path, read_description(path)
         self.values, self._worker, self._limits, self.place = dict(values), worker, limits, place
         variables = {v.name for v in self.description.modelVariables}
-        unknown = [
-            messages.UNKNOWN_VALUE(name=n, cure=did_you_mean(n, variables)) for n in values if n not in variables
-        ]
+        unknown = [f'has no variable "{n}"{did_you_mean(n, variables)}' for n in values if n not in variables]
         refuse(Fault(path, 0, 0, message) for message in unknown)
 
     def with_values(self, values: Mapping[str, Any]) -> Fmu:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.base.messages import Message, with_prefix
+from cosim.base.messages import Message, Note, with_prefix
 from cosim.base.text import counted, join_names
 from cosim.fmi.native.compiler import compiler
 from cosim.loading.file import is_execution_allowed
@@ -35,7 +35,11 @@ def check_study(path: Path, checking: Checking) -> list[str]:
     model = str(content.get("model", "")) if isinstance(content, dict) else ""
     if model.lower().endswith(FMU_SUFFIX) and checking.worker is None and not is_execution_allowed():
         read_parts_of_fmu(*keys_of(path))
-        return [messages.NOT_PROBED(model=model).after("warning: ")]
+        return [
+            f"{model} is not loaded (--no-load), so the names of candidates, noise and tolerance are not checked".after(
+                "warning: "
+            )
+        ]
     study = read_study(path)
     return [
         *(with_prefix("warning: ", text) for text in study.warnings),
@@ -54,11 +58,11 @@ def outlook(study: Study) -> list[Message]:
 def _plan(study: Study, subject: FmuSubject) -> Iterator[Message]:
     """Yield interface, places and number of candidates."""
     structure = subject.structure
-    yield messages.WILL_USE(way=subject.source.removeprefix(f"{structure.fmu}, "))
+    yield Note(f"`cosim refine` will use {subject.source.removeprefix(f'{structure.fmu}, ')}")
     count = len(subject.candidates([q.name for q in subject.inputs]))
-    yield messages.WILL_TRY(count=count, places="; ".join(_places(structure)))
+    yield Note(f"`cosim refine` will try {count} terms and parameters: {'; '.join(_places(structure))}")
     if compiler() is None:
-        yield messages.NEEDS_COMPILER()
+        yield "`cosim refine` needs a C compiler for FMUs, and there is none here: pip install 'fmu-cosim[native]'"
 
 
 def _places(s: Structure) -> Iterator[str]:
@@ -97,9 +101,15 @@ def _blind_spots(study: Study, subject: FmuSubject) -> Iterator[Message]:
     )
     yield from (message(names=join_names(found)) for message, found in places if found)
     if is_stepped and len(set(map(attrgetter("path"), logs))) < FEWEST_STEPPED:
-        yield messages.FEW_LOGS(least=FEWEST_STEPPED)
+        yield (
+            f"co-simulation has free runs only, so at least {FEWEST_STEPPED} estimation logs are needed to judge "
+            "a claim"
+        )
     if not study.content.logs.validation:
-        yield messages.NOTHING_SEALED(logs=counted(len(study.content.logs.estimation), "log"))
+        yield Note(
+            f"no validation log: a claim from {counted(len(study.content.logs.estimation), 'log')} will not be "
+            "proven on data that no decision has used"
+        )
 
 
 def _is_still(logs: Sequence[Log], name: str) -> bool:

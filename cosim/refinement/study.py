@@ -44,6 +44,8 @@ from cosim.subject.fmu_subject import Delivery, FmuSubject
 from cosim.subject.interface import Subject
 from cosim.subject.model_subject import ModelSubject
 
+MISSING_LOG = "{log}: no such file beside the study; its logs are named from there"
+
 FMU_SUFFIX = ".fmu"
 SCORED = 1.0  # [s] least scored time, beside the skipped start and one horizon
 SPARE = 3  # rows of tables beyond the estimated parameters, to estimate the noise
@@ -225,9 +227,24 @@ def read_study(path: Path, limits: str = "") -> Study:
     if content.model.lower().endswith(FMU_SUFFIX):
         return _of_fmu(yaml, content, faults)
     if content.terms:
-        faults.append(yaml.fault(("terms",), messages.TERMS_WITHOUT_FMU(model=content.model), key=True))
+        faults.append(
+            yaml.fault(
+                ("terms",),
+                f"terms are for an FMU, and {content.model} is none; a model lists its effects in its catalogue",
+                key=True,
+            )
+        )
     if content.delivery == "ssp":
-        faults.append(yaml.fault(("delivery",), messages.SSP_WITHOUT_FMU(model=content.model), key=True))
+        faults.append(
+            yaml.fault(
+                ("delivery",),
+                (
+                    f"delivery: ssp is for an FMU, and {content.model} is none; cosim export-ssp writes a scenario of it "
+                    "as an SSP"
+                ),
+                key=True,
+            )
+        )
     try:
         loaded = load_model(content.model, path.parent, yaml)
     except InputError as error:
@@ -275,12 +292,17 @@ def read_parts_of_fmu(
     folder = yaml.path.parent
     fmu = folder / content.model
     if not fmu.is_file():
-        refuse([*faults, yaml.fault(("model",), messages.NO_SUCH_FMU(name=content.model))])
+        refuse(
+            [
+                *faults,
+                yaml.fault(("model",), f"{content.model}: no such file; model names the FMU, relative to the study"),
+            ]
+        )
     logs, terms = list[Log](), list[type[Any]]()
     for part, name in _entries(content.logs):
         if not os.path.exists(folder / name):
             place = ("logs", part, getattr(content.logs, part).index(name))
-            faults.append(yaml.fault(place, messages.MISSING_LOG(log=name)))
+            faults.append(yaml.fault(place, MISSING_LOG.format(log=name)))
             continue
         try:
             log = log_of_fmu(folder / name, fmu, content.columns, alone=False)
@@ -289,7 +311,7 @@ def read_parts_of_fmu(
             continue
         logs += [log] if part == "estimation" else []
     if not content.logs.estimation:
-        faults.append(yaml.fault(("logs", "estimation"), messages.NO_LOG()))
+        faults.append(yaml.fault(("logs", "estimation"), "no log is listed; list one"))
     if content.terms:
         try:
             terms = own_terms(folder / content.terms)
@@ -310,7 +332,11 @@ def _of_fmu(yaml: YamlFile, content: StudyFile, faults: list[Fault]) -> Study:
     probed = probe_places(fmu, logs)
     if probed.way == "co-simulation" and probed.behaviour.has(OWN_STEP):
         own = {"own": probed.behaviour.own_step, "step": probed.structure.step}
-        message = messages.OWN_STEP_ABOVE(name=content.model, reason=probed.reason, **own)
+        message = (
+            "{name} has no usable model exchange ({reason}), and its co-simulation takes steps of its own of "
+            "about {own:.3g} s, above the {step:.3g} s of the logs, so its results are wrong there; export it "
+            "for model exchange or with a shorter step, or record rows every {own:.3g} s"
+        ).format(name=content.model, reason=probed.reason, **own)
         raise InputError([yaml.fault(("model",), message)])
     subject = FmuSubject.of_fmu(probed.structure, logs, terms, content.limits or Limits())
     subject.source += f", because {probed.reason}"
@@ -382,7 +408,7 @@ def study_of(
         content = StudyFile.model_validate({"model": subject.source, "logs": lists, **settings})
     except ValidationError as error:
         raise InputError(
-            [places.fault(e["loc"], messages.INVALID_SETTING(reason=e["msg"])) for e in error.errors()]
+            [places.fault(e["loc"], f"{e['msg']}; give a value as in a study file") for e in error.errors()]
         ) from None
     subject = content.judged(copy(subject))
     usable, warnings, log_faults = _read_logs(places, content, subject)
@@ -416,7 +442,7 @@ def _read_logs(
         path = places.path.parent / name
         if not os.path.exists(path):
             place = ("logs", part, getattr(content.logs, part).index(name))
-            faults.append(places.fault(place, messages.MISSING_LOG(log=name)))
+            faults.append(places.fault(place, MISSING_LOG.format(log=name)))
             continue
         try:
             log = _read(path, content, subject)
@@ -429,7 +455,10 @@ def _read_logs(
         faults += gate_faults(log, findings)
         log = drop_outliers(log, spikes)
         warnings += [
-            messages.READINGS_LEFT_OUT(log=name, readings=counted(rows.size, "reading"), output=output)
+            (
+                f"{name}: {counted(rows.size, 'reading')} of {output} left out as outlying, far from the "
+                "neighbouring readings and from the model"
+            )
             for output, rows in spikes.items()
         ]
         usable = _usable_stretches(log, subject.horizon)
@@ -438,7 +467,7 @@ def _read_logs(
             with_prefix(f"{name}: ", f.whole) for f in findings if f.severity == "warning" and f.kind != "outliers"
         ]
         if count := 0 if log.table else len(stretches(log)) - len(usable):
-            warnings.append(messages.SHORT_PIECES(log=name, pieces=counted(count, "piece")))
+            warnings.append(f"{name}: {counted(count, 'piece')} between pauses too short to be used")
         logs[part] += usable
     faults += _implausible_noise(places, content.noise, logs["estimation"])
     faults += _repeated_logs(places, content.logs, digests)
@@ -521,7 +550,13 @@ def _few_rows(places: Places, content: StudyFile, subject: Subject, logs: Sequen
     rows, least = sum(len(log.time) for log in logs), count + 1 + SPARE
     if rows < least:
         texts = {"rows": counted(rows, "row"), "parameters": counted(count, "number")}
-        yield places.fault(("logs", "estimation"), messages.TOO_FEW_ROWS(least=least, spare=SPARE, **texts))
+        yield places.fault(
+            ("logs", "estimation"),
+            (
+                "the logs of estimation have {rows}, and a study needs {least}: {parameters} that may be off, one "
+                "for a missing effect, and {spare} more to estimate the noise; record more rows"
+            ).format(least=least, spare=SPARE, **texts),
+        )
 
 
 def _latency_faults(model_file: Path, loaded: LoadedModel, logs: Sequence[Log]) -> Iterator[Fault]:
@@ -535,7 +570,10 @@ def _latency_faults(model_file: Path, loaded: LoadedModel, logs: Sequence[Log]) 
                 durations[log.path] = rest + latency
         if latency > 0.0 and durations:
             texts = ", ".join(f"{path.name} lasts {plain(duration)} s" for path, duration in durations.items())
-            message = messages.LATENCY_TOO_LONG(sensor=name, latency=plain(latency), logs=texts)
+            message = (
+                f"{name} is {plain(latency)} s, and {texts}: the rest is too short to judge a model; correct "
+                "this value, or record longer logs"
+            )
             yield YamlFile(model_file).fault(("sensors", name), message)
 
 
@@ -545,7 +583,10 @@ def _implausible_noise(places: Places, noise: Mapping[str, float], logs: Sequenc
         readings = np.concatenate([np.zeros(0), *(log.outputs[name] for log in logs if name in log.outputs)])
         largest = float(np.max(np.abs(readings[np.isfinite(readings)]), initial=0.0))
         if largest > 0.0 and not FINEST * largest < level < COARSEST * largest:
-            message = messages.IMPLAUSIBLE_NOISE(output=name, level=plain(level), largest=plain(largest))
+            message = (
+                f"noise.{name}: {plain(level)} is no noise of readings of up to {plain(largest)}; state it in "
+                "their unit"
+            )
             yield places.fault(("noise", name), message)
 
 
@@ -569,7 +610,7 @@ def _unknown_names(places: Places, content: StudyFile, subject: Subject) -> Iter
 def _unknown_candidates(places: Places, content: StudyFile, candidates: Sequence[str]) -> Iterator[Fault]:
     """Yield faults of unknown candidates and of an empty list."""
     if content.candidates == []:
-        yield places.fault(("candidates",), messages.NO_CANDIDATES())
+        yield places.fault(("candidates",), "names none; name some, or leave the key out to try all")
     for k, name in enumerate(content.candidates or ()):
         if name not in candidates:
             message = messages.UNKNOWN_CANDIDATE

@@ -30,7 +30,6 @@ from cosim.isolation.limits import Limits
 from cosim.kernel.nameless import RATE
 from cosim.loading.refined import ANSWER, NEAREST, REFINED, SSPS
 from cosim.logs.log import Log
-from cosim.refinement import messages
 from cosim.refinement.decision.claims import Claims, Nearest, judge
 from cosim.refinement.decision.constancy import check_constancy
 from cosim.refinement.decision.evidence import (
@@ -219,7 +218,14 @@ def _within_limit(progress: Progress, limits: Limits | None, start: float) -> Pr
 
     def report(stage: str, share: float) -> None:
         if time.perf_counter() - start > total:
-            raise TimedOut("the search", 0.0, messages.OUT_OF_TIME(limit=total, stage=stage))
+            raise TimedOut(
+                "the search",
+                0.0,
+                (
+                    f"the limit of {total:g} s (limits: total) is reached at {stage!r}; nothing is written: allow "
+                    "more time, or name fewer candidates"
+                ),
+            )
         progress(stage, share)
 
     return report
@@ -245,7 +251,10 @@ def _with_predictable_horizon(study: Study, problem: Problem) -> Study:
     subject = copy(study.subject)
     subject.horizon = shorter
     name = f"{plain(horizon)} s" if math.isfinite(horizon) else "free run"
-    warning = messages.SHORTER_HORIZON(new=plain(shorter, 2), old=name)
+    warning = (
+        "errors of the start state grow exponentially in these logs. Predictions therefore last "
+        f"{plain(shorter, 2)} s, in which these errors grow tenfold, and not the model's {name}"
+    )
     return replace(study, subject=subject, warnings=(*study.warnings, warning))
 
 
@@ -260,7 +269,15 @@ def _divergences(study: Study, problem: Problem) -> Iterator[Fault]:
         with np.errstate(over="ignore", invalid="ignore"):
             diverged = ~np.isfinite(errors * errors / variances) & problem.readings[index].scored
         t = data.start + data.step * int(np.argmax(diverged.any(axis=1)))
-        yield Fault(log.path, 0, 0, messages.DIVERGING_MODEL(model=study.subject.title, time=t))
+        yield Fault(
+            log.path,
+            0,
+            0,
+            (
+                f"{study.subject.title} runs away on this log: its prediction is not finite at t = {t:.6g} s; check "
+                "its parameters, start values and the units of the log, or state a shorter substep in its class"
+            ),
+        )
 
 
 def _candidates(study: Study) -> list[Candidate]:
@@ -379,7 +396,10 @@ def _delivery_warnings(variants: Mapping[str, Variant]) -> Iterator[str]:
     subjects = [variant.subject for variant in variants.values()]
     yield from dict.fromkeys(s.undelivered for s in subjects if s.undelivered)
     for names in dict.fromkeys(s.missing_platforms for s in subjects if s.missing_platforms):
-        yield messages.MISSING_PLATFORMS(names=join_names(names))
+        yield (
+            f"the delivered FMU lacks the platforms {join_names(names)} of the original: the library around it "
+            "cannot be compiled for them here; pip install 'fmu-cosim[native]' has a compiler for most"
+        )
 
 
 def _at_horizon(played: Replayed, horizon: float) -> dict[str, dict[Part, Evidence]]:
@@ -392,7 +412,7 @@ def failure_warnings(problem: Problem) -> Iterator[str]:
     failures: Sequence[Exception] = getattr(problem.kernel, "failures", ())
     if failures:
         evaluations = counted(len(failures), "evaluation")
-        yield messages.FAILED_EVALUATIONS(evaluations=evaluations, reason=failures[0])
+        yield f"the FMU failed in {evaluations}, which count as diverged; the first time: {failures[0]}"
 
 
 def _rises(claims: Claims, played: Replayed, subject: Subject) -> Mapping[str, tuple[float, float]]:

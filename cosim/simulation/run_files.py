@@ -8,8 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import InputError
-from cosim.simulation import messages
-from cosim.storage import messages as storage_messages
 from cosim.storage.artefact import folder_kind
 from cosim.storage.folders import manifest_in, record_of, replay_record, status_in, warnings_on
 from cosim.storage.kinds import LOG, check_given, refuse_folder
@@ -47,12 +45,14 @@ def read_ran(path: Path) -> RecordedRun:
     try:
         return _read(path)
     except FileNotFoundError:
-        raise InputError.at(path, storage_messages.GONE()) from None
+        raise InputError.at(
+            path, "was removed while it was read; repeat the command with the results that are left"
+        ) from None
 
 
 def _read(path: Path) -> RecordedRun:
     if not path.exists():
-        raise InputError.at(path, messages.NO_RESULTS(kind=WANTED))
+        raise InputError.at(path, f"no such folder or file; give {WANTED}")
     if not path.is_dir():
         check_given(path, LOG)
         record = record_of(path)
@@ -64,7 +64,7 @@ def _read(path: Path) -> RecordedRun:
         if kind is None or "results" not in kind.tables:
             refuse_folder(path, WANTED)
         names = " or ".join(f"results{suffix}" for suffix in suffixes())
-        raise InputError.at(path, messages.NO_ROWS(names=names, status=status_in(path), kind=WANTED))
+        raise InputError.at(path, f"holds no rows{status_in(path)}: no {names}; give {WANTED}")
     manifest = manifest_in(path)
     record = record_of(rows)
     units: Any = manifest.get("units") or replay_record(path).get("units") or {}

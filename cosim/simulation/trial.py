@@ -58,7 +58,7 @@ def check_loaded_fmu(path: Path, checking: Checking) -> list[str]:
     notes: list[str] = []
     refuse(check_fmu(path, checking.worker, notes))
     # FMPy's findings are about a readable FMU, as accepted by importing tools.
-    return notes + [messages.FMI_RULE(problem=problem).after("warning: ") for problem in validation(path)]
+    return notes + [f"{problem}".after("warning: ") for problem in validation(path)]
 
 
 def check_fmu(path: Path, worker: Worker | None = None, notes: list[str] | None = None) -> Sequence[Fault]:
@@ -67,7 +67,7 @@ def check_fmu(path: Path, worker: Worker | None = None, notes: list[str] | None 
     Mere violations of FMI rules are no faults.
     """
     if not path.is_file():
-        return [Fault(path, 0, 0, messages.NO_FMU())]
+        return [Fault(path, 0, 0, "no such file; give an FMU")]
     try:
         description = read_description(path)
     except FmuError as error:
@@ -117,7 +117,7 @@ def check_scenario(path: Path, checking: Checking) -> list[str]:
         designed = designed_apart(file, worker) if worker is not None else designed_values(file)
     except errors.NotExecuted as error:
         designed = {}
-        skipped.append(messages.DESIGN_NOT_CHECKED(reason=error))
+        skipped.append(f"{error} (--no-load); the design is not checked")
     system = build_system(file, designed)
     if worker is not None:
         check_hosts(real_time_of(file))
@@ -162,11 +162,13 @@ def _run_once(file: ScenarioFile, system: System, path: Path, worker: Worker) ->
     except FmuError as error:
         return [error.fault(path, path.resolve())], ()
     except errors.DiskFull as error:
-        return [Fault(path, 0, 0, messages.NO_SPACE_FOR_TRIAL.around(error.reason), FmuError.exit_code)], ()
+        return [
+            Fault(path, 0, 0, f"cannot be tried: {error.reason}; --no-load checks it without", FmuError.exit_code)
+        ], ()
     if (failure := stepped.failure) is None:
         return [], stepped.log
     if isinstance(failure, (errors.Interrupted, errors.Signalled)):
         raise failure
     code = failure.exit_code if isinstance(failure, errors.TimedOut) else FmuError.exit_code
     cure = "; --no-load checks it without" if isinstance(failure, (errors.Crashed, errors.TimedOut)) else ""
-    return [Fault(path, 0, 0, messages.FAILED_TRIAL.around(failure, cure=cure), code)], ()
+    return [Fault(path, 0, 0, f"does not run: {failure}{cure}", code)], ()

@@ -20,9 +20,8 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.drafts import draft_of
-from cosim.base.messages import Message
+from cosim.base.messages import Message, Note
 from cosim.base.scratch import process_folder
-from cosim.storage import messages
 
 VARIABLE = "XDG_CACHE_HOME"
 OTHERS_ENTER = stat.S_IXGRP | stat.S_IXOTH
@@ -110,7 +109,7 @@ def _user_folder() -> Path | None:
             return folder if os.access(folder, os.W_OK) else None
     except OSError:
         return None
-    _say_once(messages.UNTRUSTED_CACHE(folder=folder, reason=reason))
+    _say_once(Note(f"the cache {folder} is not used, a temporary one takes its place: {reason}"))
     return None
 
 

@@ -64,7 +64,7 @@ class Csv(Source):
                 with _open(faults.path) as stream:
                     return _read_table(_Cells(stream, faults), request)
         except OSError as error:
-            faults.note(0, 0, messages.UNREADABLE_FILE(reason=error.strerror))
+            faults.note(0, 0, f"cannot be read: {error.strerror}")
         return Table()
 
     def frame(self, path: Path, names: Container[str] = (), text: Collection[str] = ()) -> Frame:
@@ -77,7 +77,7 @@ class Csv(Source):
                 if cells.header:
                     frame = _frame_of(cells, names, text)
                 elif not faults.items:
-                    faults.note(1, 1, messages.NO_HEADER(columns="time, then signals"))
+                    faults.note(1, 1, "is empty; the first line names the columns: time, then signals")
         faults.raise_any()
         return frame
 
@@ -114,7 +114,7 @@ def read_heading(path: Path, names: Container[str] = ()) -> tuple[list[tuple[str
 def _is_small_enough(faults: Faults, cure: str) -> bool:
     size = faults.path.stat().st_size
     if size > MOST_BYTES:
-        faults.note(0, 0, messages.LARGE_TABLE(size=size / 1e6, limit=MOST_BYTES / 1e6, cure=cure))
+        faults.note(0, 0, f"has {size / 1e6:.0f} MB, more than the {MOST_BYTES / 1e6:.0f} MB that are read; {cure}")
     return size <= MOST_BYTES
 
 
@@ -134,13 +134,13 @@ def _lines(stream: TextIO, *, ended: bool) -> Iterator[str]:
     """Yield the UTF-8 lines, all or those with an end, of a file from `_open`. A byte order mark is left out."""
     while line := stream.readline(LONGEST_LINE + 1):
         if len(line) > LONGEST_LINE:
-            raise _BadLine(messages.LONG_LINE(limit=LONGEST_LINE / 1e6))
+            raise _BadLine(f"the line has more than {LONGEST_LINE / 1e6:g} MB; is this a CSV?")
         if ended and not line.endswith(("\n", "\r")):
             return
         try:
             yield line.encode("latin-1").decode("utf-8-sig")
         except UnicodeDecodeError:
-            raise _BadLine(messages.NO_UTF8_LINE()) from None
+            raise _BadLine("is not UTF-8 text; save it as plain CSV, UTF-8") from None
 
 
 def _has_text(row: Sequence[str]) -> bool:
@@ -171,12 +171,16 @@ class _Cells:
         header = next(filter(_has_text, self._rows), [])
         self.line = max(1, self._rows.line_num)
         if any("\0" in text for text in header):
-            self.faults.note(self.line, 1, messages.BINARY_TABLE())
+            self.faults.note(self.line, 1, "is a binary file, or text of another encoding; save it as plain CSV, UTF-8")
             return
         only = header[0] if len(header) == 1 else ""
         has_unit = "[" in only  # which a blank separates from its name
         if mark := next((m for m in SEPARATORS if m in only.strip() and not (m == " " and has_unit)), None):
-            self.faults.note(self.line, 1, messages.WRONG_SEPARATOR(separator=SEPARATORS[mark]))
+            self.faults.note(
+                self.line,
+                1,
+                f"cells are separated by {SEPARATORS[mark]}; separate them with commas, decimals with a point",
+            )
             split = partial(csv.reader, delimiter=mark, skipinitialspace=True)
             header = next(split([only.strip()]))  # Reading continues, to report further faults.
             self._above, self._rows = self._rows.line_num, split(self._text)
@@ -196,7 +200,7 @@ class _Cells:
                     message = template(cells=counted(len(row), "cell"), header=width)
                     faults.note_cell(self._line(), 1, "rows of another length", message)
                 if faults.is_full:
-                    faults.note(self._line(), 1, messages.UNREAD_REST())
+                    faults.note(self._line(), 1, "too many faults to read on; correct those of the earlier lines first")
                     return
             self.whole = True
 
@@ -208,7 +212,7 @@ class _Cells:
         except _BadLine as error:
             self.faults.note(self._line() + 1, 1, str(error))
         except csv.Error as error:
-            self.faults.note(self._line(), 1, messages.NO_CSV(reason=error))
+            self.faults.note(self._line(), 1, f"is not CSV: {error}")
 
     def _line(self) -> int:
         return self._above + self._rows.line_num
@@ -288,7 +292,7 @@ def _read_table(cells: _Cells, request: TableRequest) -> Table:
     faults, table = cells.faults, Table(header=cells.line)
     if not cells.header:
         if not faults.items:
-            faults.note(1, 1, messages.NO_HEADER(columns=request.description))
+            faults.note(1, 1, f"is empty; the first line names the columns: {request.description}")
         return table
     headings = [split_heading(text, request.names) for text in cells.header]
     choose_columns(table, [Heading(cells.line, k, *pair) for k, pair in enumerate(headings, 1)], faults, request)
@@ -372,8 +376,8 @@ def _no_number(text: str, column: Column) -> tuple[str, Message]:
     """Return a faulty cell's plural and message."""
     cell, name = text.strip()[:30], column.name
     if DECIMAL_COMMA.fullmatch(cell):
-        return f"cells of {name} with a decimal comma", messages.DECIMAL_COMMA(cell=cell, column=name)
-    return f"cells of {name} that are no number", messages.CELL_WITHOUT_NUMBER(cell=cell, column=name, cure=column.cure)
+        return f"cells of {name} with a decimal comma", f'"{cell}" in column {name} has a decimal comma: write a point'
+    return f"cells of {name} that are no number", f'"{cell}" in column {name} is no number; {column.cure}'
 
 
 # -- writing --------------------------------------------------------------------------------------

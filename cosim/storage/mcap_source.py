@@ -13,7 +13,6 @@ import numpy as np
 from cosim.base.drafts import draft_of
 from cosim.base.errors import Fault, InputError
 from cosim.base.extras import optional
-from cosim.storage import messages
 from cosim.storage.table_source import Frame, Source, SourceColumn, as_text
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -62,7 +61,7 @@ class Mcap(Source):
                         units.setdefault(full, about.get("unit", ""))
                         types.setdefault(full, about.get("type", ""))
         except Exception as error:  # mcap reports damage by errors of its own and of struct
-            raise InputError.at(path, messages.BAD_TABLE(format="MCAP", reason=str(error)[:200])) from None
+            raise InputError.at(path, f"is no MCAP file that can be read: {str(error)[:200]}; write it again") from None
         times = sorted({t for values in signals.values() for t in values})
         columns = [SourceColumn("time", "s", np.array(times, dtype=np.float64))]
         for name, by_time in signals.items():
@@ -84,7 +83,13 @@ class Mcap(Source):
         time, *others = columns
         times = np.asarray(time.values, dtype=np.float64)
         if times.size and not (times.min() >= 0.0 and times.max() < LARGEST_TIME):
-            raise InputError.at(path, messages.MCAP_TIME(first=float(times.min()), last=float(times.max())))
+            raise InputError.at(
+                path,
+                (
+                    f"times from {float(times.min()):g} s to {float(times.max()):g} s: MCAP counts from 0; take "
+                    "another format"
+                ),
+            )
         topics: dict[str, list[tuple[str, str, Sequence[Any]]]] = {}
         for column in others:
             component, _, variable = column.name.partition(".")

@@ -18,7 +18,6 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.drafts import draft_of, is_full
-from cosim.storage import messages
 from cosim.storage.csv_source import CSV, ENDED_CSV, cell_text, write_table
 from cosim.storage.table import is_there
 from cosim.storage.table_columns import MOST_TIME, Faults, is_time, note_distant, note_wrong_first, time_scale
@@ -215,7 +214,7 @@ def read_results(
     exact, whole = dict[str, list[Any]](), set[str]()
     for cell, column in enumerate(frame.columns[1:], 2):
         if column.fault:
-            faults.note(0, cell, messages.COLUMN_WITHOUT_NUMBERS(column=column.name, reason=column.fault))
+            faults.note(0, cell, f"column {column.name} {column.fault}")
         elif not column.numeric:
             exact[column.name] = list(column.values)
         else:
@@ -257,17 +256,19 @@ def _time_of(frame: Frame, faults: Faults) -> Array:
     scale = time_scale(faults, line, first.unit)
     if not first.numeric:
         if len(lines):
-            reason = messages.COLUMN_WITHOUT_NUMBERS(column="time", reason=first.fault)
-            faults.note(lines[0], 1, reason if first.fault else messages.TIME_WITHOUT_NUMBER())
+            reason = f"column time {first.fault}"
+            faults.note(lines[0], 1, reason if first.fault else "a time is no number; write seconds")
         return np.empty(0)
     time = np.asarray(first.values, dtype=np.float64) * scale
     for row in np.flatnonzero(~np.isfinite(time)).tolist():
-        faults.note_cell(lines[row], 1, "rows without a time", messages.ROW_WITHOUT_TIME())
+        faults.note_cell(
+            lines[row], 1, "rows without a time", "the row has no time; fill the cell or leave the row out"
+        )
     for row in np.flatnonzero(np.abs(time) > MOST_TIME).tolist():
         note_distant(faults, lines[row], float(time[row]))
     time = np.clip(time, -MOST_TIME, MOST_TIME)
     for row in (np.flatnonzero(np.diff(time) < 0.0) + 1).tolist():
-        message = messages.UNSORTED_TIME(time=time[row], earlier=time[row - 1])
+        message = f"time {time[row]:g} s comes after {time[row - 1]:g} s; sort the rows"
         faults.note_cell(lines[row], 1, "times that go back", message)
     return time
 
@@ -295,11 +296,11 @@ def cut_rows(path: Path, rows: int, record: Mapping[str, Any]) -> tuple[str, ...
     announced = record.get("rows")
     if not _has_last_end(path):
         if not record:
-            return (messages.CUT_LINE(file=path),)
+            return (f"{path} has no line end after its last row: if it was cut, the last number there is wrong",)
         of = f" of the {announced}" if isinstance(announced, int) else ""
-        return (messages.CUT_IN_LINE(file=path, rows=rows, of=of),)
+        return (f"{path} was cut within a line: {rows}{of} rows of its run are used; run it again",)
     if isinstance(announced, int) and announced != rows:
-        return (messages.OTHER_ROWS(file=path, rows=rows, announced=announced),)
+        return (f"{path} has {rows} of the {announced} rows of its run: it was cut, or changed later; run it again",)
     return ()
 
 

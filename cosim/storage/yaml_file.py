@@ -29,7 +29,6 @@ from cosim.base.messages import Message, code_of, with_prefix
 from cosim.base.suggestions import closest as closest
 from cosim.base.suggestions import did_you_mean as did_you_mean
 from cosim.base.units import allowed_quantity, has_unit, read_quantity
-from cosim.storage import messages
 from cosim.storage.yaml_nodes import Location, NotYaml, document_of
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
@@ -114,7 +113,7 @@ class YamlFile:
         self.root: Any = self._document.data
         self._within: Location = ()
         if not isinstance(self.root, dict):
-            raise InputError([Fault(path, 1, 1, messages.NO_MAPPING())])
+            raise InputError([Fault(path, 1, 1, "is not a mapping of keys to values")])
 
     def enter(self, key: str) -> None:
         """Use the part under a key as the document."""
@@ -215,7 +214,7 @@ class YamlFile:
         errors = _errors_of_branches(error.errors(include_url=False), data)
         faults = [self._pydantic_fault(model, e, data, at) for e in errors[:MOST_FAULTS]]
         if len(errors) > MOST_FAULTS:
-            message = messages.MANY_FAULTS(count=len(errors), limit=MOST_FAULTS)
+            message = f"{len(errors)} faults in all; the first {MOST_FAULTS} are shown"
             faults.append(Fault(self.path, 0, 0, message))
         return faults
 
@@ -229,10 +228,10 @@ class YamlFile:
             if cure := REMOVED_KEYS.get(str(location[-1])):
                 return self.fault(location, f'"{short(location[-1])}" is no longer supported. {cure}', key=True)
             hint = takers or did_you_mean(str(location[-1]), keys)
-            message = messages.UNKNOWN_KEY(key=short(location[-1]), hint=hint, keys=", ".join(keys))
+            message = f'unknown key "{short(location[-1])}"{hint} (known here: {", ".join(keys)})'
             return self.fault(location, message, key=True)
         if kind == "missing":
-            return self.fault(location[:-1], messages.MISSING_KEY(name=name))
+            return self.fault(location[:-1], f'"{name}" is missing; add it')
         reasons = dict.fromkeys(_reason(e) for e in (error, *error.get("else", ())))
         reason = next(iter(reasons)) if len(reasons) == 1 else ", or ".join(reasons)
         message = wrong_value(name or "it", error.get("input"), reason)
@@ -243,25 +242,25 @@ def wrong_value(name: str, value: Any, reason: str) -> Message:
     """Return the message on a value; a reason with a code of its own keeps its code."""
     if isinstance(reason, Message) and reason.code:
         return reason.after(f"{name} is {format_value(value)}: ")
-    return messages.WRONG_VALUE(
-        name=name, value=format_value(value), reason=reason.replace(", or it should be ", " or ")
-    )
+    return f"{name} is {format_value(value)}: {reason.replace(', or it should be ', ' or ')}"
 
 
 def _text(path: Path) -> str:
     """Return a file's text; raise InputError if unreadable."""
     try:
         if not path.is_file():
-            raise InputError.at(path, messages.NO_FILE() if path.exists() else messages.NO_SUCH_FILE())
+            raise InputError.at(path, "is no file" if path.exists() else "no such file")
         if (size := path.stat().st_size) > MOST_BYTES:
-            raise InputError.at(path, messages.LARGE_FILE(size=size / 1e6, limit=MOST_BYTES / 1e6))
+            raise InputError.at(
+                path, f"has {size / 1e6:.0f} MB, more than the {MOST_BYTES / 1e6:.0f} MB that are read; make it shorter"
+            )
         return path.read_text(encoding="utf-8")
     except UnicodeDecodeError:
-        raise InputError.at(path, messages.NO_UTF8_FILE()) from None
+        raise InputError.at(path, "is not UTF-8 text; save it as UTF-8") from None
     except OSError as error:
-        raise InputError.at(path, messages.UNREADABLE_FILE(reason=error.strerror)) from None
+        raise InputError.at(path, f"cannot be read: {error.strerror}") from None
     except ValueError:  # an impossible file name
-        raise InputError.at(Path(format_value(str(path))), messages.NO_SUCH_FILE()) from None
+        raise InputError.at(Path(format_value(str(path))), "no such file") from None
 
 
 def format_value(value: Any) -> str:

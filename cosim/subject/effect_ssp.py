@@ -21,7 +21,6 @@ from cosim.model.quantities import Parameter, Quantity
 from cosim.model.symbolic.languages import Python
 from cosim.probing.fmu_structure import Structure
 from cosim.ssp.write import SspConnector, SspFmu, Whole, defined_units, write_ssp
-from cosim.subject import messages
 from cosim.terms.fmu_model import FmuModel
 from cosim.terms.language import Force, RateTerm
 from cosim.terms.term_printing import print_readings, print_terms
@@ -71,15 +70,15 @@ class EffectSsp:
     def check(self) -> None:
         """Raise NotInSsp for an original or a term that an SSP cannot express."""
         if self.description.coSimulation is None:
-            raise NotInSsp(messages.NO_CO_SIMULATION(file=self.structure.fmu.name))
+            raise NotInSsp(f"{self.structure.fmu.name} offers no co-simulation, which importers of SSPs run")
         inside = [e.name for e in self.acting if _lacks_port(e)]
         if inside:
-            raise NotInSsp(messages.INSIDE(names=", ".join(inside)))
+            raise NotInSsp(f"{', '.join(inside)} act inside the original, where an FMU beside it has no input")
         shown, hidden = self._shown, [k for k in self._states if k not in self._shown]
         if hidden:
             names = [e.name for e in self.acting if {*_read(e)} - {*shown}]
             states = ", ".join(self.model.base_states[k].name for k in hidden)
-            raise NotInSsp(messages.HIDDEN_STATES(names=", ".join(names), states=states))
+            raise NotInSsp(f"{', '.join(names)} need the states {states}, which no output of the original shows")
 
     # -- what acts ----------------------------------------------------------------------------------
 

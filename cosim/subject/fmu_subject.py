@@ -24,7 +24,6 @@ from cosim.isolation.process import Worker
 from cosim.kernel.backend import kernel
 from cosim.kernel.kernel import DISTURBANCE, START, Begin, Data, Kernel, simulate_all
 from cosim.kernel.library_kernel import NO_LIMITS, LibraryOf
-from cosim.kernel.messages import NO_CONSTANTS
 from cosim.loading.file import LoadedModel
 from cosim.loading.refined import SSPS
 from cosim.logs.log import Log
@@ -34,7 +33,6 @@ from cosim.probing.fmu_structure import StartValue, Structure
 from cosim.residuals.remote_drive import MODULES, DriveApart
 from cosim.residuals.starts import StartParameter, start_parameters
 from cosim.residuals.windows import Replay
-from cosim.subject import messages
 from cosim.subject.candidates import Candidate
 from cosim.subject.effect_ssp import EffectSsp, NotInSsp
 from cosim.subject.interface import Predict, Replayer, Start, Workplace
@@ -141,7 +139,13 @@ class FmuSubject(ModelSubject):
             InputError: Parameters as constant states, which a library cannot have, or no compiler.
         """
         if constant:
-            raise InputError.at(self.structure.fmu, NO_CONSTANTS(names=", ".join(constant)))
+            raise InputError.at(
+                self.structure.fmu,
+                (
+                    f"{', '.join(constant)} cannot be estimated per log: the library of an FMU takes parameters "
+                    "before its initialization only; leave out per_log"
+                ),
+            )
         return kernel(self.model, measured, unnamed, fmu=self._library_of(self.structure.fmu, self._description))
 
     def _library_of(self, fmu: Path, description: Any) -> LibraryOf:
@@ -255,10 +259,17 @@ class FmuSubject(ModelSubject):
         try:
             self.ssp = parts.write(path)
         except NotInSsp as error:
-            why = reason or messages.SSP_WANTED()
-            self.undelivered = messages.NOTHING_DELIVERED(reason=why.rstrip("."), cure=error)
+            why = reason or "The study wants an SSP"
+            self.undelivered = f"{why.rstrip('.')}. An SSP cannot stand for it: {error}"
         else:
-            self.undelivered = messages.SSP_INSTEAD(reason=reason.rstrip(".")) if reason else ""
+            self.undelivered = (
+                (
+                    f"{reason.rstrip('.')}. plant.ssp is delivered in place of plant.fmu: the original FMU and the "
+                    "terms beside it"
+                )
+                if reason
+                else ""
+            )
 
     def _kernel_of(self, fmu: Path) -> Kernel:
         """Return the kernel of a delivered FMU, which holds terms and values itself."""

@@ -111,7 +111,10 @@ def _fixes(scenario: Scenario, name: str, component: FixComponent, diagnosis: Di
     fastest = 1.0 / scenario.step
     too_fast = component.rate > fastest * (1.0 + 1e-9)
     if too_fast:
-        message = messages.FIX_RATE_TOO_HIGH(rate=component.rate, fastest=fastest)
+        message = (
+            f"rate is {component.rate:g} Hz, communication points come at {fastest:g} Hz; use at most "
+            f"{fastest:g} Hz, or a shorter step"
+        )
         diagnosis.note(("components", name, "rate"), message)
     return None if too_fast or collisions else Fixes(name, sensor, scenario.step, scenario.seed)
 
@@ -131,13 +134,13 @@ def _fmu(
             return None
     path = file.resolve(component.fmu) if distant is None else distant.path
     if not path.is_file():
-        diagnosis.note(("components", name, "fmu"), messages.NO_FMU(path=path, cure=_cure(file, path)))
+        diagnosis.note(("components", name, "fmu"), f"no such FMU: {path}{_cure(file, path)}")
         return None
     description = read(path)
     start = _start_values(name, description, {**designed, **component.start}, diagnosis)
     connected = frozenset(_variables_of(name, [connection.target for connection in file.scenario.connections]))
     if component.interface not in (None, *ways(description)):
-        message = messages.INTERFACE_NOT_OFFERED(fmu=path.name, interfaces=" and ".join(ways(description)))
+        message = f"{path.name} offers {' and '.join(ways(description))} only"
         diagnosis.note(("components", name, "interface"), message)
         return None
     _check_feedthrough(name, component, description, diagnosis)
@@ -147,7 +150,14 @@ def _fmu(
         return None
     if distant is not None:
         if make is not FmuBlock or (component.interface or ways(description)[0]) != "co-simulation":
-            diagnosis.note(("components", name, "at"), messages.NOT_REMOTE(fmu=component.fmu))
+            diagnosis.note(
+                ("components", name, "at"),
+                (
+                    f"{component.fmu} uses model exchange, event mode, clocks or scheduled execution, which are not "
+                    "offered at another machine; leave out at: (process: own keeps it apart here), or give "
+                    "interface: co-simulation or event_mode: false"
+                ),
+            )
             return None
         make = partial(RemoteFmu, distant=distant)
     return make(
@@ -175,7 +185,8 @@ def _check_feedthrough(name: str, component: FmuComponent, description: Any, dia
         if entry not in names:
             hint = did_you_mean(entry, [v.name for v in inputs])
             diagnosis.note(
-                ("components", name, "feedthrough", k), messages.NO_INPUT(component=name, name=entry, hint=hint)
+                ("components", name, "feedthrough", k),
+                f'{name} has no input "{entry}"{hint}; feedthrough: names inputs',
             )
 
 
@@ -225,14 +236,14 @@ def _start_values(component: str, description: Any, stated: Mapping[str, Any], d
         variable = variables.get(name)
         if variable is None:
             hint = did_you_mean(name, [v.name for v in variables.values() if settable(v)])
-            message = messages.NO_VARIABLE(component=component, name=name, hint=hint)
+            message = f'{component} has no variable "{name}"{hint}'
         elif not settable(variable):
-            message = messages.NOT_SETTABLE(name=f"{component}.{name}", kind=kind_of(variable))
+            message = f"{f'{component}.{name}'} is {kind_of(variable)}; it takes no start value"
         else:
             converted = convert_value(description, variable, value)
             if not isinstance(converted, Misfit):
                 values[name] = converted
                 continue
-            message = messages.VALUE_MISFIT(name=f"{component}.{name}", value=value, reason=converted.reason)
+            message = f"{f'{component}.{name}'} is {value!r}; {converted.reason}"
         diagnosis.note(("components", component, "start", name), message)
     return values

@@ -11,7 +11,6 @@ from cosim.scenario.diagnosis import Diagnosis
 from cosim.scenario.scenario import Live, LiveValue, Scenario
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.storage.yaml_file import did_you_mean
-from cosim.system import messages
 from cosim.system.events import Targets
 
 
@@ -100,13 +99,13 @@ def check_live(
         for name, value in values.items():
             where = ("live", kind, name)
             if (value.udp is None) == (value.mqtt is None):
-                diagnosis.note(where, messages.ONE_PARTNER(name=name))
+                diagnosis.note(where, f"{name} needs one of udp and mqtt")
             if kind == "inputs" and (misfit := targets.objection(name)):
                 diagnosis.note(where, misfit)
             elif kind == "outputs" and name not in columns:
                 hint = did_you_mean(name, columns)
-                message = messages.NO_DOUBLE_OUTPUT(name=name) if name in beside else None
-                diagnosis.note(where, message or messages.UNKNOWN_SIGNAL(name=name, hint=hint))
+                message = f"{name} is text or a 64-bit integer; only numbers are sent" if name in beside else None
+                diagnosis.note(where, message or f'no signal "{name}"{hint}')
             key = value.udp, value.mqtt, value.field or name.partition(".")[2]
             if kind == "outputs" and (other := fields.setdefault(key, name)) != name:
-                diagnosis.note(where, messages.SAME_FIELD(name=name, other=other, field=key[2]))
+                diagnosis.note(where, f"{name} and {other} would both be {key[2]} of one message; name their fields")

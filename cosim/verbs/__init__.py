@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from cosim.base.registry import VERBS as ADDED
 from cosim.base.registry import ExtensionWarning, Verb, added_verbs, names
-from cosim.verbs import messages
+from cosim.verbs import messages as messages
 
 if TYPE_CHECKING:  # signatures of the functions, for type checkers
     from cosim.authoring.export import export_ssp as export_ssp
@@ -74,6 +74,10 @@ def verbs(only: str = "") -> Iterator[tuple[str, Verb]]:
     yield from [(only, VERBS[only])] if only else VERBS.items()
     for name in names(ADDED):
         if name in VERBS:
-            warnings.warn(messages.VERB_EXISTS(name=name), ExtensionWarning, stacklevel=2)
+            warnings.warn(
+                f"{name}: an installed package registers a verb that cosim has; it is ignored",
+                ExtensionWarning,
+                stacklevel=2,
+            )
     if not only:
         yield from ((name, verb) for name, verb in added_verbs() if name not in VERBS)

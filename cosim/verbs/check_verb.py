@@ -24,13 +24,12 @@ from cosim.base.errors import (
     Terminated,
     refuse,
 )
-from cosim.base.messages import code_of, with_prefix
+from cosim.base.messages import Note, code_of, with_prefix
 from cosim.base.program import STOPPED
 from cosim.base.registry import resolve
 from cosim.base.settings import Files, ModelName
 from cosim.storage.artefact import Checking, kind_by_keys, of_kind
 from cosim.storage.files import FilePath
-from cosim.verbs import messages
 from cosim.verbs.options import Compile, Json, Texts
 from cosim.verbs.terminal import say, say_json
 
@@ -71,7 +70,10 @@ def check(
     lines: list[str] = []
     with compiling(compile):
         if permission.get() and not load:
-            raise InputError.at(Path("--compile"), messages.COMPILE_WITHOUT_LOAD())
+            raise InputError.at(
+                Path("--compile"),
+                "is to load FMUs, which --no-load (in Python load=False) forbids; leave one of them out",
+            )
         with Worker(*MODULES) if load else nullcontext() as worker:
             checking = Checking(model, dict(columns or {}), worker)
             for path in map(Path, [files] if isinstance(files, (str, os.PathLike)) else files):
@@ -94,7 +96,11 @@ def _check_isolated(path: Path, checking: Checking) -> list[str]:
             return _check(path, checking)
         except NotExecuted as code:
             if worker is None:
-                return [messages.NOT_EXECUTED(code=str(code)).after("warning: ")]
+                return [
+                    f"{code!s} (--no-load); that file and everything that depends on it are not checked".after(
+                        "warning: "
+                    )
+                ]
         except InputError:
             if worker is None or not skipped:  # else there may be more faults
                 raise
@@ -120,7 +126,7 @@ def _check(path: Path, checking: Checking) -> list[str]:
         kind = kind_by_keys(root) or (kinds.STUDY if is_study else kinds.SCENARIO)
     declared = of_kind(kind)
     if declared is None or not declared.check:
-        raise InputError.at(path, messages.NOTHING_TO_CHECK(kind=kind, cure=kinds.next_step(kind, path)))
+        raise InputError.at(path, f"is {kind}, in which there is nothing to check: {kinds.next_step(kind, path)}")
     notes: list[str] = resolve(declared.check)(path, checking)
     return notes
 
@@ -134,7 +140,7 @@ def _shortened(lines: Sequence[str]) -> Iterator[str]:
         if not code or shown[code] <= MOST_ALIKE:
             yield line
         elif shown[code] == MOST_ALIKE + 1:
-            yield messages.ALIKE_FINDINGS(count=total[code] - MOST_ALIKE)
+            yield Note(f"… and {total[code] - MOST_ALIKE} more like the last one; --json lists all of them")
 
 
 def command(
@@ -173,7 +179,7 @@ def command(
     except OSError as error:
         if not is_full(error):
             raise
-        raise FmuError(messages.NO_SPACE_TO_LOAD()) from None
+        raise FmuError("the disk is full, so that no FMU can be tried; --no-load checks without") from None
     say(*(lines if as_json else _shortened(lines)))
     say(f"no fault in {', '.join(map(str, files))}")
     if as_json:

@@ -20,7 +20,7 @@ from cosim.base.program import as_program
 from cosim.base.registry import ExtensionWarning, attempt
 from cosim.base.version import __version__
 from cosim.storage.files import check_text
-from cosim.verbs import VERBS, messages, verbs
+from cosim.verbs import VERBS, verbs
 from cosim.verbs.help import WHOLE_WIDTH, GroupedHelp, VerbHelp
 from cosim.verbs.manner import with_manner
 from cosim.verbs.outcome import say_partial
@@ -113,11 +113,13 @@ def _run() -> None:
     except Terminated as end:
         _fail(str(end), end.exit_code)
     except MemoryError:
-        _fail(messages.NO_MEMORY(), SimulationError.exit_code)
+        _fail(
+            "there is not enough memory; run shorter, in longer steps or with less recorded", SimulationError.exit_code
+        )
     except OSError as error:  # a folder that cannot be written, a disk that is full
         _fail_on_file(error)
     except typer.Abort:
-        _fail(messages.NO_ANSWER(), CosimError.exit_code)
+        _fail("the input ended at a prompt; run it on a terminal", CosimError.exit_code)
     except Exception as error:
         if not hasattr(error, "format_message"):  # Typer has classes of its own or those of click, by its version.
             raise
@@ -128,8 +130,8 @@ def _fail_on_file(error: OSError) -> NoReturn:
     """Print which file cannot be read or written and why, and exit."""
     file = f"{error.filename}: " if error.filename else ""
     if is_full(error):
-        _fail(messages.DISK_FULL(file=file), SimulationError.exit_code)
-    _fail(messages.FILE_ERROR(file=file, reason=error.strerror or error), 2)
+        _fail(f"{file}the disk is full", SimulationError.exit_code)
+    _fail(f"{file}{error.strerror or error}", 2)
 
 
 def _fail(message: str, exit_code: int) -> NoReturn:

@@ -15,7 +15,6 @@ from cosim.base.program import ending_when_stuck
 from cosim.base.settings import Files
 from cosim.storage.files import FilePath
 from cosim.storage.folders import folder_of_file
-from cosim.verbs import messages
 from cosim.verbs.live_option import Live, Port, live_page
 from cosim.verbs.options import Force, InProcess, Json, LimitsText, Open, Report, out_option
 from cosim.verbs.terminal import files_in, say, say_json, show, stages, table, warn
@@ -67,7 +66,13 @@ def refine(
 
     if isinstance(study, (str, PathLike)):
         if logs or validation or settings:
-            raise InputError.at(Path(study), messages.KEYS_OF_STUDY())
+            raise InputError.at(
+                Path(study),
+                (
+                    "logs, validation and settings stand in the file; write them into the study, or give an object "
+                    "in its place"
+                ),
+            )
         source: Any = study
     else:
         source = study_of(study, logs, validation, **(settings or {}))

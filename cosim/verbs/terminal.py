@@ -16,7 +16,6 @@ from typing import Any
 
 from cosim.base.errors import CosimError, InputError, SimulationError
 from cosim.base.messages import code_of, printable, with_severity
-from cosim.verbs import messages
 from cosim.verbs.streams import Coloured, echo
 
 LONG_RUN, LONG_TIME = 2000, 2.0  # steps, or time [s], from which a progress bar is shown
@@ -116,7 +115,7 @@ def say_usage(error: Any) -> int:
     """Print a faulty command line, also as JSON if it has --json; return the exit code."""
     options = {*sys.argv[1:]}
     MANNER.verbose = not options.isdisjoint({"-v", "--verbose"})
-    message = messages.WRONG_USAGE(reason=error.format_message())
+    message = f"{error.format_message()}"
     error.format_message = lambda: printable(_with_code(message, message.code))
     error.show()
     if "--json" in options:
@@ -167,7 +166,7 @@ def some(names: Sequence[str], most: int) -> str:
 def show(report: Path, *, open_: bool) -> None:
     """Open a report in the browser on request."""
     if open_ and not webbrowser.open(report.resolve().as_uri()):
-        warn(messages.NO_BROWSER(page=report))
+        warn(f"no browser is found here; open {report}")
 
 
 def files_in(folder: Path, *names: str) -> dict[str, str]:

@@ -11,7 +11,6 @@ from types import MappingProxyType
 from typing import Any
 
 from cosim.base.errors import InputError
-from cosim.viewing import messages
 from cosim.viewing.derived_signals import Formula
 from cosim.viewing.pyramid import TIME
 from cosim.viewing.viewed_runs import ViewedRun
@@ -44,7 +43,7 @@ class Derivations:
         made = next(iter(of.values()))[0], name
         run = self._runs[made[0]]
         if name in run.rows.units or name in run.rows.texts or name == TIME:
-            raise InputError.at(Path("name"), messages.NAME_TAKEN(name=name))
+            raise InputError.at(Path("name"), f"{name} is a signal of the run; give another name")
         with self._lock:
             try:
                 self._ordered({made: Definition(formula, of)})
@@ -52,7 +51,9 @@ class Derivations:
                 cycle: list[Signal] = error.args[1][:0:-1]  # each is derived from the next, and the last from the first
                 place = cycle.index(made)
                 chain = " ← ".join(signal for _, signal in (*cycle[place:], *cycle[:place], made))
-                raise InputError.at(Path("name"), messages.OWN_SIGNAL(name=name, way=chain)) from None
+                raise InputError.at(
+                    Path("name"), f"{name} would be derived from itself: {chain}; give another name"
+                ) from None
             changed = {made: Definition(formula, of)}
             changed |= {signal: self._definitions[signal] for signal in self._dependents(made)}
             before = {signal: self._definitions[signal] for signal in changed if signal in self._definitions}
@@ -72,9 +73,9 @@ class Derivations:
         signal = number, name
         with self._lock:
             if signal not in self._definitions:
-                raise InputError.at(Path("name"), messages.NOT_DERIVED(name=name))
+                raise InputError.at(Path("name"), f"{name} is no derived signal")
             if others := [other for _, other in self._dependents(signal)]:
-                raise InputError.at(Path("name"), messages.NEEDED(name=name, others=", ".join(others)))
+                raise InputError.at(Path("name"), f"{', '.join(others)} is derived from {name}; remove that first")
             del self._definitions[signal], self._notes[signal]
             self._runs[number].rows.remove(name)
 

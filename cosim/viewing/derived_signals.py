@@ -12,10 +12,10 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
-from cosim.base.messages import Message
+from cosim.base.messages import Message, Note
 from cosim.base.text import counted
 from cosim.base.units import parse
-from cosim.viewing import formula_units, messages
+from cosim.viewing import formula_units
 from cosim.viewing.formula_units import Quantity
 from cosim.viewing.pyramid import TIME, Recording
 
@@ -120,9 +120,11 @@ class Formula:
         formula_units.check_result(result)
         values = np.broadcast_to(np.asarray(result.values, dtype=np.float64), self._time.shape).copy()
         if self._unknown and not result.unit:
-            self.notes.append(messages.UNKNOWN_UNITS(name=self._name, units=" or ".join(self._unknown)))
+            self.notes.append(
+                Note(f"{self._name}: {' or '.join(self._unknown)} is no known unit, so that the result has none")
+            )
         if not np.isfinite(values).any():
-            self.notes.append(messages.NO_VALUE(name=self._name))
+            self.notes.append(Note(f"{self._name} has no value in any row"))
         return values, result.unit
 
     def _value(self, node: ast.AST, depth: int) -> Quantity:
@@ -185,14 +187,19 @@ class Formula:
         wide = np.flatnonzero(np.diff(good) > 1)
         if wide.size:
             longest = float(np.max(self._time[good[wide + 1]] - self._time[good[wide]]))
-            self.notes.append(messages.GAPS(name=self._name, count=counted(wide.size, "gap"), longest=longest))
+            self.notes.append(
+                Note(
+                    f"{self._name}: {counted(wide.size, 'gap')} without values, at most {longest:.3g} s, are bridged "
+                    "by straight lines"
+                )
+            )
 
     def _signal(self, letter: str) -> Quantity:
         if letter == "t":
             return Quantity(self._time, "s", letter)
         if letter not in self._signals:
             names = ", ".join([*self._signals, "t"])
-            raise InputError.at(Path("formula"), messages.UNKNOWN_NAME(name=letter, names=names))
+            raise InputError.at(Path("formula"), f"{letter} stands for no signal; use {names}")
         rows, name = self._signals[letter]
         unit, values = {**rows.units, **rows.added}.get(name, ""), rows.read(name)
         if rows is not self._rows:
@@ -203,7 +210,7 @@ class Formula:
 
     def _refuse(self, reason: str) -> NoReturn:
         functions = ", ".join(FUNCTIONS)
-        message = messages.WRONG_FORMULA(text=self._text[:LONGEST], reason=reason, functions=functions)
+        message = f"{self._text[:LONGEST]}: {reason}; use + - * / **, numbers, the letters of signals and {functions}"
         raise InputError.at(Path("formula"), message)
 
 

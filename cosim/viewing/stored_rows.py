@@ -26,7 +26,7 @@ from cosim.base.arrays import Array
 from cosim.base.drafts import is_full
 from cosim.base.errors import InputError
 from cosim.base.extras import install_command, optional
-from cosim.base.messages import printable
+from cosim.base.messages import Note, printable
 from cosim.base.scratch import process_folder
 from cosim.base.units import factor
 from cosim.storage.cache import cache_folder, load_or_make
@@ -37,7 +37,6 @@ from cosim.storage.parquet_source import PARQUET, UNIT
 from cosim.storage.results import INTEGER, Results, is_rounded, read_results
 from cosim.storage.table_columns import is_time, split_heading
 from cosim.storage.table_source import source_of
-from cosim.viewing import messages
 from cosim.viewing.pyramid import (
     FACTOR,
     TIME,
@@ -200,7 +199,16 @@ def notes_on(path: Path) -> list[str]:
     """Return notes on rows that are converted each time."""
     if path.stat().st_size <= SMALL:
         return []
-    return [] if _has_pyarrow() else [messages.SLOW_ROWS(file=path, command=install_command("parquet"))]
+    return (
+        []
+        if _has_pyarrow()
+        else [
+            Note(
+                f"{path} is read as a whole each time, because pyarrow is not installed; install it with "
+                f"{install_command('parquet')}"
+            )
+        ]
+    )
 
 
 def _key(path: Path, status: os.stat_result, columns: ColumnTypes, ended: bool) -> str:
@@ -227,7 +235,7 @@ def _has_pyarrow() -> bool:
 
 def _in_memory(results: Results, path: Path) -> Recording:
     if not results.time.size:
-        raise InputError.at(path, messages.NO_ROW())
+        raise InputError.at(path, "has no row yet; wait for the end of the run, or run it again")
     shown = results.with_integers()
     columns = {TIME: shown.time, **{printable(name): shown[name] for name in shown.columns}}
     units = {printable(name): printable(shown.units.get(name, "")) for name in shown.columns}
@@ -267,8 +275,8 @@ def _convert(
                 raise
             results = columns.read(path, ended=ended)  # which tells each fault by its place
             if not results.time.size:
-                raise InputError.at(path, messages.NO_ROW()) from None
-            raise InputError.at(path, messages.UNREADABLE(reason=str(error).partition("\n")[0])) from None
+                raise InputError.at(path, "has no row yet; wait for the end of the run, or run it again") from None
+            raise InputError.at(path, "cannot be read: {reason}".format(reason=str(error).partition("\n")[0])) from None
         (draft / ABOUT).write_text(json.dumps(about), encoding="utf-8")
         if _state(path.stat()) != _state(status):  # no longer the content of its key
             place = process_folder() / FOLDER / place.name

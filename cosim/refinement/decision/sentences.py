@@ -14,7 +14,6 @@ from cosim.base.messages import Message
 from cosim.base.text import MOST_NAMED, amount, append_unit, counted, finer, join_names, percent, plain, size, written
 from cosim.loading.refined import NEAREST
 from cosim.logs.channel_noise import NORMAL_95
-from cosim.refinement import messages
 from cosim.refinement.decision.claims import Claims, Doubt, Improvement, MovedParameter, Nearest, NotExcluded
 from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.refinement.search.shapes import Shape
@@ -393,7 +392,10 @@ def floor_warning(part: str, channels: Mapping[str, tuple[float, float]], units:
             f"{name} {append_unit(plain(error * factor), unit)} under {append_unit(plain(floor * factor), unit)}"
         )
     logs = "sealed" if part == "validation" else "estimation"
-    return messages.FLOOR_ABOVE_ERROR(logs=logs, pairs=", ".join(pairs))
+    return (
+        f"on the {logs} logs the error is below its noise floor ({', '.join(pairs)}). These logs hold less noise "
+        "and disturbance than was estimated, so the floor does not apply to them"
+    )
 
 
 def nearest_text(

@@ -11,7 +11,6 @@ import numpy as np
 from cosim.base.messages import Message
 from cosim.base.text import percent
 from cosim.logs.log import Log
-from cosim.refinement import messages
 from cosim.refinement.decision.claims import Claims, Improvement, baseline_of
 from cosim.refinement.proof.measure import PARTS, Evidence, rmse
 from cosim.residuals.residual_statistics import remaining_excess
@@ -44,7 +43,11 @@ def repeated_motion(sealed: Sequence[Log], logs: Sequence[Log]) -> Iterator[Mess
     for log in sealed:
         for other in logs:
             if (share := _difference(log, other)) < SAME:
-                yield messages.REPEATED_MOTION(sealed=log.path.name, log=other.path.name, share=percent(share))
+                yield (
+                    f"{log.path.name} repeats the motion of {other.path.name}: their outputs differ by "
+                    f"{percent(share)} of their spread, so that it shows how the refined model predicts this "
+                    "motion again, not how it predicts another one"
+                )
                 break
 
 
