@@ -281,7 +281,7 @@ def _no_fit(fmus: Sequence[Path], inputs: Sequence[Port], outputs: Sequence[Port
             "and number of elements; a scenario may connect elements of an array one by one, as {element}"
         ).format(**fields, element=element)
         if element
-        else "{fmus} cannot be connected: no output ({outputs}) fits an input of another ({inputs}) by type and unit".format(
-            **fields
-        )
+        else (
+            "{fmus} cannot be connected: no output ({outputs}) fits an input of another ({inputs}) by type and unit"
+        ).format(**fields)
     )

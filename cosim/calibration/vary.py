@@ -204,8 +204,8 @@ def _checked(parameter: Parameter) -> Parameter:
     if not parameter.low <= parameter.start <= parameter.high:
         ends = {"low": parameter.low, "high": parameter.high}
         raise ValueError(
-            "{name} starts at {value:g}, outside {low:g} to {high:g}; give another value as --start {name}=VALUE".format(
-                name=parameter.name, value=parameter.start, **ends
-            )
+            (
+                "{name} starts at {value:g}, outside {low:g} to {high:g}; give another value as --start {name}=VALUE"
+            ).format(name=parameter.name, value=parameter.start, **ends)
         )
     return parameter

@@ -110,8 +110,8 @@ def cell_warnings(problem: Problem, subject: Subject) -> tuple[Message, ...]:
     return (
         (
             (
-                f"the readings repeat a few values: {join_names(cells)}. The noise of such a sensor is at least its cell "
-                "over √12; this is read off the logs, and no candidate"
+                f"the readings repeat a few values: {join_names(cells)}. The noise of such a sensor is at least its "
+                "cell over √12; this is read off the logs, and no candidate"
             ),
         )
         if cells

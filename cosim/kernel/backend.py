@@ -58,7 +58,8 @@ def kernel(
                 [
                     Fault(
                         *place,
-                        f"this line works on numbers only, and refine replaces numbers by symbols to compile it: {error}",
+                        "this line works on numbers only, and refine replaces numbers by symbols to compile "
+                        f"it: {error}",
                     )
                 ]
             ) from error

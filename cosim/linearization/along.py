@@ -102,9 +102,9 @@ class Along:
             )
         raise InputError.at(
             AT,
-            "no component of {scenario} has the inputs and outputs of {model} ({missing}); name another scenario".format(
-                scenario=self._moment.scenario, **fields
-            ),
+            (
+                "no component of {scenario} has the inputs and outputs of {model} ({missing}); name another scenario"
+            ).format(scenario=self._moment.scenario, **fields),
         )
 
     def _columns(self, names: Sequence[str]) -> Array:

@@ -251,8 +251,8 @@ def _check_smooth(linear: Sequence[Linear], selection: Selection) -> None:
             0,
             0,
             (
-                f"{kink.description}; there is no derivative: choose --side below or --side above, or give a point next "
-                "to it"
+                f"{kink.description}; there is no derivative: choose --side below or --side above, or give a point "
+                "next to it"
             ),
         )
         for kink in kinks

@@ -225,8 +225,8 @@ def _refuse_study(yaml: YamlFile) -> None:
                 yaml.fault(
                     ("logs",),
                     (
-                        f"this is a study, not a model: give its model, {model}, or, to `cosim excite`, the folder that "
-                        "`cosim refine` left"
+                        f"this is a study, not a model: give its model, {model}, or, to `cosim excite`, the folder "
+                        "that `cosim refine` left"
                     ),
                     key=True,
                 )

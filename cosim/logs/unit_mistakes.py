@@ -49,9 +49,9 @@ def _beyond_bound(log: Log, name: str, size: float, bound: float) -> Finding:
             'column "{name} [{unit}]"'
         ).format(**sizes, unit=other, name=name)
         if other
-        else "reaches {size}, far beyond the {reference} that the model allows: is it scaled, or in another unit?".format(
-            **sizes
-        )
+        else (
+            "reaches {size}, far beyond the {reference} that the model allows: is it scaled, or in another unit?"
+        ).format(**sizes)
     )
     return Finding("fault", "unit", name, text, {"ratio": size / bound})
 

@@ -239,8 +239,8 @@ def read_study(path: Path, limits: str = "") -> Study:
             yaml.fault(
                 ("delivery",),
                 (
-                    f"delivery: ssp is for an FMU, and {content.model} is none; cosim export-ssp writes a scenario of it "
-                    "as an SSP"
+                    f"delivery: ssp is for an FMU, and {content.model} is none; cosim export-ssp writes a scenario of "
+                    "it as an SSP"
                 ),
                 key=True,
             )

@@ -125,8 +125,8 @@ class ScenarioFile:
                 self.fault(
                     ("step",),
                     (
-                        f"step is {s.step:g} s, which makes {count:.3g} steps, and a run may have {MOST_STEPS:g}; give a "
-                        "longer step or a shorter duration"
+                        f"step is {s.step:g} s, which makes {count:.3g} steps, and a run may have {MOST_STEPS:g}; give "
+                        "a longer step or a shorter duration"
                     ),
                 )
             ]
@@ -181,8 +181,8 @@ class ScenarioFile:
                 self.fault(
                     ("step", "bonds"),
                     (
-                        f"bonds belong to estimator: energy, which this is not ({control.estimator}); leave one of them "
-                        "out"
+                        f"bonds belong to estimator: energy, which this is not ({control.estimator}); leave one of "
+                        "them out"
                     ),
                 )
             )

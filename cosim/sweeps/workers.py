@@ -224,7 +224,8 @@ def dask_client(address: str | None, place: Callable[[str], Fault]) -> Iterator[
         raise InputError(
             [
                 place(
-                    f"no dask scheduler answers at {address} within {ANSWER} s ({reason}); start one by `dask scheduler`"
+                    f"no dask scheduler answers at {address} within {ANSWER} s ({reason}); start one by "
+                    "`dask scheduler`"
                 )
             ]
         ) from None
