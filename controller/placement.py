@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from controller.design_model import STATES, Matrix, ModelNumbers, design_model
-from cosim.base.messages import Message, join
 
 # Section 6.2 prints no poles. Forward: those of the LQR (-10.68, -3.39, -1.56), the slow ones moved slightly left;
 # turn: its pair (-4.26 ± 0.77j) made real. -4 occurs in both axes, but only once in each.
@@ -35,7 +34,7 @@ def placed_gain(p: ModelNumbers, poles: Sequence[complex] = POLES) -> Matrix:
     check_controllable(A, B)
     numbers = [complex(pole) for pole in poles]
     if faults := pole_faults(numbers):
-        raise ValueError(f"the poles cannot be placed: {join('; ', (reason for _, reason in faults))}")
+        raise ValueError(f"the poles cannot be placed: {'; '.join((reason for _, reason in faults))}")
     K = np.zeros((2, 5))
     for states, own, signs in zip((FORWARD, TURN), (numbers[:3], numbers[3:]), SIGNS, strict=True):
         axis = np.ix_(states, states)
@@ -62,13 +61,13 @@ def check_controllable(A: Matrix, B: Matrix, names: Sequence[str] = STATES) -> N
             )
 
 
-def pole_faults(poles: Sequence[complex]) -> list[tuple[int, Message]]:
+def pole_faults(poles: Sequence[complex]) -> list[tuple[int, str]]:
     """Return index and fault of each invalid pole."""
     of_axes = ("forward", 0, poles[:3]), ("turning", 3, poles[3:])
     return [(first + k, reason) for axis, first, of in of_axes for k, reason in _faults(axis, of)]
 
 
-def _faults(axis: str, poles: Sequence[complex]) -> Iterator[tuple[int, Message]]:
+def _faults(axis: str, poles: Sequence[complex]) -> Iterator[tuple[int, str]]:
     for k, a in enumerate(poles):
         pole = format_pole(a)
         if a.real >= 0.0:

@@ -76,6 +76,18 @@ class Message(str):
         return Message(f"{prefix}{self}", self.code, self.fields)
 
 
+class Note(str):
+    """A message that is no warning; -q omits it."""
+
+
+class CheckWarning(str):
+    """A warning about loops, processes or hidden code, which `cosim check` shows."""
+
+
+class CheckNote(CheckWarning, Note):
+    """A note of this kind."""
+
+
 @dataclass(frozen=True)
 class Template:
     """A message with fields in braces, as for `str.format`."""
@@ -101,8 +113,8 @@ def code_of(text: object) -> str:
 
 
 def with_severity(text: str) -> str:
-    """Return a warning or a note with its severity in front, by its code; without code it is a warning."""
-    return with_prefix("note: " if code_of(text).startswith("N-") else "warning: ", text)
+    """Return a warning or a note with its severity in front."""
+    return f"{'note' if isinstance(text, Note) else 'warning'}: {text}"
 
 
 def join(separator: str, texts: Iterable[str]) -> Message:
@@ -113,16 +125,10 @@ def join(separator: str, texts: Iterable[str]) -> Message:
 
 
 def with_prefix(prefix: str, text: str) -> str:
-    """Return a text behind a prefix; a message keeps its code."""
-    return text.after(prefix) if isinstance(text, Message) else f"{prefix}{text}"
+    """Return a text behind a prefix; a note or warning keeps its kind."""
+    if isinstance(text, Message):
+        return text.after(prefix)
+    return type(text)(f"{prefix}{text}")
 
 
 # -- messages of this room ------------------------------------------------------------------------
-UNKNOWN_UNIT_TAKEN = Template(
-    "W-BAS-021", 'has no unit in {owner}, and "{unit}" is no unit known here: its numbers are taken as they are'
-)
-AMBIGUOUS_UNIT_TAKEN = Template(
-    "W-BAS-022",
-    'has no unit in {owner}, and "{unit}" may be gram or standard gravity: its numbers are taken as they are;'
-    " write kg, or m/s2",
-)

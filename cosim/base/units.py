@@ -10,8 +10,11 @@ from types import MappingProxyType
 from typing import NamedTuple
 from xml.etree.ElementTree import Element, SubElement
 
-from cosim.base import messages
-from cosim.base.messages import Message
+UNKNOWN_UNIT_TAKEN = 'has no unit in {owner}, and "{unit}" is no unit known here: its numbers are taken as they are'
+AMBIGUOUS_UNIT_TAKEN = (
+    'has no unit in {owner}, and "{unit}" may be gram or standard gravity: its numbers are taken as they are; '
+    "write kg, or m/s2"
+)
 
 SI = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 
@@ -234,7 +237,7 @@ class UnitAssumption(NamedTuple):
 
     unit: str
     factor: float = 1.0
-    sentence: Message = Message("")
+    sentence: str = ""
     offset: float = 0.0
 
 
@@ -249,8 +252,8 @@ def assume_si(written: str, of: str = "the model", cure: str = "leave the unit o
     """
     unit = parse(written)
     if unit is None or written == "g":
-        template = messages.UNKNOWN_UNIT_TAKEN if unit is None else messages.AMBIGUOUS_UNIT_TAKEN
-        return UnitAssumption(written, 1.0, template(owner=of, unit=written))
+        template = UNKNOWN_UNIT_TAKEN if unit is None else AMBIGUOUS_UNIT_TAKEN
+        return UnitAssumption(written, 1.0, template.format(owner=of, unit=written))
     if unit.is_coherent:
         return UnitAssumption(written)
     wanted = coherent(written)

@@ -86,11 +86,10 @@ def read_clocks(path: Path, description: Any) -> dict[str, Clock]:
             numbers = {key: _number(path, name, key, attributes[key]) for key in NUMBERS & attributes.keys()}
             clocks[name] = clock = _clock(variables[name], attributes.get("intervalVariability", "triggered"), numbers)
             if clock.interval is not None and not clock.interval > 0.0:
-                reason = (
-                    f"its interval is {clock.interval:g} s; a periodic clock needs one above 0, another clock "
-                    "one of 0 or more"
-                ).after(f"clock {name}: ")
-                raise FmuError(f"{path} is not a valid FMU: {reason}")
+                raise FmuError(
+                    f"{path} is not a valid FMU: clock {name}: its interval is {clock.interval:g} s; a periodic clock "
+                    "needs one above 0, another clock one of 0 or more"
+                )
     return clocks
 
 

@@ -12,11 +12,20 @@ from weakref import WeakKeyDictionary
 from xml.etree import ElementTree
 
 from cosim.base.errors import FmuError
-from cosim.base.messages import Message
 from cosim.base.units import SI
-from cosim.blocks import messages
 from cosim.blocks.guard import check_fmu_file, check_identifiers, check_numbers, reason_of
 from cosim.storage.archive import DESCRIPTION
+
+SOURCES_WITH_LIBRARIES = (
+    "it has no library for {platform}; it has some for {others}; it has sources: --compile (in Python "
+    "compile=True) compiles and runs them"
+)
+SOURCES_ONLY = (
+    "it has no library for {platform} or another platform; it has sources: --compile (in Python compile=True) "
+    "compiles and runs them"
+)
+OTHER_PLATFORMS = "it has no library for {platform}; it has some for {others}"
+NO_LIBRARY = "it has no library for {platform} or another platform"
 
 Way = Literal["co-simulation", "model-exchange", "scheduled-execution"]
 PLATFORMS, SOURCES = "binaries/", "sources/"
@@ -139,14 +148,14 @@ def platforms_among(names: Sequence[str]) -> list[str]:
     return [*sorted(platforms), *([C_CODE] if sources else [])]
 
 
-def no_library(here: str, platforms: Sequence[str]) -> Message:
+def no_library(here: str, platforms: Sequence[str]) -> str:
     """Return a message on a missing library, with remedy."""
     others = ", ".join(p for p in platforms if p != C_CODE)
     if C_CODE in platforms:
-        text = messages.SOURCES_WITH_LIBRARIES if others else messages.SOURCES_ONLY
+        text = SOURCES_WITH_LIBRARIES if others else SOURCES_ONLY
     else:
-        text = messages.OTHER_PLATFORMS if others else messages.NO_LIBRARY
-    return text(platform=here, others=others)
+        text = OTHER_PLATFORMS if others else NO_LIBRARY
+    return text.format(platform=here, others=others)
 
 
 def library_file(folder: Path, description: Any, identifier: str) -> Path:

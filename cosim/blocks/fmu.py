@@ -199,7 +199,7 @@ class FmuBlock:
             warnings.append(
                 f"variables of type {', '.join(sorted(types))} are not supported: they are neither set nor recorded"
             )
-        return tuple(warning.after(f"{self.name}: ") for warning in warnings)
+        return tuple(f"{self.name}: {warning}" for warning in warnings)
 
     @property
     def calls(self) -> Calls:

@@ -10,7 +10,6 @@ from typing import Any
 
 from cosim.base.errors import FmuError
 from cosim.base.units import SI
-from cosim.blocks import messages
 from cosim.storage.archive import BadArchive, check_archive, check_identifier
 
 # form of pythonfmu's exceptions
@@ -56,8 +55,9 @@ def check_numbers(path: Path, description: Any) -> None:
         try:
             int(value) if is_whole else float(value)
         except (TypeError, ValueError):
-            fault = messages.INVALID_WHOLE_NUMBER if is_whole else messages.INVALID_NUMBER
-            raise FmuError(fault(file=path, place=place, value=str(value)[:60])) from None
+            kind = "whole number" if is_whole else "number"
+            message = f'{path} is not a valid FMU: {place} is "{str(value)[:60]}", which is no {kind}'
+            raise FmuError(message) from None
 
 
 def _numbers(description: Any) -> Iterator[tuple[bool, str, Any]]:

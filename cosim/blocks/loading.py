@@ -13,8 +13,6 @@ import sys
 import tempfile
 from pathlib import Path
 
-from cosim.base.messages import Message
-
 ELF, POINTER_OF_LFS = b"\x7fELF", b"version https://git-lfs"
 OTHER_SYSTEMS = {
     b"MZ": "Windows",
@@ -29,7 +27,7 @@ SYMBOL = re.compile(r"undefined symbol: (?P<name>[^\s,]+)")
 MAKERS = {"GLIBC": "glibc", "GLIBCXX": "libstdc++", "CXXABI": "libstdc++", "GCC": "libgcc"}
 
 
-def load_error(library: Path, error: Exception, *, hidden: bool = False) -> Message:
+def load_error(library: Path, error: Exception, *, hidden: bool = False) -> str:
     """Return the reason in a line, with the remedy, unless libraries that the process hides are a reason."""
     text = " ".join(str(error).split())
     text = text.removeprefix(f"Failed to load shared library {library}. ")  # FMPy's prefix
@@ -37,7 +35,7 @@ def load_error(library: Path, error: Exception, *, hidden: bool = False) -> Mess
     return header_fault(library) or _loader_fault(library.name, text, error, hidden)
 
 
-def header_fault(library: Path) -> Message | None:
+def header_fault(library: Path) -> str | None:
     """Return a library file's misfit with this machine.
 
     Only Linux files are examined; on other systems the loader's own text is clear.
@@ -83,7 +81,7 @@ def header_fault(library: Path) -> Message | None:
     return None
 
 
-def _loader_fault(name: str, text: str, error: Exception, hidden: bool) -> Message:
+def _loader_fault(name: str, text: str, error: Exception, hidden: bool) -> str:
     """Return the message for a text of the loader, with the remedy of a known cause."""
     if hidden and not isinstance(error, AttributeError) and (TOO_NEW.search(text) or SYMBOL.search(text)):
         return f"its library {name}: {text}"

@@ -20,7 +20,7 @@ from pathlib import Path, PurePosixPath
 from zlib import crc32
 
 from cosim.base.errors import FmuError
-from cosim.base.messages import Message, Note
+from cosim.base.messages import CheckNote, CheckWarning
 from cosim.blocks.elf import ElfLibrary, read_elf
 from cosim.storage.archive import DAMAGES, DESCRIPTION
 
@@ -146,7 +146,7 @@ def _modules(files: Iterable[tuple[str, str]]) -> dict[str, str]:
 _loaded: dict[Path, Code] = {}  # FMUs of this process, also those that are freed: modules and some libraries stay
 
 
-def claim(path: Path) -> list[Message]:
+def claim(path: Path) -> list[str]:
     """Note that this process loads an FMU; return warnings of modules and libraries that it has from elsewhere.
 
     Raises:
@@ -178,7 +178,7 @@ def claim(path: Path) -> list[Message]:
                 f"{path.name} brings {name}, but its process has already loaded another one, {file}, which the "
                 "FMU therefore uses; rename the FMU's library, or link it statically"
             )
-    return warnings
+    return [*map(CheckWarning, warnings)]
 
 
 def _libraries_of_process() -> list[str]:
@@ -200,7 +200,7 @@ def _soname_and_digest(file: str) -> tuple[str, str]:
     return read_elf(content, symbols=False).soname or Path(file).name, f"{crc32(content):08x}-{len(content)}"
 
 
-def separate(fmus: Iterable[tuple[str, Path]], apart: Iterable[str]) -> tuple[set[str], list[Message]]:
+def separate(fmus: Iterable[tuple[str, Path]], apart: Iterable[str]) -> tuple[set[str], list[str]]:
     """Return the components that need processes of their own, with a note for each.
 
     Args:
@@ -208,7 +208,7 @@ def separate(fmus: Iterable[tuple[str, Path]], apart: Iterable[str]) -> tuple[se
         apart: Components that have processes of their own.
     """
     shared: dict[Path, tuple[str, Code]] = {}
-    names, notes = set[str](), list[Message]()
+    names, notes = set[str](), list[str]()
     for name, path in fmus:
         if name in apart or path in shared:
             continue
@@ -217,7 +217,7 @@ def separate(fmus: Iterable[tuple[str, Path]], apart: Iterable[str]) -> tuple[se
         other, what = next((clash for clash in clashes if clash[1]), ("", ""))
         if what:
             names.add(name)
-            notes.append(Note(f"{name} runs in a process of its own: its {what} differs from that of {other}"))
+            notes.append(CheckNote(f"{name} runs in a process of its own: its {what} differs from that of {other}"))
         else:
             shared[path] = name, code
     return names, notes

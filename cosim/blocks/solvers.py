@@ -11,7 +11,6 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Literal
 
-from cosim.base.messages import Message
 from cosim.fmi.native.compiler import CompilerFailed, NoCompiler, load_library
 
 NO_STEP_WITHIN_TOLERANCE = (
@@ -314,7 +313,7 @@ def _silence(integrator: Any) -> None:
             getattr(sundials_core, name)(logger, os.devnull.encode())
 
 
-def _failure(report: tuple[int, str, str, str] | None, max_steps: int = MAX_STEPS) -> Message:
+def _failure(report: tuple[int, str, str, str] | None, max_steps: int = MAX_STEPS) -> str:
     """Return CVODE's reason without source locations."""
     if report is None:
         return "CVODE failed"

@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from cosim.base.errors import SimulationError
+from cosim.base.errors import NotFinite, SimulationError
 from cosim.blocks.component import PUT, Row
 from cosim.blocks.fmi_types import Exchange, as_bytes, element_names, elements, input_aliases, named_bytes, negative
 from cosim.blocks.instance import Instance
@@ -242,7 +242,7 @@ class Values:
         for name, value in zip(self._finite if names is None else names, values, strict=True):
             if not math.isfinite(value):
                 component = f"{self.instance.name}.{name}"
-                raise SimulationError(
+                raise NotFinite(
                     component,
                     self.instance.time,
                     (

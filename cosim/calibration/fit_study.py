@@ -120,10 +120,8 @@ def read_fit_study(path: FilePath, *, vary: Sequence[str] = (), start: Sequence[
             [
                 yaml.fault(
                     ("model",),
-                    (
-                        f"{content.model} is no FMU, and `cosim fit` needs one; `cosim refine` estimates the parameters of "
-                        "a model file"
-                    ),
+                    f"{content.model} is no FMU, and `cosim fit` needs one; `cosim refine` estimates the parameters "
+                    "of a model file",
                 )
             ]
         )

@@ -13,7 +13,7 @@ import numpy as np
 
 from cosim.base.drafts import draft_of
 from cosim.base.errors import FmuError, SimulationError
-from cosim.base.messages import Message, Note, code_of
+from cosim.base.messages import Note
 from cosim.residuals.drive import Drive
 from cosim.storage.archive import DESCRIPTION, description_of
 
@@ -85,7 +85,7 @@ def write_copy(fmu: Path, values: Mapping[str, float], path: Path) -> None:
 
 def why_no_copy(
     drive: Drive, values: Mapping[str, float], start: Mapping[str, float], path: Path, load: Loader
-) -> Message | None:
+) -> str | None:
     """Write a copy with other start values if its library follows them; return the reason if there is none.
 
     The copy is run without any of the values, and compared with the original that has them set.
@@ -98,7 +98,7 @@ def why_no_copy(
     try:
         write_copy(drive.fmu, values, path)
     except ValueError as error:
-        return Message(str(error), code_of(error))
+        return str(error)
     wanted = drive.run(0, drive.log.rows - 1, {**start, **values})
     try:
         with load(path) as copy:

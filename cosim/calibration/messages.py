@@ -16,8 +16,6 @@ from cosim.base.messages import Template
 
 # -- studies --------------------------------------------------------------------------------------
 
-WILL_ESTIMATE = Template("N-CAL-035", "`cosim fit` will estimate {names}")
-WILL_SCREEN = Template("N-CAL-036", "`cosim fit` will estimate what the logs determine of {names}")
 OWN_STEP_ABOVE = Template(
     "E-CAL-037",
     "its co-simulation takes steps of its own of about {own:.3g} s, above the {step:.3g} s of the logs, so its results "

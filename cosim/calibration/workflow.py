@@ -12,11 +12,10 @@ from typing import Any
 import numpy as np
 
 from cosim.base.errors import Fault, FmuError, InputError, SimulationError, Terminated, TimedOut, refuse, stop_error
-from cosim.base.messages import Message
+from cosim.base.messages import Note
 from cosim.base.text import join_names
 from cosim.blocks.compiling import permission
 from cosim.blocks.description import read_description, unit_definition, unit_of
-from cosim.calibration import messages
 from cosim.calibration.estimate import Estimate, Report
 from cosim.calibration.fit_record import Outcome, Record, parameter_entries, record
 from cosim.calibration.fit_sentences import notes, verdict, warnings
@@ -127,15 +126,15 @@ def check_fit_study(path: Path, checking: Checking) -> list[str]:
     """
     request = read_fit_study(path)
     logs, chosen, given = _read(request)
-    behaved: list[Message] = []
+    behaved: list[str] = []
     if checking.worker is not None:
         with ExitStack() as stack:
             fixed = _without(given, chosen)
             apart = [DriveApart(checking.worker, g, request.fmu, limits=request.limits, given=fixed) for g in logs]
             _refuse_bad([stack.enter_context(drive) for drive in apart])
-        behaved = [finding.after("warning: ") for finding in find_misbehaviour(request, logs[0], given)]
-    will = messages.WILL_ESTIMATE if request.vary else messages.WILL_SCREEN
-    return [*behaved, will(names=join_names([p.name for p in chosen]))]
+        behaved = [f"warning: {finding}" for finding in find_misbehaviour(request, logs[0], given)]
+    aim = "" if request.vary else "what the logs determine of "
+    return [*behaved, Note(f"`cosim fit` will estimate {aim}{join_names([p.name for p in chosen])}")]
 
 
 def _read(request: Request) -> tuple[list[Log], list[Parameter], dict[str, Any]]:
@@ -187,7 +186,7 @@ def _path_faults(request: Request) -> tuple[list[Fault], list[Path]]:
     return faults, paths
 
 
-def find_misbehaviour(request: Request, log: Log, given: Mapping[str, Any]) -> list[Message]:
+def find_misbehaviour(request: Request, log: Log, given: Mapping[str, Any]) -> list[str]:
     """Return how the FMU misbehaves along a log.
 
     Raises:

@@ -11,12 +11,11 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
-from cosim.base.messages import Message, join
 from cosim.base.text import amount, counted
 from cosim.base.times import rounding
 from cosim.base.units import Conversion, conversion, definition_of
 from cosim.blocks.component import Signal
-from cosim.comparison import messages, signals
+from cosim.comparison import signals
 from cosim.comparison.intermediate_rows import rows_at_jumps, rows_between, surroundings
 from cosim.comparison.signals import Difference, Tolerance, format_share, format_size
 from cosim.simulation.run_files import RecordedRun
@@ -50,7 +49,7 @@ class Compared:
     time: Array
     values: dict[str, tuple[Array, Array]]
     aligned: bool
-    shorter: Message
+    shorter: str
     tolerance: float | None
     absolute: float
 
@@ -79,12 +78,12 @@ class Compared:
         return not self.reasons
 
     @property
-    def reasons(self) -> list[Message]:
+    def reasons(self) -> list[str]:
         """Return the reasons why b does not match a, as phrases; empty for a match."""
         different = self.beyond if self.judged else [d for d in self.differences if d.largest]
         count = sum(d.alike for d in different)
-        template = messages.SIGNALS_BEYOND if self.judged else messages.SIGNALS_DIFFER
-        reasons = [template(count=counted(count, "signal"), verb=_differ(count))] if count else []
+        verb = "beyond the tolerance" if self.judged else _differ(count)
+        reasons = [f"{counted(count, 'signal')} {verb}"] if count else []
         reasons += [f"{d.name} is {d.note}" for d in different if not d.alike]
         if missing := len(self.only_a):
             names = ", ".join(self.only_a[:MAX_LISTED]) + (", …" if missing > MAX_LISTED else "")
@@ -338,7 +337,7 @@ def describe_largest(d: Difference) -> str:
     return f"most {d.name}, by {amount(d.largest, d.unit)} at {d.at:.6g} s ({format_share(d)} of its range)"
 
 
-def _describe_ends(a: RecordedRun, b: RecordedRun) -> Message:
+def _describe_ends(a: RecordedRun, b: RecordedRun) -> str:
     """Return a phrase on the shorter run; "" if both runs cover the same time."""
     step = float(np.max(np.diff(a.results.time))) if a.results.time.size > 1 else 0.0
     parts = []
@@ -348,4 +347,4 @@ def _describe_ends(a: RecordedRun, b: RecordedRun) -> Message:
             first, second = (a, b) if at[0] < at[1] else (b, a)
             ends = {"path": first.path, "time": min(at), "other": second.path, "later": max(at)}
             parts.append("{path} {verb} at {time:.6g} s, {other} at {later:.6g} s".format(verb=verb, **ends))
-    return join("; ", parts)
+    return "; ".join(parts)

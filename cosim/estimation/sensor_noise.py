@@ -8,7 +8,6 @@ from collections.abc import Mapping
 import numpy as np
 
 from cosim.base.arrays import Array, Flags
-from cosim.base.messages import Message
 from cosim.base.text import join_names, plain, written
 from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
@@ -76,7 +75,7 @@ def erring_stamps(problem: Problem, at: Fit) -> Flags:
     return np.asarray(is_significant & ~np.isfinite(at.noise.timing) & problem.adjusted)
 
 
-def noise_warnings(problem: Problem, noise: Noise, subject: Subject) -> tuple[Message, ...]:
+def noise_warnings(problem: Problem, noise: Noise, subject: Subject) -> tuple[str, ...]:
     """Return warnings about estimated noise that differs from the stated noise or is not stated."""
     stated, units = np.sqrt(problem.r).tolist(), {q.name: written(q.unit) for q in subject.outputs}
     levels = zip(problem.layout.outputs, np.exp(0.5 * noise.sensors).tolist(), stated, problem.stated, strict=True)
@@ -101,7 +100,7 @@ def noise_warnings(problem: Problem, noise: Noise, subject: Subject) -> tuple[Me
     return tuple(warnings)
 
 
-def cell_warnings(problem: Problem, subject: Subject) -> tuple[Message, ...]:
+def cell_warnings(problem: Problem, subject: Subject) -> tuple[str, ...]:
     """Return a warning about sensors that read in cells."""
     finest = np.max([r.resolution for r in problem.readings], axis=0)
     units = {q.name: written(q.unit) for q in subject.outputs}

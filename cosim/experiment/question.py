@@ -10,7 +10,6 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict
 
 from cosim.base.errors import Fault, InputError, refuse
-from cosim.base.messages import Message
 from cosim.experiment.fmu_experiment import confused_groups, first_outputs, subject_of_fmu
 from cosim.experiment.ranges import inputs_to_limit, limits_and_ranges, logged_ranges
 from cosim.experiment.rigs import Ranges
@@ -119,7 +118,7 @@ def ask(
         path, question = Path(text), _question_of_fmu(Path(text), against, limits, ranges, duration)
     else:
         path, question = _read_question(text, against)
-    model, faults = question.base.model, list[Message]()
+    model, faults = question.base.model, list[str]()
     if model.static:
         raise InputError.at(
             path,

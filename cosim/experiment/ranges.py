@@ -8,7 +8,6 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from cosim.base.messages import Message
 from cosim.base.units import NUMBER, conversion
 from cosim.experiment.rigs import Ranges
 from cosim.logs.log import Log
@@ -32,7 +31,7 @@ def logged_ranges(logs: Sequence[Log]) -> dict[str, tuple[float, float]]:
 
 
 def limits_and_ranges(
-    model: Model, limits: Sequence[str], ranges: Sequence[str], logged: Ranges, faults: list[Message]
+    model: Model, limits: Sequence[str], ranges: Sequence[str], logged: Ranges, faults: list[str]
 ) -> tuple[dict[str, float], dict[str, tuple[float, float]]]:
     """Return the largest allowed excursion of each limited signal, and the range of each input; extend `faults`.
 
@@ -63,7 +62,7 @@ def _read_items(pattern: re.Pattern[str], texts: Sequence[str]) -> Iterator[tupl
         yield text, text.partition("=")[0].strip(), pattern.fullmatch(text.strip())
 
 
-def _limits(model: Model, texts: Sequence[str], faults: list[Message]) -> dict[str, float]:
+def _limits(model: Model, texts: Sequence[str], faults: list[str]) -> dict[str, float]:
     """Return excursion limits: the model's, overridden by NAME=VALUE with unit."""
     units = {q.name: q.unit for q in (*model.outputs, *model.inputs)}
     limits = dict(model.excursion)
@@ -81,7 +80,7 @@ def _limits(model: Model, texts: Sequence[str], faults: list[Message]) -> dict[s
     return limits
 
 
-def _narrow_ranges(model: Model, texts: Sequence[str], spans: dict[str, tuple[float, float]]) -> Iterator[Message]:
+def _narrow_ranges(model: Model, texts: Sequence[str], spans: dict[str, tuple[float, float]]) -> Iterator[str]:
     """Narrow the declared ranges in `spans` by texts NAME=MIN..MAX with a unit; yield a message for each fault."""
     units = {q.name: q.unit for q in model.inputs}
     for text, name, match in _read_items(RANGE, texts):

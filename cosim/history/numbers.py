@@ -11,8 +11,6 @@ import stat
 from collections.abc import Sequence
 from pathlib import Path
 
-from cosim.base.messages import Message
-
 NUMBERS = ".numbers"
 MOST_BYTES = 200_000_000
 NO_LINK = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
@@ -38,7 +36,7 @@ def numbers_of(names: Sequence[str], root: Path) -> list[int]:
     return [known[name] for name in names]
 
 
-def unknown_number(text: str, root: Path) -> Message:
+def unknown_number(text: str, root: Path) -> str:
     """Return the message about an unused number."""
     lines = _lines(root)
     number = int(text) if len(text) <= len(str(len(lines))) else 0

@@ -19,7 +19,6 @@ from typing import Any, BinaryIO, Self
 from cosim.base.errors import Crashed, SimulationError, Terminated
 from cosim.base.scratch import ScratchFolder, scratch
 from cosim.blocks.shared_code import SharedCode
-from cosim.isolation import messages
 from cosim.isolation.rows import NOTHING, Progress, mapped_progress
 from cosim.isolation.watch import Clock, Watch, how_ended
 from cosim.isolation.worker import ALONG, PROGRESS, STREAMS_LOST, BadStream, Begin, receive, send, transfer_fault
@@ -250,8 +249,8 @@ class Worker:
             return Crashed(*clock.place_of_streams(component, at, call, is_certain=is_certain))
         words = bytes(self.progress.words).decode("utf-8", "replace").strip() or self._output.last_line()
         component, at, call = clock.place()
-        template = messages.CRASH_WITH_WORDS if words else messages.CRASH
-        return Crashed(component, at, template(call=call, end=how_ended(code), words=words[:MOST_WORDS]))
+        last = f"; it said last: {words[:MOST_WORDS]}" if words else ""
+        return Crashed(component, at, f"{call} {how_ended(code)}{last}")
 
 
 class _Output:
@@ -271,7 +270,7 @@ class _Output:
                     _show(part[:room])
                     room -= len(part)
                     if room <= 0:
-                        _show(f"\n{messages.OUTPUT_LEFT_OUT()}\n".encode())
+                        _show(b"\n(the FMUs print more, which is left out)\n")
 
     def join(self) -> None:
         """Wait for the rest, but not for children of the process."""

@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from cosim.base.errors import SimulationError, TimedOut
-from cosim.base.messages import Message
 from cosim.isolation.component_times import ComponentTimes
 from cosim.isolation.limits import Limits
 from cosim.isolation.memory import ProcessTree
@@ -165,7 +164,7 @@ class Clock:
         time.sleep(LASTING)
         return self._key() == before
 
-    def place_of_streams(self, component: str, at: float, call: str, *, is_certain: bool) -> tuple[str, float, Message]:
+    def place_of_streams(self, component: str, at: float, call: str, *, is_certain: bool) -> tuple[str, float, str]:
         """Return component, simulated time [s] and message of an FMU that changed the streams of its process.
 
         Args:

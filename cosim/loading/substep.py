@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.base.linear_algebra import eigenvalues
-from cosim.base.messages import Message, Note
+from cosim.base.messages import Note
 from cosim.base.registry import is_model
 from cosim.base.text import amount, plain
 from cosim.loading.file import LoadedModel
@@ -63,7 +63,7 @@ class StateMode:
         return f"{self.state} has a fast mode ({speed}, {self.place})"
 
 
-def with_substep(loaded: LoadedModel, logs: Sequence[RunLog] = ()) -> tuple[LoadedModel, list[Message]]:
+def with_substep(loaded: LoadedModel, logs: Sequence[RunLog] = ()) -> tuple[LoadedModel, list[str]]:
     """Return the model with an integrator and a substep that suit its fastest mode, and notes.
 
     Modes are computed at the start and along the model's run on each log. Registered models keep their settings.
@@ -102,7 +102,7 @@ def _refuse_growth(loaded: LoadedModel, modes: Sequence[tuple[StateMode, float]]
             )
 
 
-def _choose(loaded: LoadedModel, fastest: _Fastest, mode: StateMode) -> tuple[LoadedModel, list[Message]]:
+def _choose(loaded: LoadedModel, fastest: _Fastest, mode: StateMode) -> tuple[LoadedModel, list[str]]:
     """Return the model with integrator and substep for its fastest mode."""
     model = loaded.model
     count = math.ceil(model.rate * mode.speed / MAX_CHOSEN) if math.isfinite(mode.speed) else math.inf
@@ -211,7 +211,7 @@ def _accurate(model: Model, mode: StateMode) -> float:
     return min(model.substep, MAX_CHOSEN / mode.speed) if mode.speed > 0.0 else model.substep
 
 
-def _stiff(model: Model, mode: StateMode) -> Message:
+def _stiff(model: Model, mode: StateMode) -> str:
     """Return the message on a mode too fast for the model's rate."""
     name = type(model).__name__
     if mode.eigenvalue.real > 0.0:

@@ -9,9 +9,8 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.linear_algebra import least_squares
-from cosim.base.messages import Note, Template
+from cosim.base.messages import Note
 from cosim.base.text import amount, counted, plain
-from cosim.logs import messages
 from cosim.logs.channel_noise import noise_level
 from cosim.logs.finding import Finding, Severity
 from cosim.logs.log import TURN, Log
@@ -49,12 +48,6 @@ def frame_findings(log: Log, traits: Traits | None = None) -> Iterator[Finding]:
         yield from axis_findings(log, traits.planar)
 
 
-RATE_MESSAGES: dict[bool, tuple[Severity, Template, Template]] = {  # for a declared rate, and one known by its name
-    True: ("fault", messages.OPPOSITE_RATE, messages.DEGREES),
-    False: ("warning", messages.OPPOSITE_RATE_BY_NAME, messages.DEGREES_BY_NAME),
-}
-
-
 def _against_rate(log: Log, name: str, rate: str, *, declared: bool) -> Iterator[Finding]:
     """Yield findings from comparing a signal with the integral of its rate, Δy = s·∫ẏ dt + b·T over blocks.
 
@@ -75,13 +68,18 @@ def _against_rate(log: Log, name: str, rate: str, *, declared: bool) -> Iterator
     sigma = math.sqrt(float(residual @ residual) / (change.size - 2))
     error_slope, error_drift = sigma * np.sqrt(np.diag(np.linalg.inv(design.T @ design)))
     numbers = {"slope": float(slope), "correlation": rho, "drift": float(drift)}
-    severity, opposite, degrees_text = RATE_MESSAGES[declared]
+    severity: Severity = "fault" if declared else "warning"
     if slope < 0.0:
-        yield Finding(severity, "sign", rate, opposite(name=name, slope=plain(float(slope))), numbers)
+        message = (
+            f"has the opposite sign of d {name}/dt (slope {plain(float(slope))}); turn one of them round: the rate is "
+            "positive where the signal grows"
+        )
+        yield Finding(severity, "sign", rate, message, numbers)
     elif any(0.7 < slope / scale < 1.4 for scale in (DEGREES, 1.0 / DEGREES)):
         degrees, other, unit = (name, rate, "deg") if slope > 1.0 else (rate, name, "deg/s")
         ratio, cure = plain(float(max(slope, 1 / slope)), 3), _unit_cure(log, degrees, other, unit)
-        yield Finding(severity, "degrees", degrees, degrees_text(factor=ratio, other=other, cure=cure), numbers)
+        message = f"is {ratio} times what {other} says: one is in degrees, the other in radians. {cure}"
+        yield Finding(severity, "degrees", degrees, message, numbers)
     elif abs(slope - 1.0) > max(0.03, 5.0 * error_slope):
         message = (
             f"integrates to {plain(float(1 / slope), 3)} times the change of {name}: a scale is off, or one of "

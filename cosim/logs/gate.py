@@ -11,7 +11,6 @@ from cosim.base.arrays import Array
 from cosim.base.errors import Fault, InputError
 from cosim.base.messages import Note
 from cosim.base.text import amount, counted, percent, plain
-from cosim.logs import messages
 from cosim.logs.channel_noise import noise_level
 from cosim.logs.finding import Finding
 from cosim.logs.frames import frame_findings
@@ -62,7 +61,7 @@ def gate_faults(log: Log, findings: Sequence[Finding]) -> list[Fault]:
     faults = []
     for f in findings:
         if f.severity == "fault":
-            message = f.sentence.after(f"{f.channel}: ") if f.channel else f.sentence
+            message = f"{f.channel}: {f.sentence}" if f.channel else f.sentence
             faults.append(Fault(log.path, log.header, log.cells.get(f.channel, 1), message))
     return faults
 
@@ -94,8 +93,10 @@ def _timing(log: Log) -> Iterator[Finding]:
     regular = ratio[ratio <= MISSING]
     spread, worst = float(np.std(regular)), float(np.max(np.abs(regular - 1.0), initial=0.0))
     if worst > 0.01:
-        template = messages.STRONG_JITTER if spread > 0.1 else messages.JITTER
-        message = template(step=amount(log.step, "s"), spread=percent(spread), worst=percent(worst))
+        message = (
+            f"rows are {amount(log.step, 's')} apart, give or take {percent(spread)} (at most {percent(worst)}); "
+            "replays step at their times, the filter of `cosim refine` at equal ones"
+        )
         numbers = {"step": log.step, "spread": spread, "worst": worst}
         yield Finding("warning" if spread > 0.1 else "note", "jitter", "time", message, numbers)
     holes = np.flatnonzero(ratio > MISSING)

@@ -18,7 +18,6 @@ import numpy as np
 
 from cosim.base.arrays import Array, Rows
 from cosim.base.errors import Fault, refuse
-from cosim.base.messages import Message
 from cosim.base.units import Conversion, alternatives, assume_si, conversion
 from cosim.blocks.component import Signal
 from cosim.storage.table import read_table
@@ -83,7 +82,7 @@ class Log:
     header: int = 1
     unread: Mapping[str, str] = field(default_factory=dict)
     called: Mapping[str, str] = field(default_factory=dict)
-    undeclared: Mapping[str, Message] = field(default_factory=dict)
+    undeclared: Mapping[str, str] = field(default_factory=dict)
     cells: Mapping[str, int] = field(default_factory=dict)  # column in the header by signal, from 1
     table: bool = False  # rows are independent; `time` is their number
 
@@ -169,7 +168,7 @@ class LogReader:
         self.faults = Faults(path)
         self.timeless: dict[str, str] = {}  # unneeded time of a table, without a unit
         self.unread: dict[str, str] = {}
-        self.undeclared: dict[str, Message] = {}
+        self.undeclared: dict[str, str] = {}
         self.cells: dict[str, int] = {}  # column → its cell
         shorter = "cut it into pieces and list them as logs of one study"
         names = frozenset((*self.signals, *columns))

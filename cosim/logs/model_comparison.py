@@ -11,7 +11,6 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.correlation import correlation_at_lags
-from cosim.base.messages import Message
 from cosim.base.text import amount, plain
 from cosim.base.units import factor
 from cosim.logs import messages
@@ -52,13 +51,9 @@ def delays(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
         if confirmed is False:
             continue
         serious, (direction, cause) = confirmed and abs(time) > log.step, DIRECTIONS[time > 0]
-        message = (messages.DELAY if serious else messages.POSSIBLE_DELAY)(
-            direction=direction,
-            delay=amount(abs(time) * 1000, "ms", 2),
-            error=amount(error * 1000, "ms", 1),
-            cause=cause,
-            doubt="or clocks that differ" if confirmed else REGULAR,
-        )
+        doubt = "or clocks that differ" if confirmed else REGULAR
+        size = f"{amount(abs(time) * 1000, 'ms', 2)} ± {amount(error * 1000, 'ms', 1)}"
+        message = f"{direction} the model by {size}: {cause}, {doubt}"
         numbers = {"delay": time, "error": error, "correlation": rho}
         yield Finding("warning" if serious else "note", "delay", name, message, numbers)
 
@@ -89,12 +84,14 @@ def scales(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
             yield from _size_findings(log, name, model[name])
 
 
-def _unit_mistake(log: Log, name: str, fit: SlopeFit) -> Message | None:
+def _unit_mistake(log: Log, name: str, fit: SlopeFit) -> str | None:
     """Return the message on a signal whose slope over its prediction is the factor between two units."""
     is_alike = fit.correlation > LIKE
     if _is_converted_wrongly(log, name, fit.slope):
-        template = messages.CONVERTED_UNIT if is_alike else messages.PERHAPS_CONVERTED_UNIT
-        return template(unit=log.written[name], to=log.units[name])
+        return (
+            f"was converted from {log.written[name]} to {log.units[name]}, but agrees with the model without this "
+            f'conversion: leave "[{log.written[name]}]" out of the header'
+        )
     if not (unit := other_unit(log.units[name], fit.slope)):
         return None
     template = messages.OTHER_SLOPE if is_alike else messages.PERHAPS_OTHER_SLOPE

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.errors import SimulationError
+from cosim.base.errors import NotFinite, SimulationError
 from cosim.blocks.component import Component, EarlyEnd
 from cosim.isolation.rows import CALLS, GET, OTHER, PUT
 from cosim.master.copying import Copies, copy_values
@@ -69,7 +69,7 @@ class Initialization:
             raise self._not_settled(self.system.columns[solved[0]], 1)
 
     def _not_settled(self, name: str, count: int) -> SimulationError:
-        return SimulationError(
+        return NotFinite(
             name,
             self.system.start,
             (

@@ -19,15 +19,13 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.errors import SimulationError
-from cosim.base.messages import Note, code_of
+from cosim.base.errors import NotFinite, SimulationError
+from cosim.base.messages import Note
 from cosim.base.times import first_point
 from cosim.blocks.component import EarlyEnd
 from cosim.blocks.fmu import FmuBlock
-from cosim.blocks.messages import VALUE_NOT_FINITE
 from cosim.coupling.strong_components import torn
 from cosim.isolation.rows import ADVANCE, CALLS, GET, OTHER, PUT
-from cosim.master import messages
 from cosim.master.copying import Copying, copy_values
 from cosim.master.delayed_loop import DelayedLoop
 from cosim.master.root_finding import NotDefined, Outcome, RootFinding
@@ -35,6 +33,15 @@ from cosim.scenario.scenario import LoopSettings
 from cosim.system.schedule import Loop
 from cosim.system.system import System
 from cosim.system.wiring import Transfer
+
+OPEN_SETTLES = (
+    "order: [...] or algorithm: jacobi leaves it open, with values of the step before, which settle (the loop "
+    "gain is {gain:.3g})"
+)
+OPEN_GROWS = (
+    "order: [...] or algorithm: jacobi is no cure: with values of the step before, they grow (the loop gain is "
+    "{gain:.3g}). The loop needs an FMU that saves and restores its state, or one without direct feedthrough"
+)
 
 SHIFT = 1e-5  # displacement of an input for differences, relative to its magnitude
 PROBES = (1e-3, -1e-3, 0.5, -0.5)  # displacements that show whether an output depends on an input
@@ -198,9 +205,9 @@ class LoopSolver:
         try:
             self._solved_step(t, h)
         except SimulationError as error:
-            if code_of(error) != VALUE_NOT_FINITE.code or not self._delayed.last:
+            if not isinstance(error, NotFinite) or not self._delayed.last:
                 raise
-            message = Note(f"{error.reason}. {self._last_residual(self._delayed)}")
+            message = f"{error.reason}. {self._last_residual(self._delayed)}"
             raise SimulationError(error.component, error.time, message) from None
         if self._delayed.note(t + h, assumed, self._row_values(self._delayed.places)):
             grown = (
@@ -551,7 +558,7 @@ class LoopSolver:
         """Return the error of a component whose outputs follow inputs only after a step, which cannot be repeated."""
         j, k = (int(each[0]) for each in np.nonzero(missing))
         ends = {"output": self._columns[member.outputs[j]], "input": self._columns[member.inputs[k]]}
-        cure = (messages.OPEN_SETTLES if gain < 1.0 else messages.OPEN_GROWS)(gain=gain)
+        cure = (OPEN_SETTLES if gain < 1.0 else OPEN_GROWS).format(gain=gain)
         message = (
             "{output} follows {input} only after a step, which cannot be repeated, because the FMU saves no "
             "state; so the algebraic loop {loop} cannot be solved. {cure}"

@@ -31,7 +31,6 @@ from cosim.logs.log import Log, read_log, rename_signals, stretches
 from cosim.logs.spikes import drop_outliers, find_spikes
 from cosim.probing.messages import OWN_STEP
 from cosim.probing.places import probe_places
-from cosim.refinement import messages
 from cosim.refinement.search.groups import Places, full_name, group_of, per_log_faults
 from cosim.residuals.drive import log_of_fmu
 from cosim.residuals.windows import SKIPPED
@@ -426,8 +425,10 @@ def _key_faults(places: Places, content: StudyFile, subject: Subject, *, unliste
     logs = content.logs.model_dump()
     yield from per_log_faults(places, subject, content.per_log, content.groups, logs, content.candidates or ())
     if unlisted:
-        message = messages.ALL_LOGS_SEALED if content.logs.validation else messages.NO_LOG
-        yield places.fault(("logs", "estimation"), message())
+        message = "no log is listed; list one"
+        if content.logs.validation:
+            message = "every log is sealed, and none is left to learn from; move one to estimation"
+        yield places.fault(("logs", "estimation"), message)
 
 
 def _read_logs(
@@ -496,10 +497,11 @@ def _repeated_logs(places: Places, logs: LogLists, digests: Mapping[str, str]) -
         keys = [path, *([digests[name]] if name in digests else [])]
         if earlier := next((first[key] for key in keys if key in first), None):
             other, purpose = earlier
-            twice, copy = messages.LOG_IN_BOTH_LISTS, messages.COPY_IN_OTHER_LIST
-            if purpose == part:
-                twice, copy = messages.LOG_TWICE, messages.COPY
-            message = (twice if path in first else copy)(log=name, other=other, purpose=purpose)
+            if path in first:
+                message = f"{name} is listed for {purpose} {'twice' if purpose == part else 'too'}"
+            else:
+                message = f"{name} holds the same as {other}, which is listed for {purpose}"
+            message += "; keep one" if purpose == part else "; a validation log is never fitted on"
             yield places.fault(("logs", part, n if part == "estimation" else n - len(logs.estimation)), message)
         for key in keys:
             first.setdefault(key, (name, part))
@@ -537,9 +539,15 @@ def _usable_stretches(log: Log, horizon: float) -> list[Log]:
 def _short_log(log: Log, horizon: float) -> Fault:
     """Return a log's fault without a usable stretch."""
     durations = [float(s.time[-1] - s.time[0]) for s in stretches(log)]
-    message = messages.LOG_TOO_SHORT if len(durations) == 1 else messages.PIECES_TOO_SHORT
     least, better = plain(_min_duration(log, horizon), None), plain(20 * log.slowness)
-    return Fault(log.path, 0, 0, message(duration=plain(max(durations)), least=least, better=better))
+    duration = (
+        f"{plain(max(durations))} s" if len(durations) == 1 else f"at most {plain(max(durations))} s without a pause"
+    )
+    message = (
+        f"lasts {duration}, too short to be judged: it takes {least} s, and {better} s and more tell more; log "
+        "longer or leave it out"
+    )
+    return Fault(log.path, 0, 0, message)
 
 
 def _few_rows(places: Places, content: StudyFile, subject: Subject, logs: Sequence[Log]) -> Iterator[Fault]:
@@ -594,16 +602,16 @@ def _unknown_names(places: Places, content: StudyFile, subject: Subject) -> Iter
     """Yield faults of unknown outputs, states, base parameters, inputs and candidates."""
     inputs, outputs = ([q.name for q in signals] for signals in (subject.inputs, subject.outputs))
     parameters = [p.name for p in subject.parameters if not isinstance(p.default, bool)]
-    for key, names, message in (
-        ("noise", outputs, messages.UNKNOWN_OUTPUT),
-        ("start_noise", [q.name for q in subject.states], messages.UNKNOWN_STATE),
-        ("tolerance", parameters, messages.UNKNOWN_BASE_PARAMETER),
-        ("inputs", inputs, messages.UNKNOWN_INPUT),
+    for key, names, kind in (
+        ("noise", outputs, "output"),
+        ("start_noise", [q.name for q in subject.states], "state"),
+        ("tolerance", parameters, "base parameter"),
+        ("inputs", inputs, "input"),
     ):
         setting = getattr(content, key)
         for name in setting if isinstance(setting, dict) else ():
             if name not in names:
-                yield places.fault((key, name), message(name=name, hint=did_you_mean(name, names)), key=True)
+                yield places.fault((key, name), f'no {kind} "{name}"{did_you_mean(name, names)}', key=True)
     yield from _unknown_candidates(places, content, [c.name for c in subject.candidates(inputs)])
 
 
@@ -613,5 +621,4 @@ def _unknown_candidates(places: Places, content: StudyFile, candidates: Sequence
         yield places.fault(("candidates",), "names none; name some, or leave the key out to try all")
     for k, name in enumerate(content.candidates or ()):
         if name not in candidates:
-            message = messages.UNKNOWN_CANDIDATE
-            yield places.fault(("candidates", k), message(name=name, hint=did_you_mean(name, candidates)))
+            yield places.fault(("candidates", k), f'no candidate "{name}"{did_you_mean(name, candidates)}')

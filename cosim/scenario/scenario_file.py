@@ -13,9 +13,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from cosim.base.errors import Fault, InputError
-from cosim.base.messages import Template
 from cosim.base.registry import BASE, is_model
-from cosim.scenario import messages
 from cosim.scenario.pinned import with_files_beside
 from cosim.scenario.scenario import Recording, Scenario, StepControl
 from cosim.scenario.signal_units import convert_quantities
@@ -199,8 +197,8 @@ class ScenarioFile:
         for kind, k, criterion in self.scenario.goals:
             where: tuple[str | int, ...] = ("criteria", kind, *(() if k is None else (k,)))
             if (kind == "settling_time") != (criterion.band is not None):
-                template = messages.NO_BAND if kind == "settling_time" else messages.NEEDLESS_BAND
-                faults.append(self.fault(where, template(kind=kind)))
+                cure = "needs a band; add the allowed distance from its target"
+                faults.append(self.fault(where, f"{kind} {'takes no band; leave it out' if criterion.band else cure}"))
             start, duration = criterion.after, self.scenario.duration
             end = duration if criterion.until is None else criterion.until
             is_inside = self.stands_in or (start < end <= duration and end - start >= self.scenario.step)
@@ -282,11 +280,11 @@ def _override(path: Path, data: dict[str, Any], text: str, subject: str) -> Loca
     """
     target, sign, value = text.partition("=")
 
-    def refusal(template: Template, **fields: Any) -> InputError:
-        return InputError.at(path, template(override=subject or short(target), **fields))
+    def refusal(reason: str) -> InputError:
+        return InputError.at(path, f"{subject or short(target)} {reason}")
 
     if not sign or not target.strip():
-        raise refusal(messages.OVERRIDE_WITHOUT_VALUE)
+        raise refusal("is not path=value; for example --set noise=off")
     node: Any = data
     keys = keys_of(target.strip())
     at: list[str | int] = []
@@ -301,8 +299,10 @@ def _override(path: Path, data: dict[str, Any], text: str, subject: str) -> Loca
         node = node.setdefault(index, {}) if isinstance(node, dict) else node[index]
     if keys[0] == "components" and isinstance(components := data.get("components"), dict):
         some, hint = ", ".join(map(short, islice(components, 20))), did_you_mean(keys[1], components)
-        raise refusal(messages.OVERRIDE_OF_NO_COMPONENT, name=short(keys[1]), hint=hint, components=some)
-    raise refusal(messages.OVERRIDE_OF_NOTHING, path=short(target))
+        raise refusal(
+            f'is for component "{short(keys[1])}", which is not in the scenario{hint} (its components: {some})'
+        )
+    raise refusal(f"leads nowhere: there is no {short(target)} in the scenario")
 
 
 NAMED = {"components": (1,)}  # depths at which a path must name an existing key

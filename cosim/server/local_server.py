@@ -254,7 +254,7 @@ class _Connection(BaseHTTPRequestHandler):
         except _Refused as refusal:
             answer = json_answer({"error": refusal.reason}, refusal.status)
         except CosimError as error:
-            answer = json_answer({"error": str(error), "code": error.code}, 400)
+            answer = json_answer({"error": str(error), "kind": type(error).__name__}, 400)
         except TimeoutError:
             raise
         except Exception as error:  # A fault of a handler must not end the program of the user.

@@ -17,7 +17,6 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import zip_longest
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -27,7 +26,7 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.drafts import remove_drafts
 from cosim.base.errors import InputError
-from cosim.base.messages import Message, code_of
+from cosim.base.messages import Note
 from cosim.base.scratch import lock_file
 from cosim.base.times import rounding, roundings
 from cosim.base.version import __version__
@@ -38,7 +37,6 @@ from cosim.isolation.rows import read_exact, read_table
 from cosim.master.checkpoint import BESIDE, FORMAT, ROWS, STATE, Continuation, RowsHash
 from cosim.master.inbox import Change
 from cosim.master.remote import IN_USE, read_state
-from cosim.scenario.messages import STEP_NOT_A_DIVISOR
 from cosim.scenario.scenario import Scenario
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.storage.files import write_json
@@ -112,9 +110,9 @@ class StoppedRun:
         """
         record = copy.deepcopy(self.record)
         record.pop("no_report", None)
-        codes = record.pop(EXTRA, {}).get("codes", ())
-        pairs = zip_longest(record.get("warnings", ()), codes, fillvalue="")
-        record["warnings"] = [Message(*pair) for pair in pairs] if warnings is None else [*warnings, *self.warnings]
+        notes = record.pop(EXTRA, {}).get("notes", ())
+        known = [Note(text) if text in notes else text for text in record.get("warnings", ())]
+        record["warnings"] = known if warnings is None else [*warnings, *self.warnings]
         return record | {"status": "ok", "loop": "", "timings": {}, "criteria": []}
 
     @property
@@ -159,8 +157,8 @@ class StoppedRun:
         overrides = [] if until is None else [f"duration={until - start!r}"]
         overrides += [f"components.{name}.solver_step={longest!r}" for name, longest in solver_steps.items()]
         file = ScenarioFile(self.source, overrides, option="--until")
-        if until is not None and any(fault.code == STEP_NOT_A_DIVISOR.code for fault in file.faults):
-            step = file.scenario.step
+        step = file.scenario.step
+        if until is not None and file.faults and (until - start) % step > 1e-9 * step:
             count = math.floor((until - start) / step)
             ends = [end for end in (start + count * step, start + (count + 1) * step) if end > self.reached]
             text = " or ".join(f"{end:.12g} s" for end in ends)
@@ -383,8 +381,8 @@ def write_run(folder: Path, record: Mapping[str, Any], rows_file: str, warnings:
     """
     kept = folder / FOLDER
     kept.mkdir(exist_ok=True)
-    codes = [code_of(warning) for warning in record["warnings"]]
-    write_json(kept / RUN, {**record, EXTRA: {"rows": rows_file, "warnings": list(warnings), "codes": codes}})
+    notes = [warning for warning in record["warnings"] if isinstance(warning, Note)]
+    write_json(kept / RUN, {**record, EXTRA: {"rows": rows_file, "warnings": list(warnings), "notes": notes}})
     sync(kept / RUN)
     sync(kept)
     return kept

@@ -11,43 +11,26 @@ from typing import Any
 
 from cosim.base import errors
 from cosim.base.errors import Fault, FmuError, InputError, refuse
-from cosim.base.messages import code_of, with_severity
+from cosim.base.messages import CheckWarning, with_severity
 from cosim.base.scratch import temporary_folder
 from cosim.blocks.compiling import LIMIT, permission
 from cosim.blocks.description import takes_any_step
 from cosim.blocks.fmu import read_description
 from cosim.blocks.guard import validation
-from cosim.blocks.messages import HIDDEN_LIBRARY, HIDDEN_MODULE, OWN_PROCESS
-from cosim.coupling.messages import ASSUMED_WITHOUT_FEEDTHROUGH
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.master.live_values import check_hosts
 from cosim.master.remote import simulate_apart
 from cosim.scenario.controller_design import designed_apart, designed_values
 from cosim.scenario.scenario_file import ScenarioFile
-from cosim.simulation import messages
 from cosim.simulation.manifest import check_pinned
 from cosim.simulation.packaged import lay_out
 from cosim.simulation.undeclared import with_feedthrough
 from cosim.storage.artefact import Checking
-from cosim.system.messages import LOOP_BY_FEEDTHROUGH
 from cosim.system.real_time import real_time_of
 from cosim.system.recording import recording_notes
 from cosim.system.system import System, build_system
 
-SHOWN = {  # warnings of a system and of its first step that a check shows
-    template.code
-    for template in (
-        ASSUMED_WITHOUT_FEEDTHROUGH,
-        LOOP_BY_FEEDTHROUGH,
-        messages.LOOP_LEFT_OPEN,
-        messages.FOLLOWS_AT_START,
-        messages.NOT_MEASURED,
-        OWN_PROCESS,
-        HIDDEN_LIBRARY,
-        HIDDEN_MODULE,
-    )
-}
 MAX_CALL_TIME = 60.0  # allowed time [s] of a call during the trial of an FMU
 MOST_INNER_STEPS = 10_000  # of an FMU with a fixed internal step, so that the trial is short
 STEP, STEPS = 0.01, 500  # step [s] without a default experiment, and steps in an experiment without step size
@@ -58,7 +41,7 @@ def check_loaded_fmu(path: Path, checking: Checking) -> list[str]:
     notes: list[str] = []
     refuse(check_fmu(path, checking.worker, notes))
     # FMPy's findings are about a readable FMU, as accepted by importing tools.
-    return notes + [f"{problem}".after("warning: ") for problem in validation(path)]
+    return notes + [f"warning: {problem}" for problem in validation(path)]
 
 
 def check_fmu(path: Path, worker: Worker | None = None, notes: list[str] | None = None) -> Sequence[Fault]:
@@ -149,7 +132,7 @@ def check_ssp(path: Path, checking: Checking) -> list[str]:
 
 def _shown(texts: Iterable[str]) -> list[str]:
     """Return the warnings that a check shows: of loops, of processes and of hidden code."""
-    return [text for text in texts if code_of(text) in SHOWN]
+    return [text for text in texts if isinstance(text, CheckWarning)]
 
 
 def _run_once(file: ScenarioFile, system: System, path: Path, worker: Worker) -> tuple[Sequence[Fault], Sequence[str]]:

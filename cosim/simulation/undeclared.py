@@ -11,12 +11,12 @@ from threading import Timer
 from typing import Any
 
 from cosim.base.errors import CosimError, InputError, Interrupted, Signalled, TimedOut
-from cosim.base.messages import Note, code_of
+from cosim.base.messages import CheckWarning, Note
 from cosim.base.text import join_names
 from cosim.blocks.compiling import LIMIT, permission
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
-from cosim.coupling.messages import ASSUMED_WITHOUT_FEEDTHROUGH
+from cosim.coupling.order import Assumption
 from cosim.isolation.limits import LOADING, Limits
 from cosim.isolation.process import Worker
 from cosim.master.feedthrough import Feedthrough, Pair, measure_feedthrough, undeclared_inputs
@@ -205,8 +205,8 @@ def _with_notes(system: System, opened: Sequence[Loop]) -> System:
     """Return a system with the loops that are left open, and their warnings in place of those of an assumption."""
     names = [loop.name for loop in opened]
     others = [loop for loop in system.opened if loop.name not in names]
-    warnings = [warning for warning in system.warnings if code_of(warning) != ASSUMED_WITHOUT_FEEDTHROUGH.code]
-    notes = [loop.left_open for loop in opened]
+    warnings = [warning for warning in system.warnings if not isinstance(warning, Assumption)]
+    notes = [CheckWarning(loop.left_open) for loop in opened]
     return replace(system, opened=(*opened, *others), assumed=False, warnings=(*warnings, *notes))
 
 

@@ -33,7 +33,6 @@ from cosim.scenario.nearest_models import take_nearest
 from cosim.scenario.pinned import sha256
 from cosim.scenario.scenario import Scenario
 from cosim.scenario.scenario_file import ScenarioFile
-from cosim.simulation import messages
 from cosim.simulation.criteria import evaluate, missed_tolerance
 from cosim.simulation.manifest import add_changes, check_pinned, manifest, software_versions
 from cosim.simulation.packaged import is_ssp, lay_out
@@ -77,6 +76,8 @@ from cosim.storage.started import KILLED, STARTED, STATUS
 from cosim.system.real_time import real_time_of
 from cosim.system.recording import take_signals
 from cosim.system.system import System, build_system
+
+ROWS_NOT_COMPLETE = "its rows are not all written: it was killed meanwhile, or still writes them"
 
 FINISHED_RUN_KEPT = "the longer run failed; the finished run in {folder} is as it was{rows}"
 DISK_FULL = "the disk is full: {count} of {rows} rows are in {file}{missing}{before}"
@@ -550,7 +551,7 @@ class _Files:
         try:
             if self.prepared.keep:
                 self._keep_earlier()
-                record = {**self.prepared.base(), "status": f"failed: {messages.ROWS_NOT_COMPLETE()}"}
+                record = {**self.prepared.base(), "status": f"failed: {ROWS_NOT_COMPLETE}"}
                 write_json(self.rows.with_name(MANIFEST), record)  # what is known if the command is killed
             release_early(started)
             count = self._write_rows()

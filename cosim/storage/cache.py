@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.drafts import draft_of
-from cosim.base.messages import Message, Note
+from cosim.base.messages import Note
 from cosim.base.scratch import process_folder
 
 VARIABLE = "XDG_CACHE_HOME"
@@ -136,7 +136,7 @@ def _temporary() -> Path:
 
 
 @functools.cache
-def _say_once(note: Message) -> None:
+def _say_once(note: str) -> None:
     """Write a note to stderr, once per process."""
     with contextlib.suppress(OSError, ValueError):
         sys.stderr.write(f"note: {note}\n")

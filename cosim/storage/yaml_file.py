@@ -25,7 +25,6 @@ from pydantic_core.core_schema import (
 )
 
 from cosim.base.errors import Fault, InputError
-from cosim.base.messages import Message, code_of, with_prefix
 from cosim.base.suggestions import closest as closest
 from cosim.base.suggestions import did_you_mean as did_you_mean
 from cosim.base.units import allowed_quantity, has_unit, read_quantity
@@ -130,7 +129,7 @@ class YamlFile:
     def fault(self, location: Location, message: str, *, key: bool = False, exit_code: int = 2) -> Fault:
         """Return a fault at the place where a value was set: an option, the source of a generated file, or the file."""
         if (option := self._override_of(location)) is not None:
-            text = with_prefix(f"{option}: ", message) if option else message
+            text = f"{option}: {message}" if option else message
             return Fault(self.path, 0, 0, text, exit_code)
         if self.origin is not None:
             return self.origin((*self._within, *location), message, exit_code)
@@ -238,10 +237,8 @@ class YamlFile:
         return self.fault(location, message, key="[key]" in error["loc"][len(within) :])
 
 
-def wrong_value(name: str, value: Any, reason: str) -> Message:
-    """Return the message on a value; a reason with a code of its own keeps its code."""
-    if isinstance(reason, Message) and reason.code:
-        return reason.after(f"{name} is {format_value(value)}: ")
+def wrong_value(name: str, value: Any, reason: str) -> str:
+    """Return the message on a value."""
     return f"{name} is {format_value(value)}: {reason.replace(', or it should be ', ' or ')}"
 
 
@@ -292,7 +289,7 @@ def short(text: object) -> str:
 def _reason(error: Any) -> str:
     """Return pydantic's message without Python terms."""
     kind, context = error["type"], error.get("ctx") or {}
-    if code_of(context.get("error")):
+    if kind == "value_error":
         return str(context["error"])
     if kind.startswith("bool"):
         return "it is on or off"

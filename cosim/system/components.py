@@ -24,7 +24,6 @@ from cosim.scenario.scenario_file import ScenarioFile
 from cosim.scenario.start_values import Misfit, convert_value, kind_of, settable, with_elements
 from cosim.storage.kinds import shell_path
 from cosim.storage.yaml_file import did_you_mean
-from cosim.system import messages
 from cosim.system.event_blocks import event_block
 
 Designed = Mapping[str, Mapping[str, float]]  # component → start values
@@ -106,8 +105,9 @@ def _fixes(scenario: Scenario, name: str, component: FixComponent, diagnosis: Di
     sensor = Sensor(component.rate, component.latency, component.dropout, signals)
     collisions = [n for n in signals if n in sensor.outputs()]
     for signal in collisions:
-        template = messages.COUNT_NAME_TAKEN if signal == COUNT else messages.FIX_NAME_TAKEN
-        diagnosis.note(("components", name, "signals", signal), template(name=signal))
+        other = "the output that counts the fixes" if signal == COUNT else "an output with the fixes of another signal"
+        message = f'"{signal}" is already the name of {other}; give the signal another name'
+        diagnosis.note(("components", name, "signals", signal), message)
     fastest = 1.0 / scenario.step
     too_fast = component.rate > fastest * (1.0 + 1e-9)
     if too_fast:

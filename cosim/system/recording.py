@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cosim.base.arrays import Array, Rows
-from cosim.base.messages import Message, Note
+from cosim.base.messages import Note
 from cosim.base.registry import page_for
 from cosim.base.text import join_names
 from cosim.blocks.component import Component
@@ -74,7 +74,7 @@ def recorded_part(
     return RecordedPart(columns, beside, max(1, steps))
 
 
-def recording_notes(scenario: Scenario, columns: Sequence[str], part: RecordedPart | None) -> list[Message]:
+def recording_notes(scenario: Scenario, columns: Sequence[str], part: RecordedPart | None) -> list[str]:
     """Return notes on charts that a report cannot draw, because signals are not recorded."""
     if part is None or len(part.columns) == len(columns):
         return []
@@ -125,9 +125,7 @@ def _recordable(name: str, component: FmuBlock) -> tuple[list[str], list[str]]:
     return variables, times
 
 
-def _objection(
-    pattern: str, scenario: Scenario, components: Mapping[str, Component], layout: RowLayout
-) -> Message | None:
+def _objection(pattern: str, scenario: Scenario, components: Mapping[str, Component], layout: RowLayout) -> str | None:
     """Return the objection to a pattern that matches no signal, with near names."""
     name, is_pattern = pattern.partition(".")[0], "*" in pattern.partition(".")[0]
     columns = (*layout.columns, *layout.beside)

@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from cosim.base.messages import Message, Note, code_of, join
+from cosim.base.messages import CheckNote, Note
 from cosim.base.text import join_names
 from cosim.base.times import steps_in
 from cosim.blocks.component import Component, Signal
@@ -15,13 +15,11 @@ from cosim.blocks.fixes import Fixes
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.sources import SourceBlock
 from cosim.coupling.algorithms import DEFAULT, WITHOUT_ORDER, Algorithm, algorithms
-from cosim.coupling.messages import ASSUMED_WITHOUT_FEEDTHROUGH
-from cosim.coupling.order import AlgebraicLoop, Plan
+from cosim.coupling.order import AlgebraicLoop, Assumption, Plan
 from cosim.coupling.strong_components import Edge
 from cosim.scenario.diagnosis import Diagnosis, Place
 from cosim.scenario.scenario import Connection, Scenario
 from cosim.storage.yaml_file import did_you_mean
-from cosim.system import messages
 from cosim.system.wiring import Components, Transfer
 
 FEEDTHROUGH = "feedthrough"  # key of a component
@@ -164,32 +162,41 @@ class _Graph:
         Args:
             key: What leaves them open.
         """
-        note = messages.NO_LOOP_AT_START if key == FEEDTHROUGH and not assumptions else messages.LEFT_OPEN
         plan = DEFAULT.plan_with_loops(self.components, self.edges, None, undeclared=True)
         for loop in self.sort_transfers(plan)[-1]:
             if loop.members not in solved:
                 fault = next((fault for _, fault in self.faults(loop)), None)
-                cure = join("; ", assumptions) or self._cure(loop, key, fault)
-                yield replace(loop, left_open=note(loop=loop.name, by=key, cure=cure))
+                cure = "; ".join(assumptions) or self._cure(loop, key, fault)
+                if key == FEEDTHROUGH and not assumptions:
+                    sentence: str = Note(
+                        f"{loop.name} is no algebraic loop at the start, as measured or stated by feedthrough: [...]; "
+                        f"if outputs follow inputs at once later, {cure}"
+                    )
+                else:
+                    sentence = (
+                        f"{loop.name} may be an algebraic loop, which {key} leaves open, so that some inputs have the "
+                        f"values of the step before; {cure}"
+                    )
+                yield replace(loop, left_open=sentence)
 
-    def _cure(self, loop: Loop, key: str, fault: Message | None) -> Message:
+    def _cure(self, loop: Loop, key: str, fault: str | None) -> str:
         """Return how a loop that a key leaves open is solved.
 
         Args:
             fault: Why it cannot be solved.
         """
         if fault is not None:
-            return Note(f"loops: {{}} without {key} is refused: {fault}")
+            return f"loops: {{}} without {key} is refused: {fault}"
         fmus = [c for c in map(self.components.get, loop.members) if isinstance(c, FmuBlock)]
         names = [fmu.name for fmu in fmus if not (fmu.changes_by_events or fmu.instance.rolls_back)]
         if names:
-            return Note(
+            return (
                 f"loops: {{}} without {key} solves it, if it has a solution and outputs of {join_names(names)}, "
                 "which cannot save a state, follow inputs without a step"
             )
-        return Note(f"loops: {{}} without {key} solves it, if it has a solution")
+        return f"loops: {{}} without {key} solves it, if it has a solution"
 
-    def faults(self, loop: Loop) -> Iterator[tuple[Place, Message]]:
+    def faults(self, loop: Loop) -> Iterator[tuple[Place, str]]:
         """Yield faults of a loop that cannot be solved, with their places."""
         has_events = any(isinstance(component, EventFmu) for component in self.components.values())
         for name in loop.members:
@@ -266,7 +273,7 @@ def schedule(
     for loop in loops:
         for place, fault in graph.faults(loop):
             diagnosis.note(place, fault)
-    assumptions = [note for note in plan.notes if code_of(note) == ASSUMED_WITHOUT_FEEDTHROUGH.code]
+    assumptions = [note for note in plan.notes if isinstance(note, Assumption)]
     opened: tuple[Loop, ...] = ()
     if scenario.loops is None:
         key = FEEDTHROUGH if algorithm.solves_loops else f"algorithm: {algorithm.name}"
@@ -305,7 +312,7 @@ def _loop_notes(loops: Sequence[Loop], components: Components) -> list[str]:
         loop.name: [t.name for t in loop.transfers if stated & {t.name, t.name.rpartition("[")[0]}] for loop in loops
     }
     return [
-        Note(
+        CheckNote(
             f"{n} is an algebraic loop that no FMU declares: outputs follow {join_names(names)} at once, as measured "
             "before the run or stated by feedthrough: [...]. It is solved at each communication point; order: [...] "
             "leaves it open"

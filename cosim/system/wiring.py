@@ -31,7 +31,6 @@ from cosim.scenario.scenario import (
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.scenario.start_values import Misfit
 from cosim.storage.yaml_file import did_you_mean
-from cosim.system import messages
 
 Components = Mapping[str, Component]
 MOST_NAMED = 20  # signals in a message
@@ -429,6 +428,7 @@ def connection_warnings(file: ScenarioFile, components: Components) -> Iterator[
             and start.isdisjoint({s.name, s.array})
         ]
         is_sensor = isinstance(declared, FixComponent)
-        template = messages.FIXES_NOT_CONNECTED if is_sensor else messages.INPUTS_NOT_CONNECTED
-        if free:
-            yield template(names=_some(free))
+        if free and is_sensor:
+            yield f"inputs not connected, so their fixes are 0: {_some(free)}"
+        elif free:
+            yield f"not connected, at the start value of the FMU: {_some(free)}"

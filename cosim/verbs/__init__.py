@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 
 from cosim.base.registry import VERBS as ADDED
 from cosim.base.registry import ExtensionWarning, Verb, added_verbs, names
-from cosim.verbs import messages as messages
 
 if TYPE_CHECKING:  # signatures of the functions, for type checkers
     from cosim.authoring.export import export_ssp as export_ssp

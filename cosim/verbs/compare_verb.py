@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cosim.base.errors import CriterionMissed, InputError
-from cosim.base.messages import join
 from cosim.base.settings import Count, NotNegative, Runs
 from cosim.storage.files import FilePath
 from cosim.verbs.options import Force, Json, Open, Report, ResultsFolder, out_option
@@ -224,7 +223,7 @@ def command(
             say(f"report:      {folder / 'report.html'}")
     show(folder / "report.html", open_=report and open_)
     if comparison.judged and not comparison.same:
-        raise CriterionMissed(join("; ", comparison.reasons))
+        raise CriterionMissed("; ".join(comparison.reasons))
 
 
 def _lines_of_several(c: ComparedRuns) -> list[str]:

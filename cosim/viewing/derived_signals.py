@@ -12,7 +12,7 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
-from cosim.base.messages import Message, Note
+from cosim.base.messages import Note
 from cosim.base.text import counted
 from cosim.base.units import parse
 from cosim.viewing import formula_units
@@ -103,7 +103,7 @@ class Formula:
 
     def __init__(self, text: str, signals: Mapping[str, tuple[Recording, str]], name: str = "") -> None:
         self._text, self._signals, self._name = text, dict(signals), name or text
-        self.notes: list[Message] = []
+        self.notes: list[str] = []
         if not signals or len(text) > LONGEST:
             self._refuse("it has no signal" if not signals else "it is too long")
         self._rows = next(iter(signals.values()))[0]

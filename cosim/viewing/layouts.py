@@ -9,7 +9,6 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, Field, FiniteFloat, ValidationError
 
 from cosim.base.errors import Fault, InputError, refuse
-from cosim.base.messages import Message
 from cosim.storage.files import open_bytes, parse_json, write_json
 
 SCHEMA_VERSION = 1
@@ -106,7 +105,7 @@ WORDS = {
 }
 
 
-def _message(fault: Any) -> Message:
+def _message(fault: Any) -> str:
     """Return a message on a part of a file that is not as it should be."""
     reason = fault["msg"]
     for theirs, ours in WORDS.items():

@@ -12,7 +12,6 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from cosim.base.drafts import draft_of
-from cosim.base.messages import Message, code_of
 from cosim.blocks.derivatives import REALS, scalars, states_of
 from cosim.blocks.description import read_description, takes_any_step
 from cosim.fmi.fmu_build import EPOCH, digest
@@ -51,7 +50,7 @@ class Wrapped:
 
     path: Path
     platforms: Mapping[str, str]
-    left_out: Mapping[str, Message]
+    left_out: Mapping[str, str]
     withdrawn: tuple[str, ...]
 
 
@@ -264,12 +263,12 @@ class Wrapper:
 
     # -- platforms ----------------------------------------------------------------------------------
 
-    def libraries(self, names: Iterable[str]) -> tuple[dict[Platform, dict[str, str]], dict[str, Message]]:
+    def libraries(self, names: Iterable[str]) -> tuple[dict[Platform, dict[str, str]], dict[str, str]]:
         """Return platform → identifier → library of the original, and the folders left out with reasons."""
         folders = _folders_of_libraries(names)
         known = {p.folder(self.fmi): p for p in PLATFORMS.values()}
         found: dict[Platform, dict[str, str]] = {}
-        left_out: dict[str, Message] = {}
+        left_out: dict[str, str] = {}
         for folder, files in sorted(folders.items()):
             if folder not in known or (self.platforms and known[folder].name not in self.platforms):
                 left_out[folder] = f"{folder} is not among the platforms to build for"
@@ -284,7 +283,7 @@ class Wrapper:
 
     def build(
         self, names: Sequence[str], tokens: tuple[str, str], sources: Mapping[str, bytes]
-    ) -> tuple[dict[str, bytes], dict[str, str], dict[str, Message]]:
+    ) -> tuple[dict[str, bytes], dict[str, str], dict[str, str]]:
         """Return libraries by member, their platforms with glibc, and the folders left out with reasons."""
         libraries, left_out = self.libraries(names)
         if not libraries and not left_out:
@@ -300,7 +299,7 @@ class Wrapper:
             except CompilerFailed as error:
                 if platform == this_platform():
                     raise
-                left_out[platform.folder(self.fmi)] = Message(str(error), code_of(error))
+                left_out[platform.folder(self.fmi)] = str(error)
             else:
                 members |= made
                 built[platform.name] = glibc_floor(b"".join(made.values()))

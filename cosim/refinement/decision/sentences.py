@@ -10,7 +10,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain
 from typing import Any, Literal
 
-from cosim.base.messages import Message
 from cosim.base.text import MOST_NAMED, amount, append_unit, counted, finer, join_names, percent, plain, size, written
 from cosim.loading.refined import NEAREST
 from cosim.logs.channel_noise import NORMAL_95
@@ -379,7 +378,7 @@ def rise_text(errors: Mapping[str, tuple[float, float]], units: Mapping[str, str
     return f"On the sealed logs the error {changes[first]} with {file}.{also}"
 
 
-def floor_warning(part: str, channels: Mapping[str, tuple[float, float]], units: Mapping[str, str]) -> Message:
+def floor_warning(part: str, channels: Mapping[str, tuple[float, float]], units: Mapping[str, str]) -> str:
     """Return a warning of a noise floor above the error.
 
     Args:

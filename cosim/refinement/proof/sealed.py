@@ -8,7 +8,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from cosim.base.messages import Message
 from cosim.base.text import percent
 from cosim.logs.log import Log
 from cosim.refinement.decision.claims import Claims, Improvement, baseline_of
@@ -38,7 +37,7 @@ def find_rises(before: Evidence, after: Evidence) -> dict[str, tuple[float, floa
     return dict(sorted(rises.items(), key=lambda item: item[1][0] / item[1][1]))  # largest ratio first
 
 
-def repeated_motion(sealed: Sequence[Log], logs: Sequence[Log]) -> Iterator[Message]:
+def repeated_motion(sealed: Sequence[Log], logs: Sequence[Log]) -> Iterator[str]:
     """Yield a warning for each sealed log that repeats the motion of an estimation log, such as of one reference."""
     for log in sealed:
         for other in logs:

@@ -8,8 +8,6 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from cosim.base.errors import Fault
-from cosim.base.messages import Message
-from cosim.refinement import messages
 from cosim.storage.yaml_file import did_you_mean
 from cosim.subject.interface import Subject
 
@@ -126,8 +124,8 @@ def _group_faults(places: Places, groups: Groups, files: Sequence[str]) -> Itera
             if path not in paths:
                 yield places.fault(place, f"{name} is not listed under logs{did_you_mean(name, files)}")
             elif path in owner:
-                message = messages.LOG_TWICE_IN_GROUP if owner[path] == group else messages.LOG_IN_TWO_GROUPS
-                yield places.fault(place, message(log=name, group=owner[path]))
+                where = "twice" if owner[path] == group else f"in {owner[path]} too"
+                yield places.fault(place, f"{name} stands {where}; a log has one group, keep one")
             owner.setdefault(path, group)
 
 
@@ -143,7 +141,7 @@ def _parameters_of(subject: Subject, name: str) -> set[str]:
     return {n for n in subject.declared if n.startswith(f"{name}.")} or {name}
 
 
-def _unknown_parameter(subject: Subject, name: str, allowed: Sequence[str]) -> Message:
+def _unknown_parameter(subject: Subject, name: str, allowed: Sequence[str]) -> str:
     """Return the message on a parameter refused in `per_log`."""
     if name in subject.declared and not isinstance(subject.declared[name].default, bool):
         return (

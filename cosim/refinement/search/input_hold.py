@@ -13,7 +13,6 @@ from typing import Literal
 
 import numpy as np
 
-from cosim.base.messages import Message
 from cosim.base.text import counted, plain
 from cosim.estimation.fit import fit
 from cosim.estimation.problem import Problem
@@ -98,7 +97,7 @@ class Late:
     gain: float
     steady: float
 
-    def warning(self, step: float) -> Message:
+    def warning(self, step: float) -> str:
         """Return a warning for logs with this time between rows [s]."""
         numbers = {"gain": plain(self.gain), "steadiness": plain(self.steady, 2), "time": plain(self.rows * step)}
         return (
