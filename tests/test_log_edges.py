@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from cosim.base.arrays import Array
-from cosim.base.messages import Message
 from cosim.logs.channel_noise import noise_level, surprise
 from cosim.logs.finding import Finding
 from cosim.logs.frames import frame_findings
@@ -460,11 +459,9 @@ def test_columns_of_a_table_that_stand_still_or_go_together_are_named() -> None:
 
 def test_a_fault_of_a_log_has_the_cell_of_its_column() -> None:
     log = replace(moving(), header=3, cells={"y": 7})
-    faults = gate_faults(
-        log, [Finding("fault", "sign", "y", Message("is wrong")), Finding("warning", "x", "y", Message("is not"))]
-    )
+    faults = gate_faults(log, [Finding("fault", "sign", "y", "is wrong"), Finding("warning", "x", "y", "is not")])
     assert [(f.line, f.column, f.message) for f in faults] == [(3, 7, "y: is wrong")]
-    assert gate_faults(log, [Finding("fault", "rate", "", Message("is slow"))])[0].column == 1
+    assert gate_faults(log, [Finding("fault", "rate", "", "is slow")])[0].column == 1
 
 
 @pytest.mark.parametrize(("seconds", "told"), [(3.6, False), (4.6, True)])
