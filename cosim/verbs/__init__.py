@@ -15,7 +15,6 @@ from cosim.verbs import messages as messages
 
 if TYPE_CHECKING:  # signatures of the functions, for type checkers
     from cosim.authoring.export import export_ssp as export_ssp
-    from cosim.estimators.workflow import consistency as consistency
     from cosim.experiment.excite import excite as excite
     from cosim.linearization.workflow import linearize as linearize
     from cosim.loading.build import build as build
@@ -54,7 +53,6 @@ VERBS = {  # in the order of `cosim -h`
     "view": _verb("view", INSPECT),
     "gc": _verb("gc", INSPECT),
     "linearize": _verb("linearize", INSPECT, "cosim.linearization.workflow:linearize"),
-    "consistency": _verb("consistency", INSPECT, "cosim.estimators.workflow:consistency"),
     "replay": _verb("replay", MEASURED, "cosim.verbs.replay_verb:replay"),
     "fit": _verb("fit", MEASURED, "cosim.verbs.fit_verb:fit"),
     "refine": _verb("refine", MEASURED, "cosim.verbs.refine_verb:refine"),
