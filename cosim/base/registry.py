@@ -41,9 +41,6 @@ class ModelEntry:
         native: Name → place of the maker of a native FMU, apart from the model's own.
         rig: Place of the class for playing its experiments.
         design: Place of the designer of its controller, for `design:` of a scenario.
-        cases: Place of its estimators and of the true models for judging them.
-        estimators: Place of a function from (case, runs, steps, random numbers) to the normalised errors and
-            innovations of an estimator.
     """
 
     name: str
@@ -54,8 +51,6 @@ class ModelEntry:
     native: Mapping[str, str] = field(default_factory=dict)
     rig: str = ""
     design: str = ""
-    cases: str = ""
-    estimators: str = ""
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,6 @@ from cosim.base.registry import ExtensionWarning, Verb, added_verbs, names
 
 if TYPE_CHECKING:  # signatures of the functions, for type checkers
     from cosim.authoring.export import export_ssp as export_ssp
-    from cosim.estimators.workflow import consistency as consistency
     from cosim.experiment.excite import excite as excite
     from cosim.linearization.workflow import linearize as linearize
     from cosim.loading.build import build as build
@@ -53,7 +52,6 @@ VERBS = {  # in the order of `cosim -h`
     "view": _verb("view", INSPECT),
     "gc": _verb("gc", INSPECT),
     "linearize": _verb("linearize", INSPECT, "cosim.linearization.workflow:linearize"),
-    "consistency": _verb("consistency", INSPECT, "cosim.estimators.workflow:consistency"),
     "replay": _verb("replay", MEASURED, "cosim.verbs.replay_verb:replay"),
     "fit": _verb("fit", MEASURED, "cosim.verbs.fit_verb:fit"),
     "refine": _verb("refine", MEASURED, "cosim.verbs.refine_verb:refine"),
