@@ -15,21 +15,3 @@ FUNCTION_MISSING = Template(
 )
 TIMEOUT = Template("E-FMI-008", "{command} was not done in {limit:g} s")
 NOT_STARTED = Template("E-FMI-009", "{command}: {reason}")
-
-# Files that an FMU carries (FMI-LS-REF)
-OTHER_LAYERED_STANDARD = Template("E-FMI-010", "{name} is of the layered standard {standard}, not of {needed}")
-ATTRIBUTE_MISSING = Template("E-FMI-011", "{name}: <{tag}> has no attribute {attribute}, or an empty one")
-OTHER_ROOT = Template("E-FMI-012", "{name} begins with <{tag}>; <{needed}> is needed")
-UNKNOWN_ROLE = Template(
-    "E-FMI-013", '{name}: {source} has the role "{role}"; FMI-LS-REF has for example experiment, result, parameter'
-)
-NO_NUMBER = Template("E-FMI-014", '{name}: {attribute} is "{value}"; give a number')
-UNKNOWN_TYPE = Template("E-FMI-015", "{name}: <{tag}> is of type {type}; only {needed} is read")
-NO_EXPERIMENT = Template("E-FMI-016", "{name} has no experiment")
-UNKNOWN_ELEMENT = Template("E-FMI-017", "{name}: FMI-LS-REF has no element <{tag}>")
-UNKNOWN_ATTRIBUTE = Template(
-    "E-FMI-020", "{name}: FMI-LS-REF has no attribute {attribute} of <{tag}>; known are {known}"
-)
-ADDED = Template("W-FMI-021", "{unknown}; it is left out")
-OTHER_VERSION = Template("W-FMI-018", "{name} has version {version}; {known} are known; read as {taken}")
-NO_DESCRIPTION = Template("W-FMI-019", "{name} has no fmi-ls-description, which FMI-LS-REF requires")
