@@ -205,4 +205,3 @@ NO_VERSION = Template(
 WRONG_TYPE = Template(
     "W-STO-113", "{file}: {field} is {value}, not {wanted}; {key} is not used: run it again, or correct the file"
 )
-MCAP_TIME = Template("E-STO-103", "times from {first:g} s to {last:g} s: MCAP counts from 0; take another format")
