@@ -18,42 +18,11 @@ NOT_WRITTEN = Template(
     "E-VIE-017", "cannot be written: {reason}; download the layout, or name another file as --layout"
 )
 WRONG_REQUEST = Template("E-VIE-010", "the request is not understood: {reason}")
-UNKNOWN_NAME = Template("E-VIE-011", "{name} stands for no signal; use {names}")
-WRONG_FORMULA = Template(
-    "E-VIE-012", "{text}: {reason}; use + - * / **, numbers, the letters of signals and {functions}"
-)
 NAME_TAKEN = Template("E-VIE-013", "{name} is a signal of the run; give another name")
 MANY_CELLS = Template("E-VIE-014", "these are {count:.0f} million values, more than {limit:.0f} million; zoom in first")
 WRONG_LAYOUTS = Template("E-VIE-015", "is no file of layouts of `cosim view`; name another one as --layout")
 PAGE = Template("N-VIE-016", "signals: {url}")
-OTHER_QUANTITY = Template(
-    "E-VIE-018",
-    "{text0} is in {unit0} and {text1} in {unit1}, which measure different quantities; write number({text1}) for its "
-    "number without unit",
-)
-NO_ARGUMENT = Template(
-    "E-VIE-019",
-    "{text0} is in {unit0}; this function takes an angle, a ratio, or a time in seconds; write number({text0}) for its "
-    "number without unit",
-)
-NO_ROOT = Template(
-    "E-VIE-020",
-    "{text0} is in {unit0}, which has no power {exponent}; write number({text0}) for its number without unit",
-)
-UNIT_WITH_POWERS = Template(
-    "E-VIE-021",
-    "{text0} is in {unit0}, and its exponent {exponent} is no number; write number({text0}) for its number "
-    "without unit",
-)
-NO_TEMPERATURE = Template(
-    "E-VIE-022",
-    "{text0} in {unit0} is a sum or a multiple of temperatures, but no temperature; take a mean, a difference, or "
-    "number(…) of each part",
-)
 OWN_SIGNAL = Template("E-VIE-023", "{name} would be derived from itself: {way}; give another name")
-GAPS = Template("N-VIE-024", "{name}: {count} without values, at most {longest:.3g} s, are bridged by straight lines")
-NO_VALUE = Template("N-VIE-025", "{name} has no value in any row")
-UNKNOWN_UNITS = Template("N-VIE-026", "{name}: {units} is no known unit, so that the result has none")
 NOT_DERIVED = Template("E-VIE-029", "{name} is no derived signal")
 NEEDED = Template("E-VIE-030", "{others} is derived from {name}; remove that first")
 ROUNDED = Template(
