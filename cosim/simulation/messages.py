@@ -104,9 +104,6 @@ NO_ROOM_BESIDE_EARLIER = Template(
     "the disk is too full to move the earlier run in {folder} to runs: it stays, and this run is in {place}",
 )
 FAILED_ROWS = Template("N-SIM-090", ", and the rows of the longer run are in {folder}")
-GETS_SLOWER = Template(
-    "W-SIM-075", "{component} takes {factor:.2g} times longer for a step since t = {since:g} s than before"
-)
 LOOP_LEFT_OPEN = Template(
     "W-SIM-080",
     "{loop} is an algebraic loop that no FMU declares: measured before the run, {facts}. It is left open, so that some "
@@ -135,11 +132,6 @@ MEASURING = Template(
     "{limit:g} s",
 )
 MEASURED_TOO_LONG = Template("N-SIM-085", "it takes longer than {limit:g} s in all, at last in {component}")
-RUN_GETS_SLOWER = Template(
-    "W-SIM-082",
-    "all components take about {factor:.2g} times longer for a step since t = {since:g} s than before: the machine is "
-    "busy with something else",
-)
 REPLAY_COST = Template(
     "N-SIM-072", "; {names}: inputs replayed from the start, which takes up to about {seconds:.2g} s"
 )
