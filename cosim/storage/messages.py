@@ -191,13 +191,6 @@ LATER_RECORD = Template(
     "are not read, use that version of cosim",
 )
 OTHER_VERSION = Template("N-STO-108", "{file} was written by cosim {found}, and this is {own}")
-OTHER_ROWS = Template(
-    "W-STO-109", "{file} has {rows} of the {announced} rows of its run: it was cut, or changed later; run it again"
-)
-CUT_LINE = Template(
-    "W-STO-110", "{file} has no line end after its last row: if it was cut, the last number there is wrong"
-)
-CUT_IN_LINE = Template("W-STO-114", "{file} was cut within a line: {rows}{of} rows of its run are used; run it again")
 GONE = Template("E-STO-111", "was removed while it was read; repeat the command with the results that are left")
 NO_VERSION = Template(
     "W-STO-112", "{file} is a manifest without schema_version, as after an edit; it is read as one of version {known}"
