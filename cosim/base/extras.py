@@ -15,7 +15,6 @@ EXTRAS = {  # library → extra that installs it
     "cryptography": "remote",
     "distributed": "dask",
     "h5py": "hdf5",
-    "mcap": "mcap",
     "pandas": "sweep",
     "pyarrow": "parquet",
     "ziglang": "native",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import pickle
 import queue
+import random
 import signal
 import subprocess
 import sys
@@ -20,7 +21,7 @@ from cosim.base.errors import Crashed, SimulationError, Terminated
 from cosim.base.scratch import ScratchFolder, scratch
 from cosim.blocks.shared_code import SharedCode
 from cosim.isolation.rows import NOTHING, Progress, mapped_progress
-from cosim.isolation.watch import Clock, Watch, how_ended
+from cosim.isolation.watch import READING_PAUSE, Clock, Watch, how_ended
 from cosim.isolation.worker import ALONG, PROGRESS, STREAMS_LOST, BadStream, Begin, receive, send, transfer_fault
 from cosim.storage.cache import cache_environment
 from cosim.storage.files import delay_stops
@@ -132,7 +133,7 @@ class Worker:
         """
         self.start()
         self.progress.made[0], self.progress.doing[0], self.progress.named[0] = 0, doing, 0
-        self.progress.asked[0] = self.progress.ending[0] = self.progress.steps[0] = 0
+        self.progress.asked[0] = self.progress.ending[0] = 0
         self.progress.words = b""
         clock = Clock(watch or Watch(), self.progress)
         try:
@@ -205,11 +206,11 @@ class Worker:
         times, next_look = clock.watch.times, 0.0
         while True:
             try:
-                content = self._answers.get(timeout=POLL if times is None else times.pause())
+                content = self._answers.get(timeout=POLL if times is None else random.uniform(*READING_PAUSE))
             except queue.Empty:
                 assert self._process is not None
                 if times is not None:
-                    times.read(self.progress.made[0], self.progress.doing[0], self.progress.steps[0])
+                    times.read(self.progress.made[0], self.progress.doing[0])
                     if time.monotonic() < next_look:
                         continue
                     next_look = time.monotonic() + POLL

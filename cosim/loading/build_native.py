@@ -13,7 +13,6 @@ from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.registry import is_model, model_entry, resolve
 from cosim.base.scratch import temporary_folder
 from cosim.loading.file import LoadedModel, meant_model
-from cosim.loading.own_experiment import carry_experiment
 from cosim.loading.source import ModelText
 from cosim.loading.substep import with_substep
 from cosim.model.model import Model
@@ -69,7 +68,6 @@ def build_native(
     with temporary_folder("build") as drafts:  # all archives, or none after a failure
         try:
             built = {file: build_fmu(native, drafts / file, fmi, platforms) for file, native in natives}
-            carry_experiment(built[natives[0][0]].path, loaded.model)
         except CompilerFailed as error:
             raise _compiler_error(error) from None
         for file, one in built.items():

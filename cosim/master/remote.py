@@ -20,7 +20,6 @@ from cosim.base.messages import Note, with_prefix
 from cosim.base.scratch import ScratchFolder, lock_file, scratch, temporary_folder
 from cosim.blocks.component import EarlyEnd
 from cosim.isolation import worker as here
-from cosim.isolation.component_times import ComponentTimes, Slower
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import (
@@ -34,7 +33,7 @@ from cosim.isolation.rows import (
     read_exact,
     read_table,
 )
-from cosim.isolation.watch import Clock, Watch, fmi_calls
+from cosim.isolation.watch import Clock, ComponentTimes, Watch, fmi_calls
 from cosim.master.c_loop import compile_beforehand
 from cosim.master.checkpoint import BESIDE, ROWS, STATE, Continuation, Keeper, Keeping
 from cosim.master.halving import Halved
@@ -223,7 +222,7 @@ def simulate_rows(system: System, steps: int, h: float, job: RowsJob) -> WorkerE
     failure: SimulationError | None = None
     try:
         keeper = _keeper(job, mapped) if job.keeps else None
-        shared = progress.made, progress.doing, _store_loop, progress.asked, keeper, job.given, progress.steps
+        shared = progress.made, progress.doing, _store_loop, progress.asked, keeper, job.given
         rows = Rows(mapped, beside, *shared)
         with _inbox(system, h, FileChannel(job.channel, progress), observed=job.observed) as inbox:
             results = _run(system, steps, h, obey if job.observed else None, rows, inbox)
@@ -274,7 +273,7 @@ def simulate_apart(
     *,
     observers: Sequence[Observer] = (),
     keeping: Keeping | None = None,
-    warn: Callable[[Slower], None] | None = None,
+    measure_times: bool = False,
     recording: RecordedPart | None = None,
 ) -> SteppedRun:
     """Step a system in a worker process.
@@ -282,7 +281,7 @@ def simulate_apart(
     The rows are in a file within `folder` until the end, or in the folder of the checkpoints.
 
     Args:
-        warn: Function called when a component gets much slower; None measures no times of components.
+        measure_times: Whether to sum the wall time of components.
         recording: Signals of the results, by default all; the others are not read into memory.
 
     Raises:
@@ -294,8 +293,8 @@ def simulate_apart(
         feed(rows)
         worker.progress.stop[0] = feed.is_over
 
-    last, given = partial(_last_time, system, h), kept.first_rows
-    times = ComponentTimes(system.names, steps + 1, last, warn, given=given) if warn is not None else None
+    given = kept.first_rows
+    times = ComponentTimes(system.names, given) if measure_times else None
     grace = 0.0 if keeping is None else keeping.grace
     calls = [fmi_calls(getattr(stage.component, "description", None)) for stage in system.stages]
     at = partial(_time_of_call, system, steps, h)

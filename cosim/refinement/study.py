@@ -110,7 +110,6 @@ class StudyFile(BaseModel):
     limits:     Limits of each FMU call; `total` ends a search that takes longer.
     horizon:    Duration of the replays that measure errors, if different from the model's, or `free run` [s].
     terms:      File with further terms for an FMU, subclasses of `cosim.terms.Force`, `InputTerm` or `RateTerm`.
-    carry_logs: Whether the refined FMU carries the validation logs, with the errors before and after.
     delivery:   `ssp` for an FMU that must not be repackaged: an SSP of the original and of FMUs with the terms.
     """
 
@@ -133,7 +132,6 @@ class StudyFile(BaseModel):
     groups: dict[str, list[FileName]] = {}
     limits: Limits | None = None
     terms: FileName = ""
-    carry_logs: bool = False
     delivery: Delivery = "fmu"
     horizon: PositiveSeconds | Literal["free run"] | None = None
 

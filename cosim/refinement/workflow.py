@@ -44,7 +44,6 @@ from cosim.refinement.decision.sentences import floor_warning
 from cosim.refinement.decision.special_cases import not_excluded
 from cosim.refinement.decision.trust import attribute
 from cosim.refinement.proof.agreement import compare_with_predictions
-from cosim.refinement.proof.carried import carry_sealed_logs
 from cosim.refinement.proof.measure import (
     FLOOR_SEED,
     Evidence,
@@ -180,8 +179,6 @@ def refine(
         written = record(study, attribution, claims, problem, between, measured)
         content = written.model_dump(mode="json")
         write_json(scratch / ANSWER, content, allow_nan=False)
-        if study.content.carry_logs and sealed:
-            carry_sealed_logs([path for path in files if path.suffix == ".fmu"], sealed, content)
         with delay_stops():
             keep_earlier(folder, "cosim refine", read=study.files)
             _publish(files, scratch / ANSWER, folder)

@@ -17,7 +17,6 @@ from cosim.base.drafts import is_full
 from cosim.base.errors import CosimError, DiskFull, Interrupted, Signalled, SimulationError, Terminated, stop_error
 from cosim.base.messages import Note
 from cosim.blocks.compiling import compiling, permission
-from cosim.isolation.component_times import RUN, Slower
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import allocate
@@ -458,7 +457,7 @@ def _step(
             limits,
             observers=observers,
             keeping=keeping,
-            warn=lambda slower: tell(_slower(slower)),
+            measure_times=True,
             recording=system.recording,
         )
     except CosimError:
@@ -467,18 +466,6 @@ def _step(
         raise
     worker.finish()
     return stepped
-
-
-def _slower(slower: Slower) -> str:
-    """Return the warning of slower steps."""
-    if slower.component == RUN:
-        return (
-            f"all components take about {slower.factor:.2g} times longer for a step since t = {slower.since:g} s "
-            "than before: the machine is busy with something else"
-        )
-    return "{component} takes {factor:.2g} times longer for a step since t = {since:g} s than before".format(
-        **vars(slower)
-    )
 
 
 def _simulated(prepared: _Prepared) -> float:

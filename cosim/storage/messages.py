@@ -18,7 +18,5 @@ ROW_WITH_DECIMAL_COMMAS = Template(
 )
 
 # -- YAML and JSON --------------------------------------------------------------------------------
-UNKNOWN_KEY = Template("E-STO-078", 'unknown key "{key}"{hint} (known here: {keys})')
-WRONG_VALUE = Template("E-STO-080", "{name} is {value}: {reason}")
 
 # -- results folders ------------------------------------------------------------------------------

@@ -57,7 +57,7 @@ LimitsText = Annotated[
 Format = Annotated[
     str,
     typer.Option(
-        "--format", help="File format of the rows: csv, parquet, mat, hdf5, mcap, or a format of an installed package."
+        "--format", help="File format of the rows: csv, parquet, mat, hdf5, or a format of an installed package."
     ),
 ]
 Nearest = Annotated[

@@ -77,7 +77,7 @@ def run(
         force: Overwrite results of another scenario or command in `out`.
         in_process: Load FMUs into this process, for a debugger; limits do not apply.
         compile: Compile and execute the sources of FMUs that have no library for this machine.
-        format: File format of the rows: "csv", "parquet", "mat", "hdf5", "mcap", or one of an installed package.
+        format: File format of the rows: "csv", "parquet", "mat", "hdf5", or one of an installed package.
         progress: Function of (completed steps, all steps).
         observers: Objects that receive the rows during the run (`cosim.master.observer.Observer`).
         inputs: Input → function of time and signals that returns its value while the run goes on, None to hold it.
