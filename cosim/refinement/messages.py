@@ -168,9 +168,6 @@ MISSING_PLATFORMS = Template(
     "the delivered FMU lacks the platforms {names} of the original: the library around it cannot be compiled for them "
     "here; pip install 'fmu-cosim[native]' has a compiler for most",
 )
-SSP_WITHOUT_FMU = Template(
-    "E-REF-064", "delivery: ssp is for an FMU, and {model} is none; cosim export-ssp writes a scenario of it as an SSP"
-)
 REPEATED_MOTION = Template(
     "W-REF-065",
     "{sealed} repeats the motion of {log}: their outputs differ by {share} of their spread, so that it shows how the "

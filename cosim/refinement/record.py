@@ -234,9 +234,9 @@ class Errors(_Entry):
 class Replays(_Entry):
     """FMUs used for the replays."""
 
-    through: Literal["native", "python", "own", "ssp"] = Field(
+    through: Literal["native", "python", "own"] = Field(
         description="`native`: the native FMU of the model's class, given each variant's values; `python`: FMUs "
-        "that need Python, as plant.fmu does; `own`: the replayer of an object without an FMU; `ssp`: plant.ssp"
+        "that need Python, as plant.fmu does; `own`: the replayer of an object without an FMU"
     )
     why: str = Field(default="", description="why not natively; empty where it was")
     log: str = Field(default="", description="the log that plant.fmu has replayed too")

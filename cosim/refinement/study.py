@@ -22,6 +22,7 @@ from cosim.base.registry import BASE
 from cosim.base.text import counted, plain
 from cosim.base.units import has_unit, read_quantity
 from cosim.estimation.problem import Settings
+from cosim.fmi.native.compiler import compiler, cure
 from cosim.isolation.limits import Limits, read_limits
 from cosim.loading.file import LoadedModel, load_model, own_terms
 from cosim.loading.substep import with_substep
@@ -40,7 +41,7 @@ from cosim.storage.files import FilePath
 from cosim.storage.kinds import STUDY, check_form, refuse_other
 from cosim.storage.yaml_file import UNIT_OF_KEY, Positive, PositiveSeconds, YamlFile, did_you_mean
 from cosim.subject.base_parameters import tolerances
-from cosim.subject.fmu_subject import Delivery, FmuSubject
+from cosim.subject.fmu_subject import FmuSubject
 from cosim.subject.interface import Subject
 from cosim.subject.model_subject import ModelSubject
 
@@ -112,7 +113,6 @@ class StudyFile(BaseModel):
     horizon:    Duration of the replays that measure errors, if different from the model's, or `free run` [s].
     terms:      File with further terms for an FMU, subclasses of `cosim.terms.Force`, `InputTerm` or `RateTerm`.
     carry_logs: Whether the refined FMU carries the validation logs, with the errors before and after.
-    delivery:   `ssp` for an FMU that must not be repackaged: an SSP of the original and of FMUs with the terms.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -135,7 +135,6 @@ class StudyFile(BaseModel):
     limits: Limits | None = None
     terms: FileName = ""
     carry_logs: bool = False
-    delivery: Delivery = "fmu"
     horizon: PositiveSeconds | Literal["free run"] | None = None
 
     def judged(self, subject: AnySubject) -> AnySubject:
@@ -234,17 +233,6 @@ def read_study(path: Path, limits: str = "") -> Study:
                 key=True,
             )
         )
-    if content.delivery == "ssp":
-        faults.append(
-            yaml.fault(
-                ("delivery",),
-                (
-                    f"delivery: ssp is for an FMU, and {content.model} is none; cosim export-ssp writes a scenario of it "
-                    "as an SSP"
-                ),
-                key=True,
-            )
-        )
     try:
         loaded = load_model(content.model, path.parent, yaml)
     except InputError as error:
@@ -329,6 +317,8 @@ def _of_fmu(yaml: YamlFile, content: StudyFile, faults: list[Fault]) -> Study:
         FmuError: Only the FMU has faults.
     """
     fmu, logs, terms = read_parts_of_fmu(yaml, content, faults)
+    if compiler() is None:
+        raise InputError.at(fmu, f"a refinement of an FMU needs a C compiler; {cure('refine')}")
     probed = probe_places(fmu, logs)
     if probed.way == "co-simulation" and probed.behaviour.has(OWN_STEP):
         own = {"own": probed.behaviour.own_step, "step": probed.structure.step}
@@ -340,7 +330,6 @@ def _of_fmu(yaml: YamlFile, content: StudyFile, faults: list[Fault]) -> Study:
         raise InputError([yaml.fault(("model",), message)])
     subject = FmuSubject.of_fmu(probed.structure, logs, terms, content.limits or Limits())
     subject.source += f", because {probed.reason}"
-    subject.delivery = content.delivery
     content, unit_faults = _in_units(yaml, _in_names_of(subject, content), subject)
     subject = content.judged(subject)
     faults += [*unit_faults, *_key_faults(yaml, content, subject, unlisted=False)]

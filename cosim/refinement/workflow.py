@@ -28,7 +28,7 @@ from cosim.estimation.sensor_noise import at_rest, cell_warnings, first_noise, n
 from cosim.estimation.start_states import with_likely_starts
 from cosim.isolation.limits import Limits
 from cosim.kernel.nameless import RATE
-from cosim.loading.refined import ANSWER, NEAREST, REFINED, SSPS
+from cosim.loading.refined import ANSWER, NEAREST, REFINED
 from cosim.logs.log import Log
 from cosim.refinement.decision.claims import Claims, Nearest, judge
 from cosim.refinement.decision.constancy import check_constancy
@@ -90,7 +90,7 @@ from cosim.subject.candidates import Candidate
 from cosim.subject.interface import Subject, Workplace
 
 DELIVERED = {"refined": "after", "nearest": "nearest"}  # name of written files → variant
-RESULTS = (*REFINED, *NEAREST, *SSPS, ANSWER)  # in the order of their publication
+RESULTS = (*REFINED, *NEAREST, ANSWER)  # in the order of their publication
 Progress = Callable[[str, float], None]
 
 

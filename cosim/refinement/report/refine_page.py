@@ -14,7 +14,7 @@ import numpy as np
 
 from cosim.base.text import MISSING, counted, join_names, percent, plain, split_sentence
 from cosim.base.version import __version__
-from cosim.loading.refined import NEAREST, REFINED, SSPS
+from cosim.loading.refined import NEAREST, REFINED
 from cosim.logs.log import Log
 from cosim.refinement.decision.prediction_fit import why_no_predictions
 from cosim.refinement.refinement import Refinement
@@ -371,7 +371,7 @@ def _use(r: Refinement) -> Mapping[str, str]:
         lead = "Nothing was refined; the delivered model is the model as it was. To use it"
         if r.verdict.nearest_hypothesis is not None:
             name = "nearest"
-            file = next((n for n in (NEAREST[1], SSPS[1]) if (r.folder / n).is_file()), NEAREST[0])
+            file = next((n for n in reversed(NEAREST) if (r.folder / n).is_file()), NEAREST[0])
             lead = f"Nothing was refined; the model that predicts best is {file}. To use it"
     return {
         "use": shlex.join(r.study.subject.use(path_from_here(r.folder), name)),
