@@ -130,9 +130,6 @@ FAILED_EVALUATIONS = Template(
 # Outlook of `cosim check` on a study of an FMU
 WILL_USE = Template("N-REF-050", "`cosim refine` will use {way}")
 WILL_TRY = Template("N-REF-051", "`cosim refine` will try {count} terms and parameters: {places}")
-NEEDS_COMPILER = Template(
-    "W-REF-052", "`cosim refine` needs a C compiler for FMUs, and there is none here: pip install 'fmu-cosim[native]'"
-)
 STILL_INPUTS = Template("W-REF-053", "not visible: terms at {names}, which never changes in the estimation logs")
 UNLOGGED_OUTPUTS = Template("W-REF-054", "not visible: errors of the sensors of {names}, which no estimation log has")
 IDLE_PARAMETERS = Template("N-REF-055", "not visible: {names}, which changes no output along these logs")

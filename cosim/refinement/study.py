@@ -30,7 +30,6 @@ from cosim.logs.gate import gate, gate_faults
 from cosim.logs.holes import fill_holes
 from cosim.logs.log import Log, read_log, rename_signals, stretches
 from cosim.logs.spikes import drop_outliers, find_spikes
-from cosim.probing.messages import OWN_STEP
 from cosim.probing.places import probe_places
 from cosim.refinement import messages
 from cosim.refinement.search.groups import Places, full_name, group_of, per_log_faults
@@ -320,8 +319,8 @@ def _of_fmu(yaml: YamlFile, content: StudyFile, faults: list[Fault]) -> Study:
     if compiler() is None:
         raise InputError.at(fmu, f"a refinement of an FMU needs a C compiler; {cure('refine')}")
     probed = probe_places(fmu, logs)
-    if probed.way == "co-simulation" and probed.behaviour.has(OWN_STEP):
-        own = {"own": probed.behaviour.own_step, "step": probed.structure.step}
+    if probed.way == "co-simulation" and probed.own_step and probed.own_step.distorts:
+        own = {"own": probed.own_step.length, "step": probed.structure.step}
         message = (
             "{name} has no usable model exchange ({reason}), and its co-simulation takes steps of its own of "
             "about {own:.3g} s, above the {step:.3g} s of the logs, so its results are wrong there; export it "
@@ -335,7 +334,7 @@ def _of_fmu(yaml: YamlFile, content: StudyFile, faults: list[Fault]) -> Study:
     faults += [*unit_faults, *_key_faults(yaml, content, subject, unlisted=False)]
     read, warnings, log_faults = _read_logs(yaml, content, subject)
     refuse([*faults, *log_faults])
-    found = [with_prefix(f"{content.model}: ", finding) for finding in probed.behaviour.findings]
+    found = [f"{content.model}: {probed.own_step.finding}"] if probed.own_step else []
     return Study(yaml.path, content, subject, tuple(read["estimation"]), (*found, *warnings))
 
 
