@@ -172,7 +172,7 @@ def test_a_base_parameter_that_all_rivals_share_is_not_claimed_if_it_varies(monk
     h = Hypothesis((stiffness, bias), cast(Any, SimpleNamespace()), -50.0)
     claims = Claims("ambiguous", h, ("b + k", "d + k"), certain=(stiffness,), grade="part")
     tested = {"k": Constancy("k", 0.85, 0.95, 1e-4)}
-    search = cast(Any, SimpleNamespace(problem=SimpleNamespace(table=False)))
+    search = cast(Any, SimpleNamespace(problem=None))
     monkeypatch.setattr(module, "varying_parameters", lambda *_: tested)
     checked = check_constancy(search, cast(Any, None), claims)
     assert (checked.name, checked.grade, checked.claimed_candidates) == ("ambiguous", "nearest", ())

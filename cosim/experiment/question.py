@@ -120,7 +120,7 @@ def ask(
     else:
         path, question = _read_question(text, against)
     model, faults = question.base.model, list[Message]()
-    if model.static:
+    if not model.base_states:
         raise InputError.at(
             path,
             (

@@ -16,11 +16,11 @@ OTHER_MODEL = Template(
 SIMILAR_INPUT = Template(
     "E-LOG-005",
     '"{column}" is no column of the model; did you mean "{name}", which is missing? '
-    "A {kind} holds every input of the model: {inputs}",
+    "A log holds every input of the model: {inputs}",
 )
 MISSING_INPUT = Template(
     "E-LOG-006",
-    'input "{name}" is missing; a {kind} holds every input of the model: {inputs}; for a column of another name say '
+    'input "{name}" is missing; a log holds every input of the model: {inputs}; for a column of another name say '
     "--column COLUMN={name}, or `columns` in a study",
 )
 NO_OUTPUT = Template(
@@ -34,7 +34,7 @@ UNKNOWN_VARIABLE = Template(
 )
 UNKNOWN_COLUMN = Template("E-LOG-010", 'has no column "{column}"{cure} (it is to be {name})')
 COLUMN_OPTION = Template("E-LOG-011", '--column "{text}" is not COLUMN=VARIABLE, as in measured_speed=motor.w')
-TOO_FEW_ROWS = Template("E-LOG-012", "holds {count}; a {kind} has at least two, and {usual} to be of use")
+TOO_FEW_ROWS = Template("E-LOG-012", "holds {count}; a log has at least two, and some hundred to be of use")
 EMPTY_COLUMN = Template("E-LOG-013", 'column "{name}" holds no value (NaN in every row); delete the column')
 ABSURD_VALUE = Template("E-LOG-014", '{name} is {value:g} here, far beyond the rest: a mark for "invalid"? Then {cure}')
 UNKNOWN_UNIT = Template("W-LOG-016", '"{unit}" is no unit known here: its numbers are taken as they are')
@@ -98,8 +98,7 @@ EXCITATION = Template(
 )
 ALIKE_INPUTS = Template(
     "N-LOG-035",
-    "{verb} {direction} {other} (correlation {correlation}): "
-    "what one does cannot be separated from what the other does",
+    "moves {direction} {other} (correlation {correlation}): what one does cannot be separated from what the other does",
 )
 SPARSE_OUTPUT = Template("N-LOG-036", "measured in {share} of the rows, every {interval}")
 CONSTANT_OUTPUT = Template("W-LOG-037", "is constant at {value} throughout; check that the sensor is connected")
@@ -194,14 +193,3 @@ DELAY = Template("W-LOG-066", _DELAY)
 POSSIBLE_DELAY = Template("N-LOG-067", _DELAY)
 
 # -- tables ---------------------------------------------------------------------------------------
-
-UNUSED_TIME = Template("N-LOG-052", "time is not read: the model has no states, each row stands for itself")
-TOO_FEW_MEASUREMENTS = Template(
-    "E-LOG-053", "something is measured in {rows}; it takes {least}, and a dozen to be of use"
-)
-FEW_MEASUREMENTS = Template("W-LOG-054", "something is measured in {rows}; a dozen and more tell more")
-CONSTANT_TABLE_INPUT = Template(
-    "N-LOG-055", "is constant at {value}: effects that act only through it cannot be identified"
-)
-NO_VARIATION = Template("W-LOG-056", "no input varies: such a table says next to nothing about a model")
-SPARSE_TABLE_OUTPUT = Template("N-LOG-057", "measured in {share} of the rows")

@@ -23,11 +23,6 @@ PIECES_TOO_SHORT = Template(
     "lasts at most {duration} s without a pause, too short to be judged: it takes {least} s, and {better} s and more "
     "tell more; log longer or leave it out",
 )
-TOO_FEW_ROWS = Template(
-    "E-REF-010",
-    "the logs of estimation have {rows}, and a study needs {least}: {parameters} that may be off, one for a "
-    "missing effect, and {spare} more to estimate the noise; record more rows",
-)
 LATENCY_TOO_LONG = Template(
     "E-REF-011",
     "{sensor} is {latency} s, and {logs}: the rest is too short to judge a model; correct this value, or record "
@@ -55,11 +50,6 @@ NO_CANDIDATES = Template("E-REF-019", "names none; name some, or leave the key o
 GROUPS_WITHOUT_PARAMETERS = Template(
     "E-REF-020",
     "groups, but no parameter per log; say with per_log which parameters differ between them, or leave the groups out",
-)
-TABLES_PER_LOG = Template(
-    "E-REF-021",
-    "parameters per log are not for tables: a model without states reads tables; give it an input that tells them "
-    "apart",
 )
 NO_PARAMETERS_PER_LOG = Template("E-REF-022", "names none; name some, or leave the key out")
 INACTIVE_PARAMETER = Template(

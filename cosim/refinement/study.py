@@ -39,7 +39,6 @@ from cosim.storage.artefact import kind_by_keys
 from cosim.storage.files import FilePath
 from cosim.storage.kinds import STUDY, check_form, refuse_other
 from cosim.storage.yaml_file import UNIT_OF_KEY, Positive, PositiveSeconds, YamlFile, did_you_mean
-from cosim.subject.base_parameters import tolerances
 from cosim.subject.fmu_subject import FmuSubject
 from cosim.subject.interface import Subject
 from cosim.subject.model_subject import ModelSubject
@@ -48,7 +47,6 @@ MISSING_LOG = "{log}: no such file beside the study; its logs are named from the
 
 FMU_SUFFIX = ".fmu"
 SCORED = 1.0  # [s] least scored time, beside the skipped start and one horizon
-SPARE = 3  # rows of tables beyond the estimated parameters, to estimate the noise
 FINEST, COARSEST = 1e-12, 1e3  # share of the largest reading outside which a standard deviation is implausible
 Interpolation = Literal["held", "interpolated"]
 AnySubject = TypeVar("AnySubject", bound=Subject)
@@ -240,6 +238,7 @@ def read_study(path: Path, limits: str = "") -> Study:
         refuse([*faults, *_repeated_logs(yaml, content.logs, {})])
         raise
     subject = ModelSubject(loaded)
+    _refuse_without_states(yaml, subject)
     content, unit_faults = _in_units(yaml, content, subject)
     subject = content.judged(subject)
     faults += unit_faults
@@ -398,10 +397,18 @@ def study_of(
         raise InputError(
             [places.fault(e["loc"], f"{e['msg']}; give a value as in a study file") for e in error.errors()]
         ) from None
+    _refuse_without_states(places, subject)
     subject = content.judged(copy(subject))
     usable, warnings, log_faults = _read_logs(places, content, subject)
     refuse([*_key_faults(places, content, subject, unlisted=not logs), *log_faults])
     return Study(None, content, subject, tuple(usable["estimation"]), tuple(warnings))
+
+
+def _refuse_without_states(places: Places, subject: Subject) -> None:
+    """Raise InputError for a model without states, whose rows over time say nothing more than any table."""
+    if not subject.states:
+        cure = "estimate its parameters with `cosim fit LOG --fmu FMU`, or give it the state that it lacks"
+        raise InputError([places.fault(("model",), f"{subject.title} has no states, so it cannot be refined; {cure}")])
 
 
 def _key_faults(places: Places, content: StudyFile, subject: Subject, *, unlisted: bool) -> Iterator[Fault]:
@@ -454,12 +461,11 @@ def _read_logs(
         warnings += [
             with_prefix(f"{name}: ", f.whole) for f in findings if f.severity == "warning" and f.kind != "outliers"
         ]
-        if count := 0 if log.table else len(stretches(log)) - len(usable):
+        if count := len(stretches(log)) - len(usable):
             warnings.append(f"{name}: {counted(count, 'piece')} between pauses too short to be used")
         logs[part] += usable
     faults += _implausible_noise(places, content.noise, logs["estimation"])
     faults += _repeated_logs(places, content.logs, digests)
-    faults += _few_rows(places, content, subject, logs["estimation"])
     return logs, warnings, faults
 
 
@@ -473,7 +479,7 @@ def _read(path: Path, content: StudyFile, subject: Subject) -> Log:
     if isinstance(subject, FmuSubject):
         log = log_of_fmu(path, subject.structure.fmu, content.columns, alone=False)
         return rename_signals(log, subject.names)
-    return read_log(path, subject.inputs, subject.outputs, table=subject.static, columns=content.columns)
+    return read_log(path, subject.inputs, subject.outputs, columns=content.columns)
 
 
 def _repeated_logs(places: Places, logs: LogLists, digests: Mapping[str, str]) -> Iterator[Fault]:
@@ -502,8 +508,8 @@ def _digest(log: Log) -> str:
 
 
 def _spikes(log: Log, subject: Subject) -> dict[str, Rows]:
-    """Return outliers of a log; a table has none."""
-    return {} if log.table else find_spikes(log, subject.prediction(log))
+    """Return outliers of a log."""
+    return find_spikes(log, subject.prediction(log))
 
 
 def _min_duration(log: Log, horizon: float) -> float:
@@ -516,8 +522,6 @@ def _min_duration(log: Log, horizon: float) -> float:
 
 def _usable_stretches(log: Log, horizon: float) -> list[Log]:
     """Return the measured stretches of sufficient duration."""
-    if log.table:
-        return [log]
     least = _min_duration(log, horizon) - 0.5 * log.step
     return [fill_holes(s) for s in stretches(log) if s.outputs and s.time[-1] - s.time[0] >= least]
 
@@ -528,23 +532,6 @@ def _short_log(log: Log, horizon: float) -> Fault:
     message = messages.LOG_TOO_SHORT if len(durations) == 1 else messages.PIECES_TOO_SHORT
     least, better = plain(_min_duration(log, horizon), None), plain(20 * log.slowness)
     return Fault(log.path, 0, 0, message(duration=plain(max(durations)), least=least, better=better))
-
-
-def _few_rows(places: Places, content: StudyFile, subject: Subject, logs: Sequence[Log]) -> Iterator[Fault]:
-    """Yield faults of tables with too few rows."""
-    if not logs or not subject.static:
-        return
-    count = len(tolerances(subject, content.tolerance_of(subject)))
-    rows, least = sum(len(log.time) for log in logs), count + 1 + SPARE
-    if rows < least:
-        texts = {"rows": counted(rows, "row"), "parameters": counted(count, "number")}
-        yield places.fault(
-            ("logs", "estimation"),
-            (
-                "the logs of estimation have {rows}, and a study needs {least}: {parameters} that may be off, one "
-                "for a missing effect, and {spare} more to estimate the noise; record more rows"
-            ).format(least=least, spare=SPARE, **texts),
-        )
 
 
 def _latency_faults(model_file: Path, loaded: LoadedModel, logs: Sequence[Log]) -> Iterator[Fault]:

@@ -63,7 +63,6 @@ from cosim.refinement.proof.replay_check import (
     with_miss_of_rivals,
 )
 from cosim.refinement.proof.sealed import find_rises, repeated_motion, sealed_improvement
-from cosim.refinement.proof.table_errors import add_dependence
 from cosim.refinement.record import Floors, Measurements, Part, Replayed, keep_finite, record
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.search.fits import SearchResult
@@ -331,8 +330,7 @@ def _judge_best(study: Study, a: Attribution, result: SearchResult, progress: Pr
         claims = compare_with_predictions(search, a, claims)
     progress("replaying with the claim and without", 0.0)
     claims = check_constancy(search, a, check_with_replays(study, a, claims, result, problem))
-    claims = replace(claims, not_excluded=not_excluded(search, claims, _candidates(study)))
-    return add_dependence(claims, a, problem, subject) if subject.static else claims
+    return replace(claims, not_excluded=not_excluded(search, claims, _candidates(study)))
 
 
 def _is_steady(problem: Problem, leftover: Leftover, with_terms: Fit, alone: Fit, horizon: float) -> bool:

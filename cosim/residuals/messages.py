@@ -2,11 +2,6 @@
 
 from cosim.base.messages import Template
 
-NO_STATES = Template(
-    "E-RES-001",
-    "has no states, so there is no time over which to replay a log; "
-    "list the table in a study, `cosim refine` holds each row against the model",
-)
 UNKNOWN_SIGNAL = Template("E-RES-002", 'has no {kind} "{name}", which {log} holds{cure} (its {kind}s: {names})')
 OTHER_UNIT = Template(
     "E-RES-003", "{name} is in {unit} here and in {other} in the log as it was read; read the log for this FMU"

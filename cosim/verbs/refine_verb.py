@@ -120,7 +120,7 @@ def command(
         answer = {key: result.record[key] for key in keys if key in result.record}
         say_json({**answer, **files_in(place, "refine.json", "model.yaml", "plant.fmu")})
     show(place / "report.html", open_=report and open_)
-    if result.record["verdict"] == "ambiguous" and not result.study.subject.static:
+    if result.record["verdict"] == "ambiguous":
         from cosim.experiment.ranges import inputs_to_limit
 
         ranges = [f"--limit {name}=VALUE" for name in inputs_to_limit(result.study.subject)]
