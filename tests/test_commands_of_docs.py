@@ -70,7 +70,6 @@ PARSED: Mapping[str, tuple[str, str]] = {
             "drive": "test_drive",
             "incubator": "test_measured_fmus",
             "pendulum": "test_examples_data",
-            "propeller": "test_examples_data",
             "silverbox": "test_examples_data",
             "tclab": "test_examples_data",
             "ur10e": "test_examples_data",

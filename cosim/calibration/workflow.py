@@ -29,8 +29,7 @@ from cosim.isolation.process import Worker
 from cosim.logs.gate import gate, gate_faults
 from cosim.logs.log import Log, read_column_names
 from cosim.logs.unit_mistakes import input_unit_findings
-from cosim.probing.behaviour import probe_behaviour
-from cosim.probing.messages import EVENTS_ALWAYS, NO_PARAMETERS, NO_UNITS, OWN_STEP, RESET_REFUSED
+from cosim.probing.own_step import probe_own_step
 from cosim.probing.prober import LIMITS
 from cosim.refinement.proof.sealed import find_rises
 from cosim.residuals.drive import Drive, check_files, log_of_fmu
@@ -43,7 +42,6 @@ from cosim.storage.files import FilePath, check_writable, hold_stops, named_path
 from cosim.storage.folder_lock import folder_locks
 from cosim.storage.folders import begin_unrecorded, check_overwritable, keep_earlier
 
-UNIMPORTANT = {NO_PARAMETERS.code, NO_UNITS.code, EVENTS_ALWAYS.code, RESET_REFUSED.code}  # for a fit
 FILES = ("fit.json", "fitted.ssv", "fitted.fmu", "report.html")
 
 
@@ -81,7 +79,8 @@ def fit(
     check_writable(place, FILES, files)
     begin_unrecorded(place, "cosim fit", files)
     progress("probing the FMU", 0.0)
-    behaved = [] if in_process else find_misbehaviour(request, read[0], given)
+    if not in_process:
+        refuse_own_step(request, read[0], given)
     with ExitStack() as stack:
         worker = None if in_process else stack.enter_context(Worker(*MODULES))
         inner = most.model_copy(update={"total": None, "step": most.step or most.total})
@@ -101,9 +100,10 @@ def fit(
         outcome = Outcome(path, tuple(estimation), tuple(test), estimate, fixed, parts, _risen(parts), entries)
         keep_earlier(place, "cosim fit", read=files)
         _remove(place)
-        if request.unused:
-            behaved.append(f"`cosim fit` does not use {join_names(request.unused)}: `cosim refine` does")
-        written, told = _write(place, outcome, begin, stop, lambda file: load(read[0], file), behaved)
+        unused = (
+            [f"`cosim fit` does not use {join_names(request.unused)}: `cosim refine` does"] if request.unused else []
+        )
+        written, told = _write(place, outcome, begin, stop, lambda file: load(read[0], file), unused)
         if report:
             from cosim.calibration.report import page
 
@@ -126,15 +126,14 @@ def check_fit_study(path: Path, checking: Checking) -> list[str]:
     """
     request = read_fit_study(path)
     logs, chosen, given = _read(request)
-    behaved: list[str] = []
     if checking.worker is not None:
         with ExitStack() as stack:
             fixed = _without(given, chosen)
             apart = [DriveApart(checking.worker, g, request.fmu, limits=request.limits, given=fixed) for g in logs]
             _refuse_bad([stack.enter_context(drive) for drive in apart])
-        behaved = [f"warning: {finding}" for finding in find_misbehaviour(request, logs[0], given)]
+        refuse_own_step(request, logs[0], given)
     aim = "" if request.vary else "what the logs determine of "
-    return [*behaved, Note(f"`cosim fit` will estimate {aim}{join_names([p.name for p in chosen])}")]
+    return [Note(f"`cosim fit` will estimate {aim}{join_names([p.name for p in chosen])}")]
 
 
 def _read(request: Request) -> tuple[list[Log], list[Parameter], dict[str, Any]]:
@@ -186,25 +185,22 @@ def _path_faults(request: Request) -> tuple[list[Fault], list[Path]]:
     return faults, paths
 
 
-def find_misbehaviour(request: Request, log: Log, given: Mapping[str, Any]) -> list[str]:
-    """Return how the FMU misbehaves along a log.
-
-    Raises:
-        InputError: Its own step is above that of the log.
-    """
+def refuse_own_step(request: Request, log: Log, given: Mapping[str, Any]) -> None:
+    """Raise InputError if the FMU makes steps of its own that are longer than those of a log."""
     numbers = {n: v for n, v in given.items() if isinstance(v, float)}
     try:
-        found = probe_behaviour(request.fmu, [log], numbers, limits=request.limits if request.limits.step else LIMITS)
+        own = probe_own_step(request.fmu, [log], numbers, limits=request.limits if request.limits.step else LIMITS)
     except (FmuError, SimulationError):
-        return []  # the first simulation reports it
-    if found.way == "co-simulation" and found.has(OWN_STEP):
-        message = (
-            f"its co-simulation takes steps of its own of about {found.own_step:.3g} s, above the {log.step:.3g} "
-            "s of the logs, so its results are wrong there; export it with a shorter step, or record rows every "
-            f"{found.own_step:.3g} s"
+        return  # the first simulation reports it
+    if own and own.distorts:
+        raise InputError.at(
+            request.fmu,
+            (
+                f"its co-simulation takes steps of its own of about {own.length:.3g} s, above the {log.step:.3g} s "
+                "of the logs, so its results are wrong there; export it with a shorter step, or record rows every "
+                f"{own.length:.3g} s"
+            ),
         )
-        raise InputError.at(request.fmu, message)
-    return [f for f in found.findings if f.code not in UNIMPORTANT]
 
 
 def _chosen(request: Request, description: Any, given: Mapping[str, Any]) -> list[Parameter]:

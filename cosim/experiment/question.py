@@ -119,7 +119,7 @@ def ask(
     else:
         path, question = _read_question(text, against)
     model, faults = question.base.model, list[str]()
-    if model.static:
+    if not model.base_states:
         raise InputError.at(
             path,
             (

@@ -91,7 +91,7 @@ def _time_faults(s: SymbolicModel, source: ModelText) -> list[Fault]:
     """Return the fault of time-dependent outputs without states."""
     import sympy
 
-    if not s.model.static:
+    if s.model.base_states:
         return []
     values = s.model.equations(SymbolNamespace()).output(s.time, s.state, s.command)
     if all(s.time not in sympy.sympify(value).free_symbols for value in values):

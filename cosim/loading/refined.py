@@ -9,7 +9,6 @@ from cosim.storage.folders import content_of
 ANSWER = "refine.json"
 REFINED = ("model.yaml", "plant.fmu")
 NEAREST = ("nearest.yaml", "nearest.fmu")
-SSPS = ("plant.ssp", "nearest.ssp")  # in place of plant.fmu and nearest.fmu
 
 
 class NoNearest(ValueError):

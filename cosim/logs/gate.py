@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from itertools import combinations
 
 import numpy as np
 
@@ -16,10 +17,10 @@ from cosim.logs.finding import Finding
 from cosim.logs.frames import frame_findings
 from cosim.logs.log import MISSING, Log, name_list
 from cosim.logs.spikes import Spikes, find_spikes, out_of_line
-from cosim.logs.static_table import alike_inputs, table_findings
 from cosim.model.traits import Traits
 
 ORDER = ("fault", "warning", "note")
+ALIKE = 0.98  # correlation of two inseparable inputs
 SLOWER, FASTER = 1.5, 50.0  # ratio of the log's step to the model's from which the steps disagree
 SHORT = 10.0  # [s]; the first 2 s and whole windows of 2 s must leave enough rows
 
@@ -39,14 +40,11 @@ def gate(
         traits: Signal properties of the model, None without a model.
         spikes: Outliers confirmed by a model; default: search without a model.
     """
-    if log.table:
-        findings = list(table_findings(log, traits))
-    else:
-        clock = [*_timing(log), *_rate(log, rate, strict)]
-        channels = [*_inputs(log), *_outputs(log), *outliers(log, find_spikes(log) if spikes is None else spikes)]
-        findings = [*clock, *channels, *frame_findings(log, traits)]
-        if any(f.severity == "fault" for f in clock):  # a wrong clock unit causes the scale error
-            findings = [f for f in findings if f.kind != "scale"]
+    clock = [*_timing(log), *_rate(log, rate, strict)]
+    channels = [*_inputs(log), *_outputs(log), *outliers(log, find_spikes(log) if spikes is None else spikes)]
+    findings = [*clock, *channels, *frame_findings(log, traits)]
+    if any(f.severity == "fault" for f in clock):  # a wrong clock unit causes the scale error
+        findings = [f for f in findings if f.kind != "scale"]
     return sorted((*findings, *_warn_undeclared(log), *_unread(log)), key=lambda f: ORDER.index(f.severity))
 
 
@@ -226,7 +224,15 @@ def _inputs(log: Log) -> Iterator[Finding]:
             yield _excitation(log, name, values)
     if log.inputs and not moving:
         yield Finding("warning", "no_excitation", "", "no input moves: such a log says next to nothing about a model")
-    yield from alike_inputs(moving, "moves")
+    for one, other in combinations(moving, 2):
+        rho = float(np.corrcoef(moving[one], moving[other])[0, 1])
+        if abs(rho) > ALIKE:
+            direction, correlation = "with" if rho > 0 else "against", plain(rho, 3)
+            message = Note(
+                f"moves {direction} {other} (correlation {correlation}): what one does cannot be separated from "
+                "what the other does"
+            )
+            yield Finding("note", "alike", one, message, {"correlation": rho})
 
 
 def _excitation(log: Log, name: str, values: Array) -> Finding:

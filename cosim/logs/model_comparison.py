@@ -13,7 +13,6 @@ from cosim.base.arrays import Array
 from cosim.base.correlation import correlation_at_lags
 from cosim.base.text import amount, plain
 from cosim.base.units import factor
-from cosim.logs import messages
 from cosim.logs.channel_noise import noise_level
 from cosim.logs.finding import Finding
 from cosim.logs.log import Log
@@ -94,8 +93,10 @@ def _unit_mistake(log: Log, name: str, fit: SlopeFit) -> str | None:
         )
     if not (unit := other_unit(log.units[name], fit.slope)):
         return None
-    template = messages.OTHER_SLOPE if is_alike else messages.PERHAPS_OTHER_SLOPE
-    return template(slope=plain(fit.slope), error=plain(fit.error, 1), unit=unit, name=name)
+    return (
+        f"moves with the model, but {plain(fit.slope)} ± {plain(fit.error, 1)} times as far; is its unit {unit}? Then call "
+        f'the column "{name} [{unit}]"'
+    )
 
 
 def _size_findings(log: Log, name: str, model: Array) -> Iterator[Finding]:

@@ -21,6 +21,7 @@ from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.master.live_values import check_hosts
 from cosim.master.remote import simulate_apart
+from cosim.probing.misbehaviour import misbehaviour
 from cosim.scenario.controller_design import designed_apart, designed_values
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.manifest import check_pinned
@@ -40,6 +41,8 @@ def check_loaded_fmu(path: Path, checking: Checking) -> list[str]:
     """Return violations of FMI rules; raise InputError if the FMU cannot be run."""
     notes: list[str] = []
     refuse(check_fmu(path, checking.worker, notes))
+    if checking.worker is not None:
+        notes += [f"warning: {sentence}" for sentence in misbehaviour(path)]
     # FMPy's findings are about a readable FMU, as accepted by importing tools.
     return notes + [f"warning: {problem}" for problem in validation(path)]
 

@@ -307,6 +307,7 @@ def _reason(error: Any) -> str:
 
 REMOVED_KEYS: dict[str, str] = {  # key of earlier versions → what to use instead
     "carry_logs": "Remove it, and pass the validation logs on beside the FMU.",
+    "delivery": "A refined FMU holds the original and the terms: leave the key out.",
 }
 _WORDS = {
     **dict.fromkeys(("dict_type", "model_type", "model_attributes_type"), "it should be a mapping of keys to values"),

@@ -49,7 +49,7 @@ class ModelSubject(Subject):
         self.fmu: Path | None = None
         self.title, self.source = model.title, loaded.source
         self.inputs, self.outputs, self.states = model.inputs, model.outputs, model.states
-        self.horizon, self.rate, self.static = model.horizon, model.rate, model.static
+        self.horizon, self.rate = model.horizon, model.rate
         self.parameters, self.calibrated, self.sensors = model.parameters, model.calibrated, model.sensors
         own = {p.name for p in model.parameters}
         self.candidate_parameters = {n: p for n, p in model.declared.items() if n not in own}
