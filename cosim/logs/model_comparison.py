@@ -85,7 +85,6 @@ def scales(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
 
 def _unit_mistake(log: Log, name: str, fit: SlopeFit) -> str | None:
     """Return the message on a signal whose slope over its prediction is the factor between two units."""
-    is_alike = fit.correlation > LIKE
     if _is_converted_wrongly(log, name, fit.slope):
         return (
             f"was converted from {log.written[name]} to {log.units[name]}, but agrees with the model without this "
@@ -94,8 +93,8 @@ def _unit_mistake(log: Log, name: str, fit: SlopeFit) -> str | None:
     if not (unit := other_unit(log.units[name], fit.slope)):
         return None
     return (
-        f"moves with the model, but {plain(fit.slope)} ± {plain(fit.error, 1)} times as far; is its unit {unit}? Then call "
-        f'the column "{name} [{unit}]"'
+        f"moves with the model, but {plain(fit.slope)} ± {plain(fit.error, 1)} times as far; is its unit {unit}? "
+        f'Then call the column "{name} [{unit}]"'
     )
 
 

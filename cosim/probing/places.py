@@ -9,7 +9,7 @@ from types import MappingProxyType
 from typing import Any
 
 from cosim.base.errors import FmuError, InputError, SimulationError
-from cosim.base.messages import Message, Note, code_of
+from cosim.base.messages import Message, Note
 from cosim.blocks.description import Way, read_description, ways
 from cosim.isolation.limits import Limits
 from cosim.logs.log import Log
@@ -73,7 +73,7 @@ class Places:
             "step": s.step,
             "events": [asdict(count) for count in s.events],
             "own_step": self.own_step.length if self.own_step else 0.0,
-            "findings": [{"code": code_of(finding), "text": str(finding)} for finding in self.findings],
+            "findings": list(self.findings),
         }
 
 
