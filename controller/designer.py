@@ -7,7 +7,6 @@ from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
-from controller import messages
 from controller.gains import ESTIMATORS, GAINS, Settings
 from controller.placement import POLES as PLACED
 from controller.variants import (
@@ -72,7 +71,7 @@ class LqrDesigner:
         if model is None:
             return {p.name: getattr(Settings(), p.name) for p in parameters_of(Settings)}
         if not isinstance(model, Hovercraft):
-            raise ValueError(messages.OTHER_MODEL(model=model.title, craft=Hovercraft.title))
+            raise ValueError(f"is a {model.title}; this controller flies the {Hovercraft.title} and nothing else")
         owners = {"": model} | {f"{e.name}.": e for e in model.awake}
         return {
             prefix + p.name: getattr(owner, p.name) for prefix, owner in owners.items() for p in parameters_of(owner)
@@ -99,13 +98,21 @@ class LqrDesigner:
             if not low <= value <= high:
                 unit = f" {declared[name].unit}".rstrip()
                 objections.append(
-                    Objection(about, messages.OPTION_OUT_OF_BOUNDS(value=value, low=low, high=high, unit=unit))
+                    Objection(about, f"{value:g} lies outside [{low:g}, {high:g}]{unit}; take a value inside")
                 )
         if law == POLES:
             poles = [complex(pole) for pole in options["poles"]]
             objections += [Objection(("poles", k), message) for k, message in pole_faults(poles)]
         if law in PREDICTIONS and options["R"][0] != options["R"][1]:
-            objections.append(Objection(("R",), messages.UNEQUAL_TILT_WEIGHTS(weights=options["R"])))
+            objections.append(
+                Objection(
+                    ("R",),
+                    (
+                        f"{options['R']} weighs one tilt more; the predictive law takes one weight for both: write the "
+                        "same number twice"
+                    ),
+                )
+            )
         return objections
 
     def _gains(self, options: Mapping[str, Any], settings: Settings, law: str) -> dict[str, float]:
@@ -145,7 +152,7 @@ class LqrDesigner:
             objections = []
             for names, reason in faults:
                 place = next((places[name] for name in names if name in places), ())
-                objections.append(Objection(place, messages.INVALID_PARAMETERS.around(reason), names))
+                objections.append(Objection(place, f"the settings are not possible together: {reason}", names))
             return Judged(objections)
         from controller.judging import judged_gains
 

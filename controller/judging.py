@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from controller import messages
 from controller.design_model import Matrix, ModelNumbers
 from controller.gains import GAINS, Settings
 from controller.placement import POLES as PLACED
@@ -53,7 +52,10 @@ def _too_large(values: Mapping[str, Any], options: Mapping[str, Any], law: str) 
     large = [p for p in gains if p.fault(values[p.name])]
     if not large:
         return []
-    message = messages.LARGE_GAIN(size=max(abs(values[p.name]) for p in large), limit=large[0].bounds[1])
+    message = (
+        f"asks for a gain of {max(abs(values[p.name]) for p in large):.3g}, and the controller takes "
+        f"{large[0].bounds[1]:g} at most; ask for a slower loop"
+    )
     axis = "turning" if large[0].name[-1] in TURNING else "forward"
     return [Objection(_place_of(axis, options, law), message, tuple(p.name for p in large))]
 
@@ -76,10 +78,25 @@ def _judge_loop(values: Mapping[str, Any], own: Mapping[str, Any], options: Mapp
         fields = {"lag": craft.lag, "sample": p.sample_time, "estimator": p.estimator, "axis": mode.axis, "cure": cure}
         fields["pole"] = _short(mode.pole)
         if mode.grows:
-            objections.append(Objection(place, messages.UNSTABLE_LOOP(**fields), (*GAINS, *INTEGRALS)))
+            objections.append(
+                Objection(
+                    place,
+                    (
+                        "is not stable as it flies, with the lag of {lag:g} s, a sample of {sample:g} s and the "
+                        "estimator {estimator} the {axis} axis has a pole at {pole} rad/s{cure}"
+                    ).format(**fields),
+                    (*GAINS, *INTEGRALS),
+                )
+            )
         else:
             swing = {"damping": mode.damping, "ratio": 100 * swing_ratio(mode.damping)}
-            warnings.append(messages.WEAK_DAMPING(option=place[0], **fields, **swing))
+            warnings.append(
+                (
+                    "design.{option}: with the lag of {lag:g} s, a sample of {sample:g} s and the estimator "
+                    "{estimator} the {axis} axis has a pole at {pole} rad/s, hardly damped by {damping:.2g}: a "
+                    "swing keeps {ratio:.0f} % of its size{cure}"
+                ).format(option=place[0], **fields, **swing)
+            )
     return Judged(objections, warnings)
 
 

@@ -30,7 +30,6 @@ SEED = 27
 PAUSE, STEPS = 6000.0, 100  # wall time of a step [us], and steps of a run
 LONGEST = 60.0  # [s] of a command
 MOST_KILLS = 5  # of one run
-NOT_YET = ("E-SIM-060", "E-SIM-066", "E-SIM-074")  # nothing is there to resume, or no folder
 
 
 class Fork:
@@ -127,24 +126,31 @@ class Killed:
             process = self.command(arguments)
             self._kill(process, rng, counts)
             code, said = process.poll(), self._said(process)
-            if code == 2 and said.get("code") in NOT_YET:
+            if code == 2 and not self._is_finished():
                 counts["nothing to resume"] += 1
                 arguments = self.begin
                 continue
-            if code == 0 or said.get("code") == "E-SIM-061":
+            if code in (0, 2):
                 counts["ended before"] += 1
             elif code not in (-signal.SIGKILL, 4):
                 return [f"exit {code}: {said}"]
             arguments = self.resume
         return self._end(arguments)
 
+    def _is_finished(self) -> bool:
+        try:
+            status: str = json.loads((self.folder / "part" / "manifest.json").read_text())["status"]
+        except (OSError, ValueError):
+            return False
+        return status == "ok"
+
     def _end(self, arguments: list[str]) -> list[str]:
         part = self.folder / "part"
         for _ in range(2):
             process = self.command(arguments)
             code, said = process.wait(LONGEST), self._said(process)
-            arguments = self.begin if code == 2 and said.get("code") in NOT_YET else self.resume
-        if code and said.get("code") != "E-SIM-061":
+            arguments = self.begin if code == 2 and not self._is_finished() else self.resume
+        if code and not (code == 2 and self._is_finished()):
             return [f"exit {code}: {said}"]
         return self._differences(part)
 

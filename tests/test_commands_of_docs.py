@@ -19,7 +19,6 @@ import pytest
 
 import cosim
 from tests.conftest import ROOT
-from tests.decay import decay_fmu
 from tests.logs import write_log
 from tests.motor import motor_file, motor_log
 from tests.native import NEEDS_COMPILER
@@ -33,7 +32,7 @@ DOCUMENTS = {
 }
 
 EXECUTED = (
-    *("docs/fit.md", "docs/hosts.md", "docs/logs.md", "docs/native.md", "docs/probing.md", "docs/related.md"),
+    *("docs/fit.md", "docs/hosts.md", "docs/logs.md", "docs/native.md", "docs/probing.md"),
     *("docs/ssp.md", "docs/sweep.md", "docs/times.md", "examples/clocks/README.md"),
 )
 # document → what runs its commands as they stand, or with shorter times
@@ -69,7 +68,6 @@ PARSED: Mapping[str, tuple[str, str]] = {
             "drive": "test_drive",
             "incubator": "test_measured_fmus",
             "pendulum": "test_examples_data",
-            "propeller": "test_examples_data",
             "silverbox": "test_examples_data",
             "tclab": "test_examples_data",
             "ur10e": "test_examples_data",
@@ -280,7 +278,6 @@ SHORT = {
 LONGER = [pytest.mark.thorough]
 PREPARED = [
     ("docs/logs.md", _of_the_craft, LONGER),
-    ("docs/related.md", lambda folder: decay_fmu(folder / "BouncingBall.fmu"), ()),
     ("docs/times.md", lambda folder: None, ()),
     ("examples/clocks/README.md", _clocks, [NEEDS_COMPILER]),
     ("docs/ssp.md", lambda folder: None, [NEEDS_COMPILER]),

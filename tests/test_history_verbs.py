@@ -156,7 +156,7 @@ def test_a_sweep_is_listed_with_its_runs(tmp_path: Path) -> None:
     ("words", "file", "stage"),
     [
         (["refine", "study.yaml"], "study/refine.json", "cosim.refinement.workflow.attribute"),
-        (["fit", "e1.csv", "--fmu", "tank.fmu"], "tank-fit/fit.json", "cosim.calibration.workflow.find_misbehaviour"),
+        (["fit", "e1.csv", "--fmu", "tank.fmu"], "tank-fit/fit.json", "cosim.calibration.workflow.refuse_own_step"),
     ],
 )
 def test_an_interrupted_search_leaves_the_earlier_results(

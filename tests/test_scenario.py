@@ -7,11 +7,9 @@ from pathlib import Path
 import pytest
 
 from cosim.base.errors import InputError
-from cosim.isolation.messages import NO_LIMIT
 from cosim.scenario.controller_design import designed_values
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.workflow import run
-from cosim.storage import messages
 from cosim.storage.yaml_file import YamlFile
 from cosim.system.system import build_system
 
@@ -38,19 +36,6 @@ def test_a_step_that_is_none_brings_no_fault_of_what_it_would_have_to_fit(projec
     text = GOOD + "criteria:\n  rms_error:\n    - {of: plant.x, after: 8, max: 1}\n"
     (told,) = faults_of(project, GOOD.split("criteria:")[0] + text.removeprefix(GOOD), "step=0")
     assert "step is 0: it should be greater than 0" in told
-
-
-def test_a_wrong_value_has_the_code_of_its_reason_or_else_that_of_values(project: Path) -> None:
-    path = project / "scenarios" / "case.yaml"
-    path.write_text(GOOD)
-    options = ("components.plant.start.x_start=.nan", "duration=4 furlong", "limits={step: 0}", "sed=1")
-    with pytest.raises(InputError) as caught:
-        read(path, *options)
-    codes = {str(fault.message).partition('"')[2].partition("=")[0]: fault.code for fault in caught.value.faults}
-    assert codes["components.plant.start.x_start"] == "E-SCN-001"
-    assert codes["duration"] == messages.WRONG_VALUE.code
-    assert codes["limits"] == NO_LIMIT.code
-    assert codes["sed"] == messages.UNKNOWN_KEY.code
 
 
 def test_the_shipped_scenarios_have_no_fault(project: Path) -> None:

@@ -6,7 +6,6 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from cosim.authoring import messages
 from cosim.base.errors import InputError, NotExecuted
 from cosim.base.scratch import temporary_folder
 from cosim.loading.file import without_execution
@@ -49,7 +48,9 @@ def check_picture(path: Path, graph: Graph) -> None:
         titles = [DIAGRAM.findall(text) for text in (head, graph.svg())]
         is_earlier = titles[0] != [] and titles[0] == titles[1]
     if not is_earlier:
-        raise InputError.at(path, messages.NOT_A_DIAGRAM(name=graph.name))
+        raise InputError.at(
+            path, f"is there, and no picture of {graph.name}; name another file as --out, or write over it by --force"
+        )
 
 
 def _graph(file: ScenarioFile) -> Graph:

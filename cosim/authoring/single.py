@@ -8,7 +8,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from cosim.authoring import messages
 from cosim.authoring.draft import write_single
 from cosim.authoring.parts import parts_of
 from cosim.base.errors import Fault, refuse
@@ -76,9 +75,9 @@ def simulate(
 def _check_times(fmu: Path, stop: float | None, step: float | None) -> None:
     faults = []
     if stop is not None and not math.isfinite(stop):
-        faults.append(Fault(fmu, 0, 0, messages.STOP_NOT_FINITE(value=stop)))
+        faults.append(Fault(fmu, 0, 0, f"--stop {stop:g}: give a number of seconds"))
     if step is not None and not (math.isfinite(step) and step > 0):
-        faults.append(Fault(fmu, 0, 0, messages.STEP_NOT_POSITIVE(value=step)))
+        faults.append(Fault(fmu, 0, 0, f"--step {step:g}: give a number of seconds above 0"))
     refuse(faults)
 
 
@@ -91,7 +90,7 @@ def start_pairs(fmu: Path, texts: Sequence[str], description: Any) -> dict[str, 
     for text in texts:
         name, sign, value = split_assignment(text, names)
         if not sign or not name:
-            faults.append(Fault(fmu, 0, 0, messages.NOT_NAME_VALUE(text=short(text))))
+            faults.append(Fault(fmu, 0, 0, f'--set "{short(text)}" is not NAME=VALUE; for example --set mass=2'))
             continue
         values[name] = value
         if name not in words:

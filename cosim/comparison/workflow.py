@@ -14,7 +14,6 @@ from cosim.base.arrays import far_beyond
 from cosim.base.errors import InputError
 from cosim.base.text import counted, written
 from cosim.base.version import __version__
-from cosim.comparison import messages
 from cosim.comparison.criterion_cells import criterion_cell, tone_of
 from cosim.comparison.differences import Compared, compare_runs, criteria_of, sentence
 from cosim.comparison.several import ComparedRuns, RunSource, compare_several
@@ -139,7 +138,7 @@ def _is_numbered(names: Sequence[str]) -> bool:
 def _check_tolerance(path: Path, tolerance: float | None, absolute: float) -> None:
     for name, value in (("--tol", tolerance), ("--abs", absolute)):
         if value is not None and not (math.isfinite(value) and value >= 0):
-            raise InputError.at(path, messages.NEGATIVE_TOLERANCE(option=name, value=value))
+            raise InputError.at(path, f"{name} {value:g}: give a number that is not negative")
 
 
 def _prepare(place: Path, paths: Sequence[Path], *, force: bool, numbered: bool) -> None:

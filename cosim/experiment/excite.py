@@ -19,7 +19,6 @@ from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.base.settings import Count, ModelName, PositiveSeconds, Seed
 from cosim.estimation.posing import build_problem
-from cosim.experiment import messages
 from cosim.experiment.chosen_input import Excitation, merit_of
 from cosim.experiment.excitation import draw_signals
 from cosim.experiment.fmu_experiment import FmuOpenLoop
@@ -93,9 +92,18 @@ def excite(
     check_writable(folder, files, [source / "plant.fmu"] if (source := refinement_folder(text)) else [])
     excitation = _choose(question, rig, time, seed, experiments, show_stage)
     if excitation is None:
-        raise InputError.at(Path(text), messages.NONE_WITHIN_LIMITS(count=experiments))
+        raise InputError.at(
+            Path(text),
+            f"none of {experiments} experiments stays within the limits; widen --limit or shorten --duration",
+        )
     if max(excitation.apart.values()) < MIN_DISTANCE:
-        raise InputError.at(Path(text), messages.NONE_SEPARATES(count=experiments))
+        raise InputError.at(
+            Path(text),
+            (
+                f"none of {experiments} experiments drives any two rivals a standard deviation apart; try a wider "
+                "--limit, a longer --duration or more outputs --measured"
+            ),
+        )
     show_stage("building the FMUs", 0.0)
     keep_earlier(folder, "cosim excite", rig.files, read=[source] if source else [])
     _write(folder, excitation, seed)
@@ -122,7 +130,13 @@ def _times(text: str, step: float, duration: float | None) -> Array:
     duration = default if duration is None else duration
     if not shortest <= duration <= longest:
         limits = {"shortest": shortest, "longest": longest, "step": step}
-        raise InputError.at(Path(text), messages.DURATION_OUT_OF_RANGE(duration=duration, **limits))
+        raise InputError.at(
+            Path(text),
+            (
+                "--duration {duration:g}: an experiment lasts between {shortest:g} and {longest:g} s for a step of "
+                "{step:g} s"
+            ).format(duration=duration, **limits),
+        )
     return step * np.arange(round(duration / step) + 1, dtype=np.float64)
 
 

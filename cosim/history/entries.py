@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 from cosim.base.errors import InputError
 from cosim.base.suggestions import did_you_mean
 from cosim.base.version import __version__
-from cosim.history import messages
 from cosim.history.inputs import changes_between, input_text, input_tree, short_input
 from cosim.history.numbers import numbers_of, unknown_number
 from cosim.storage.artefact import Artefact, artefacts
@@ -75,7 +74,9 @@ class Entry:
         with suppress(OSError):
             if self.record.stat().st_mtime == self.time:
                 return
-        raise InputError.at(self.folder, messages.REPLACED(number=self.number))
+        raise InputError.at(
+            self.folder, f"run {self.number} was removed or replaced after it was listed; repeat the command"
+        )
 
     @property
     def is_newest(self) -> bool:
@@ -141,14 +142,18 @@ def find_entries(texts: Sequence[str], results: Path | None = None) -> list[Entr
     every = entries(results)
     root = RESULTS if results is None else results
     if not every:
-        raise InputError.at(root, messages.NO_RESULTS())
+        raise InputError.at(
+            root, "no results here; run a command without --out first, or name their folder as --results"
+        )
     found: dict[str, Entry] = {}
     for text in texts:
         matches = match_entries(text, every, root)
         if not matches and text.isdecimal():
             raise InputError.at(Path(text), unknown_number(text, root))
         if not matches:
-            raise InputError.at(Path(text), messages.NO_MATCH(hint=did_you_mean(text, [e.name for e in every])))
+            raise InputError.at(
+                Path(text), f"no results match{did_you_mean(text, [e.name for e in every])}; `cosim list` shows all"
+            )
         found |= {entry.name: entry for entry in matches}
     return [*found.values()]
 
@@ -160,7 +165,7 @@ def listed_entries(texts: Sequence[str] | None, results: Path) -> list[Entry]:
         InputError: A text matches no entry, or the folder is not the default one and not there.
     """
     if results != RESULTS and not results.is_dir():
-        raise InputError.at(results, messages.NO_FOLDER())
+        raise InputError.at(results, "no such folder; give the folder that has the results as --results")
     return find_entries(texts, results) if texts else entries(results)
 
 

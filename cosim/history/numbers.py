@@ -11,9 +11,6 @@ import stat
 from collections.abc import Sequence
 from pathlib import Path
 
-from cosim.base.messages import Message
-from cosim.history import messages
-
 NUMBERS = ".numbers"
 MOST_BYTES = 200_000_000
 NO_LINK = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
@@ -39,13 +36,15 @@ def numbers_of(names: Sequence[str], root: Path) -> list[int]:
     return [known[name] for name in names]
 
 
-def unknown_number(text: str, root: Path) -> Message:
+def unknown_number(text: str, root: Path) -> str:
     """Return the message about an unused number."""
     lines = _lines(root)
     number = int(text) if len(text) <= len(str(len(lines))) else 0
     if 0 < number <= len(lines):
-        return messages.REMOVED_NUMBER(number=number, name=_name_in(lines[number - 1]))
-    return messages.UNKNOWN_NUMBER(number=text, last=len(lines))
+        return (
+            f"the results with the number {number}, {_name_in(lines[number - 1])}, were removed; `cosim list` shows all"
+        )
+    return f"no results with the number {text}; `cosim list` shows the numbers, up to {len(lines)}"
 
 
 def _by_name(lines: Sequence[str]) -> dict[str, int]:

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cosim.base.errors import Fault
-from cosim.history import messages
 from cosim.history.entries import Entry
 from cosim.storage.folder_lock import folder_locks, take_folder
 from cosim.storage.folders import note_last_number
@@ -62,7 +61,7 @@ def remove(entries: Iterable[Entry]) -> Removal:
     removed, size, warnings, faults = list[Entry](), 0, list[str](), list[Fault]()
     for entry in entries:
         if not entry.folder.is_dir():
-            warnings.append(messages.REMOVED_BEFORE(folder=entry.folder))
+            warnings.append(f"{entry.folder} is gone already")
             continue
         take_folder(entry.folder.parent.parent)
         try:
@@ -72,7 +71,7 @@ def remove(entries: Iterable[Entry]) -> Removal:
             removed.append(entry)
             size += taken
         except OSError as error:
-            faults.append(Fault(entry.folder, 0, 0, messages.NOT_REMOVED(reason=error.strerror or error)))
+            faults.append(Fault(entry.folder, 0, 0, f"cannot be removed: {error.strerror or error}"))
     return Removal(tuple(removed), size, tuple(warnings), tuple(faults))
 
 

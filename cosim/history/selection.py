@@ -8,7 +8,6 @@ from pathlib import Path
 
 from cosim.base.errors import Fault, refuse
 from cosim.base.suggestions import did_you_mean
-from cosim.history import messages
 from cosim.history.entries import Entry, entries, hides_results, match_entries
 from cosim.history.numbers import unknown_number
 from cosim.storage.folders import RESULTS
@@ -106,5 +105,12 @@ def _no_match(text: str, every: Sequence[Entry], root: Path) -> str:
     if text.isdecimal() and every:
         return unknown_number(text, root)
     if is_pattern(text):
-        return messages.NO_MATCH(hint="") if every else messages.NO_RESULTS()
-    return messages.NO_PATH_OR_NAME(hint=did_you_mean(text, [entry.name for entry in every]))
+        return (
+            "no results match; `cosim list` shows all"
+            if every
+            else "no results here; run a command without --out first, or name their folder as --results"
+        )
+    return (
+        "no such folder or file; give the folder of a run, a table of its rows, or a number or name in `cosim "
+        f"list`{did_you_mean(text, [entry.name for entry in every])}"
+    )

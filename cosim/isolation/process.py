@@ -6,6 +6,7 @@ import itertools
 import os
 import pickle
 import queue
+import random
 import signal
 import subprocess
 import sys
@@ -20,9 +21,8 @@ from typing import Any, BinaryIO, Self
 from cosim.base.errors import Crashed, SimulationError, Terminated
 from cosim.base.scratch import ScratchFolder, scratch
 from cosim.blocks.shared_code import SharedCode
-from cosim.isolation import messages
 from cosim.isolation.rows import NOTHING, OTHER, Progress, mapped_progress
-from cosim.isolation.watch import Clock, Watch, how_ended
+from cosim.isolation.watch import READING_PAUSE, Clock, Watch, how_ended
 from cosim.isolation.worker import (
     ALONG,
     PROGRESS,
@@ -130,7 +130,7 @@ class Worker:
         """
         self.start()
         self.progress.made[0], self.progress.doing[0], self.progress.named[0] = 0, doing, 0
-        self.progress.asked[0] = self.progress.ending[0] = self.progress.steps[0] = 0
+        self.progress.asked[0] = self.progress.ending[0] = 0
         self.progress.words = b""
         clock = Clock(watch or Watch(), self.progress)
         try:
@@ -200,11 +200,11 @@ class Worker:
         times, next_look = clock.watch.times, 0.0
         while True:
             try:
-                content = self._answers.get(timeout=POLL if times is None else times.pause())
+                content = self._answers.get(timeout=POLL if times is None else random.uniform(*READING_PAUSE))
             except queue.Empty:
                 assert self._process is not None
                 if times is not None:
-                    times.read(self.progress.made[0], self.progress.doing[0], self.progress.steps[0])
+                    times.read(self.progress.made[0], self.progress.doing[0])
                     if time.monotonic() < next_look:
                         continue
                     next_look = time.monotonic() + POLL
@@ -244,8 +244,8 @@ class Worker:
             return Crashed(*clock.place_of_streams(component, at, call, is_certain=is_certain))
         words = bytes(self.progress.words).decode("utf-8", "replace").strip() or self._output.last_line()
         component, at, call = clock.place()
-        template = messages.CRASH_WITH_WORDS if words else messages.CRASH
-        return Crashed(component, at, template(call=call, end=how_ended(code), words=words[:MOST_WORDS]))
+        last = f"; it said last: {words[:MOST_WORDS]}" if words else ""
+        return Crashed(component, at, f"{call} {how_ended(code)}{last}")
 
 
 class Remote:
@@ -304,7 +304,7 @@ class _Output:
                     _show(part[:room])
                     room -= len(part)
                     if room <= 0:
-                        _show(f"\n{messages.OUTPUT_LEFT_OUT()}\n".encode())
+                        _show(b"\n(the FMUs print more, which is left out)\n")
 
     def join(self) -> None:
         """Wait for the rest, but not for children of the process."""

@@ -26,7 +26,6 @@ from zlib import crc32
 from cosim.base.errors import CosimError, InputError
 from cosim.base.garbage import collect_seldom
 from cosim.base.scratch import remove
-from cosim.isolation import messages
 from cosim.isolation.rows import Progress, mapped_progress
 
 HEAD = struct.Struct("!4sIQ")  # mark, checksum and size of a message
@@ -235,5 +234,8 @@ def _answer(content: bytes) -> bytes:
 def transfer_fault(error: Exception) -> InputError:
     """Return the fault of an unsendable argument."""
     reason = " ".join(str(error).split())[:200]
-    message = messages.UNSENDABLE_OBJECT(kind=type(error).__name__, reason=reason)
+    message = (
+        f"cannot take over an object ({type(error).__name__}: {reason}); define it in a module that can be "
+        "imported, or run in this process (in_process=True, --in-process)"
+    )
     return InputError.at(Path("the worker process"), message)

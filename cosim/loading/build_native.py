@@ -12,9 +12,7 @@ from cosim.base.drafts import draft_of
 from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.registry import is_model, model_entry, resolve
 from cosim.base.scratch import temporary_folder
-from cosim.loading import messages
 from cosim.loading.file import LoadedModel, meant_model
-from cosim.loading.own_experiment import carry_experiment
 from cosim.loading.source import ModelText
 from cosim.loading.substep import with_substep
 from cosim.model.model import Model
@@ -63,14 +61,13 @@ def build_native(
     check_folder(folder)
     _check_platforms(platforms)
     if fmi not in SUFFIX:
-        raise InputError.at(Path("--fmi"), messages.FMI_VERSION(version=fmi, versions=" or ".join(map(str, SUFFIX))))
+        raise InputError.at(Path("--fmi"), f"is {fmi}; it is {' or '.join(map(str, SUFFIX))}")
     _check_compiler(platforms)
     loaded, _ = with_substep(meant_model(model, nearest=nearest))
     natives = [(f"{name}{SUFFIX[fmi]}", native) for name, native in _natives(loaded)]
     with temporary_folder("build") as drafts:  # all archives, or none after a failure
         try:
             built = {file: build_fmu(native, drafts / file, fmi, platforms) for file, native in natives}
-            carry_experiment(built[natives[0][0]].path, loaded.model)
         except CompilerFailed as error:
             raise _compiler_error(error) from None
         for file, one in built.items():
@@ -130,17 +127,17 @@ def _unprintable(loaded: LoadedModel, error: Exception) -> Fault:
     file = loaded.source.rpartition(":")[0]
     cure = "let its equations take functions and branches from m, or build it without --native"
     if not file:
-        return Fault(Path(loaded.source), 0, 0, messages.NOT_PRINTABLE(error=error, cure=cure))
+        return Fault(Path(loaded.source), 0, 0, f"cannot be printed as C: {error}; {cure}")
     source = ModelText(Path(file))
     if isinstance(error, UnprintableModel):
         owner = error.owner or type(loaded.model)
         hook = error.hook if error.owner else "equations"
-        return source.fault(owner, hook, messages.NOT_PRINTABLE(error=error, cure=error.cure or cure))
+        return source.fault(owner, hook, f"cannot be printed as C: {error}; {error.cure or cure}")
     return source.convert_error(error, "cannot be printed as C")
 
 
 def _compiler_error(error: Exception) -> InputError:
-    return InputError.at(Path("--native"), messages.COMPILER_FAILED.around(error))
+    return InputError.at(Path("--native"), f"the compiler {error}; mend the compiler, or name another in CC")
 
 
 def _check_platforms(platforms: Sequence[str]) -> None:
@@ -148,7 +145,7 @@ def _check_platforms(platforms: Sequence[str]) -> None:
 
     names = ", ".join(PLATFORMS)
     unknown = [name for name in platforms if name not in PLATFORMS]
-    texts = [messages.UNKNOWN_PLATFORM(name=n, cure=did_you_mean(n, PLATFORMS), names=names) for n in unknown]
+    texts = [f'no platform "{n}"{did_you_mean(n, PLATFORMS)} (known: {names})' for n in unknown]
     refuse(Fault(Path("--platforms"), 0, 0, text) for text in texts)
 
 

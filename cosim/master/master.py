@@ -19,15 +19,13 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.errors import SimulationError, Terminated, stop_error
-from cosim.base.messages import code_of
+from cosim.base.errors import CallFailed, NotFinite, SimulationError, Terminated, stop_error
+from cosim.base.messages import Note
 from cosim.blocks.component import EarlyEnd, without_step
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
-from cosim.blocks.messages import CALL_FAILED, CALL_FAILED_WITH_REASON, VALUE_NOT_FINITE
 from cosim.blocks.stepping import NEVER, NotCompiled
 from cosim.isolation.rows import CALLS, GET, OTHER, Rows
-from cosim.master import messages
 from cosim.master.c_loop import CompiledSteps, LoopData, prepare_steps
 from cosim.master.checkpoint import Keeper
 from cosim.master.copying import Copying, Noisy, Plain, Through, copy_values, doubles
@@ -249,7 +247,7 @@ class Master:
 
         With several FMUs, the others would have no state at that time.
         """
-        self.notes.append(messages.ENDED_EARLY(component=end.component, time=end.reached, reason=end.reason))
+        self.notes.append(Note(f"{end.component} ended the simulation at t = {end.reached:.6g} s: {end.reason}"))
         alone = len(self.system.fmus) == 1
         k = self.done
         if not (0 < k <= self.steps and end.readable and alone and end.reached > self.time[k - 1]):
@@ -269,12 +267,10 @@ class Master:
         initialization.
         """
         loop = next((loop for loop in self.system.opened if error.component.partition(".")[0] in loop.members), None)
-        codes = [VALUE_NOT_FINITE.code, messages.NOT_SETTLED.code]
-        codes += [] if self.done else [CALL_FAILED.code, CALL_FAILED_WITH_REASON.code]
-        if loop is None or code_of(error) not in codes:
+        kinds = NotFinite if self.done else (NotFinite, CallFailed)
+        if loop is None or not isinstance(error, kinds):
             return error
-        message = messages.OPEN_LOOP.around(error.reason, left_open=loop.left_open)
-        return SimulationError(error.component, error.time, message)
+        return SimulationError(error.component, error.time, f"{error.reason}. {loop.left_open}")
 
     # -- parts --------------------------------------------------------------------------------
 

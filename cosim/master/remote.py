@@ -16,11 +16,10 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.drafts import is_full
 from cosim.base.errors import CosimError, DiskFull, SimulationError, Terminated, stop_error
-from cosim.base.messages import with_prefix
+from cosim.base.messages import Note, with_prefix
 from cosim.base.scratch import lock_file, scratch, temporary_folder
 from cosim.blocks.component import EarlyEnd
 from cosim.isolation import worker as here
-from cosim.isolation.component_times import ComponentTimes, Slower
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import (
@@ -34,8 +33,7 @@ from cosim.isolation.rows import (
     read_exact,
     read_table,
 )
-from cosim.isolation.watch import Clock, Watch, fmi_calls
-from cosim.master import messages
+from cosim.isolation.watch import Clock, ComponentTimes, Watch, fmi_calls
 from cosim.master.c_loop import compile_beforehand
 from cosim.master.checkpoint import BESIDE, ROWS, STATE, Continuation, Keeper, Keeping
 from cosim.master.halving import Halved
@@ -120,7 +118,7 @@ def _feed(observers: Sequence[Observer], system: System, steps: int, h: float, c
 
 def _early_end(system: System, h: float, done: int) -> EarlyEnd:
     """Return the early end requested by an observer."""
-    return EarlyEnd("an observer", _last_time(system, h, done), messages.END_REQUESTED())
+    return EarlyEnd("an observer", _last_time(system, h, done), Note("it asked for the end"))
 
 
 def _times_of(system: System, steps: int, h: float) -> Array:
@@ -205,7 +203,7 @@ def simulate_rows(system: System, steps: int, h: float, job: RowsJob) -> WorkerE
     failure: SimulationError | None = None
     try:
         keeper = _keeper(job, mapped) if job.keeps else None
-        shared = progress.made, progress.doing, _store_loop, progress.asked, keeper, job.given, progress.steps
+        shared = progress.made, progress.doing, _store_loop, progress.asked, keeper, job.given
         rows = Rows(mapped, beside, *shared)
         inbox = Inbox(Channel(job.channel, progress)) if job.observed else None
         results = _run(system, steps, h, obey if job.observed else None, rows, inbox)
@@ -257,7 +255,7 @@ def simulate_apart(
     *,
     observers: Sequence[Observer] = (),
     keeping: Keeping | None = None,
-    warn: Callable[[Slower], None] | None = None,
+    measure_times: bool = False,
     recording: RecordedPart | None = None,
 ) -> SteppedRun:
     """Step a system in a worker process.
@@ -265,7 +263,7 @@ def simulate_apart(
     The rows are in a file within `folder` until the end, or in the folder of the checkpoints.
 
     Args:
-        warn: Function called when a component gets much slower; None measures no times of components.
+        measure_times: Whether to sum the wall time of components.
         recording: Signals of the results, by default all; the others are not read into memory.
 
     Raises:
@@ -277,8 +275,8 @@ def simulate_apart(
         feed(rows)
         worker.progress.stop[0] = feed.is_over
 
-    last, given = partial(_last_time, system, h), kept.first_rows
-    times = ComponentTimes(system.names, steps + 1, last, warn, given=given) if warn is not None else None
+    given = kept.first_rows
+    times = ComponentTimes(system.names, given) if measure_times else None
     grace = 0.0 if keeping is None else keeping.grace
     calls = [fmi_calls(getattr(stage.component, "description", None)) for stage in system.stages]
 
@@ -361,7 +359,7 @@ def _end_of(worker: Worker, system: System, steps: int, h: float, job: RowsJob, 
     except Exception as error:  # An unexpected error of a library is no reason to lose the rows.
         component, at, call = Clock(watch, counters).place()
         reason = " ".join(str(error).split())[:MAX_CHARACTERS]
-        message = messages.UNEXPECTED_ERROR(call=call, error=type(error).__name__, reason=reason)
+        message = f"{call}: {type(error).__name__}: {reason} (--in-process shows where)"
         return WorkerEnd(failure=SimulationError(component, at, message))
     return end
 

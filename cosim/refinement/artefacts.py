@@ -28,8 +28,6 @@ ARTEFACTS = (
             "plant.fmu",
             "nearest.yaml",
             "nearest.fmu",
-            "plant.ssp",
-            "nearest.ssp",
             "report.html",
         ),
         folder="the folder of a refine",

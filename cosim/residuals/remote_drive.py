@@ -75,16 +75,6 @@ class DriveApart(Drive):
         finally:
             self._held.remove()
 
-    def rows(self, start: Mapping[str, Any]) -> Array:
-        """Return the outputs for each row of a table, computed in the worker; see `Drive.rows`."""
-        try:
-            answer: Array = self._ask("rows", start, times=self.log.time.tolist())
-        except StoppedReplay:
-            raise
-        except SimulationError as error:
-            raise StoppedReplay(error, self._finished_rows()) from None
-        return answer
-
     # -- internals ----------------------------------------------------------------------------
 
     def _run(self, method: str, first: int, last: int, *arguments: Any) -> Any:

@@ -27,7 +27,6 @@ from cosim.logs.log import Log, read_column_names
 from cosim.logs.spikes import find_spikes
 from cosim.logs.unit_mistakes import input_unit_findings
 from cosim.report.template import render
-from cosim.residuals import messages
 from cosim.residuals.compare import Comparison, compare, steps_of
 from cosim.residuals.drive import PLANT, Drive, StoppedReplay, as_columns, check_files, log_of_fmu
 from cosim.residuals.next_study import NEXT_STUDY, claimed_sensor_errors, lacks_something, next_study
@@ -229,7 +228,7 @@ def _free_run(drive: Drive, start: Mapping[str, Any] | None, file: Path) -> Repl
 def _full(file: Path, residual: Path, log: Log) -> DiskFull:
     """Return the error of a full disk."""
     missing = "no report" if residual.exists() else f"no {residual.name} and no report"
-    reason = messages.FULL_DISK_AFTER_RUN(rows=log.rows, file=file.name, missing=missing)
+    reason = f"the disk is full: all {log.rows} rows are in {file.name}, there is {missing}"
     return DiskFull("the replay", float(log.time[-1]), reason)
 
 
@@ -247,7 +246,7 @@ def _write_rows(rows: Results, file: Path) -> None:
             count = rows.write_what_fits(file)
         except OSError:
             count = 0
-        reason = messages.FULL_DISK(count=count, rows=len(rows.time), file=file.name)
+        reason = f"the disk is full: {count} of {len(rows.time)} rows are in {file.name}"
         raise DiskFull("the replay", rows.time[max(0, count - 1)].item(), reason) from None
 
 
@@ -259,13 +258,29 @@ def _record(folder: Path, content: Mapping[str, Any]) -> None:
 def _version_findings(drive: Drive) -> Iterator[Finding]:
     """Yield a warning for an FMU built by an earlier version, treated as a foreign one."""
     if drive.traits is None and drive.description.author == AUTHOR:
-        yield Finding("warning", "older", "", messages.OLD_FMU(fmu=drive.fmu.name))
+        yield Finding(
+            "warning",
+            "older",
+            "",
+            (
+                f"{drive.fmu.name} was built by an earlier version, which says nothing of frame, limits and state: "
+                "the log is checked less and windows start worse; build it again"
+            ),
+        )
 
 
 def _sensor_findings(drive: Drive) -> Iterator[Finding]:
     """Yield a warning for the FMU of a refine that claims errors of sensors, which the log has and the FMU has not."""
     if names := claimed_sensor_errors(drive.fmu):
-        yield Finding("warning", SENSORS, "", messages.SENSOR_ERRORS(names=join_names(names), fmu=drive.fmu.name))
+        yield Finding(
+            "warning",
+            SENSORS,
+            "",
+            (
+                f"the readings have {join_names(names)}, which the refine beside {drive.fmu.name} claims and an FMU "
+                "does not hold; correct the readings, or see error.after in its refine.json"
+            ),
+        )
 
 
 def results(drive: Drive, outputs: Mapping[str, Array]) -> Results:

@@ -25,7 +25,6 @@ from cosim.loading.file import load_model, without_execution
 from cosim.loading.refined import NoNearest, refined_file
 from cosim.model.design import Designer, Judged, Objection, Option, Undesigned
 from cosim.model.model import Model
-from cosim.scenario import messages
 from cosim.scenario.scenario import Design
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.scenario.start_values import convert_value
@@ -40,7 +39,7 @@ def _complex(value: Any) -> Any:
     except (TypeError, ValueError):
         number = complex("nan")
     if isinstance(value, bool) or not (math.isfinite(number.real) and math.isfinite(number.imag)):
-        raise ValueError(messages.NO_COMPLEX_NUMBER(value=repr(value)))
+        raise ValueError(f"{value!r} is no number; write -4 or, complex, -4+1j")
     return str(number).strip("()") if number.imag else number.real
 
 
@@ -112,7 +111,7 @@ def designed_apart(file: ScenarioFile, worker: Worker | None) -> dict[str, dict[
 def crash_fault(file: Path, crash: Crashed) -> Fault:
     """Return the fault of a Python file that ended the worker."""
     reason = crash.reason.replace("the worker", "its Python", 1)
-    return Fault(file, 0, 0, messages.CRASHED_PYTHON(reason=reason))
+    return Fault(file, 0, 0, f"does not load: {reason}")
 
 
 def _design_of(file: ScenarioFile) -> tuple[Any, Any, list[Fault], list[str]]:
@@ -144,7 +143,7 @@ def _contradictions(
     faults = []
     for name, value in options.items():
         if isinstance(value, str) and name in own and own[name] != value:
-            message = messages.CONTRADICTION(name=name, start=short(own[name]), option=short(value))
+            message = f"{name} is {short(own[name])} here and {short(value)} in design: leave one of them out"
             faults.append(file.fault(("components", component, "start", name), message))
     return faults
 
@@ -152,7 +151,7 @@ def _contradictions(
 def _read_design(file: ScenarioFile, design: Design) -> tuple[Model | None, Designer]:
     """Return the model named by the design (None without a name), and the designer of its controller."""
     if design.model is None and design.nearest:
-        raise InputError([file.fault(("design", "nearest"), messages.NEAREST_WITHOUT_MODEL())])
+        raise InputError([file.fault(("design", "nearest"), "nearest is of a refine; name its folder as model")])
     if design.model is None:
         return None, resolve(model_entry().design)
     where = ("design", "model")
@@ -167,7 +166,7 @@ def _read_design(file: ScenarioFile, design: Design) -> tuple[Model | None, Desi
         raise InputError(faults) from None
     entry = entry_of(type(model))
     if entry is None or not entry.design:
-        raise InputError([file.fault(where, messages.MODEL_WITHOUT_DESIGNER(name=design.model, title=model.title))])
+        raise InputError([file.fault(where, f"{design.model} is {model.title}; no controller is designed for it here")])
     return model, resolve(entry.design)
 
 
@@ -210,7 +209,10 @@ def _two_numbers(file: ScenarioFile, component: str, numbers: Mapping[str, float
     """
     own = _numbers(file, component, numbers)
     return [
-        messages.TWO_NUMBERS(name=name, component=component, start=own[name], design=value)
+        (
+            f"{name} is {own[name]:g} in components.{component}.start and {value:g} in design: it runs with the "
+            "first and is designed with the second"
+        )
         for name, value in numbers.items()
         if name in own and not math.isclose(own[name], value, rel_tol=MAX_DIFFERENCE)
     ]
@@ -251,7 +253,7 @@ class _Design:
         except Undesigned:
             raise
         except ValueError as error:
-            raise InputError([self.file.yaml.fault(("design",), messages.NO_DESIGN.around(error), key=True)]) from None
+            raise InputError([self.file.yaml.fault(("design",), f"design: {error}", key=True)]) from None
         return {name: float(value) for name, value in values.items()}
 
     def verdict(self, values: Mapping[str, Any], own: Mapping[str, Any]) -> Judged:

@@ -7,7 +7,6 @@ from typing import Any
 
 from cosim.base.errors import Fault
 from cosim.loading.refined import NEAREST, REFINED, NoNearest, folder_of, names_refine, refined_file
-from cosim.scenario import messages
 from cosim.scenario.scenario import FmuComponent
 from cosim.scenario.scenario_file import ScenarioFile
 
@@ -24,7 +23,7 @@ def take_nearest(file: ScenarioFile) -> None:
         has_refined = True
         try:
             if component.sha256 is not None:
-                raise NoNearest(messages.NEAREST_OF_MANIFEST())
+                raise NoNearest("a manifest repeats its run as it was; leave --nearest out, or run the scenario")
             components[name] = component.model_copy(update={"fmu": str(refined_file(path, nearest=True))})
         except NoNearest as error:
             file.faults.append(file.fault(("components", name, "fmu"), str(error)))
@@ -33,7 +32,17 @@ def take_nearest(file: ScenarioFile) -> None:
         has_refined = True
         design = design.model_copy(update={"nearest": True})
     if not has_refined:
-        file.faults.append(Fault(file.path, 0, 0, messages.NO_REFINED_MODEL()))
+        file.faults.append(
+            Fault(
+                file.path,
+                0,
+                0,
+                (
+                    "no component or design uses a result of `cosim refine`, so --nearest has no effect; name the FMU "
+                    "or the model.yaml of such a result, or leave --nearest out"
+                ),
+            )
+        )
     file.scenario = file.scenario.model_copy(update={"components": components, "design": design})
 
 

@@ -10,7 +10,6 @@ from pydantic import AfterValidator, BeforeValidator, ConfigDict, Discriminator,
 from cosim.blocks.profile import Profile
 from cosim.coupling.algorithms import DEFAULT, AlgorithmKey
 from cosim.isolation.limits import Limits
-from cosim.scenario import messages
 from cosim.storage.yaml_file import (
     Amount,
     InUnit,
@@ -41,7 +40,7 @@ def _scalar(value: Any) -> Any:
         return [_scalar(each) for each in value]
     if isinstance(value, (bool, str)) or (isinstance(value, (int, float)) and abs(value) < LARGEST_NUMBER):
         return value
-    raise ValueError(messages.NO_START_VALUE())
+    raise ValueError("a start value is a finite number, true or false, or text such as 12 deg")
 
 
 def _kind_of(component: Any) -> str | None:
@@ -298,7 +297,10 @@ class Recording(Part):
 def _check_record(record: Any) -> Any:
     """Return the value of `record`; raise ValueError unless it is a list or a mapping."""
     if not isinstance(record, dict | Recording | list | tuple):
-        raise ValueError(messages.FORMS_OF_RECORD())
+        raise ValueError(
+            "it should be a list of patterns of locals and parameters to record beside inputs and outputs, "
+            "[plant.*], or a mapping that limits the record, {signals: [plant.x], every: 0.1 s}"
+        )
     return record
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import refuse
+from cosim.base.messages import Note
 from cosim.base.text import counted
 from cosim.base.times import first_point
 from cosim.base.units import is_as_known
@@ -19,7 +20,6 @@ from cosim.master.inbox import Change
 from cosim.scenario.pinned import key_of, sha256
 from cosim.scenario.scenario import FmuComponent, Scenario, resolve_defaults
 from cosim.scenario.scenario_file import ScenarioFile
-from cosim.simulation import messages
 from cosim.storage.folders import SCHEMA_VERSION
 from cosim.storage.started import COMMAND
 from cosim.system.system import System
@@ -55,7 +55,10 @@ def check_pinned(file: ScenarioFile) -> None:
         pinned: str | None = getattr(component, "sha256", None)
         path = file.resolve(getattr(component, key, ""))
         if pinned is not None and path.is_file() and sha256(path) != pinned:
-            message = messages.FILE_OF_ANOTHER_RUN(path=path, kind="FMU" if key == "fmu" else "file")
+            message = (
+                f"{path} is not the {'FMU' if key == 'fmu' else 'file'} of this run: its SHA-256 differs; put "
+                "that one back, or run the scenario"
+            )
             faults.append(file.fault(("components", name, key), message))
     refuse(faults)
 
@@ -137,7 +140,12 @@ def add_changes(record: dict[str, Any], scenario: Scenario, changes: Sequence[Ch
         at_point.append({"at": at, "set": dict(values)})
         events.append(at_point[-1])
     record["changes"] = made
-    record["warnings"].append(messages.CHANGED_WHILE_RUNNING(count=counted(len(made), "change")))
+    record["warnings"].append(
+        Note(
+            f"{counted(len(made), 'change')} made while it ran; the manifest holds them as events, so that it "
+            "repeats the run"
+        )
+    )
 
 
 def software_versions() -> dict[str, Any]:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from cosim.simulation import messages
+from cosim.base.messages import Note
 from cosim.storage.results import Results
 
 MANY_VALUES = 500_000  # written as text in about one second
@@ -48,7 +48,12 @@ class RowStops:
             return
         if self.told is None:
             self.told = now
-            self.tell(messages.ROWS_ARE_WRITTEN(rows=rows, file=self.file, end=messages.NEXT_STOP() * self.can_end))
+            self.tell(
+                Note(
+                    f"the steps have ended; their {rows} rows are being written to "
+                    f"{self.file}{Note('; Ctrl-C now ends that and keeps the rows written by then') * self.can_end}"
+                )
+            )
         elif self.can_end and now - self.told > SAME_PRESS:
             self.is_over = True
 

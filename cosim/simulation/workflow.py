@@ -15,8 +15,8 @@ from typing import Any
 
 from cosim.base.drafts import is_full
 from cosim.base.errors import CosimError, DiskFull, Interrupted, Signalled, SimulationError, Terminated, stop_error
+from cosim.base.messages import Note
 from cosim.blocks.compiling import compiling, permission
-from cosim.isolation.component_times import RUN, Slower
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import allocate
@@ -31,7 +31,6 @@ from cosim.scenario.nearest_models import take_nearest
 from cosim.scenario.pinned import sha256
 from cosim.scenario.scenario import Scenario
 from cosim.scenario.scenario_file import ScenarioFile
-from cosim.simulation import messages
 from cosim.simulation.criteria import evaluate, missed_tolerance
 from cosim.simulation.manifest import add_changes, check_pinned, manifest, software_versions
 from cosim.simulation.packaged import is_ssp, lay_out
@@ -74,6 +73,11 @@ from cosim.storage.results import Results, remove_rows, rows_name
 from cosim.storage.started import KILLED, STARTED, STATUS
 from cosim.system.recording import take_signals
 from cosim.system.system import System, build_system
+
+ROWS_NOT_COMPLETE = "its rows are not all written: it was killed meanwhile, or still writes them"
+
+FINISHED_RUN_KEPT = "the longer run failed; the finished run in {folder} is as it was{rows}"
+DISK_FULL = "the disk is full: {count} of {rows} rows are in {file}{missing}{before}"
 
 REPLAYED_STEP = 2e-5  # [s] of a step that Python replays, beside the step itself
 MANY_ROWS = 1_000_000  # rows of CSV, beyond which a note offers Parquet
@@ -259,7 +263,7 @@ def run(
         if (part := prepared.system.recording) is not None:
             stepped = replace(stepped, results=part.thin(stepped.results))
         if worker is None and limits is not None:
-            record["warnings"].append(messages.LIMITS_NOT_WATCHED())
+            record["warnings"].append("limits are not watched where FMUs run in this process")
         files = _Files(prepared, stepped, record, tell, is_kept=worker is not None and prepared.interval is not None)
         failure = files.write(report=report, figures=figures)
     if failure is not None:
@@ -285,18 +289,23 @@ def _apart_from_finished(prepared: _Prepared, stepped: SteppedRun, tell: Callabl
     bring_back()
     if not is_longer:
         failure.left = prepared.place
-        tell(messages.FINISHED_RUN_KEPT(folder=prepared.place, rows=""))
+        tell(Note(FINISHED_RUN_KEPT.format(folder=prepared.place, rows="")))
         raise failure
     place = new_earlier(prepared.place)
-    rows = messages.FAILED_ROWS(folder=place)
-    tell(messages.FINISHED_RUN_KEPT(folder=prepared.place, rows=rows))
+    rows = Note(f", and the rows of the longer run are in {place}")
+    tell(Note(FINISHED_RUN_KEPT.format(folder=prepared.place, rows=rows)))
     return replace(prepared, place=place, bring_back=None)
 
 
 def _tell_size(prepared: _Prepared, tell: Callable[[str], None]) -> None:
     """Offer another format for many rows."""
     if prepared.rows > MANY_ROWS and prepared.rows_file.endswith(".csv"):
-        tell(messages.MANY_ROWS(rows=prepared.rows))
+        tell(
+            Note(
+                f"the run has {prepared.rows} rows; --format parquet writes, reads and stores so many much faster "
+                "than CSV"
+            )
+        )
 
 
 def _prepare_new(
@@ -325,11 +334,21 @@ def _prepare_new(
     if not is_package:
         check_run_folder(place, file.scenario.name, force=force)
     if (rows := rows_of_killed(place, "results")) is not None:
-        tell(messages.ROWS_OF_KILLED_RUN(folder=place, size=rows.stat().st_size / 1e6))
+        tell(
+            Note(
+                f"{place}: a run was killed while it wrote its rows; those written ({rows.stat().st_size / 1e6:.3g} "
+                "MB) are kept, and `cosim list` names them"
+            )
+        )
     for draft in drafts_of_killed(place, "results"):
         if draft.stem.endswith(".csv"):
             continue  # without a row
-        tell(messages.DRAFT_OF_KILLED_RUN(file=draft, size=draft.stat().st_size / 1e6))
+        tell(
+            Note(
+                f"{draft}: a run was killed while it wrote its rows; those written ({draft.stat().st_size / 1e6:.3g} "
+                "MB) cannot be read without the end of the file, and are removed; rows in CSV are kept"
+            )
+        )
         draft.unlink()
     check_writable(place, (rows_file, MANIFEST, "report.html"), file.files)
     system = replace(with_feedthrough(file, designed, system, worker, tell), pace=file.scenario.pace)
@@ -367,7 +386,12 @@ def _prepare_stopped(
         start, ended = without_ended_states(system, grid, start, stopped.end, worker, limits)
         if ended:
             time_ = file.scenario.start_time + stopped.end * file.scenario.step
-            tell(messages.STATE_ENDS(names=", ".join(ended), time=time_))
+            tell(
+                Note(
+                    f"{', '.join(ended)}: the saved state does not go beyond t = {time_:g} s, the end that the FMU "
+                    "was told; so its recorded inputs are replayed"
+                )
+            )
     check_writable(stopped.folder, (stopped.rows_file, MANIFEST, "report.html"), file.files)
     if changes := stopped.changes:
         system = replace(system, events=with_changes(system.events, changes))
@@ -385,12 +409,19 @@ def _prepare_stopped(
 def _how_it_goes_on(stopped: StoppedRun, system: System, start: Continuation | None, scenario: Scenario) -> str:
     """Return the note on start and cost."""
     if start is None:
-        return messages.BEGINS_AGAIN(time=scenario.start_time)
+        return Note(
+            f"record leaves out signals or rows, so the run is made again from t = {scenario.start_time:g} s; "
+            "checkpoint: keeps all of them"
+        )
     time = scenario.start_time + (start.count - 1) * scenario.step
     names = replayed_names(system, start)
     most = stopped.lasted + REPLAYED_STEP * len(names) * start.count
-    cost = messages.REPLAY_COST(names=", ".join(names), seconds=most) if names else ""
-    return messages.GOES_ON(time=time, row=start.count, rows=scenario.steps + 1, replay=cost)
+    cost = (
+        Note(f"; {', '.join(names)}: inputs replayed from the start, which takes up to about {most:.2g} s")
+        if names
+        else ""
+    )
+    return Note(f"the run goes on from t = {time:g} s, row {start.count} of {scenario.steps + 1}{cost}")
 
 
 def _step(
@@ -400,12 +431,17 @@ def _step(
     scenario, system, place = prepared.file.scenario, prepared.system, prepared.place
     if worker is None:
         if prepared.interval is not None:
-            tell(messages.NO_CHECKPOINT_IN_PROCESS())
+            tell("no checkpoints are made where FMUs run in this process")
         stepped = simulate_here(system, scenario.steps, scenario.step, observers, start=prepared.start)
         return replace(stepped, results=take_signals(system.recording, stepped.results))
     keeping = prepared.keeping()
     if keeping.folder is not None and prepared.start is None and (names := unsaved_names(system)):
-        tell(messages.REPLAY_ON_RESUME(names=", ".join(names)))
+        tell(
+            Note(
+                f"no checkpoint has the state of {', '.join(names)}: a resumed run replays the recorded inputs from "
+                "the start, which takes as long as these steps took"
+            )
+        )
     limits = scenario.limits
     try:
         stepped = simulate_apart(
@@ -417,7 +453,7 @@ def _step(
             limits,
             observers=observers,
             keeping=keeping,
-            warn=lambda slower: tell(_slower(slower)),
+            measure_times=True,
             recording=system.recording,
         )
     except CosimError:
@@ -425,13 +461,6 @@ def _step(
             prepared.bring_back()
         raise
     return stepped
-
-
-def _slower(slower: Slower) -> str:
-    """Return the warning of slower steps."""
-    if slower.component == RUN:
-        return messages.RUN_GETS_SLOWER(factor=slower.factor, since=slower.since)
-    return messages.GETS_SLOWER(**vars(slower))
 
 
 def _simulated(prepared: _Prepared) -> float:
@@ -504,7 +533,7 @@ class _Files:
         try:
             if self.prepared.keep:
                 self._keep_earlier()
-                record = {**self.prepared.base(), "status": f"failed: {messages.ROWS_NOT_COMPLETE()}"}
+                record = {**self.prepared.base(), "status": f"failed: {ROWS_NOT_COMPLETE}"}
                 write_json(self.rows.with_name(MANIFEST), record)  # what is known if the command is killed
             release_early(started)
             count = self._write_rows()
@@ -532,7 +561,10 @@ class _Files:
                 raise
             place = Path(tempfile.mkdtemp(prefix=f"{folder.resolve().name}-", dir=tempfile.gettempdir()))
             self.prepared = replace(self.prepared, place=place)
-            self.tell(messages.NO_ROOM_BESIDE_EARLIER(folder=folder, place=place))
+            self.tell(
+                f"the disk is too full to move the earlier run in {folder} to runs: it stays, and this run is in "
+                f"{place}"
+            )
 
     def _stopped(self, stop: BaseException) -> SimulationError:
         """Return the error of a run stopped after its steps; say in the manifest that there is no report."""
@@ -542,7 +574,9 @@ class _Files:
             return stop_error(stop, end, "the rows of the run")
         error = stop_error(stop, end, "the report of the run")
         self.record["no_report"] = error.reason
-        self.record["warnings"].append(messages.NO_REPORT(reason=error.reason, folder=shell_path(self.rows.parent)))
+        self.record["warnings"].append(
+            f"there is no report: {error.reason}; `cosim report {shell_path(self.rows.parent)}` makes it"
+        )
         write_json(self.rows.with_name(MANIFEST), self.record)
         return error
 
@@ -563,7 +597,10 @@ class _Files:
             is_whole = count == len(results.time)
             if not is_whole:
                 before = "" if failure is None else f"{failure}; "
-                reason = messages.ROWS_ENDED(reason=before, count=count, rows=len(results.time), file=self.rows.name)
+                reason = (
+                    f"{before}only {count} of {len(results.time)} rows are in {self.rows.name}, as the writing "
+                    "was stopped"
+                )
                 self.record |= {"status": f"failed: {reason}", "criteria": []}
             write_json(self.rows.with_name(MANIFEST), self.record)
             self.written.append(MANIFEST)
@@ -593,7 +630,7 @@ class _Files:
             count = 0 if start is None else start.count
             at = self.scenario.start_time + max(0, count - 1) * self.scenario.step
             fields = {"count": count, "rows": rows, "file": self.rows.name, "missing": "", "before": ""}
-            return DiskFull("the run", at, messages.DISK_FULL(**fields))
+            return DiskFull("the run", at, DISK_FULL.format(**fields))
         self.rows.with_name("report.html").unlink(missing_ok=True)
         failure, time, manifest = self.stepped.failure, self.stepped.results.time, self.rows.with_name(MANIFEST)
         count = len(time) if self.rows.name in self.written else self._rows_that_fit(2 * len(json.dumps(self.record)))
@@ -603,7 +640,7 @@ class _Files:
 
         def full(missing: str) -> DiskFull:
             fields = {"count": count, "rows": rows, "file": self.rows.name, "missing": missing, "before": before}
-            return DiskFull("the run", at, messages.DISK_FULL(**fields))
+            return DiskFull("the run", at, DISK_FULL.format(**fields))
 
         missing = ", there is no report" if count == rows else ""
         self.record |= {"status": f"failed: {full(missing)}", "rows": count}

@@ -20,9 +20,8 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.drafts import draft_of
-from cosim.base.messages import Message
+from cosim.base.messages import Note
 from cosim.base.scratch import process_folder
-from cosim.storage import messages
 
 VARIABLE = "XDG_CACHE_HOME"
 OTHERS_ENTER = stat.S_IXGRP | stat.S_IXOTH
@@ -110,7 +109,7 @@ def _user_folder() -> Path | None:
             return folder if os.access(folder, os.W_OK) else None
     except OSError:
         return None
-    _say_once(messages.UNTRUSTED_CACHE(folder=folder, reason=reason))
+    _say_once(Note(f"the cache {folder} is not used, a temporary one takes its place: {reason}"))
     return None
 
 
@@ -137,7 +136,7 @@ def _temporary() -> Path:
 
 
 @functools.cache
-def _say_once(note: Message) -> None:
+def _say_once(note: str) -> None:
     """Write a note to stderr, once per process."""
     with contextlib.suppress(OSError, ValueError):
         sys.stderr.write(f"note: {note}\n")

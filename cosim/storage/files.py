@@ -20,7 +20,6 @@ from typing import Any, TextIO
 from cosim.base.drafts import draft_of, remove_drafts
 from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.scratch import ScratchFolder, scratch
-from cosim.storage import messages
 from cosim.storage.folder_lock import take_folder
 
 FilePath = str | os.PathLike[str]
@@ -94,9 +93,9 @@ def check_text(names: Iterable[str]) -> None:
         except UnicodeEncodeError:
             try:
                 os.fsencode(name).decode()
-                message = messages.LOCALE_WITHOUT_NAME()
+                message = "cannot be read in the locale of this shell; set PYTHONUTF8=1, or LC_ALL=C.UTF-8"
             except UnicodeDecodeError:
-                message = messages.NO_UTF8_NAME()
+                message = "is not UTF-8 text; give the file or folder another name"
             faults.append(Fault(Path(name), 0, 0, message))
     refuse(faults)
 
@@ -208,7 +207,7 @@ def scratch_folder(beside: Path, prefix: str) -> Iterator[Path]:
 def named_path(out: FilePath) -> Path:
     """Return the path given as --out; raise InputError if blank, which would mean the current folder."""
     if not os.fspath(out).strip():
-        raise InputError.at(Path("--out"), messages.BLANK_FOLDER(cure=NOT_BLANK))
+        raise InputError.at(Path("--out"), f"is blank; {NOT_BLANK}")
     return Path(out)
 
 
@@ -226,7 +225,7 @@ def check_folder(folder: Path) -> None:
     except OSError:  # The maker of the folder reports a name that is too long.
         return
     if file is not None:
-        raise InputError.at(folder, messages.FILE_IN_PLACE_OF_FOLDER(file=file))
+        raise InputError.at(folder, f"cannot be the folder for results: {file} is a file; give a folder as --out")
 
 
 def _is_of_other_user(path: Path) -> bool:
@@ -252,13 +251,25 @@ def check_writable(folder: Path, names: Sequence[str], read: Iterable[Path] = ()
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         check_folder(folder)
-        raise InputError.at(folder, messages.IMPOSSIBLE_FOLDER(reason=error.strerror)) from None
+        raise InputError.at(
+            folder, f"cannot be the folder for results: {error.strerror}; give another folder as --out"
+        ) from None
     paths = [folder / name for name in names]
-    faults = [Fault(path, 0, 0, messages.FOLDER_IN_PLACE_OF_FILE()) for path in paths if path.is_dir()]
-    faults += [Fault(path, 0, 0, messages.FILE_OF_OTHER_USER()) for path in paths if _is_of_other_user(path)]
+    faults = [
+        Fault(path, 0, 0, "is a folder; a file is to be written there; give another folder as --out")
+        for path in paths
+        if path.is_dir()
+    ]
+    faults += [
+        Fault(path, 0, 0, "belongs to another user, and only its owner may replace it; give another folder as --out")
+        for path in paths
+        if _is_of_other_user(path)
+    ]
     for source in dict.fromkeys(read):
         if source.is_file() and any(path.is_file() and source.samefile(path) for path in paths):
-            faults.append(Fault(source, 0, 0, messages.INPUT_IN_FOLDER()))
+            faults.append(
+                Fault(source, 0, 0, "is read, and results would be written over it; give another folder as --out")
+            )
     if not os.access(folder, os.W_OK):
-        faults.append(Fault(folder, 0, 0, messages.READ_ONLY_FOLDER()))
+        faults.append(Fault(folder, 0, 0, "cannot be written; give another folder as --out"))
     refuse(faults)

@@ -19,7 +19,6 @@ from pathlib import Path
 
 from cosim.base.errors import InputError
 from cosim.base.scratch import lock_descriptor
-from cosim.storage import messages
 
 LOCK_FILE = ".cosim-lock"
 BUSY = (errno.EAGAIN, errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK)  # error numbers of a lock held by another process
@@ -119,7 +118,9 @@ def take_folder(folder: Path) -> bool:
                 return False
             locks.descriptors[path] = lock
     except BlockingIOError:
-        raise InputError.at(folder, messages.BUSY_FOLDER()) from None
+        raise InputError.at(
+            folder, "another command writes into this folder now; wait for its end, or give another folder as --out"
+        ) from None
     except (OSError, ValueError):
         return False
     return True

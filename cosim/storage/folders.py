@@ -14,9 +14,9 @@ from typing import Any
 
 from cosim.base.drafts import draft_of, remove_drafts
 from cosim.base.errors import Fault, InputError, refuse
+from cosim.base.messages import Note
 from cosim.base.scratch import is_own
 from cosim.base.version import __version__
-from cosim.storage import messages
 from cosim.storage.artefact import Artefact, artefacts
 from cosim.storage.files import delay_stops, open_regular, parse_json, write_text
 from cosim.storage.folder_lock import take_folder
@@ -78,7 +78,11 @@ def warnings_on(folder: Path) -> tuple[str, ...]:
         return ()
     content = content_of(file)
     record, wrong = sound_part(file, content)
-    return (*other_version(file, record), *wrong) if content else (messages.DAMAGED_MANIFEST(file=file),)
+    return (
+        (*other_version(file, record), *wrong)
+        if content
+        else (f"{file} is damaged: units, texts, inputs and criteria of its run are not known; run it again",)
+    )
 
 
 def other_version(file: Path, record: Mapping[str, Any]) -> tuple[str, ...]:
@@ -86,8 +90,15 @@ def other_version(file: Path, record: Mapping[str, Any]) -> tuple[str, ...]:
     schema, by = record.get("schema_version", SCHEMA_VERSION), version_of(record)
     if schema != SCHEMA_VERSION:
         by = by or "of an unknown version"
-        return (messages.LATER_RECORD(file=file, found=schema, by=by, known=SCHEMA_VERSION),)
-    return (messages.OTHER_VERSION(file=file, found=by, own=__version__),) if by not in {"", __version__} else ()
+        return (
+            (
+                f"{file} has the schema version {schema}, written by cosim {by}; {SCHEMA_VERSION} is known here: "
+                "keys that are new or changed are not read, use that version of cosim"
+            ),
+        )
+    return (
+        (Note(f"{file} was written by cosim {by}, and this is {__version__}"),) if by not in {"", __version__} else ()
+    )
 
 
 def version_of(record: Mapping[str, Any]) -> str:
@@ -145,7 +156,13 @@ def check_run_folder(folder: Path, name: str = "", *, ssp: Path | None = None, f
     if ssp is not None and isinstance(archive, dict) and archive.get("path") == str(ssp.resolve()):
         return
     if owner is not None and (ssp is not None or owner != name):
-        raise InputError.at(folder, messages.FOLDER_OF_OTHER_SCENARIO(name=owner))
+        raise InputError.at(
+            folder,
+            (
+                f'holds the run of another scenario, "{owner}"; give another folder as --out, or move it to runs by '
+                "--force"
+            ),
+        )
     check_overwritable(folder, "cosim run")
 
 
@@ -162,12 +179,24 @@ def check_overwritable(folder: Path, by: str, *sources: str, force: bool = False
         if not artefact.verb or not artefact.is_left_in(folder):
             continue
         if artefact.verb != by:
-            raise InputError.at(folder, messages.FOLDER_OF_OTHER_COMMAND(command=artefact.verb))
+            raise InputError.at(
+                folder,
+                (
+                    f"contains results of `{artefact.verb}`; give another folder with --out, or move them to runs "
+                    "with --force"
+                ),
+            )
         content = content_of(folder / artefact.marks[0])
         earlier = [_source_text(content.get(key)) for key in artefact.sources]
         if sources and any(earlier) and not all(map(_is_same, earlier, sources)):
             names = " and ".join(filter(None, earlier))
-            raise InputError.at(folder, messages.FOLDER_OF_OTHER_SOURCES(command=by, sources=names))
+            raise InputError.at(
+                folder,
+                (
+                    f"contains results of `{by}` from {names}; give another folder with --out, or move them to runs "
+                    "with --force"
+                ),
+            )
 
 
 def _source_text(value: Any) -> str:
@@ -202,20 +231,40 @@ def prepare_folder(folder: Path, *, keep: bool = True) -> None:
     if not keep or not os.path.lexists(earlier):
         return  # The new folder only needs write access to its parent.
     if not earlier.is_dir():
-        raise InputError.at(earlier, messages.FILE_FOR_EARLIER_RUNS())
+        raise InputError.at(
+            earlier,
+            (
+                "is a file; earlier runs are kept in a folder of this name; move it away, or give another folder as "
+                "--out"
+            ),
+        )
     if not os.access(earlier, os.W_OK | os.X_OK) or earlier.stat().st_dev != folder.stat().st_dev:
-        raise InputError.at(earlier, messages.READ_ONLY_EARLIER_RUNS())
+        raise InputError.at(
+            earlier,
+            (
+                "cannot be written, or is on another disk; earlier runs are kept there; move it away, or give "
+                "another folder as --out"
+            ),
+        )
 
 
 def refuse_links(folder: Path) -> None:
     """Raise InputError for links in or to a folder."""
     inner = {EARLIER, STARTED, *(part for a in artefacts() for part in a.folders)}
     links = [folder / name for name in sorted(inner) if (folder / name).is_symlink()]
-    faults = [Fault(link, 0, 0, messages.LINK_IN_FOLDER()) for link in links]
+    faults = [
+        Fault(
+            link,
+            0,
+            0,
+            "is a link, so files would be moved or written elsewhere; remove it, or give another folder as --out",
+        )
+        for link in links
+    ]
     if hasattr(os, "geteuid"):
         path = folder.absolute()
         planted = [p for p in (path, *path.parents) if p.is_symlink() and p.lstat().st_uid not in (os.geteuid(), 0)]
-        faults += [Fault(link, 0, 0, messages.LINK_OF_OTHER_USER()) for link in planted]
+        faults += [Fault(link, 0, 0, "is a link of another user; give another folder as --out") for link in planted]
     refuse(faults)
 
 
@@ -317,7 +366,7 @@ def _finish_move(folder: Path) -> Path | None:
     if not os.path.lexists(moving):
         return None
     if not is_own(moving, stat.S_ISDIR) or (os.name == "posix" and moving.stat().st_mode & 0o022):
-        raise InputError.at(moving, messages.OPEN_MOVE())
+        raise InputError.at(moving, "is open to other users, or not yours; move it away")
     if is_own(moving / LIST, stat.S_ISREG):
         names = _listed_names(folder, moving)
         for name in names:
@@ -421,12 +470,12 @@ def _listed_names(folder: Path, moving: Path) -> list[str]:
         with path.open("rb") as stream:
             names = stream.read(MOST_LISTED).decode("utf-8").splitlines()
     except (OSError, ValueError):
-        raise InputError.at(path, messages.DAMAGED_LIST(folder=moving)) from None
+        raise InputError.at(path, f"is damaged; move {moving} away") from None
     if outside := [name for name in names if not _is_inside(folder, name)]:
-        raise InputError.at(path, messages.NAME_OUTSIDE(name=outside[0][:80], results=folder, folder=moving))
+        raise InputError.at(path, f"names {outside[0][:80]}, outside {folder} or no result; move {moving} away")
     folders = dict.fromkeys(moving / parent for name in names for parent in PurePosixPath(name).parents[:-1])
     if links := [place for place in folders if place.is_symlink()]:
-        raise InputError.at(links[0], messages.LINK_IN_EARLIER_RUNS(folder=moving))
+        raise InputError.at(links[0], f"is a link, and earlier runs hold none; move {moving} away")
     return names
 
 

@@ -9,8 +9,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from cosim.storage import messages
-
 LONGEST = 40  # characters of a value in a message
 
 
@@ -145,7 +143,10 @@ def sound_part(file: Path, record: Mapping[str, Any]) -> tuple[dict[str, Any], t
     if not faults:
         return {**record}, ()
     warnings = (
-        messages.WRONG_TYPE(file=file, field=fault.name, value=_short(fault.value), wanted=fault.wanted, key=key)
+        (
+            f"{file}: {fault.name} is {_short(fault.value)}, not {fault.wanted}; {key} is not used: run it "
+            "again, or correct the file"
+        )
         for key, fault in faults.items()
     )
     return {key: value for key, value in record.items() if key not in faults}, tuple(warnings)

@@ -23,7 +23,6 @@ from cosim.simulation.undeclared import with_feedthrough
 from cosim.storage.artefact import Checking
 from cosim.storage.kinds import SWEEP, check_given
 from cosim.storage.yaml_file import YamlFile, short
-from cosim.sweeps import messages
 from cosim.sweeps.factors import Factors, resolve_file_name
 from cosim.sweeps.overlaps import overlap_faults
 from cosim.sweeps.run_chunks import Job, RunRequest, WatchSettings
@@ -97,7 +96,7 @@ def read_sweep(path: Path, *, loads: bool = False) -> Sweep:
         raise InputError(faults)
     scenario_path = path.parent / file.scenario
     if not scenario_path.is_file():
-        raise InputError([*faults, yaml.fault(("scenario",), messages.NO_SCENARIO(name=short(file.scenario)))])
+        raise InputError([*faults, yaml.fault(("scenario",), f"no such scenario: {short(file.scenario)}")])
     overrides = tuple(f"{name}={json.dumps(resolve_file_name(path, name, value))}" for name, value in file.set.items())
     try:
         scenario_file = ScenarioFile(scenario_path, overrides, option="")

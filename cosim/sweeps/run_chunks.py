@@ -30,7 +30,6 @@ from cosim.scenario.scenario_file import ScenarioFile
 from cosim.scenario.start_values import Misfit, convert_value
 from cosim.simulation.criteria import evaluate
 from cosim.storage.results import Results
-from cosim.sweeps import messages
 from cosim.sweeps.batch import Batch, Starts, kinds_of, max_runs_at_once
 from cosim.sweeps.twins import unpack_once
 from cosim.system.system import System, build_system
@@ -282,7 +281,7 @@ def _run_fmus(job: Job, assembled: _AssembledScenario, request: RunRequest) -> R
     else:
         if len(results.time) > scenario.steps:
             return _make_result(job, assembled, request, results, "fmus")
-        reason = messages.ENDED_EARLY(time=results.time[-1])
+        reason = f"it ended at t = {results.time[-1]:g} s"
     return failed_run(request.run, reason, len(scenario.goals), "fmus")
 
 

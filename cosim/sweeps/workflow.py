@@ -16,7 +16,7 @@ import numpy as np
 from cosim.base.drafts import is_full
 from cosim.base.errors import DiskFull, InputError, SweepFailed, SweepStopped, Terminated
 from cosim.base.extras import optional
-from cosim.base.messages import Message, code_of
+from cosim.base.messages import Message, Note, code_of
 from cosim.base.settings import Count
 from cosim.base.text import counted, plain
 from cosim.base.version import __version__
@@ -127,7 +127,7 @@ def sweep(
     if record["failed"] == record["runs"]:
         first = record["failures"][0]
         reason = Message(first["why"], first.get("code", ""))
-        raise SweepFailed(messages.NO_RUN_COMPLETED.around(reason, runs=counted(study.count, "run")))
+        raise SweepFailed(f"all {counted(study.count, 'run')} failed; run 0: {reason}")
     return swept
 
 
@@ -140,7 +140,10 @@ def _read_completed(folder: Path, key: str) -> dict[str, Any] | None:
     if not (record := content_of(folder / RECORD)):
         return None
     if about.get("key") != key:
-        raise InputError.at(folder / TABLE, messages.TABLE_OF_ANOTHER_SWEEP())
+        raise InputError.at(
+            folder / TABLE,
+            "holds another sweep, or one of other FMUs; give another folder as --out, or begin anew by --force",
+        )
     return record
 
 
@@ -176,7 +179,9 @@ class _Sweep:
                 hold_stops()  # The table must still be written.
         except (KeyboardInterrupt, Terminated) as stop:
             stored, runs = len(self.base.numbers()), counted(self.study.count, "run")
-            error = SweepStopped(messages.STOPPED(stored=stored, runs=runs, path=self.base.path))
+            error = SweepStopped(
+                f"stopped: {stored} of {runs} are kept in {self.base.path}; the same command goes on with them"
+            )
             if isinstance(stop, Terminated):
                 error.exit_code = Terminated.exit_code
             raise error from None
@@ -184,7 +189,10 @@ class _Sweep:
             if not is_full(error):
                 raise
             stored, runs = len(self.base.numbers()), counted(self.study.count, "run")
-            full = SweepStopped(messages.DISK_FULL(stored=stored, runs=runs, path=self.base.path))
+            full = SweepStopped(
+                f"the disk is full: {stored} of {runs} are kept in {self.base.path}; make room, and the same "
+                "command goes on with them"
+            )
             full.exit_code = DiskFull.exit_code
             raise full from None
         record = self._record(way, why)
@@ -308,7 +316,7 @@ class _Sweep:
     def _compare_ways(self, count: int, way: Way, why: str) -> dict[str, Any]:
         """Return the comparison of array runs with FMU runs."""
         if way == "fmus":
-            sentence = messages.ALL_THROUGH_FMUS(reason=f": {why}" if why else "")
+            sentence = Note(f"every run was made through the FMUs{f': {why}' if why else ''}")
             return {"runs": count, "apart": 0.0, "agrees": True, "sentence": sentence}
         checks, steps = {m.run: m for m in self.base.runs(CHECKS)}, self.study.scenario.steps
         columns = [self.study.system.columns.index(name) for name in self.study.job.signals]

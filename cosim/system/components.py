@@ -22,7 +22,6 @@ from cosim.scenario.scenario_file import ScenarioFile
 from cosim.scenario.start_values import Misfit, convert_value, kind_of, settable, with_elements
 from cosim.storage.kinds import shell_path
 from cosim.storage.yaml_file import did_you_mean
-from cosim.system import messages
 from cosim.system.event_blocks import event_block
 
 Designed = Mapping[str, Mapping[str, float]]  # component → start values
@@ -104,12 +103,16 @@ def _fixes(scenario: Scenario, name: str, component: FixComponent, diagnosis: Di
     sensor = Sensor(component.rate, component.latency, component.dropout, signals)
     collisions = [n for n in signals if n in sensor.outputs()]
     for signal in collisions:
-        template = messages.COUNT_NAME_TAKEN if signal == COUNT else messages.FIX_NAME_TAKEN
-        diagnosis.note(("components", name, "signals", signal), template(name=signal))
+        other = "the output that counts the fixes" if signal == COUNT else "an output with the fixes of another signal"
+        message = f'"{signal}" is already the name of {other}; give the signal another name'
+        diagnosis.note(("components", name, "signals", signal), message)
     fastest = 1.0 / scenario.step
     too_fast = component.rate > fastest * (1.0 + 1e-9)
     if too_fast:
-        message = messages.FIX_RATE_TOO_HIGH(rate=component.rate, fastest=fastest)
+        message = (
+            f"rate is {component.rate:g} Hz, communication points come at {fastest:g} Hz; use at most "
+            f"{fastest:g} Hz, or a shorter step"
+        )
         diagnosis.note(("components", name, "rate"), message)
     return None if too_fast or collisions else Fixes(name, sensor, scenario.step, scenario.seed)
 
@@ -124,13 +127,13 @@ def _fmu(
 ) -> FmuBlock | None:
     path = file.resolve(component.fmu)
     if not path.is_file():
-        diagnosis.note(("components", name, "fmu"), messages.NO_FMU(path=path, cure=_cure(file, path)))
+        diagnosis.note(("components", name, "fmu"), f"no such FMU: {path}{_cure(file, path)}")
         return None
     description = read(path)
     start = _start_values(name, description, {**designed, **component.start}, diagnosis)
     connected = frozenset(_variables_of(name, [connection.target for connection in file.scenario.connections]))
     if component.interface not in (None, *ways(description)):
-        message = messages.INTERFACE_NOT_OFFERED(fmu=path.name, interfaces=" and ".join(ways(description)))
+        message = f"{path.name} offers {' and '.join(ways(description))} only"
         diagnosis.note(("components", name, "interface"), message)
         return None
     _check_feedthrough(name, component, description, diagnosis)
@@ -163,7 +166,8 @@ def _check_feedthrough(name: str, component: FmuComponent, description: Any, dia
         if entry not in names:
             hint = did_you_mean(entry, [v.name for v in inputs])
             diagnosis.note(
-                ("components", name, "feedthrough", k), messages.NO_INPUT(component=name, name=entry, hint=hint)
+                ("components", name, "feedthrough", k),
+                f'{name} has no input "{entry}"{hint}; feedthrough: names inputs',
             )
 
 
@@ -202,14 +206,14 @@ def _start_values(component: str, description: Any, stated: Mapping[str, Any], d
         variable = variables.get(name)
         if variable is None:
             hint = did_you_mean(name, [v.name for v in variables.values() if settable(v)])
-            message = messages.NO_VARIABLE(component=component, name=name, hint=hint)
+            message = f'{component} has no variable "{name}"{hint}'
         elif not settable(variable):
-            message = messages.NOT_SETTABLE(name=f"{component}.{name}", kind=kind_of(variable))
+            message = f"{f'{component}.{name}'} is {kind_of(variable)}; it takes no start value"
         else:
             converted = convert_value(description, variable, value)
             if not isinstance(converted, Misfit):
                 values[name] = converted
                 continue
-            message = messages.VALUE_MISFIT(name=f"{component}.{name}", value=value, reason=converted.reason)
+            message = f"{f'{component}.{name}'} is {value!r}; {converted.reason}"
         diagnosis.note(("components", component, "start", name), message)
     return values

@@ -22,7 +22,6 @@ from cosim.scenario.diagnosis import Diagnosis, Place
 from cosim.scenario.scenario import FmuComponent, LoopSettings, Scenario
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.storage.yaml_file import did_you_mean
-from cosim.system import messages
 from cosim.system.components import Designed, build_components
 from cosim.system.control import Control, control_of, courses_of
 from cosim.system.event_blocks import check_events
@@ -185,13 +184,15 @@ def _check_record(file: ScenarioFile, components: Mapping[str, Component], diagn
         component = components.get(name)
         if "*" not in name and name not in file.scenario.components:
             hint = did_you_mean(name, file.scenario.components)
-            diagnosis.note(("record", k), messages.RECORD_WITHOUT_COMPONENT(name=name, hint=hint))
+            diagnosis.note(("record", k), f'no component "{name}"{hint}; write component.* or component.variable')
         elif isinstance(component, FmuBlock) and not component.names_any(pattern):
             hint = did_you_mean(pattern, [f"{name}.{v.name}" for v in component.description.modelVariables])
-            diagnosis.note(("record", k), messages.RECORD_WITHOUT_VARIABLE(pattern=pattern, hint=hint))
+            diagnosis.note(("record", k), f'no variable "{pattern}"{hint}')
     for name, component in components.items():
         if not (component.inputs or component.outputs or component.exact_inputs or component.exact_outputs):
-            diagnosis.warnings.append(messages.NOTHING_RECORDED(name=name))
+            diagnosis.warnings.append(
+                f"{name} has no inputs and outputs, so nothing of it is recorded; record: [{name}.*] does so"
+            )
 
 
 def _check_design(file: ScenarioFile, diagnosis: Diagnosis) -> None:
@@ -200,7 +201,9 @@ def _check_design(file: ScenarioFile, diagnosis: Diagnosis) -> None:
     if design is None or design.component in file.broken:
         return
     if not isinstance(file.scenario.components.get(design.component), FmuComponent):
-        diagnosis.note(("design", "component"), messages.DESIGN_WITHOUT_FMU(name=design.component))
+        diagnosis.note(
+            ("design", "component"), f'design is for component "{design.component}", which is no FMU of components'
+        )
 
 
 def _check_criteria(
@@ -213,6 +216,8 @@ def _check_criteria(
         for key, signal in (("of", criterion.of), ("to", criterion.to)):
             if isinstance(signal, str) and signal not in columns:
                 hint = did_you_mean(signal, columns)
-                diagnosis.note((*where, key), messages.UNKNOWN_SIGNAL(name=signal, hint=hint))
+                diagnosis.note((*where, key), f'no signal "{signal}"{hint}')
             elif isinstance(signal, str) and signal not in recorded:
-                diagnosis.note((*where, key), messages.NOT_RECORDED(name=signal))
+                diagnosis.note(
+                    (*where, key), f"{signal} is not recorded, and the criterion needs it; add it to record: signals"
+                )

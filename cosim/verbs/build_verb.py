@@ -9,7 +9,6 @@ import typer
 
 from cosim.base.errors import Fault, refuse
 from cosim.fmi.native.platforms import PLATFORMS
-from cosim.verbs import messages
 from cosim.verbs.options import Json
 from cosim.verbs.terminal import say, say_json
 
@@ -62,7 +61,7 @@ def command(
             say_json({"built": [{"fmu": str(fmu.path), "platforms": dict(fmu.floors)} for fmu in fmus]})
         return
     native_options = [name for name, is_set in (("--fmi", fmi != 2), ("--platforms", bool(platforms))) if is_set]
-    refuse(Fault(Path(name), 0, 0, messages.NATIVE_ONLY()) for name in native_options)
+    refuse(Fault(Path(name), 0, 0, "is of native FMUs; add --native, or leave it out") for name in native_options)
     built = list(build_fmus(out, model, nearest=nearest))
     for path in built:
         say(f"built {path}")

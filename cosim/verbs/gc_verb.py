@@ -39,7 +39,6 @@ def command(
 
     Example: cosim gc --keep 5
     """
-    from cosim.history import messages
     from cosim.history.entries import entries, listed_entries, warnings_of
     from cosim.history.removal import Removal, plan_removal, remove
 
@@ -52,7 +51,7 @@ def command(
         say(f"to remove: {_amount(plan)}: {some(planned, MOST_NAMES)}")
         if not yes:
             if as_json or not sys.stdin.isatty():
-                raise InputError.at(root, messages.NOT_CONFIRMED())
+                raise InputError.at(root, "nothing is removed without an answer; add --yes")
             if not typer.confirm("Remove?"):
                 planned = []
     done = remove(plan.entries) if planned else Removal((), 0)

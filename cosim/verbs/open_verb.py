@@ -29,7 +29,6 @@ def command(
 
     Example: cosim open 3
     """
-    from cosim.history import messages
     from cosim.history.entries import RUNNING, UNKNOWN, named_entries
     from cosim.storage.artefact import folder_kind
     from cosim.storage.folders import content_of, warnings_on
@@ -40,26 +39,28 @@ def command(
     if found := named_entries(run, results or RESULTS):
         if len(found) > 1:
             names = some([f"{e.number} {e.name}" for e in found], MOST_NAMES)
-            raise InputError.at(Path(run), messages.SEVERAL(count=len(found), names=names))
+            raise InputError.at(Path(run), f"{len(found)} results match: {names}; name one")
         (entry,) = found
         folder, verb, outcome = entry.folder, entry.verb, entry.outcome
         record, warnings = entry.record, entry.warnings
     page = folder / PAGE
     if not page.is_file():
         if outcome == KILLED:
-            raise InputError.at(folder, messages.NO_PAGE_OF_KILLED())
+            raise InputError.at(folder, "has no report.html, because its command was killed; run it again")
         if outcome in {RUNNING, UNKNOWN}:
-            raise InputError.at(folder, messages.NO_PAGE_YET())
+            raise InputError.at(folder, "has no report.html yet, because its command has not ended")
         if folder_kind(folder) is None:
-            raise InputError.at(folder, messages.NOT_RESULTS())
+            raise InputError.at(
+                folder, "holds no results of a command; give a number, a name or a folder in `cosim list`"
+            )
         if record.suffix == ".json" and record.is_file() and not content_of(record):
-            raise InputError.at(folder, messages.NO_PAGE_OF_DAMAGED())
+            raise InputError.at(folder, "has no report.html, and its record is damaged: run the command again")
         cure = (
             f"`cosim report {shlex.quote(str(folder))}` writes it"
             if verb in {"run", "simulate", ""}
             else "run the command again with a report"
         )
-        raise InputError.at(folder, messages.NO_REPORT(cure=cure))
+        raise InputError.at(folder, f"has no report.html; {cure}")
     warn(*dict.fromkeys((*warnings_on(folder), *warnings)))
     say(f"report: {page}")
     if as_json:
