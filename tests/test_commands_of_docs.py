@@ -53,13 +53,11 @@ LONG = "a whole study takes minutes to hours"
 # document → reason why its commands are parsed only, and the tests that run the same verbs and options
 PARSED: Mapping[str, tuple[str, str]] = {
     "docs/live.md": ("a page is open until its reader closes it", "tests/test_live_browser.py"),
-    "docs/real_time.md": ("a run at the pace of the clock, with partners", "tests/test_live_values.py"),
+    "docs/real_time.md": ("a run at the pace of the clock", "tests/test_pace.py"),
     "docs/refine_fmu.md": (YOURS, "tests/test_refine_fmu.py"),
-    "docs/remote.md": ("a server runs until it is ended", "tests/test_remote.py"),
     "docs/resume.md": ("a run that is stopped in its middle", "tests/test_resume.py"),
     "docs/verbs.md": ("the craft is linearized elsewhere, results are listed below", "tests/test_linearize.py"),
     "docs/view.md": ("a page is open until its reader closes it; the conversion is run below", "tests/test_view.py"),
-    "examples/remote/README.md": ("a server beside a run", "tests/test_remote.py"),
     **{
         f"examples/{name}/README.md": (LONG, f"tests/{test}.py")
         for name, test in {

@@ -15,7 +15,7 @@ from tests.tank import MODEL as TANK
 from tests.typed import typed_fmu
 
 COMMANDS = sorted(c.name or c.callback.__name__ for c in app.registered_commands if c.callback)
-WITHOUT_FILES = {"bench", "consistency", "gc", "list", "open", "schema", "serve"}  # some print JSON alone
+WITHOUT_FILES = {"bench", "consistency", "gc", "list", "open", "schema"}  # some print JSON alone
 ASKED = {"build": ["--model"], "compare": ["none.csv"], "fit": ["--fmu", "none.fmu"]}
 
 
@@ -34,7 +34,7 @@ def told(
 def test_every_command_has_help_quiet_and_verbose(command: str) -> None:
     done = CliRunner().invoke(app, [command, "-h"])
     assert done.exit_code == 0
-    for option in ("-q", "-v", "-h", *(("--json",) if command not in {"bench", "schema", "serve"} else ())):
+    for option in ("-q", "-v", "-h", *(("--json",) if command not in {"bench", "schema"} else ())):
         assert option in done.output, option
 
 

@@ -47,6 +47,13 @@ def test_the_shipped_scenarios_have_no_fault(project: Path) -> None:
     ("old", "new", "at", "words"),
     [
         ("seed: 1", "sed: 1", "sed", 'unknown key "sed"; did you mean "seed"?'),
+        ("seed: 1", "live: {}", "live", '"live" is no longer supported'),
+        (
+            "fmu: ../build/plant.fmu",
+            "fmu: ../build/plant.fmu\n    at: lab:5600",
+            "at: lab",
+            '"at" is no longer supported',
+        ),
         ("duration: 10", "duration: ten", "ten", "duration is 'ten': it is a number [s], or text with a unit: 3 s"),
         ("duration: 10", "duration: -1", "-1", "greater than 0"),
         ("duration: 10", "duration: .inf", ".inf", "finite"),

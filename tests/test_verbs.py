@@ -40,7 +40,6 @@ CASES = {  # verb → its words, and a file that it writes
     "info": ("tank.fmu", ""),
     "init": ("tank.fmu --out first.yaml", "first.yaml"),
     "simulate": ("tank.fmu --stop 1", "results/tank/results.csv"),
-    "serve": (". --check", ""),
     "compare": ("e1.csv v1.csv", "results/e1-and-v1/comparison.json"),
     "report": ("ran", "ran/report.html"),
     "list": ("", ""),
@@ -55,7 +54,7 @@ CASES = {  # verb → its words, and a file that it writes
     "identify": ("craft.yaml", "results/a-craft/identify.json"),
 }
 WRITES_OVER = {"excite", "identify", "linearize"}  # in Python: docs/python.md
-NEEDS = {"sweep": ("pyarrow", "SALib"), "serve": ("zmq", "cryptography")}
+NEEDS = {"sweep": ("pyarrow", "SALib")}
 
 
 @pytest.fixture(scope="module")

@@ -31,13 +31,11 @@ def resolve_scenario(file: ScenarioFile, designed: Mapping[str, Mapping[str, Any
     """Return the executed scenario for the manifest.
 
     The scenario has designed values in place of `design`, absolute paths, and the hash of each file. It repeats the run
-    from its record, as fast as possible: without `pace` and `live`.
+    from its record, as fast as possible: without `pace`.
     """
     components, changes = dict[str, Any](), dict[str, Any]()
     for name, component in file.scenario.components.items():
-        if isinstance(component, FmuComponent) and component.at:
-            changes = {"start": {**designed.get(name, {}), **component.start}, "sha256": system.distant[name]}
-        elif isinstance(component, FmuComponent):
+        if isinstance(component, FmuComponent):
             path = system.fmus[name][0]
             changes = {"fmu": str(path), "start": {**designed.get(name, {}), **component.start}, "sha256": sha256(path)}
         elif component.block == "playback":
@@ -46,7 +44,7 @@ def resolve_scenario(file: ScenarioFile, designed: Mapping[str, Mapping[str, Any
         else:
             changes = {}
         components[name] = component.model_copy(update=changes)
-    return file.scenario.model_copy(update={"components": components, "design": None, "pace": None, "live": None})
+    return file.scenario.model_copy(update={"components": components, "design": None, "pace": None})
 
 
 def check_pinned(file: ScenarioFile) -> None:
@@ -56,7 +54,7 @@ def check_pinned(file: ScenarioFile) -> None:
         key = key_of(component)
         pinned: str | None = getattr(component, "sha256", None)
         path = file.resolve(getattr(component, key, ""))
-        if pinned is not None and not getattr(component, "at", None) and path.is_file() and sha256(path) != pinned:
+        if pinned is not None and path.is_file() and sha256(path) != pinned:
             message = (
                 f"{path} is not the {'FMU' if key == 'fmu' else 'file'} of this run: its SHA-256 differs; put "
                 "that one back, or run the scenario"
@@ -85,7 +83,7 @@ def manifest(
         "source": str(file.path.resolve()),
         "scenario": resolve_defaults(scenario),
         "design": resolve_defaults(file.scenario).get("design"),
-        **_real_time(file.scenario),
+        **({"real_time": {"pace": file.scenario.pace}} if file.scenario.pace is not None else {}),
         "seed": scenario.seed,
         "order": system.names,
         "held": [transfer.name for transfer in system.held if not transfer.of],
@@ -117,13 +115,6 @@ def manifest(
         "warnings": list(system.warnings),
         "criteria": [],
     }
-
-
-def _real_time(scenario: Scenario) -> dict[str, Any]:
-    """Return the pace and the partners of a run as a record; a repetition uses neither."""
-    resolved = resolve_defaults(scenario)
-    settings = {key: resolved[key] for key in ("pace", "live") if key in resolved}
-    return {"real_time": settings} if settings else {}
 
 
 def add_changes(record: dict[str, Any], scenario: Scenario, changes: Sequence[Change]) -> None:

@@ -19,7 +19,6 @@ from cosim.blocks.fmu import read_description
 from cosim.blocks.guard import validation
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
-from cosim.master.live_values import check_hosts
 from cosim.master.remote import simulate_apart
 from cosim.probing.misbehaviour import misbehaviour
 from cosim.scenario.controller_design import designed_apart, designed_values
@@ -28,7 +27,6 @@ from cosim.simulation.manifest import check_pinned
 from cosim.simulation.packaged import lay_out
 from cosim.simulation.undeclared import with_feedthrough
 from cosim.storage.artefact import Checking
-from cosim.system.real_time import real_time_of
 from cosim.system.recording import recording_notes
 from cosim.system.system import System, build_system
 
@@ -106,7 +104,6 @@ def check_scenario(path: Path, checking: Checking) -> list[str]:
         skipped.append(f"{error} (--no-load); the design is not checked")
     system = build_system(file, designed)
     if worker is not None:
-        check_hosts(real_time_of(file))
         system = with_feedthrough(file, designed, system, worker)
         faults, said = _run_once(file, system, path, worker)
         refuse(faults)

@@ -24,7 +24,6 @@ from cosim.master.checkpoint import Continuation, Keeping
 from cosim.master.end_trials import without_ended_states
 from cosim.master.inbox import Change, with_changes
 from cosim.master.input_functions import InputFunctions, NamedFunctions
-from cosim.master.live_values import check_hosts
 from cosim.master.observer import Observer, ProgressObserver
 from cosim.master.remote import MODULES, SteppedRun, simulate_apart, simulate_here
 from cosim.scenario.controller_design import designed_apart
@@ -72,7 +71,6 @@ from cosim.storage.folders import (
 from cosim.storage.kinds import check_form, shell_path
 from cosim.storage.results import Results, remove_rows, rows_name
 from cosim.storage.started import KILLED, STARTED, STATUS
-from cosim.system.real_time import real_time_of
 from cosim.system.recording import take_signals
 from cosim.system.system import System, build_system
 
@@ -353,9 +351,7 @@ def _prepare_new(
         )
         draft.unlink()
     check_writable(place, (rows_file, MANIFEST, "report.html"), file.files)
-    real_time = real_time_of(file)
-    check_hosts(real_time)
-    system = replace(with_feedthrough(file, designed, system, worker, tell), real_time=real_time)
+    system = replace(with_feedthrough(file, designed, system, worker, tell), pace=file.scenario.pace)
     ssp = path if is_package else None
     return _Prepared(file, place, system, designed, rows_file, software, warnings, ssp, keep=ssp is None)
 
@@ -464,7 +460,6 @@ def _step(
         if prepared.bring_back is not None:
             prepared.bring_back()
         raise
-    worker.finish()
     return stepped
 
 
