@@ -278,14 +278,13 @@ def test_a_tolerance_that_is_none_is_refused(value: float, tmp_path: Path) -> No
 
 def test_nothing_is_left_where_nothing_is_to_be_written(tmp_path: Path) -> None:
     a, b = (ran(str(tmp_path / name), x=TIME) for name in ("a.csv", "b.csv"))
-    _, place = compare(a, b, tmp_path / "out", tolerance=0.0, write=False)
+    place = tmp_path / "out"
+    compare(a, b, place, tolerance=0.0, write=False)
     assert not place.exists()
-    compare(a, b, tmp_path / "out", tolerance=0.0, report=False)
+    compare(a, b, place, tolerance=0.0)
+    assert sorted(p.name for p in place.iterdir()) == ["comparison.json", "report.html"]
+    compare(a, b, place, tolerance=0.0, report=False, force=True)  # a page of another comparison does not stay
     assert [p.name for p in place.iterdir()] == ["comparison.json"]
-    compare(a, b, tmp_path / "out", tolerance=0.0)
-    assert sorted(p.name for p in place.iterdir()) == ["comparison.json", "report.html", "runs"]
-    compare(a, b, tmp_path / "out", tolerance=0.0, report=False)  # a page of another comparison does not stay
-    assert sorted(p.name for p in place.iterdir()) == ["comparison.json", "runs"]
 
 
 def test_panels_show_both_runs_in_the_unit_that_people_read_and_how_far_b_is_from_a() -> None:

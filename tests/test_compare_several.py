@@ -46,7 +46,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "s.yaml").write_text(SCENARIO + CRITERION, encoding="utf-8")
     for start in (1, 3, 2):
         content = {"set": {"components.ref.signals.x.start": start}, "report": False, "in_process": True}
-        cosim.run(folder / "s.yaml", folder / "results" / "s" / "runs" / f"000{start}", **content)  # type: ignore[arg-type]
+        cosim.run(folder / "s.yaml", folder / "results" / "s" / f"000{start}", **content)  # type: ignore[arg-type]
     return folder
 
 
@@ -211,7 +211,7 @@ def test_two_runs_of_a_pattern_are_a_comparison_of_two(runs: Path, monkeypatch: 
     monkeypatch.chdir(runs)
     done = _invoke(["s/000[12]", "--baseline", "3", "--json", "--out", "two"])
     content = json.loads(done.output)
-    assert (content["a"], content["b"]) == ("results/s/runs/0002", "results/s/runs/0001")
+    assert (content["a"], content["b"]) == ("results/s/0002", "results/s/0001")
     assert set(content) >= {"a", "b", "signals", "only_a", "only_b", "same_times", "criteria"}
 
 
@@ -237,7 +237,7 @@ def test_what_cannot_be_compared_is_one_message(
 def test_python_compares_lists_of_folders_numbers_and_results(runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(runs)
     here = cosim.run("s.yaml", report=False, in_process=True)
-    found = cosim.compare([1, "results/s/runs/0003", here], baseline=here)
+    found = cosim.compare([1, "results/s/0003", here], baseline=here)
     assert isinstance(found, ComparedRuns)
     assert found.labels[0].startswith("run 1 (")
     assert found.baseline == 2
@@ -315,7 +315,7 @@ def test_names_that_differ_only_in_case_are_different(tmp_path: Path, monkeypatc
         pytest.skip("this file system ignores case")
     found = cosim.compare(["tank*", "Tank"])
     assert isinstance(found, ComparedRuns)
-    assert sorted(label.partition("(")[2] for label in found.labels) == ["Tank)", "tank)", "tank/0001)"]
+    assert sorted(label.partition("(")[2] for label in found.labels) == ["Tank)", "tank)", "tank/runs/0001)"]
     assert sorted(found.ranking) == ["a.X", "a.x"]
 
 

@@ -30,8 +30,7 @@ from cosim.residuals.remote_drive import DriveApart
 from cosim.residuals.workflow import replay
 from cosim.simulation.coupling import coupling_error
 from cosim.simulation.workflow import run
-from cosim.storage.folder_lock import LOCK_FILE
-from cosim.storage.started import STARTED
+from cosim.storage.folders import STARTED
 from cosim.storage.table import read_columns
 from cosim.verbs.check_verb import check as check_files
 from tests.cases import some
@@ -350,7 +349,7 @@ def test_no_worker_outlives_a_caller_that_is_killed_nor_does_what_it_unpacked(tm
     process.kill()
     process.communicate()
     waited_for(lambda: not any(map(runs, [worker, *grandchildren])))
-    assert {p.name for p in (tmp_path / "out").iterdir()} <= {LOCK_FILE, STARTED}
+    assert {p.name for p in (tmp_path / "out").iterdir()} <= {STARTED}
     assert not [p for p in workers_left() if (p / LOCK).exists() and str(worker) in p.name]
 
 
