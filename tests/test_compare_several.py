@@ -19,7 +19,6 @@ from cosim.comparison.several import ComparedRuns, RunSource, compare_several
 from cosim.comparison.several_page import several_page
 from cosim.history.inputs import DifferingInput, differing_inputs, labels_of
 from cosim.simulation.run_files import RecordedRun
-from cosim.storage.artefact import kind_by_keys
 from cosim.storage.results import Results
 from cosim.verbs.cli import app
 
@@ -150,17 +149,6 @@ def test_runs_that_do_not_fit_in_memory_are_read_again_with_the_same_outcome(mon
     assert all(np.array_equal(one, two) for one, two in zip(again.curves["x"], whole.curves["x"], strict=True))
 
 
-def test_of_many_runs_the_page_says_which_are_drawn() -> None:
-    found = compare_several([_source(f"run {k}", 1.0 + k) for k in range(40)])
-    assert len(found.drawn) == several.MAX_RUNS
-    assert found.drawn[0] == 0
-    assert found.drawn[1:] == tuple(range(40 - several.MAX_RUNS + 1, 40))  # those that differ most
-    page = several_page(found, "", [])
-    assert "the baseline and the 11 runs that differ most" in page
-    assert "Only in the tables: 28 runs." in page
-    assert page.count("run 17") > 2  # in the tables
-
-
 def test_a_run_that_a_pattern_matched_is_left_out_with_the_reason() -> None:
     def gone() -> RecordedRun:
         raise InputError.at(Path("b"), "no such folder or file")
@@ -250,12 +238,6 @@ def test_python_compares_lists_of_folders_numbers_and_results(runs: Path, monkey
         cosim.compare("s/*")
 
 
-@pytest.mark.parametrize("runs", [[], ()])
-def test_no_run_is_refused_with_a_code(runs: Any) -> None:
-    with pytest.raises(InputError, match="name at least two runs"):
-        cosim.compare(runs)
-
-
 def test_folders_of_one_name_have_labels_that_differ(tmp_path: Path) -> None:
     rows = Results(TIME, ("x",), TIME[:, None])
     for place in ("one", "two", "three"):
@@ -317,19 +299,3 @@ def test_names_that_differ_only_in_case_are_different(tmp_path: Path, monkeypatc
     assert isinstance(found, ComparedRuns)
     assert sorted(label.partition("(")[2] for label in found.labels) == ["Tank)", "tank)", "tank/runs/0001)"]
     assert sorted(found.ranking) == ["a.X", "a.x"]
-
-
-def test_of_many_signals_the_page_lists_those_that_differ_most() -> None:
-    names = tuple(f"a.x{k}" for k in range(1000))
-
-    def source(gain: float) -> RunSource:
-        rows = Results(TIME[:3], names, np.outer(TIME[:3], 1.0 + gain * np.arange(1000)))
-        return RunSource(f"gain {gain}", Path(str(gain)), lambda: RecordedRun(Path(str(gain)), "", rows))
-
-    found = compare_several([source(0.0), source(1.0), source(2.0)])
-    assert found.ranking[0] == "a.x999"
-    assert kind_by_keys(found.as_json()) == "an answer of `cosim compare`"
-    page = several_page(found, "", [])
-    assert "799 more are in comparison.json" in page
-    assert "the 12 signals that differ most" in page
-    assert "a.x100<" not in page

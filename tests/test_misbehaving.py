@@ -420,9 +420,10 @@ def test_a_disk_too_full_for_the_manifest_leaves_all_rows_and_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("cosim.simulation.workflow.write_json", no_room)
-    with pytest.raises(DiskFull, match=r"11 of 11 rows are in results.csv, there is no report and no manifest$"):
+    with pytest.raises(DiskFull, match=r"11 of 11 rows are in results.csv"):
         run(deeds_scenario(tmp_path, "none", "none"), tmp_path / "out", in_process=True)
     assert rows_in(tmp_path / "out") == 11
+    assert json.loads((tmp_path / "out" / "manifest.json").read_text())["status"] == "interrupted"
 
 
 def test_no_room_to_unpack_is_the_disk_and_not_the_fmu(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -53,7 +53,7 @@ from cosim.storage.files import (
     release_stops,
     write_json,
 )
-from cosim.storage.folders import STARTED, content_of, describe_run, new_run, remove_earlier
+from cosim.storage.folders import STARTED, describe_run, new_run, remove_earlier
 from cosim.storage.kinds import check_form, shell_path
 from cosim.storage.results import Results, rows_in, rows_name
 from cosim.system.real_time import real_time_of
@@ -422,10 +422,11 @@ def _write_files(
         The failure of the run or of the disk, if any.
     """
     rows, results, failure = prepared.file_of_rows, stepped.results, stepped.failure
-    record["rows"] = len(results.time)
+    record["rows"], has_rows = len(results.time), False
     hold_stops()  # also where no worker made the steps
     try:
         results.write(rows)
+        has_rows = True
         rows.with_name("report.html").unlink(missing_ok=True)  # of the run before it went on
         write_json(rows.with_name(MANIFEST), record)
         is_part = prepared.system.recording is not None
@@ -444,7 +445,7 @@ def _write_files(
     except OSError as error:
         if not is_full(error):
             raise
-        return _write_what_fits(prepared, stepped, record)
+        return _write_what_fits(prepared, stepped, record, has_rows=has_rows)
     except (KeyboardInterrupt, Terminated) as stop:  # All files but the report are written.
         hold_stops()
         if failure is not None:
@@ -461,24 +462,29 @@ def _write_files(
     return failure
 
 
-def _write_what_fits(prepared: _Prepared, stepped: SteppedRun, record: dict[str, Any]) -> DiskFull:
-    """Write the manifest and the rows that fit on a full disk; return the failure to report."""
+def _write_what_fits(prepared: _Prepared, stepped: SteppedRun, record: dict[str, Any], *, has_rows: bool) -> DiskFull:
+    """Write the manifest and the rows that fit on a full disk; return the failure to report.
+
+    Args:
+        has_rows: Whether all rows are written.
+    """
     rows, failure, time = prepared.file_of_rows, stepped.failure, stepped.results.time
+    count, manifest_ = len(time), rows.with_name(MANIFEST)
     rows.with_name("report.html").unlink(missing_ok=True)
-    count, missing = len(time), ", there is no report"
-    if content_of(rows.with_name(MANIFEST)).get("rows") != count or not rows.is_file():
-        missing = ""
-        record["status"] = f"failed: {failure or 'the disk is full'}"
-        record.pop("rows")
-        try:
-            write_json(rows.with_name(MANIFEST), record)  # before the rows take its room
-        except OSError:
-            (rows.parent / STARTED).replace(rows.with_name(MANIFEST))  # takes no room
+    record["status"] = f"failed: {failure or 'the disk is full'}"
+    if not has_rows:
+        del record["rows"]  # unknown until the manifest is written, which then has room
+    try:
+        write_json(manifest_, record)
+    except OSError:
+        (rows.parent / STARTED).replace(manifest_)  # takes no room
+    if not has_rows:
         try:
             count = stepped.results.write_what_fits(rows)
         except OSError:
             count = 0
     total = prepared.rows if isinstance(failure, DiskFull) else len(time)
+    missing = ", there is no report" if count == total else ""
     before = "" if failure is None or isinstance(failure, DiskFull) else f"; before that {failure}"
     at = time[max(0, count - 1)].item() if len(time) else 0.0
     return DiskFull("the run", at, f"the disk is full: {count} of {total} rows are in {rows.name}{missing}{before}")
