@@ -13,12 +13,10 @@ from cosim.base.settings import ModelName
 from cosim.loading.file import meant_model
 from cosim.loading.substep import with_substep
 from cosim.storage.files import FilePath, check_folder, named_path
-from cosim.storage.folder_lock import folder_locks
 
 PLANT = "plant.fmu"
 
 
-@folder_locks()
 def build(
     folder: FilePath,
     model: ModelName | None = None,

@@ -17,7 +17,6 @@ from cosim.loading.source import ModelText
 from cosim.loading.substep import with_substep
 from cosim.model.model import Model
 from cosim.storage.files import FilePath, check_folder, named_path
-from cosim.storage.folder_lock import folder_locks
 from cosim.storage.yaml_file import did_you_mean
 
 if TYPE_CHECKING:
@@ -40,7 +39,6 @@ class NativeFmu:
         return f"built {self.path} for {', '.join(places)}"
 
 
-@folder_locks()
 def build_native(
     folder: FilePath, model: str | None = None, *, nearest: bool = False, fmi: int = 2, platforms: Sequence[str] = ()
 ) -> list[NativeFmu]:

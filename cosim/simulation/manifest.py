@@ -20,8 +20,7 @@ from cosim.master.inbox import Change
 from cosim.scenario.pinned import key_of, sha256
 from cosim.scenario.scenario import FmuComponent, Scenario, resolve_defaults
 from cosim.scenario.scenario_file import ScenarioFile
-from cosim.storage.folders import SCHEMA_VERSION
-from cosim.storage.started import COMMAND
+from cosim.storage.folders import COMMAND, SCHEMA_VERSION
 from cosim.system.system import System
 
 PACKAGES = ("FMPy", "pythonfmu", "numpy", "scipy", "filterpy", "control", "pydantic")
