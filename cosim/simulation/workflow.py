@@ -1,4 +1,4 @@
-"""Workflow of `cosim run`: scenario → design → system → master → results → manifest → report."""
+"""Workflow of `cosim run`: scenario → system → master → results → manifest → report."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import copy
 import json
 import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
@@ -28,7 +28,6 @@ from cosim.master.input_functions import InputFunctions, NamedFunctions
 from cosim.master.live_values import check_hosts
 from cosim.master.observer import Observer, ProgressObserver
 from cosim.master.remote import MODULES, SteppedRun, simulate_apart, simulate_here
-from cosim.scenario.controller_design import designed_apart
 from cosim.scenario.nearest_models import take_nearest
 from cosim.scenario.pinned import sha256
 from cosim.scenario.scenario import Scenario
@@ -123,7 +122,6 @@ class _Prepared:
     file: ScenarioFile
     place: Path
     system: System
-    designed: Mapping[str, Mapping[str, Any]]
     rows_file: str
     software: Future[dict[str, Any]]
     warnings: list[str] = field(default_factory=list)
@@ -156,7 +154,7 @@ class _Prepared:
 
     def _first_record(self) -> dict[str, Any]:
         """Return the manifest without versions, which take a while."""
-        record = manifest(self.file, self.designed, self.system, self.command)
+        record = manifest(self.file, self.system, self.command)
         if self.ssp is not None:
             record["ssp"] = {"path": str(self.ssp.resolve()), "sha256": sha256(self.ssp)}
         record["warnings"] += self.warnings
@@ -214,7 +212,7 @@ def run(
         folder: Output folder, by default results/NAME. An earlier run in it moves to `runs`. An SSP's generated
             scenario and FMUs go to `system`.
         force: Whether to overwrite the run of a different scenario.
-        nearest: Whether to use the nearest FMUs and model of a refine instead of its refined ones.
+        nearest: Whether to use the nearest FMUs of a refine instead of its refined ones.
         inputs: Input → function that returns its value while the run goes on.
         observers: Receive rows during the run; `progress`, a function of (steps done, total), is added to them.
         format_: Format of the rows, e.g. parquet for results.parquet instead of results.csv.
@@ -332,8 +330,7 @@ def _prepare_new(
     if nearest:
         take_nearest(file)
     check_pinned(file)
-    designed = designed_apart(file, worker)
-    system = build_system(file, designed)
+    system = build_system(file)
     if not is_package:
         check_run_folder(place, file.scenario.name, force=force)
     if (rows := rows_of_killed(place, "results")) is not None:
@@ -356,9 +353,9 @@ def _prepare_new(
     check_writable(place, (rows_file, MANIFEST, "report.html"), file.files)
     real_time = real_time_of(file)
     check_hosts(real_time)
-    system = replace(with_feedthrough(file, designed, system, worker, tell), real_time=real_time)
+    system = replace(with_feedthrough(file, system, worker, tell), real_time=real_time)
     ssp = path if is_package else None
-    return _Prepared(file, place, system, designed, rows_file, software, warnings, ssp, keep=ssp is None)
+    return _Prepared(file, place, system, rows_file, software, warnings, ssp, keep=ssp is None)
 
 
 def _prepare_stopped(
@@ -384,7 +381,7 @@ def _prepare_stopped(
     if steps:
         file = stopped.scenario(until, steps)
         system = build_system(file)
-    system = with_feedthrough(file, {}, system, worker, tell)
+    system = with_feedthrough(file, system, worker, tell)
     start = stopped.start(system, file.scenario)
     if until is not None and start is not None:
         grid, limits = (file.scenario.steps, file.scenario.step), file.scenario.limits or Limits()
@@ -407,7 +404,7 @@ def _prepare_stopped(
         record["scenario"]["components"][name]["solver_step"] = longest
     tell(_how_it_goes_on(stopped, system, start, file.scenario))
     files, extra = stopped.rows_file, stopped.warnings
-    prepared = _Prepared(file, stopped.folder, system, {}, files, software, extra, start=start, record=record)
+    prepared = _Prepared(file, stopped.folder, system, files, software, extra, start=start, record=record)
     return replace(prepared, changes=changes, bring_back=stopped.protect() if stopped.is_finished else None)
 
 

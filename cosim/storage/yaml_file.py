@@ -305,7 +305,9 @@ def _reason(error: Any) -> str:
     return reason[:1].lower() + reason[1:]
 
 
-REMOVED_KEYS: dict[str, str] = {}  # key of earlier versions → what to use instead
+REMOVED_KEYS: dict[str, str] = {  # key of earlier versions → what to use instead
+    "design": "Design the controller beforehand: cosim build --model MODEL --design FILE.",
+}
 _WORDS = {
     **dict.fromkeys(("dict_type", "model_type", "model_attributes_type"), "it should be a mapping of keys to values"),
     **dict.fromkeys(("list_type", "tuple_type"), "it should be a list"),
