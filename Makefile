@@ -56,7 +56,7 @@ $(RELEASING): $(RUNTIME)
 	$(call install,--editable '.[release]')
 
 fmus: $(RUNTIME)
-	$(BIN)/cosim build --out build
+	$(BIN)/cosim build --model hovercraft --design examples/hovercraft/design.yaml --out build
 
 run: fmus
 	$(BIN)/cosim run scenarios/manoeuvre.yaml --figures

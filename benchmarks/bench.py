@@ -55,7 +55,6 @@ name: bench
 duration: {duration}
 step: 0.02
 seed: 1
-design: {{estimator: appendix_f}}
 components:
   plant: {{fmu: plant.fmu, start: {{x_start: 1, psi_start: 1}}}}
   controller: {{fmu: controller.fmu, start: {{x_hat_start: 1, psi_hat_start: 1}}}}

@@ -1,10 +1,10 @@
-"""Workflow of `cosim run`: scenario → design → system → master → results → manifest → report."""
+"""Workflow of `cosim run`: scenario → system → master → results → manifest → report."""
 
 from __future__ import annotations
 
 import copy
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
@@ -23,7 +23,6 @@ from cosim.master.inbox import Change, with_changes
 from cosim.master.input_functions import InputFunctions, NamedFunctions
 from cosim.master.observer import Observer, ProgressObserver
 from cosim.master.remote import MODULES, SteppedRun, simulate_apart, simulate_here
-from cosim.scenario.controller_design import designed_apart
 from cosim.scenario.nearest_models import take_nearest
 from cosim.scenario.pinned import sha256
 from cosim.scenario.scenario import Scenario
@@ -96,7 +95,6 @@ class _Prepared:
     file: ScenarioFile
     place: Path
     system: System
-    designed: Mapping[str, Mapping[str, Any]]
     rows_file: str
     software: Future[dict[str, Any]]
     warnings: list[str] = field(default_factory=list)
@@ -125,7 +123,7 @@ class _Prepared:
     def begin(self) -> None:
         """Write the record by which an interrupted run can be repeated, without versions, which take a while."""
         if self.record is None:
-            self.record = manifest(self.file, self.designed, self.system, self.command)
+            self.record = manifest(self.file, self.system, self.command)
             if self.ssp is not None:
                 self.record["ssp"] = {"path": str(self.ssp.resolve()), "sha256": sha256(self.ssp)}
             self.record["warnings"] += self.warnings
@@ -180,7 +178,7 @@ def run(
         folder: Output folder, by default a new number in results/NAME. An SSP's generated scenario and FMUs go to
             `system`.
         force: Whether `folder` may have files; results in it are replaced.
-        nearest: Whether to use the nearest FMUs and model of a refine instead of its refined ones.
+        nearest: Whether to use the nearest FMUs of a refine instead of its refined ones.
         inputs: Input → function that returns its value while the run goes on.
         observers: Receive rows during the run; `progress`, a function of (steps done, total), is added to them.
         format_: Format of the rows, e.g. parquet for results.parquet instead of results.csv.
@@ -275,14 +273,13 @@ def _prepare_new(
     if nearest:
         take_nearest(file)
     check_pinned(file)
-    designed = designed_apart(file, worker)
-    system = build_system(file, designed)
+    system = build_system(file)
     if not is_package:
         remove_earlier(place, "cosim run", read=file.files)
     check_writable(place, (rows_file, MANIFEST, "report.html"), file.files)
-    system = replace(with_feedthrough(file, designed, system, worker, tell), pace=file.scenario.pace)
+    system = replace(with_feedthrough(file, system, worker, tell), pace=file.scenario.pace)
     ssp = path if is_package else None
-    return _Prepared(file, place, system, designed, rows_file, software, warnings, ssp)
+    return _Prepared(file, place, system, rows_file, software, warnings, ssp)
 
 
 def _prepare_stopped(
@@ -308,7 +305,7 @@ def _prepare_stopped(
     if steps:
         file = stopped.scenario(until, steps)
         system = build_system(file)
-    system = with_feedthrough(file, {}, system, worker, tell)
+    system = with_feedthrough(file, system, worker, tell)
     start = stopped.start(system, file.scenario)
     if until is not None and start is not None:
         grid, limits = (file.scenario.steps, file.scenario.step), file.scenario.limits or Limits()
@@ -331,7 +328,7 @@ def _prepare_stopped(
         record["scenario"]["components"][name]["solver_step"] = longest
     tell(_how_it_goes_on(stopped, system, start, file.scenario))
     files, extra = stopped.rows_file, stopped.warnings
-    prepared = _Prepared(file, stopped.folder, system, {}, files, software, extra, start=start, record=record)
+    prepared = _Prepared(file, stopped.folder, system, files, software, extra, start=start, record=record)
     return replace(prepared, changes=changes)
 
 
