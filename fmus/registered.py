@@ -26,7 +26,7 @@ HOVERCRAFT = ModelEntry(
     beside={"controller.fmu": "fmus.recipes:controller_recipe", **LAWS},
     native={"controller": "fmus.controller_native:controller_native"},
     rig="controller.closed_loop:ClosedLoop",
-    design="controller.designer:DESIGNER",
+    design="controller.designer:design",
 )
 BENCH = ModelEntry(name="bench", model="plant.bench:Bench", recipe="fmus.recipes:bench_recipe")
 RUN_PAGE = Page(

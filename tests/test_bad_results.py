@@ -111,7 +111,7 @@ def test_rows_that_are_gone_are_listed_as_gone(root: Path) -> None:
 @pytest.mark.parametrize(
     ("record", "says"),
     [
-        ({"criteria": "all"}, 'criteria is "all", not a list of criteria; criteria is not used'),
+        ({"criteria": "all"}, 'criteria is "all", not a list; criteria is not used'),
         ({"criteria": [{"of": "a.x", "met": "no"}]}, 'criteria[0].met is "no", not true or false'),
         ({"scenario": ["two"]}, 'scenario is ["two"], not a mapping'),
         ({"scenario": {"name": "two", "components": {"a": 3}}}, "scenario.components.a is 3, not a mapping"),
@@ -148,9 +148,9 @@ def test_a_run_says_how_many_rows_it_wrote(tmp_path: Path, monkeypatch: pytest.M
         "name: s\nduration: 1\nstep: 0.1\ncomponents:\n  ref: {block: reference, signals: {x: {start: 1}}}\n"
     )
     told("run", "s.yaml", "--in-process", "--no-report")
-    file = Path("results/s/manifest.json")
+    file = Path("results/s/0001/manifest.json")
     record = json.loads(file.read_text())
-    assert record["rows"] == read_results(Path("results/s/results.csv")).time.size == 11
+    assert record["rows"] == read_results(Path("results/s/0001/results.csv")).time.size == 11
     del record["schema_version"]
     file.write_text(json.dumps(record))
     assert kind_of(file) == MANIFEST

@@ -326,4 +326,4 @@ def test_the_commands_about_results_run_as_shown(tmp_path: Path, monkeypatch: py
         verb, *arguments = shlex.split(line, comments=True)
         if verb in {"list", "open", "compare", "gc"} or "--prepare" in arguments:
             told(verb, *arguments)
-    assert {"comparison.json", "report.html"} <= {path.name for path in tmp_path.glob("results/*/*")}
+    assert {"comparison.json", "report.html"} <= {path.name for path in tmp_path.glob("results/*/*/*")}

@@ -262,7 +262,7 @@ def test_a_run_in_parquet_is_read_compared_and_reported(project: Path) -> None:
     scenario = str(project / "scenarios" / "regulate.yaml")
     csv, other = str(project / "csv"), project / "pq"
     for arguments in (["--out", csv], ["--out", str(other)], ["--out", str(other), "--format", "parquet"]):
-        ran = CliRunner().invoke(app, ["run", scenario, *arguments, "--no-report"])
+        ran = CliRunner().invoke(app, ["run", scenario, *arguments, "--no-report", "--force"])
         assert ran.exit_code == 0, ran.output
     assert "results.parquet" in ran.output
     assert [p.name for p in other.glob("results.*")] == ["results.parquet"]  # none of an earlier run

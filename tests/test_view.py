@@ -340,7 +340,7 @@ def test_runs_without_names_are_all_that_can_be_read(folder: Path) -> None:
     places, notes = find_runs((), Path("results"))
     runs, warnings = open_runs(places, _no_bar)
     assert notes == []
-    assert [run.place.name for run in runs] == ["tank/0001", "tank"]
+    assert [run.place.name for run in runs] == ["tank/runs/0001", "tank"]
     assert len(warnings) == 2  # the torn manifest of tank
     assert runs[0].rows.units == {"tank.level": "m", "tank.Level": ""}  # names that differ in case only
     assert runs[1].rows.units == {"tank.level": "", "tank.Level": ""}
@@ -380,7 +380,7 @@ def test_a_port_in_use_ends_with_code_2(folder: Path) -> None:
 
 def test_prepared_runs_are_told(folder: Path) -> None:
     done = CliRunner().invoke(app, ["view", "tank*", "--prepare", "--json"])
-    assert [run["name"] for run in json.loads(done.stdout)["runs"]] == ["tank/0001", "tank"]
+    assert [run["name"] for run in json.loads(done.stdout)["runs"]] == ["tank/runs/0001", "tank"]
     named = CliRunner().invoke(app, ["view", "results/tank", "2", "tank", "--prepare"])
     assert "1 run, 2 signals, 2 rows: run 2 (tank)" in named.stdout
 

@@ -19,7 +19,6 @@ from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.profile import Profile, profile_function
 from cosim.coupling.algorithms import algorithms
 from cosim.fmi.native.signal_source import CompilerFailed, NoCompiler, SignalChange, TimeSignal, build_source
-from cosim.scenario.controller_design import designed_values
 from cosim.scenario.nearest_models import take_nearest
 from cosim.scenario.scenario import Connection, FixComponent, FmuComponent, PlaybackComponent, ReferenceComponent
 from cosim.scenario.scenario_file import ScenarioFile
@@ -63,8 +62,7 @@ def export_ssp(
     if nearest:
         take_nearest(file)
     check_pinned(file)
-    designed = designed_values(file)
-    system = build_system(file, designed)
+    system = build_system(file)
     refuse(_faults(file, system))
     target = _target(file, Path() if path is None else named_path(path))
     with temporary_folder("export") as folder:

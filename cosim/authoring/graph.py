@@ -6,10 +6,8 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from cosim.base.errors import InputError, NotExecuted
+from cosim.base.errors import InputError
 from cosim.base.scratch import temporary_folder
-from cosim.loading.file import without_execution
-from cosim.scenario.controller_design import designed_values
 from cosim.scenario.scenario import resolve_defaults
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.packaged import is_ssp, lay_out
@@ -54,12 +52,7 @@ def check_picture(path: Path, graph: Graph) -> None:
 
 
 def _graph(file: ScenarioFile) -> Graph:
-    with without_execution():
-        try:
-            designed = designed_values(file)
-        except NotExecuted:  # Diagrams show no values.
-            designed = {}
-    system = build_system(file, designed)
+    system = build_system(file)
     units = {name: signal.unit for name, signal in system.signals.items()}
     arrays = {f"{n.partition('.')[0]}.{s.array}": s.unit for n, s in system.signals.items() if s.array}
     held = {transfer.name for transfer in system.held if not transfer.of}

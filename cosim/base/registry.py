@@ -38,9 +38,11 @@ class ModelEntry:
         recipe: Place of the function from parameter values to the recipe of its FMU.
         built: File name → place of a recipe, for the FMUs of `cosim build` without a model.
         beside: File name → place of a recipe, for FMUs built along with each model of this class.
-        native: Name → place of the maker of a native FMU, apart from the model's own.
+        native: Name → place of the maker of a native FMU, apart from the model's own. It takes the designed start
+            values of `NAME.fmu`, if any.
         rig: Place of the class for playing its experiments.
-        design: Place of the designer of its controller, for `design:` of a scenario.
+        design: Place of a function from (YAML file, model) to the designed start values of FMUs in `beside`, by file
+            name, and warnings: `cosim build --design`. "" for a model without controller.
     """
 
     name: str

@@ -39,21 +39,18 @@ from cosim.residuals.residual_statistics import FREE_RUN
 from cosim.ssp.write import write_parameter_set
 from cosim.storage.artefact import Checking
 from cosim.storage.files import FilePath, check_writable, hold_stops, named_path, one_stop, write_json, write_text
-from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import begin_unrecorded, check_overwritable, keep_earlier
+from cosim.storage.folders import remove_earlier
 
 FILES = ("fit.json", "fitted.ssv", "fitted.fmu", "report.html")
 
 
 @one_stop()
-@folder_locks()
 def fit(
     request: Request,
     folder: FilePath,
     *,
     in_process: bool = False,
     report: bool = True,
-    force: bool = True,
     progress: Report = lambda stage, share: None,
 ) -> tuple[Record, list[str]]:
     """Estimate an FMU's parameters and start values.
@@ -73,11 +70,9 @@ def fit(
     begin = time.monotonic()
     most, path, place = request.limits, request.fmu, named_path(folder)
     estimation, test = request.estimation, request.sealed
-    check_overwritable(place, "cosim fit", str(path), force=force)
     read, chosen, given = _read(request)
     files = [*request.logs, path, *([request.yaml.path] if request.yaml else [])]
     check_writable(place, FILES, files)
-    begin_unrecorded(place, "cosim fit", files)
     progress("probing the FMU", 0.0)
     if not in_process:
         refuse_own_step(request, read[0], given)
@@ -98,8 +93,7 @@ def fit(
         hold_stops()
         entries = parameter_entries(estimate)
         outcome = Outcome(path, tuple(estimation), tuple(test), estimate, fixed, parts, _risen(parts), entries)
-        keep_earlier(place, "cosim fit", read=files)
-        _remove(place)
+        remove_earlier(place, "cosim fit", read=files)
         unused = (
             [f"`cosim fit` does not use {join_names(request.unused)}: `cosim refine` does"] if request.unused else []
         )
@@ -301,12 +295,6 @@ def _risen(parts: Sequence[Part]) -> tuple[str, ...]:
 
 
 # -- files --------------------------------------------------------------------------------------------
-
-
-def _remove(place: Path) -> None:
-    """Remove the files of an earlier fit."""
-    for name in FILES:
-        (place / name).unlink(missing_ok=True)
 
 
 def _write(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,12 +12,13 @@ from cosim.base.drafts import draft_of
 from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.registry import is_model, model_entry, resolve
 from cosim.base.scratch import temporary_folder
+from cosim.fmi.ports import Value
+from cosim.loading.build import designed_starts
 from cosim.loading.file import LoadedModel, meant_model
 from cosim.loading.source import ModelText
 from cosim.loading.substep import with_substep
 from cosim.model.model import Model
 from cosim.storage.files import FilePath, check_folder, named_path
-from cosim.storage.folder_lock import folder_locks
 from cosim.storage.yaml_file import did_you_mean
 
 if TYPE_CHECKING:
@@ -40,9 +41,15 @@ class NativeFmu:
         return f"built {self.path} for {', '.join(places)}"
 
 
-@folder_locks()
 def build_native(
-    folder: FilePath, model: str | None = None, *, nearest: bool = False, fmi: int = 2, platforms: Sequence[str] = ()
+    folder: FilePath,
+    model: str | None = None,
+    *,
+    nearest: bool = False,
+    fmi: int = 2,
+    platforms: Sequence[str] = (),
+    design: FilePath | None = None,
+    tell: Callable[[str], None] = lambda text: None,
 ) -> list[NativeFmu]:
     """Build the native FMUs of a model in `folder`.
 
@@ -50,6 +57,7 @@ def build_native(
         model: `base` (default), a model.yaml, file.py:Class or a refine.
         fmi: FMI version, 2 or 3.
         platforms: Platform names; by default this machine's.
+        design, tell: As in `cosim.loading.build.build`.
 
     Raises:
         InputError: The build is impossible; nothing is written.
@@ -64,7 +72,8 @@ def build_native(
         raise InputError.at(Path("--fmi"), f"is {fmi}; it is {' or '.join(map(str, SUFFIX))}")
     _check_compiler(platforms)
     loaded, _ = with_substep(meant_model(model, nearest=nearest))
-    natives = [(f"{name}{SUFFIX[fmi]}", native) for name, native in _natives(loaded)]
+    starts = designed_starts(design, loaded.model, tell)
+    natives = [(f"{name}{SUFFIX[fmi]}", native) for name, native in _natives(loaded, starts)]
     with temporary_folder("build") as drafts:  # all archives, or none after a failure
         try:
             built = {file: build_fmu(native, drafts / file, fmi, platforms) for file, native in natives}
@@ -103,8 +112,10 @@ def class_fmu(loaded: LoadedModel, path: Path) -> Path:
 _of_class: WeakKeyDictionary[type[Model], dict[tuple[str, float | None, str | None], Native]] = WeakKeyDictionary()
 
 
-def _natives(loaded: LoadedModel) -> Iterator[tuple[str, Native]]:
-    """Yield the plant and further native FMUs of a registered model."""
+def _natives(
+    loaded: LoadedModel, starts: Mapping[str, Mapping[str, Value]] | None = None
+) -> Iterator[tuple[str, Native]]:
+    """Yield the plant and further native FMUs of a registered model, with designed start values by file."""
     from cosim.fmi.native.package import native_model
     from cosim.fmi.native.printing import UnprintableModel
 
@@ -117,7 +128,7 @@ def _natives(loaded: LoadedModel) -> Iterator[tuple[str, Native]]:
     except (UnprintableModel, TypeError, AttributeError) as error:
         raise InputError([_unprintable(loaded, error)]) from error
     for name, recipe in model_entry(loaded.source).native.items() if is_model(loaded.source) else ():
-        yield name, resolve(recipe)()
+        yield name, resolve(recipe)((starts or {}).get(f"{name}.fmu"))
 
 
 def _unprintable(loaded: LoadedModel, error: Exception) -> Fault:

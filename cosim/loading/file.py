@@ -128,16 +128,16 @@ def load_model(text: str, folder: Path, named_in: YamlFile | None = None) -> Loa
     """Load a model named in a command or study.
 
     Args:
-        text: `base`, path of a model.yaml, or `file.py:Class`.
+        text: Registered name, path of a model.yaml, or `file.py:Class`.
         folder: Folder of relative paths.
         named_in: Study that names the model; a missing file is a fault of its key `model`.
 
     Raises:
         InputError: Every fault of the model.
     """
-    if text == BASE:
+    if text == BASE or is_model(text):
         try:
-            return LoadedModel(named_model(BASE), model_entry(BASE).name)
+            return LoadedModel(named_model(text), model_entry(text).name)
         except InputError as error:
             faults = [named_in.fault(("model",), f.message) for f in error.faults] if named_in else error.faults
             raise InputError(faults) from None

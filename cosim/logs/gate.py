@@ -76,9 +76,7 @@ def _unread(log: Log) -> Iterator[Finding]:
         if hint:
             yield Finding("warning", "unread", name, f"is not read: the model has none of this name{hint}")
     if others := [name or "one without a name" for name, hint in log.unread.items() if not hint]:
-        message = Note(
-            f"{counted(len(others), 'column')} not read, for the model has none of this name: {name_list(others)}"
-        )
+        message = f"{counted(len(others), 'column')} not read, for the model has none of this name: {name_list(others)}"
         yield Finding("note", "unread", "", message, {"columns": len(others)})
 
 
@@ -199,10 +197,8 @@ def _rate(log: Log, rate: float | None, strict: bool) -> Iterator[Finding]:
             numbers,
         )
     elif abs(ratio - 1.0) > 0.02:
-        message = Note(
-            "rows are {step} s apart, the model is made for {rate} s: {count} a step".format(
-                count=counted(round(1.0 / ratio), "row"), **place
-            )
+        message = "rows are {step} s apart, the model is made for {rate} s: {count} a step".format(
+            count=counted(round(1.0 / ratio), "row"), **place
         )
         yield Finding("note", "rate", "time", message, numbers)
 
@@ -214,7 +210,7 @@ def _inputs(log: Log) -> Iterator[Finding]:
     moving = {}
     for name, values in log.inputs.items():
         if np.count_nonzero(np.diff(values)) < 3 or np.ptp(values) <= 1e-9 * np.abs(values).max():
-            message = Note(
+            message = (
                 f"is constant at {amount(float(np.median(values)), log.units[name])}: it excites nothing, and "
                 "effects that act only through it cannot be identified"
             )
@@ -228,7 +224,7 @@ def _inputs(log: Log) -> Iterator[Finding]:
         rho = float(np.corrcoef(moving[one], moving[other])[0, 1])
         if abs(rho) > ALIKE:
             direction, correlation = "with" if rho > 0 else "against", plain(rho, 3)
-            message = Note(
+            message = (
                 f"moves {direction} {other} (correlation {correlation}): what one does cannot be separated from "
                 "what the other does"
             )
@@ -246,10 +242,8 @@ def _excitation(log: Log, name: str, values: Array) -> Finding:
     share = sum(ends) / values.size if max(ends) > 2 else 0.0
     sizes = {key: amount(value, log.units[name]) for key, value in (("rms", rms), ("low", low), ("high", high))}
     at_ends = f", there {percent(share)} of the rows" if share else ""
-    message = Note(
-        "moves {rms} (rms) with 95 % of its power below {bandwidth}, between {low} and {high}{share}".format(
-            bandwidth=amount(bandwidth, "Hz", 2), share=at_ends, **sizes
-        )
+    message = "moves {rms} (rms) with 95 % of its power below {bandwidth}, between {low} and {high}{share}".format(
+        bandwidth=amount(bandwidth, "Hz", 2), share=at_ends, **sizes
     )
     numbers = {"rms": rms, "bandwidth": bandwidth, "saturated": share, "low": low, "high": high}
     return Finding("note", "excitation", name, message, numbers)
@@ -265,7 +259,7 @@ def _outputs(log: Log) -> Iterator[Finding]:
         share = float(good.mean())
         if share < 1.0:
             interval = float(np.median(np.diff(log.time[good]))) if readings.size > 1 else math.nan
-            message = Note(f"measured in {percent(share)} of the rows, every {amount(interval, 's')}")
+            message = f"measured in {percent(share)} of the rows, every {amount(interval, 's')}"
             yield Finding("note", "missing", name, message, {"share": share, "every": interval})
         if np.ptp(readings) <= 1e-12 * max(1.0, float(np.abs(readings).max())):
             message = (

@@ -9,7 +9,6 @@ from types import MappingProxyType
 from typing import Any
 
 from cosim.base.errors import FmuError, InputError, SimulationError
-from cosim.base.messages import Message, Note
 from cosim.blocks.description import Way, read_description, ways
 from cosim.isolation.limits import Limits
 from cosim.logs.log import Log
@@ -33,7 +32,7 @@ class Places:
     """
 
     way: Way
-    reason: Message
+    reason: str
     structure: Structure
     own_step: OwnStep | None
 
@@ -109,21 +108,21 @@ def probe_places(
     own_step = probe_own_step(fmu, logs, values, limits=limits)
     if "model-exchange" not in offered:
         structure = probe_structure(fmu, logs, values, limits=limits)
-        return Places("co-simulation", Note("it has no model exchange"), structure, own_step)
+        return Places("co-simulation", "it has no model exchange", structure, own_step)
     try:
         exchange = probe_structure(fmu, logs, values, way="model-exchange", limits=limits)
     except (InputError, FmuError, SimulationError) as error:
         if "co-simulation" not in offered:
             raise
         structure = probe_structure(fmu, logs, values, way="co-simulation", limits=limits)
-        return Places("co-simulation", Note(f"its model exchange fails: {error!s}"), structure, own_step)
+        return Places("co-simulation", f"its model exchange fails: {error!s}", structure, own_step)
     way, reason = choose_way(exchange, own_step, offered)
     if way == "co-simulation":
         exchange = probe_structure(fmu, logs, values, way=way, limits=limits)
     return Places(way, reason, exchange, own_step)
 
 
-def choose_way(exchange: Structure, own_step: OwnStep | None, offered: Sequence[Way]) -> tuple[Way, Message]:
+def choose_way(exchange: Structure, own_step: OwnStep | None, offered: Sequence[Way]) -> tuple[Way, str]:
     """Return the interface by which an FMU is refined, and the reason.
 
     Args:
@@ -131,22 +130,22 @@ def choose_way(exchange: Structure, own_step: OwnStep | None, offered: Sequence[
     """
     stiffness = exchange.step * exchange.largest_rate
     events = sum(count.total for count in exchange.events)
-    objection: Message | None = None
+    objection: str | None = None
     if events:
-        objection = Note(f"model exchange has {events} events along the logs")
+        objection = f"model exchange has {events} events along the logs"
     elif stiffness > FASTEST:
-        objection = Note(f"step times largest eigenvalue is {stiffness:.3g} in model exchange, above {FASTEST:g}")
+        objection = f"step times largest eigenvalue is {stiffness:.3g} in model exchange, above {FASTEST:g}"
     elif not exchange.states:
-        objection = Note("model exchange has no continuous states")
+        objection = "model exchange has no continuous states"
     if objection is None:
-        return "model-exchange", Note(
+        return "model-exchange", (
             "its states and derivatives are accessible, no events occur along the logs, and step times largest "
             f"eigenvalue is {stiffness:.2g}, at most {FASTEST:g}"
         )
     if "co-simulation" not in offered:
-        return "model-exchange", Note(f"it has no co-simulation, although {objection}")
+        return "model-exchange", f"it has no co-simulation, although {objection}"
     if own_step:
-        return "model-exchange", Note(
+        return "model-exchange", (
             f"its co-simulation has steps of its own of {own_step.length:.3g} s, above those of the logs, "
             f"although {objection}"
         )

@@ -81,8 +81,7 @@ from cosim.storage.files import (
     scratch_folder,
     write_json,
 )
-from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import begin_unrecorded, check_overwritable, keep_earlier
+from cosim.storage.folders import remove_earlier
 from cosim.subject.candidates import Candidate
 from cosim.subject.interface import Subject, Workplace
 
@@ -92,25 +91,22 @@ Progress = Callable[[str, float], None]
 
 
 @one_stop()
-@folder_locks()
 def refine(
     study: FilePath | Study,
     folder: FilePath,
     progress: Progress | None = None,
     *,
     report: bool = False,
-    force: bool = True,
     in_process: bool = False,
     limits: str = "",
 ) -> Refinement:
     """Refine the model of a study; write refine.json and the refined files to `folder`, all or none.
 
-    A model gives model.yaml and plant.fmu. The files of an earlier refinement move to `runs` in the folder.
+    A model gives model.yaml and plant.fmu. The files of an earlier refinement are replaced.
 
     Args:
         study: Study file, or a study of any subject (`cosim.refinement.study.study_of`).
         report: Write report.html too.
-        force: Overwrite results of another study or command.
         in_process: Load FMUs into this process, for a debugger.
         limits: Limits in place of those of a study file, such as `step: 10 s, total: 10 min`.
 
@@ -125,9 +121,7 @@ def refine(
     folder = named_path(folder)
     study = study if isinstance(study, Study) else read_study(Path(study), limits)
     limited = _within_limit(progress, study.content.limits, start)
-    check_overwritable(folder, "cosim refine", *filter(None, [str(study.path or "")]), force=force)
     check_writable(folder, (*RESULTS, "report.html"), study.files)
-    begin_unrecorded(folder, "cosim refine", study.files)
     problem = _build_problem(study)
     refuse(_divergences(study, problem))
     study = _with_predictable_horizon(study, problem)
@@ -178,7 +172,7 @@ def refine(
         content = written.model_dump(mode="json")
         write_json(scratch / ANSWER, content, allow_nan=False)
         with delay_stops():
-            keep_earlier(folder, "cosim refine", read=study.files)
+            remove_earlier(folder, "cosim refine", read=study.files)
             _publish(files, scratch / ANSWER, folder)
         release_stops()
     searched, evidence = result.search.problem, _at_horizon(played, subject.horizon)

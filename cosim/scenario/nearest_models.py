@@ -12,7 +12,7 @@ from cosim.scenario.scenario_file import ScenarioFile
 
 
 def take_nearest(file: ScenarioFile) -> None:
-    """Replace refined FMUs and the design's model by the nearest. Failures become faults of the scenario file."""
+    """Replace refined FMUs by the nearest. Failures become faults of the scenario file."""
     components: dict[str, Any] = dict(file.scenario.components)
     has_refined = False
     for name, component in components.items():
@@ -27,23 +27,12 @@ def take_nearest(file: ScenarioFile) -> None:
             components[name] = component.model_copy(update={"fmu": str(refined_file(path, nearest=True))})
         except NoNearest as error:
             file.faults.append(file.fault(("components", name, "fmu"), str(error)))
-    design = file.scenario.design
-    if design is not None and design.model is not None and _refined_path(file, design.model) is not None:
-        has_refined = True
-        design = design.model_copy(update={"nearest": True})
     if not has_refined:
-        file.faults.append(
-            Fault(
-                file.path,
-                0,
-                0,
-                (
-                    "no component or design uses a result of `cosim refine`, so --nearest has no effect; name the FMU "
-                    "or the model.yaml of such a result, or leave --nearest out"
-                ),
-            )
+        reason = (
+            "no component uses a result of `cosim refine`, so --nearest has no effect; name the FMU of such a result"
         )
-    file.scenario = file.scenario.model_copy(update={"components": components, "design": design})
+        file.faults.append(Fault(file.path, 0, 0, f"{reason}, or leave --nearest out"))
+    file.scenario = file.scenario.model_copy(update={"components": components})
 
 
 def _refined_path(file: ScenarioFile, name: str) -> Path | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BeforeValidator, ConfigDict, Discriminator, Field, SerializeAsAny, Tag
+from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag
 
 from cosim.blocks.profile import Profile
 from cosim.coupling.algorithms import DEFAULT, AlgorithmKey
@@ -231,21 +231,6 @@ class FixComponent(Part):
     signals: dict[Name, FixedSignal] = Field(min_length=1)
 
 
-class Design(Part):
-    """Start values of a controller designed before the run; further keys belong to the designer.
-
-    `component`: FMU that gets the start values
-    `model`: model file with the numbers of the design; numbers given here take precedence
-    `nearest`: whether to use the nearest model of a refine instead of its refined model
-    """
-
-    model_config = ConfigDict(extra="allow")
-
-    component: Name = "controller"
-    model: str | None = None
-    nearest: bool | None = None
-
-
 class Bond(Part):
     """Power bond of two FMUs: two outputs, each connected to an input of the other, whose product is a power.
 
@@ -380,7 +365,6 @@ class Scenario(Part):
     tolerance:   relative tolerance of the solvers; by default each FMU's own
     record:      patterns such as `plant.*` of locals and parameters to record beside inputs and outputs; or a part of
         all signals, at a rate of its own
-    design:      start values of a controller designed before the run
     components:  name → FMU, reference, recording or fixes
     connections: from outputs to inputs
     events:      values set for parameters and inputs at a time
@@ -412,7 +396,6 @@ class Scenario(Part):
         Discriminator(_kind_of_record),
         BeforeValidator(_check_record),
     ] = Field(default_factory=list)
-    design: SerializeAsAny[Design] | None = None
     components: dict[Name, Component] = Field(min_length=1)
     connections: Connections = Field(default_factory=list)
     events: list[Event] = Field(default_factory=list)

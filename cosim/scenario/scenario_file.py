@@ -319,7 +319,7 @@ def keys_of(target: str) -> list[str]:
     return keys
 
 
-FILES = {"components": ("fmu", "file"), "design": ("model",)}  # keys of file names, by section
+FILES = ("fmu", "file")  # keys of file names of a component
 
 
 def _from_here(keys: Sequence[str], value: Any) -> Any:
@@ -327,13 +327,14 @@ def _from_here(keys: Sequence[str], value: Any) -> Any:
 
     Relative names start at the current folder, where the user typed them.
     """
-    file_keys = FILES.get(keys[0], ())
-    inner = keys[2:] if keys[0] == "components" else keys[1:]
+    inner = keys[2:]
+    if keys[0] != "components":
+        return value
     if isinstance(value, dict) and not inner and value.get("at"):
         return value  # Its file is that of a server.
     if isinstance(value, dict) and not inner:
-        return {key: _absolute(v) if key in file_keys else v for key, v in value.items()}
-    return _absolute(value) if len(inner) == 1 and inner[0] in file_keys else value
+        return {key: _absolute(v) if key in FILES else v for key, v in value.items()}
+    return _absolute(value) if len(inner) == 1 and inner[0] in FILES else value
 
 
 def from_here(data: Mapping[str, Any]) -> dict[str, Any]:
@@ -344,8 +345,6 @@ def from_here(data: Mapping[str, Any]) -> dict[str, Any]:
             name: _from_here(["components", str(name)], dict(c)) if isinstance(c, Mapping) else c
             for name, c in components.items()
         }
-    if isinstance(design := scenario.get("design"), Mapping):
-        scenario["design"] = _from_here(["design"], dict(design))
     return scenario
 
 

@@ -23,7 +23,6 @@ ARTEFACTS = (
         marks=("manifest.json",),
         unfinished=("checkpoint/run.json",),
         files=("manifest.json", "report.html", "system/*", "checkpoint/*"),
-        drawn=("figures/*.png",),
         tables=("results",),
         folder="the folder of a run",
         folder_step="`cosim report {file}` makes its page again, `cosim compare {file} OTHER` compares it with another",

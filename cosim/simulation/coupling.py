@@ -20,7 +20,6 @@ from cosim.base.messages import Note
 from cosim.isolation.process import Worker
 from cosim.master.halving import rollback_objection
 from cosim.master.remote import MODULES, simulate_apart, simulate_here
-from cosim.scenario.controller_design import designed_apart
 from cosim.scenario.nearest_models import take_nearest
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.undeclared import with_feedthrough
@@ -124,8 +123,7 @@ def _results(
         take_nearest(original)
         take_nearest(file)
     try:
-        designed = designed_apart(original, worker)
-        system = with_feedthrough(file, designed, build_system(file, designed), worker)
+        system = with_feedthrough(file, build_system(file), worker)
     except InputError as error:
         if parts == 1:
             raise

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import platform
 import subprocess
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -20,31 +20,30 @@ from cosim.master.inbox import Change
 from cosim.scenario.pinned import key_of, sha256
 from cosim.scenario.scenario import FmuComponent, Scenario, resolve_defaults
 from cosim.scenario.scenario_file import ScenarioFile
-from cosim.storage.folders import SCHEMA_VERSION
-from cosim.storage.started import COMMAND
+from cosim.storage.folders import COMMAND, SCHEMA_VERSION
 from cosim.system.system import System
 
 PACKAGES = ("FMPy", "pythonfmu", "numpy", "scipy", "filterpy", "control", "pydantic")
 
 
-def resolve_scenario(file: ScenarioFile, designed: Mapping[str, Mapping[str, Any]], system: System) -> Scenario:
+def resolve_scenario(file: ScenarioFile, system: System) -> Scenario:
     """Return the executed scenario for the manifest.
 
-    The scenario has designed values in place of `design`, absolute paths, and the hash of each file. It repeats the run
-    from its record, as fast as possible: without `pace`.
+    The scenario has absolute paths and the hash of each file. It repeats the run from its record, as fast as possible:
+    without `pace`.
     """
     components, changes = dict[str, Any](), dict[str, Any]()
     for name, component in file.scenario.components.items():
         if isinstance(component, FmuComponent):
             path = system.fmus[name][0]
-            changes = {"fmu": str(path), "start": {**designed.get(name, {}), **component.start}, "sha256": sha256(path)}
+            changes = {"fmu": str(path), "sha256": sha256(path)}
         elif component.block == "playback":
             path = file.resolve(component.file)
             changes = {"file": str(path), "sha256": sha256(path)}
         else:
             changes = {}
         components[name] = component.model_copy(update=changes)
-    return file.scenario.model_copy(update={"components": components, "design": None, "pace": None})
+    return file.scenario.model_copy(update={"components": components, "pace": None})
 
 
 def check_pinned(file: ScenarioFile) -> None:
@@ -63,18 +62,13 @@ def check_pinned(file: ScenarioFile) -> None:
     refuse(faults)
 
 
-def manifest(
-    file: ScenarioFile,
-    designed: Mapping[str, Mapping[str, Any]],
-    system: System,
-    command: str = "",
-) -> dict[str, Any]:
+def manifest(file: ScenarioFile, system: System, command: str = "") -> dict[str, Any]:
     """Return the manifest of a run before its outcome, without `software_versions`.
 
     Args:
         command: Command that made the scenario, if it is not `cosim run`.
     """
-    scenario, recorded = resolve_scenario(file, designed, system), system.recorded
+    scenario, recorded = resolve_scenario(file, system), system.recorded
     return {
         "schema_version": SCHEMA_VERSION,
         "cosim_version": __version__,
@@ -82,7 +76,6 @@ def manifest(
         "status": "ok",
         "source": str(file.path.resolve()),
         "scenario": resolve_defaults(scenario),
-        "design": resolve_defaults(file.scenario).get("design"),
         **({"real_time": {"pace": file.scenario.pace}} if file.scenario.pace is not None else {}),
         "seed": scenario.seed,
         "order": system.names,

@@ -9,7 +9,7 @@ from typing import Any
 
 from cosim.base.errors import InputError
 from cosim.storage.artefact import folder_kind
-from cosim.storage.folders import manifest_in, replay_record, status_in, warnings_on
+from cosim.storage.folders import manifest_in, newest_run, replay_record, run_name, status_in, warnings_on
 from cosim.storage.kinds import LOG, check_given, refuse_folder
 from cosim.storage.results import Results, read_results, rows_in
 from cosim.storage.table_source import suffixes
@@ -43,7 +43,7 @@ class RecordedRun:
 def read_ran(path: Path) -> RecordedRun:
     """Return results of a path; raise InputError if none, also if they are removed meanwhile."""
     try:
-        return _read(path)
+        return _read(newest_run(path))
     except FileNotFoundError:
         raise InputError.at(
             path, "was removed while it was read; repeat the command with the results that are left"
@@ -66,4 +66,4 @@ def _read(path: Path) -> RecordedRun:
     manifest = manifest_in(path)
     units: Any = manifest.get("units") or replay_record(path).get("units") or {}
     results = read_results(rows, units, manifest.get("beside", ()), words=manifest.get("texts", ()))
-    return RecordedRun(path, path.resolve().name, results, manifest, tuple(warnings_on(path)))
+    return RecordedRun(path, run_name(path), results, manifest, tuple(warnings_on(path)))

@@ -21,7 +21,6 @@ from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.master.remote import simulate_apart
 from cosim.probing.misbehaviour import misbehaviour
-from cosim.scenario.controller_design import designed_apart, designed_values
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.manifest import check_pinned
 from cosim.simulation.packaged import lay_out
@@ -86,7 +85,7 @@ def _experiment(description: Any) -> tuple[float, float]:
 
 
 def check_scenario(path: Path, checking: Checking) -> list[str]:
-    """Check a scenario or manifest; return design warnings.
+    """Check a scenario or manifest; return warnings.
 
     With a worker, the first step is tried too.
 
@@ -95,20 +94,14 @@ def check_scenario(path: Path, checking: Checking) -> list[str]:
     """
     file, worker = ScenarioFile(path), checking.worker
     check_pinned(file)
-    skipped: list[str] = []
     said: Sequence[str] = ()
-    try:
-        designed = designed_apart(file, worker) if worker is not None else designed_values(file)
-    except errors.NotExecuted as error:
-        designed = {}
-        skipped.append(f"{error} (--no-load); the design is not checked")
-    system = build_system(file, designed)
+    system = build_system(file)
     if worker is not None:
-        system = with_feedthrough(file, designed, system, worker)
+        system = with_feedthrough(file, system, worker)
         faults, said = _run_once(file, system, path, worker)
         refuse(faults)
     notes = recording_notes(file.scenario, system.columns, system.recording)
-    return [*map(with_severity, (*file.warnings, *skipped, *_shown((*system.warnings, *said)), *notes))]
+    return [*map(with_severity, (*file.warnings, *_shown((*system.warnings, *said)), *notes))]
 
 
 def check_ssp(path: Path, checking: Checking) -> list[str]:

@@ -23,7 +23,6 @@ from cosim.master.feedthrough import Feedthrough, Pair, measure_feedthrough, und
 from cosim.master.remote import simulate_apart, simulate_here
 from cosim.scenario.scenario import Scenario
 from cosim.scenario.scenario_file import ScenarioFile
-from cosim.system.components import Designed
 from cosim.system.schedule import Loop
 from cosim.system.system import System, build_system
 
@@ -35,7 +34,6 @@ SILENT = 2.0  # [s] before a note tells of the measurement
 
 def with_feedthrough(
     file: ScenarioFile,
-    designed: Designed,
     system: System,
     worker: Worker | None,
     tell: Callable[[str], None] = lambda text: None,
@@ -70,7 +68,7 @@ def with_feedthrough(
                 reason = Note(f"it takes longer than {limits.total:g} s in all, at last in {error.component}")
             measured = Feedthrough(failure=f": {reason}")
         declared = _declared(measured, undeclared)
-        planned, failure = _planned(file, designed, system, worker, declared, spent) if declared else (system, "")
+        planned, failure = _planned(file, system, worker, declared, spent) if declared else (system, "")
     unknown = frozenset[str]().union(*undeclared.values()) - measured.inputs
     held = {transfer.name for transfer in planned.held}
     facts = measured, unknown & held, failure, held
@@ -108,7 +106,6 @@ def _declared(measured: Feedthrough, undeclared: Mapping[str, frozenset[str]]) -
 
 def _planned(
     file: ScenarioFile,
-    designed: Designed,
     system: System,
     worker: Worker | None,
     declared: Mapping[str, Sequence[str]],
@@ -121,7 +118,7 @@ def _planned(
         components[name] = components[name].model_copy(update={"feedthrough": list(inputs)})
     file.scenario = scenario.model_copy(update={"components": components})
     try:
-        planned = build_system(file, designed)
+        planned = build_system(file)
         failure = _first_step(scenario, planned, worker, spent[0]) if planned.loops != system.loops else ""
     except InputError as error:
         failure = error.faults[0].message

@@ -310,6 +310,7 @@ REMOVED_KEYS: dict[str, str] = {  # key of earlier versions → what to use inst
     "live": "Exchange values with a function of Python: cosim.run(..., inputs={...}); examples/live shows one.",
     "carry_logs": "Remove it, and pass the validation logs on beside the FMU.",
     "delivery": "A refined FMU holds the original and the terms: leave the key out.",
+    "design": "Design the controller beforehand: cosim build --model MODEL --design FILE.",
 }
 _WORDS = {
     **dict.fromkeys(("dict_type", "model_type", "model_attributes_type"), "it should be a mapping of keys to values"),

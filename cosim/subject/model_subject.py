@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
@@ -10,7 +9,6 @@ from pathlib import Path
 from shutil import copyfile
 from typing import Any, Literal
 
-from cosim.base.registry import entry_of
 from cosim.fmi.fmu_build import build
 from cosim.kernel.backend import kernel
 from cosim.kernel.kernel import Kernel
@@ -177,11 +175,8 @@ class ModelSubject(Subject):
         return yaml, fmu
 
     def use(self, folder: Path, name: Literal["refined", "nearest"] = "refined") -> list[str]:
-        """Return a command line for the FMU, with design of a controller if the model has a designer."""
-        model, fmu = (folder / file for file in FILES[name])
-        command = ["cosim", "run", "scenario.yaml", "--set", f"components.plant.fmu={fmu}"]
-        entry = entry_of(type(self.model))
-        return [*command, "--set", f"design={json.dumps({'model': str(model)})}"] if entry and entry.design else command
+        """Return a command line for the FMU."""
+        return ["cosim", "run", "scenario.yaml", "--set", f"components.plant.fmu={folder / FILES[name][1]}"]
 
 
 def neutral_values(model: Model) -> dict[str, float]:

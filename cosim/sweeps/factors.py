@@ -15,7 +15,6 @@ from cosim.base.messages import Message, with_prefix
 from cosim.base.units import split_quantity
 from cosim.blocks.description import unit_of
 from cosim.blocks.fmu import FmuBlock
-from cosim.scenario.controller_design import designed_values
 from cosim.scenario.scenario import Scenario, resolve_defaults
 from cosim.scenario.scenario_file import ScenarioFile, keys_of
 from cosim.scenario.start_values import Misfit, convert_quantity, convert_value, settable
@@ -26,7 +25,7 @@ from cosim.sweeps.sweep_file import SweepFile, Varied
 from cosim.system.system import System, build_system
 
 FIXED = ("duration", "start_time", "criteria", "name", "description", "limits")  # keys common to all runs
-FILES = ("fmu", "file", "model")  # last keys of paths to file names
+FILES = ("fmu", "file")  # last keys of paths to file names
 NOT_REAL = ("Boolean", "String", "Enumeration", "Integer")  # types of FMI without distributions
 MAX_TESTED_VALUES = 50  # values of a path tested before any run
 Location = tuple[str | int, ...]
@@ -133,8 +132,7 @@ class Factors:
         return variable
 
     def _of_variable(self, name: str, varied: Varied) -> Factor | None:
-        component, _, variable_name = name.partition(".")
-        block: Any = self.components.get(component)
+        block: Any = self.components.get(name.partition(".")[0])
         variable = self._settable_variable(name, block)
         if isinstance(variable, Message):
             self._note(("vary", name), variable, key=True)
@@ -153,15 +151,7 @@ class Factors:
                 return None
             return number
 
-        factor = self._make_factor(name, varied, value, unit_of(variable) or "", is_real=variable.type not in NOT_REAL)
-        design = self.scenario.scenario.design
-        if factor is not None and design is not None and design.component == component:
-            # The value may contradict the design.
-            paths = [f"components.{component}.start.{variable_name}"]
-            if isinstance(getattr(design, variable_name, None), str):  # a name, by which the design is judged
-                paths.append(f"design.{variable_name}")
-            self._test_values(factor, varied, *paths)
-        return factor
+        return self._make_factor(name, varied, value, unit_of(variable) or "", is_real=variable.type not in NOT_REAL)
 
     def _of_path(self, name: str, varied: Varied) -> Factor | None:
         first = name.partition(".")[0]
@@ -232,7 +222,7 @@ class Factors:
         """Return the faults and warnings of a variant of the scenario."""
         try:
             file = self._variant(*overrides)
-            system = build_system(file, designed_values(file))
+            system = build_system(file)
         except InputError as error:
             return error.faults, []
         return (), [*file.warnings, *system.warnings]

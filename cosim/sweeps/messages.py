@@ -12,11 +12,6 @@ SET_AND_VARIED = Template(
     "E-SWP-025",
     '{entry} and "{other}" of line {line} both set {place}, and the varied value replaces this one; remove this one',
 )
-START_VALUE_OF_DESIGN = Template(
-    "E-SWP-026",
-    '{entry} and "{other}" of line {line} both give one start value, and that of the component replaces that of '
-    "the design; keep one of them",
-)
 ARRAYS_DISAGREE = Template(
     "W-SWP-038",
     "{runs} repeated through the FMUs do not agree: the largest relative difference is {difference}; {allowed} is"

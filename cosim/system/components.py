@@ -24,16 +24,14 @@ from cosim.storage.kinds import shell_path
 from cosim.storage.yaml_file import did_you_mean
 from cosim.system.event_blocks import event_block
 
-Designed = Mapping[str, Mapping[str, float]]  # component → start values
 
-
-def build_components(file: ScenarioFile, designed: Designed, diagnosis: Diagnosis) -> dict[str, Component]:
+def build_components(file: ScenarioFile, diagnosis: Diagnosis) -> dict[str, Component]:
     """Return the sound components by name, in file order."""
     components: dict[str, Component] = {}
     read = cache(read_description)  # Several components may use the same FMU.
     for name, component in file.scenario.components.items():
         try:
-            block = _component(file, name, component, designed.get(name, {}), read, diagnosis)
+            block = _component(file, name, component, read, diagnosis)
         except InputError as error:
             diagnosis.faults += error.faults
         except FmuError as error:
@@ -48,7 +46,6 @@ def _component(
     file: ScenarioFile,
     name: str,
     component: FmuComponent | ReferenceComponent | PlaybackComponent | FixComponent,
-    designed: Mapping[str, float],
     read: Callable[[Path], Any],
     diagnosis: Diagnosis,
 ) -> Component | None:
@@ -60,7 +57,7 @@ def _component(
         return playback(name, file.resolve(component.file), names, exact, step=file.scenario.step, linear=linear)
     if isinstance(component, FixComponent):
         return _fixes(file.scenario, name, component, diagnosis)
-    return _fmu(file, name, component, designed, read, diagnosis)
+    return _fmu(file, name, component, read, diagnosis)
 
 
 def _exact(file: ScenarioFile, name: str, read: Callable[[Path], Any]) -> dict[str, str]:
@@ -121,7 +118,6 @@ def _fmu(
     file: ScenarioFile,
     name: str,
     component: FmuComponent,
-    designed: Mapping[str, float],
     read: Callable[[Path], Any],
     diagnosis: Diagnosis,
 ) -> FmuBlock | None:
@@ -130,7 +126,7 @@ def _fmu(
         diagnosis.note(("components", name, "fmu"), f"no such FMU: {path}{_cure(file, path)}")
         return None
     description = read(path)
-    start = _start_values(name, description, {**designed, **component.start}, diagnosis)
+    start = _start_values(name, description, component.start, diagnosis)
     connected = frozenset(_variables_of(name, [connection.target for connection in file.scenario.connections]))
     if component.interface not in (None, *ways(description)):
         message = f"{path.name} offers {' and '.join(ways(description))} only"

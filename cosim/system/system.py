@@ -19,10 +19,10 @@ from cosim.blocks.shared_code import separate
 from cosim.blocks.sources import Recorded, SourceBlock
 from cosim.fmi.sampled import sampled_by
 from cosim.scenario.diagnosis import Diagnosis, Place
-from cosim.scenario.scenario import FmuComponent, LoopSettings, Scenario
+from cosim.scenario.scenario import LoopSettings, Scenario
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.storage.yaml_file import did_you_mean
-from cosim.system.components import Designed, build_components
+from cosim.system.components import build_components
 from cosim.system.control import Control, control_of, courses_of
 from cosim.system.event_blocks import check_events
 from cosim.system.events import Events, changes_of
@@ -118,22 +118,14 @@ class System:
         return frozenset((*(self.columns[k] for k in part.columns), *(self.beside[k] for k in part.beside)))
 
 
-def build_system(file: ScenarioFile, start_values: Designed | None = None) -> System:
-    """Return the system of a scenario.
-
-    Args:
-        start_values: Values by component, overridden by the scenario's own.
-
-    Raises:
-        InputError: Every fault of the scenario.
-    """
+def build_system(file: ScenarioFile) -> System:
+    """Return the system of a scenario; raise InputError with every fault."""
     scenario, diagnosis = file.scenario, Diagnosis(file)
-    components = build_components(file, start_values or {}, diagnosis)
+    components = build_components(file, diagnosis)
     is_whole = len(components) == len(scenario.components) and not file.broken
     layout = lay_out(components)
     transfers = connect(file, components, layout, diagnosis)
     of_aliases = alias_transfers(components, layout, transfers, diagnosis)
-    _check_design(file, diagnosis)
     check_feasible(components.values(), diagnosis)
     recording = recorded_part(scenario, components, layout, diagnosis)
     if is_whole:
@@ -193,17 +185,6 @@ def _check_record(file: ScenarioFile, components: Mapping[str, Component], diagn
             diagnosis.warnings.append(
                 f"{name} has no inputs and outputs, so nothing of it is recorded; record: [{name}.*] does so"
             )
-
-
-def _check_design(file: ScenarioFile, diagnosis: Diagnosis) -> None:
-    """Note a fault if the designed component is not an FMU."""
-    design = file.scenario.design
-    if design is None or design.component in file.broken:
-        return
-    if not isinstance(file.scenario.components.get(design.component), FmuComponent):
-        diagnosis.note(
-            ("design", "component"), f'design is for component "{design.component}", which is no FMU of components'
-        )
 
 
 def _check_criteria(

@@ -87,7 +87,6 @@ def check(
 def _check_isolated(path: Path, checking: Checking) -> list[str]:
     """Check a file; execute named Python in the worker, or not at all without a worker."""
     from cosim.loading.file import without_execution
-    from cosim.scenario.controller_design import crash_fault
 
     worker = checking.worker
     with without_execution() as skipped:
@@ -102,7 +101,8 @@ def _check_isolated(path: Path, checking: Checking) -> list[str]:
     try:
         lines: list[str] = worker.call(_check, path, replace(checking, worker=None))
     except Crashed as crash:
-        raise InputError([crash_fault(skipped[0], crash)]) from None
+        reason = crash.reason.replace("the worker", "its Python", 1)
+        raise InputError.at(skipped[0], f"does not load: {reason}") from None
     return lines
 
 

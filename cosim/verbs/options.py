@@ -48,7 +48,7 @@ Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of text."
 Open = Annotated[bool, typer.Option("--open", help="Open the report in a browser.")]
 Report = Annotated[bool, typer.Option("--report/--no-report", help="Write report.html, or do not.")]
 Force = Annotated[
-    bool, typer.Option("--force", help="Write even if the folder holds results of another run or command.")
+    bool, typer.Option("--force", help="Write even if the folder is not empty; results in it are replaced.")
 ]
 InProcess = Annotated[
     bool,

@@ -14,7 +14,7 @@ from cosim.base.errors import InputError
 from cosim.base.program import ending_when_stuck
 from cosim.base.settings import Files
 from cosim.storage.files import FilePath
-from cosim.storage.folders import folder_of_file
+from cosim.storage.folders import name_of_file, new_run
 from cosim.verbs.live_option import Live, Port, live_page
 from cosim.verbs.options import Force, InProcess, Json, LimitsText, Open, Report, out_option
 from cosim.verbs.terminal import files_in, say, say_json, show, stages, table, warn
@@ -76,8 +76,9 @@ def refine(
         source: Any = study
     else:
         source = study_of(study, logs, validation, **(settings or {}))
-    result = refine_study(source, out, progress, report=report, force=force, in_process=in_process, limits=limits)
-    return Refined(result.record, Path(out), result.refined)
+    with new_run(out, "", "cosim refine", force=force) as place:
+        result = refine_study(source, place, progress, report=report, in_process=in_process, limits=limits)
+    return Refined(result.record, place, result.refined)
 
 
 def command(
@@ -102,14 +103,14 @@ def command(
     from cosim.refinement.stages import stage_number
     from cosim.refinement.workflow import refine as refine_study
 
-    place = folder_of_file(study) if out is None else out
     with (
+        new_run(out, name_of_file(study), "cosim refine", force=force) as place,
         stages(stage_number) as progress,
         ending_when_stuck(),
         live_page("refine", study.stem, live=live, port=port, progress=progress) as page,
     ):
         told = progress if page is None else page
-        options: dict[str, Any] = {"report": report, "force": force, "in_process": in_process, "limits": limits}
+        options: dict[str, Any] = {"report": report, "in_process": in_process, "limits": limits}
         result = refine_study(study, place, told, **options)
         if page is not None:
             page.show_verdict(result.record, place / "report.html")

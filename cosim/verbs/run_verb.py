@@ -118,10 +118,10 @@ def run(
                 until=until,
             )
         return run_of(outcome.results, outcome.manifest, outcome.folder)
-    with compiling(compile), results_in(out) as folder, _scenario_file(scenario) as path:
+    with compiling(compile), results_in(out, "cosim run", force=force) as folder, _scenario_file(scenario) as path:
         steps = partial(run_file, in_process=in_process, progress=progress, observers=observers, inputs=inputs)
         leaves = partial(steps, report=report and out is not None, figures=figures and out is not None)
-        outcome = leaves(path, folder, overrides, force=force, nearest=nearest, format_=format)
+        outcome = leaves(path, folder, overrides, nearest=nearest, format_=format)
     return run_of(outcome.results, outcome.manifest, None if out is None else outcome.folder)
 
 

@@ -13,7 +13,7 @@ from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.messages import Note
 from cosim.history.entries import Entry, entries
 from cosim.history.selection import Selected, select_groups
-from cosim.storage.folders import manifest_in, replay_record, status_in, warnings_on
+from cosim.storage.folders import manifest_in, replay_record, run_name, status_in, warnings_on
 from cosim.storage.kinds import LOG, check_given, refuse_folder
 from cosim.storage.results import rows_in
 from cosim.viewing.pyramid import Recording
@@ -162,7 +162,7 @@ def _places_of(text: str, group: Sequence[Selected]) -> list[RunPlace]:
         elif entry is not None and (place := _of_entry(entry, is_named=not selected.by_pattern)) is not None:
             found.append(place)
         elif entry is None and (rows := rows_in(path)) is not None:
-            name = path.resolve().name
+            name = run_name(path)
             found.append(RunPlace(name, name, rows))
         elif not selected.by_pattern:
             refuse_folder(path, WANTED)
@@ -174,7 +174,8 @@ def _places_of(text: str, group: Sequence[Selected]) -> list[RunPlace]:
 
 def _of_entry(entry: Entry, *, is_named: bool) -> RunPlace | None:
     rows = rows_in(entry.folder)
-    return None if rows is None else RunPlace(entry.name, entry.label, rows, is_named, entry)
+    name = entry.of if entry.is_newest else entry.name
+    return None if rows is None else RunPlace(name, entry.label, rows, is_named, entry)
 
 
 def _differing(places: Sequence[RunPlace]) -> list[RunPlace]:

@@ -221,7 +221,7 @@ def provenance(run: Run, kinds: Mapping[str, str]) -> list[Row]:
     """
     manifest, scenario = run.manifest, run.scenario
     git, timings, seed = mapping(manifest.get("git")), mapping(manifest.get("timings")), manifest.get("seed")
-    dirty, design = git.get("dirty"), mapping(manifest.get("design")) or mapping(scenario.get("design"))
+    dirty = git.get("dirty")
     wall = [f"{key} {amount(number(timings[key]), 's')}" for key in ("load", "simulate") if key in timings]
     if math.isfinite(speed := number(timings.get("real_time_factor"))):
         wall.append(f"{plain(speed, 2)} times as fast as real time")
@@ -233,7 +233,6 @@ def provenance(run: Run, kinds: Mapping[str, str]) -> list[Row]:
         *step_rows(run),
         Row("Coupling algorithm", run.algorithm),
         Row("Seed", "" if seed is None else str(seed)),
-        Row("Design", _pairs(design, " = ")),
         Row("Wall time", ", ".join(wall)),
     )
     entries = mapping(manifest.get("fmus")).items()
