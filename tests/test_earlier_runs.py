@@ -13,7 +13,7 @@ from cosim.base.errors import InputError
 from cosim.loading.file import load_model
 from cosim.scenario.pinned import sha256, with_files_beside
 from cosim.scenario.scenario import FmuComponent, Scenario
-from cosim.storage import folders, table_source
+from cosim.storage import folders, table
 from cosim.storage.folder_lock import folder_locks
 from cosim.storage.folders import check_overwritable, keep_earlier
 from cosim.storage.yaml_file import YamlFile
@@ -233,11 +233,11 @@ def test_an_earlier_run_of_an_ssp_is_repeated_with_its_own_fmus(tmp_path: Path) 
 
 
 def test_rows_in_the_format_of_a_package_are_kept_too(results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    class Acme(table_source.Source):
+    class Acme(table.Source):
         name, suffixes, writes = "Acme", (".acme",), True
 
-    known = table_source.sources()
-    monkeypatch.setattr(table_source, "sources", lambda: (*known, Acme()))
+    known = table.sources()
+    monkeypatch.setattr(table, "sources", lambda: (*known, Acme()))
     (results / "results.csv").rename(results / "results.acme")
     (results / "results.xlsx").write_text("a sheet of the user")
     assert keep_earlier(results, "cosim run") == results / "runs" / "0001"

@@ -44,62 +44,6 @@ LOCALE_WITHOUT_NAME = Template(
 NO_UTF8_NAME = Template("E-STO-029", "is not UTF-8 text; give the file or folder another name")
 
 # -- tables ---------------------------------------------------------------------------------------
-UNKNOWN_FORMAT = Template("E-STO-030", "has none of the formats that are read: {formats}")
-READ_ONLY_FORMAT = Template("E-STO-031", "{name} is read, not written; written are {formats}")
-NO_SUCH_FORMAT = Template("E-STO-032", 'no format "{name}"; known here: {formats}')
-LARGE_TABLE = Template("E-STO-033", "has {size:.0f} MB, more than the {limit:.0f} MB that are read; {cure}")
-NO_HEADER = Template("E-STO-034", "is empty; the first line names the columns: {columns}")
-BINARY_TABLE = Template("E-STO-035", "is a binary file, or text of another encoding; save it as plain CSV, UTF-8")
-NO_UTF8_LINE = Template("E-STO-036", "is not UTF-8 text; save it as plain CSV, UTF-8")
-LONG_LINE = Template("E-STO-037", "the line has more than {limit:g} MB; is this a CSV?")
-NO_CSV = Template("E-STO-038", "is not CSV: {reason}")
-WRONG_SEPARATOR = Template(
-    "E-STO-039", "cells are separated by {separator}; separate them with commas, decimals with a point"
-)
-ROW_OF_OTHER_LENGTH = Template(
-    "E-STO-040", "has {cells}, the header {header}; delete the row, or leave cells empty where nothing was measured"
-)
-ROW_WITH_DECIMAL_COMMAS = Template(
-    "E-STO-041", "has {cells}, the header {header}; is each number cut in two by a decimal comma? Write a point"
-)
-UNREAD_REST = Template("E-STO-042", "too many faults to read on; correct those of the earlier lines first")
-DECIMAL_COMMA = Template("E-STO-043", '"{cell}" in column {column} has a decimal comma: write a point')
-CELL_WITHOUT_NUMBER = Template("E-STO-044", '"{cell}" in column {column} is no number; {cure}')
-INFINITE_CELL = Template("E-STO-045", '"{cell}" in column {column} is not finite; {cure}')
-EMPTY_CELL = Template(
-    "E-STO-046", "{column} has no value here; {role} is known at every row, so fill the cell or leave the row out"
-)
-FAULTS_OF_A_KIND = Template("E-STO-047", "{count} {kind} in all, column {column}; the first {shown} are shown")
-CUT_PARQUET = Template(
-    "E-STO-048", "is no whole Parquet file: its end is missing, as after a writer that was stopped; write it again"
-)
-LARGE_PARQUET = Template(
-    "E-STO-049",
-    "has {rows} rows of {columns} columns, more than the {limit:.0e} values that are read; leave out columns or rows",
-)
-BAD_PARQUET = Template("E-STO-050", "is no Parquet file that can be read: {reason}; write it again")
-NO_COLUMNS = Template("E-STO-051", "has no columns; they are {columns}")
-NO_ROW = Template("E-STO-052", "holds no row; at least one follows the header")
-NAMELESS_COLUMN = Template("E-STO-053", "the column has no name; name it in the header")
-REPEATED_COLUMN = Template("E-STO-054", 'column "{name}" stands twice, first as column {first}; keep one')
-COLUMN_OF_TWO_NAMES = Template("E-STO-055", 'column "{name}" is {column}, as column {first} is; keep one')
-COLUMN_WITHOUT_NUMBERS = Template("E-STO-056", "column {column} {reason}")
-NO_TIME_COLUMN = Template("E-STO-057", 'the first column is "{name}"; it must be "time" [s]{hint}')
-NO_UNIT_OF_TIME = Template("E-STO-058", '"{unit}" is no unit of time; known here: {units}')
-TIME_NOT_INCREASING = Template(
-    "E-STO-059", "time {time:g} s does not increase, {earlier:g} s stands before it; sort the rows, keep one of each"
-)
-EQUAL_TIMES = Template(
-    "E-STO-100",
-    "time {time:g} s does not increase: numbers of this size are {spacing:.2g} s apart in double precision, so the "
-    "times of rows cannot be told apart; subtract the first time from all times before they are written",
-)
-UNSORTED_TIME = Template("E-STO-060", "time {time:g} s comes after {earlier:g} s; sort the rows")
-DISTANT_TIME = Template(
-    "E-STO-120", "time is {time:g} s, too large to count differences of times; write seconds, or leave the row out"
-)
-ROW_WITHOUT_TIME = Template("E-STO-061", "the row has no time; fill the cell or leave the row out")
-TIME_WITHOUT_NUMBER = Template("E-STO-062", "a time is no number; write seconds")
 
 # -- YAML and JSON --------------------------------------------------------------------------------
 NO_UTF8_FILE = Template("E-STO-063", "is not UTF-8 text; save it as UTF-8")

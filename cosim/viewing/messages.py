@@ -9,9 +9,6 @@ NOTHING = Template("E-VIE-002", "holds no results with rows; run a scenario firs
 NO_ROW = Template("E-VIE-003", "has no row yet; wait for the end of the run, or run it again")
 LEFT_OUT = Template("W-VIE-004", "{run} is left out: {reason}")
 EARLIER = Template("N-VIE-005", "the newest {count} of {all} results are shown; name the others")
-SLOW_ROWS = Template(
-    "N-VIE-006", "{file} is read as a whole each time, because pyarrow is not installed; install it with {command}"
-)
 LOST = Template("W-VIE-008", "{run} was removed or replaced; what is drawn of it stays, zoom shows the others")
 UNREADABLE = Template("E-VIE-009", "cannot be read: {reason}")
 NOT_WRITTEN = Template(
