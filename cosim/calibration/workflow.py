@@ -99,7 +99,8 @@ def fit(
         entries = parameter_entries(estimate)
         outcome = Outcome(path, tuple(estimation), tuple(test), estimate, fixed, parts, _risen(parts), entries)
         keep_earlier(place, "cosim fit", read=files)
-        _remove(place)
+        for name in FILES:
+            (place / name).unlink(missing_ok=True)
         unused = (
             [f"`cosim fit` does not use {join_names(request.unused)}: `cosim refine` does"] if request.unused else []
         )
@@ -301,12 +302,6 @@ def _risen(parts: Sequence[Part]) -> tuple[str, ...]:
 
 
 # -- files --------------------------------------------------------------------------------------------
-
-
-def _remove(place: Path) -> None:
-    """Remove the files of an earlier fit."""
-    for name in FILES:
-        (place / name).unlink(missing_ok=True)
 
 
 def _write(

@@ -40,7 +40,7 @@ class _AloneReader(LogReader):
     def __init__(self, path: Path, columns: Mapping[str, str]) -> None:
         self.unknown: dict[str, str] = {}  # column → unit unknown to the framework
         self.text: list[str] = []
-        super().__init__(path, {}, {}, True, columns)
+        super().__init__(path, {}, {}, columns)
 
     def _column(self, heading: Heading) -> Column | None:
         if heading.cell > 1:

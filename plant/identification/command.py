@@ -34,7 +34,7 @@ def command(
 
     Example: cosim identify examples/bench/protocol.yaml
     """
-    from plant.identification.input_kind import results_of
+    from plant.identification.craft import results_of
     from plant.identification.workflow import identify as identify_bench
 
     place = results_of(protocol) if out is None else out
