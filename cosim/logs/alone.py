@@ -38,7 +38,7 @@ class _AloneReader(LogReader):
     def __init__(self, path: Path, columns: Mapping[str, str]) -> None:
         self.unknown: dict[str, str] = {}  # column → unit unknown to the framework
         self.text: list[str] = []
-        super().__init__(path, {}, {}, columns, True)
+        super().__init__(path, {}, {}, columns)
 
     def _use(self, column: Column) -> Use | None:
         if column.cell > 1:

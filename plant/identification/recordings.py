@@ -6,6 +6,7 @@ import ctypes
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,13 +20,32 @@ from cosim.storage.table import DECIMAL_COMMA, Column, Faults, Use, read_table
 from cosim.storage.yaml_file import did_you_mean
 from plant.bench import FREE_HEIGHT, NEUTRAL_DUTY, REST_DUTY, Bench
 from plant.identification import messages
-from plant.identification.columns import COLUMNS
 from plant.identification.protocol import CHANNELS, HeightTest, Protocol, SineTest, Test
 
 SECONDS = 1.0  # duration of a calibration load
 SAME_STEP = 0.1  # share of a step by which an even clock varies
 MAX_MISSING = 0.02  # largest share of single missing rows, which are interpolated
 DEGREE = np.pi / 180.0
+MAX_HEIGHT = 20.0  # [m]: twice the default height without ground effect, App. D.2; a height in mm or cm exceeds it
+
+
+class BenchColumn(NamedTuple):
+    """A column of a recording: unit, plausible range (`high` None: the bench's `converter_range`), and advice."""
+
+    unit: str
+    low: float
+    high: float | None
+    cure: str
+
+
+DUTY = BenchColumn("%", 0.0, 100.0, f"write it in % of the frame, {messages.PULSE}")
+VOLTS = BenchColumn("V", 0.0, None, "write raw voltages, say the unit, {name} [mV], or give `converter_range`")
+COLUMNS = {
+    "duty": DUTY,
+    "servo_duty": DUTY,
+    "height": BenchColumn("m", 0.0, MAX_HEIGHT, "say its unit, {name} [mm]; 20 m is as good as no ground"),
+    **dict.fromkeys(("volts_z", "volts_x", "volts_m"), VOLTS),
+}
 
 
 @dataclass(frozen=True)
