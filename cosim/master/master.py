@@ -298,11 +298,6 @@ class Master:
         """Store the next call, so that a crash or a hang is blamed on its component."""
         self.doing[0] = CALLS * self.components.index(component) + call
 
-    @property
-    def reruns(self) -> bool:
-        """Return whether a resumed run repeats all steps."""
-        return self.system.reruns
-
     def look(self, k: int) -> None:
         """Make a due checkpoint after point k."""
         if self.rows.asked[0] and self.rows.keeper is not None:
@@ -325,6 +320,8 @@ class Master:
             return k
         place = bisect.bisect_left(self.events, k)
         points = self.events[place : place + 1]
+        if self.rows.keeper is not None and self.rows.keeper.repeated >= k:
+            points.append(self.rows.keeper.repeated)
         if self.inbox is not None:  # Progress is reported at its looks.
             points.append(self.inbox.next_look(k))
         elif self.progress is not None:
@@ -340,6 +337,8 @@ class Master:
             calls.append(self._record_exact)
         if (send := self._sends) is not None:
             calls.append(lambda k: send(k, self.row))
+        if (keeper := self.rows.keeper) is not None:
+            calls.append(lambda k: keeper.compare_rows(self, k))
         if progress is not None:
             every = PROGRESS_EVERY if self.inbox is None else 1
             calls.append(lambda k: progress(k) if k and k % every == 0 else None)

@@ -75,13 +75,13 @@ MANY_ROWS = Template(
 GOES_ON = Template("N-SIM-070", "the run goes on from t = {time:g} s, row {row} of {rows}{replay}")
 REPLAY_ON_RESUME = Template(
     "N-SIM-071",
-    "no checkpoint has the state of {names}: a resumed run replays the recorded inputs from the start, which takes as "
-    "long as these steps took",
+    "no checkpoint has the state of {names}: a resumed run makes all steps again from the start, which takes as long "
+    "as they took",
 )
 STATE_ENDS = Template(
     "N-SIM-088",
-    "{names}: the saved state does not go beyond t = {time:g} s, the end that the FMU was told; so its recorded inputs "
-    "are replayed",
+    "{names}: the saved state does not go beyond t = {time:g} s, the end that the FMU was told; so all steps are "
+    "made again",
 )
 FINISHED_RUN_KEPT = Template("N-SIM-089", "the longer run failed; the finished run in {folder} is as it was{rows}")
 ROWS_ARE_WRITTEN = Template("N-SIM-091", "the steps have ended; their {rows} rows are being written to {file}{end}")
@@ -141,5 +141,5 @@ RUN_GETS_SLOWER = Template(
     "busy with something else",
 )
 REPLAY_COST = Template(
-    "N-SIM-072", "; {names}: inputs replayed from the start, which takes up to about {seconds:.2g} s"
+    "N-SIM-072", "; as the state of {names} is not saved, all steps are made again, which takes about {seconds:.2g} s"
 )

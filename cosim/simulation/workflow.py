@@ -44,7 +44,6 @@ from cosim.simulation.stopped_run import (
     end_keeping,
     keep_state,
     open_stopped,
-    replayed_names,
     unsaved_names,
     write_run,
 )
@@ -77,7 +76,6 @@ from cosim.system.real_time import real_time_of
 from cosim.system.recording import take_signals
 from cosim.system.system import System, build_system
 
-REPLAYED_STEP = 2e-5  # [s] of a step that Python replays, beside the step itself
 MANY_ROWS = 1_000_000  # rows of CSV, beyond which a note offers Parquet
 COMPILED = "compile"  # key of a manifest: sources of FMUs may be compiled when the run goes on
 SPARE = 8192  # room beyond the size of the manifest [bytes]
@@ -391,9 +389,8 @@ def _how_it_goes_on(stopped: StoppedRun, system: System, start: Continuation | N
     if start is None:
         return messages.BEGINS_AGAIN(time=scenario.start_time)
     time = scenario.start_time + (start.count - 1) * scenario.step
-    names = replayed_names(system, start)
-    most = stopped.lasted + REPLAYED_STEP * len(names) * start.count
-    cost = messages.REPLAY_COST(names=", ".join(names), seconds=most) if names else ""
+    names = start.unsaved(system)
+    cost = messages.REPLAY_COST(names=", ".join(names), seconds=stopped.lasted) if names else ""
     return messages.GOES_ON(time=time, row=start.count, rows=scenario.steps + 1, replay=cost)
 
 
