@@ -14,9 +14,9 @@ import pytest
 from cosim.base.errors import InputError
 from cosim.base.messages import code_of
 from cosim.isolation.limits import Limits
-from cosim.master.halving import rollback_objection
 from cosim.master.master import simulate
 from cosim.master.own_process import in_own_processes
+from cosim.master.policies import rollback_objection
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.storage.results import Results
 from cosim.system.system import build_system

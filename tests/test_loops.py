@@ -13,7 +13,7 @@ import pytest
 from cosim.base.errors import InputError, SimulationError
 from cosim.base.messages import code_of
 from cosim.coupling.strong_components import order_with_loops, strong_components
-from cosim.master.delayed_loop import DelayedLoop
+from cosim.master.loops import DelayedLoop
 from cosim.master.root_finding import RootFinding
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation import undeclared

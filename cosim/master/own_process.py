@@ -391,11 +391,6 @@ class OwnEvents(OwnFmu, EventFmu):
         """Ask the FMU to return after each of its own steps."""
         self._act("ask_for_small_steps")
 
-    def restore_schedule(self, schedule: Mapping[str, Any]) -> None:
-        """Restore a schedule after state and row."""
-        self._act("restore_schedule", dict(schedule))
-        super(OwnProcess, self).restore_schedule(schedule)
-
     def _act(self, method: str, *arguments: Any, doing: int = OTHER) -> Any:
         values = self._row[self._in.start : self._out.stop], self._beside[self._in_beside.start : self._out_beside.stop]
         return self._mirror(self._call(doing, act, self.name, method, arguments, values))

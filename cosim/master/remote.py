@@ -38,7 +38,6 @@ from cosim.isolation.watch import Clock, Watch, fmi_calls
 from cosim.master import messages
 from cosim.master.c_loop import compile_beforehand
 from cosim.master.checkpoint import BESIDE, ROWS, STATE, Continuation, Keeper, Keeping
-from cosim.master.halving import Halved
 from cosim.master.inbox import Change, Channel, Control, FileChannel, Inbox, MemoryChannel
 from cosim.master.master import StoppedRun, results_of, simulate
 from cosim.master.observer import MAX_CHARACTERS, Feed, ObservedRun, Observer
@@ -102,7 +101,7 @@ def simulate_here(
 
     try:
         with _inbox(system, h, channel, observed=bool(observers)) as inbox:
-            results, failure = _run(system, steps, h, give if observers else None, rows, inbox), None
+            results, failure = simulate(system, steps, h, give if observers else None, rows, inbox=inbox), None
     except StoppedRun as run:
         results, failure = run.results, run.error
     feed.end(results.values)
@@ -147,20 +146,6 @@ def _inbox(system: System, h: float, channel: Channel, *, observed: bool) -> Ite
 
     with closing(LiveValues(system, plan, h)) as partners:
         yield Inbox(channel, partners)
-
-
-def _run(
-    system: System,
-    steps: int,
-    h: float,
-    progress: Callable[[int], None] | None = None,
-    rows: Rows | None = None,
-    inbox: Inbox | None = None,
-) -> Results:
-    """Return the signals of a run; for a halved system, their differences between whole and halved steps."""
-    if not system.halved:
-        return simulate(system, steps, h, progress, rows, inbox=inbox)
-    return Halved(system, steps, h, progress, rows or Rows.in_memory(steps + 1, len(system.columns))).results()
 
 
 # -- in the worker ------------------------------------------------------------------------------
@@ -227,7 +212,7 @@ def simulate_rows(system: System, steps: int, h: float, job: RowsJob) -> WorkerE
         shared = progress.made, progress.doing, _store_loop, progress.asked, keeper, job.given, progress.steps
         rows = Rows(mapped, beside, *shared)
         with _inbox(system, h, FileChannel(job.channel, progress), observed=job.observed) as inbox:
-            results = _run(system, steps, h, obey if job.observed else None, rows, inbox)
+            results = simulate(system, steps, h, obey if job.observed else None, rows, inbox=inbox)
     except StoppedRun as run:
         results, failure = run.results, run.error
     except OSError as error:

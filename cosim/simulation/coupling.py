@@ -17,7 +17,7 @@ import numpy as np
 
 from cosim.base.errors import InputError, Interrupted
 from cosim.isolation.process import Worker
-from cosim.master.halving import rollback_objection
+from cosim.master.policies import rollback_objection
 from cosim.master.remote import MODULES, simulate_apart, simulate_here
 from cosim.scenario.controller_design import designed_apart
 from cosim.scenario.nearest_models import take_nearest

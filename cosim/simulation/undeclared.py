@@ -19,7 +19,7 @@ from cosim.blocks.fmu import FmuBlock
 from cosim.coupling.messages import ASSUMED_WITHOUT_FEEDTHROUGH
 from cosim.isolation.limits import LOADING, Limits
 from cosim.isolation.process import Worker
-from cosim.master.feedthrough import Feedthrough, Pair, measure_feedthrough, undeclared_inputs
+from cosim.master.beforehand import Feedthrough, Pair, examine, measure_feedthrough, undeclared_inputs
 from cosim.master.remote import simulate_apart, simulate_here
 from cosim.scenario.scenario import Scenario
 from cosim.scenario.scenario_file import ScenarioFile
@@ -56,7 +56,7 @@ def with_feedthrough(
     limits, spent = _limits(file.scenario), [0.0]
     with _with_note_if_long(tell, messages.MEASURING(components=join_names([*undeclared]), limit=limits.total)):
         try:
-            measured = measure_feedthrough(system, file.scenario.step, worker, limits, spent)
+            measured = examine(measure_feedthrough, system, (1, file.scenario.step), worker, limits, spent=spent)
         except (Interrupted, Signalled):
             raise
         except CosimError as error:

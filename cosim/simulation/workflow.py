@@ -20,12 +20,11 @@ from cosim.isolation.component_times import RUN, Slower
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import allocate
+from cosim.master.beforehand import without_ended_states
 from cosim.master.checkpoint import Continuation, Keeping
-from cosim.master.end_trials import without_ended_states
 from cosim.master.inbox import Change, with_changes
-from cosim.master.input_functions import InputFunctions, NamedFunctions
 from cosim.master.live_values import check_hosts
-from cosim.master.observer import Observer, ProgressObserver
+from cosim.master.observer import InputFunctions, NamedFunctions, Observer, ProgressObserver
 from cosim.master.remote import MODULES, SteppedRun, simulate_apart, simulate_here
 from cosim.scenario.controller_design import designed_apart
 from cosim.scenario.nearest_models import take_nearest
