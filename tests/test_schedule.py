@@ -109,7 +109,7 @@ def test_rates_that_seldom_meet_are_kept_for_the_whole_run(monkeypatch: pytest.M
         return [b.steps for b in blocks]
 
     whole_cycle = made()
-    monkeypatch.setattr("cosim.master.master.LONGEST_CYCLE", 29)
+    monkeypatch.setattr("cosim.master.policies.LONGEST_CYCLE", 29)
     assert made() == whole_cycle
     assert [len(steps) for steps in whole_cycle] == [30, 20, 12]
 

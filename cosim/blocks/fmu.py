@@ -328,9 +328,8 @@ class FmuBlock:
 
     def settle(self) -> None:
         """Handle an event of model exchange at the end of a step, if inputs do not change there."""
-        if isinstance(self._calls, ModelExchange2):
-            with self.instance.check_calls():
-                self._calls.settle()
+        with self.instance.check_calls():
+            self._calls.inputs_changed(None)
 
     def change(self, values: Mapping[str, Any]) -> None:
         """Set tunable parameters and inputs during a run."""

@@ -105,7 +105,7 @@ def examine(
     if worker is None:
         return _examined(examination, system, grid, None, *arguments)
     calls = [fmi_calls(getattr(stage.component, "description", None)) for stage in system.stages]
-    watch = Watch(system.names, calls, limits=limits, spent=spent)
+    watch = Watch(system.names, calls, limits=limits, spent=[0.0] if spent is None else spent)
     return worker.call(_examined, examination, system, grid, limits, *arguments, watch=watch)
 
 

@@ -90,7 +90,7 @@ class CompiledSteps:
             # Solvers of model exchange are Python; beside FMUs that C steps, C calls them.
             exchange = without_step(component, *announced)
             slot = called_slot(component.stepping(*announced), master.system.start, exchange)
-        if isinstance(slot, str):
+        if not isinstance(slot, Slot):
             raise NotCompiled(slot)
         slot.every, slot.doing = stage.every, CALLS * k
         slot.length = stage.every * master.h if component.nominal_step else 0.0

@@ -321,7 +321,7 @@ class LoopSolver:
 
     def notes(self) -> list[str]:
         """Return warnings of an unsolved loop and of rough solutions."""
-        notes = []
+        notes: list[str] = []
         if self._delayed is not None and self._delayed.worst and not self._is_warned:
             relative = self._delayed.record()["relative"]
             fields = self._delayed.worst | {"median": relative["median"], "last": relative["last"]}

@@ -101,7 +101,7 @@ class Master:
         inbox: Inbox | None = None,
     ) -> None:
         self.system, self.steps, self.h = system, steps, h
-        self.components = [stage.component for stage in system.stages]
+        self.components: list[Any] = [stage.component for stage in system.stages]
         self.row = (ctypes.c_double * len(system.columns))()
         self.view = doubles(self.row)
         self._place, self._place_beside = _first_places(system.columns), _first_places(system.beside)
@@ -359,7 +359,7 @@ class Master:
                 self.pacer.shift(self.inbox.pause)
         changed = [component for component in self.components if component.name in changes]
         for component in changed:
-            component.change(changes[component.name])  # type: ignore[attr-defined]
+            component.change(changes[component.name])
             if not isinstance(component, EventFmu):  # It is read at the instant.
                 self.announce(component, GET)
                 component.get()
