@@ -19,6 +19,7 @@ FAULTS: tuple[dict[str, Any], ...] = (
     {"kind": "bias", "value": 0.25, "from": 0.2},
     {"kind": "scale", "value": -0.5},
     {"kind": "spike", "value": 2.0, "probability": 0.1},
+    {"kind": "stuck", "value": 0.3, "from": 0.25, "to": 0.31},
 )
 
 

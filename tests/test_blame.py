@@ -49,23 +49,6 @@ def test_every_call_of_a_run_is_announced_with_the_number_of_its_component() -> 
             assert divmod(doing, CALLS) == (number, CODES[call]), (name, call)
 
 
-def test_halved_steps_announce_the_component_whose_state_they_save(monkeypatch: pytest.MonkeyPatch) -> None:
-    blocks, seen = three(), list[tuple[str, int]]()
-    monkeypatch.setattr("cosim.master.policies.FmuBlock", Block)
-    system = chain(blocks)
-    rows = rows_for(system, 2)
-    for block in blocks:
-        block.instance = SimpleNamespace(  # type: ignore[attr-defined]
-            save_state=lambda name=block.name: seen.append((name, rows.doing[0])),
-            restore_state=lambda state, keep=False, name=block.name: seen.append((name, rows.doing[0])),
-        )
-    simulate(replace(system, halved=True), 2, 0.1, rows=rows)
-    assert {name for name, _ in seen} == {*NAMES}
-    assert all(doing == CALLS * NAMES.index(name) + OTHER for name, doing in seen)
-    for number, block in enumerate(blocks):
-        assert all(divmod(doing, CALLS) == (number, CODES[call]) for _, call, doing in block.calls)
-
-
 def test_halved_steps_are_one_whole_and_two_halves_from_the_same_time() -> None:
     source = SourceBlock("s", {"y": ("", lambda t: t)})  # type: ignore[dict-item]
     system = system_of([], {}, start=3.0)

@@ -21,7 +21,6 @@ from cosim.blocks.description import read_description
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
 from cosim.master.master import StoppedRun, simulate
-from cosim.master.policies import rollback_objection
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.workflow import run
 from cosim.storage.results import Results
@@ -442,10 +441,6 @@ def test_event_mode_is_refused_where_the_fmu_has_none(folder: Path) -> None:
     slider_fmu(folder / "two.fmu")
     found = messages_of(folder, {"b": {"fmu": "two.fmu", "event_mode": True}})
     assert any("b has no event mode: it is run as FMI 2.0" in message for message in found)
-
-
-def test_steps_with_event_mode_are_not_halved(folder: Path) -> None:
-    assert "has event mode" in rollback_objection(system_of(folder, {"a": RISES}))
 
 
 # -- the example ----------------------------------------------------------------------------------------
