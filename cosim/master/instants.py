@@ -23,7 +23,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from cosim.base.errors import SimulationError
-from cosim.blocks.component import without_step
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.model_exchange import AT_ONCE, CLOSE, MOST_EVENTS, ULPS, ModelExchange2
@@ -129,7 +128,8 @@ class Instants(Policy):
     Attributes:
         ticked: Component → clocks that tick others as soon as outputs are read.
         pending: Component → clocks to tick when it has come to the time.
-        copies: Copies to the components that take part in the present instant.
+        copies: Copies to the components that take part in the present instant, those of communication point `point`.
+        here: FMUs with event mode that have come to it; those in `joined` are in event mode.
         events: First MOST_RECORDED handled events and ticks: time [s], component, cause.
         counts: (component, cause) → number of all.
     """
@@ -143,6 +143,9 @@ class Instants(Policy):
         self.pending: dict[str, list[str]] = {}
         self.events: list[tuple[float, str, str]] = []
         self.counts: dict[tuple[str, str], int] = {}
+        self.time, self.point, self.copies = self.begin, 0, master.copying.of(())
+        self.here: Sequence[Part] = ()
+        self.joined: list[Part] = []
         self._times: deque[float] = deque(maxlen=MOST_EVENTS)
         self._copies: dict[tuple[str, ...], Copies] = {}
         self.parts: list[Part] = []
@@ -207,10 +210,8 @@ class Instants(Policy):
         if k:
             self._instant(t, k, self._due(k))
             return
-        self._copy_to(self.parts, 0)
-        for part in self.fmus:
-            part.component.look()
-        self._handle(t, 0, self.fmus, list(self.fmus))
+        self._begin_instant(t, 0, self.parts, self.fmus)
+        self._handle(self.fmus)
 
     def finish(self) -> None:
         """Note how far components were ahead of events, and what the control of the steps notes."""
@@ -252,7 +253,7 @@ class Instants(Policy):
             parts = [part for part in self.parts if part.rank != WHOLE]
 
     def _step(self, part: Part, target: float, k: int) -> None:
-        component, doing = part.component, self.master.doing
+        component = part.component
         if not isinstance(component, EventFmu):
             self.master.advance((part.active,), k, part.time, target)
             part.time = target
@@ -260,12 +261,9 @@ class Instants(Policy):
                 part.time = component.instance.time = part.exchange.time
             return
         copy_values(self.master.row, part.active[3:6], k)
-        doing[0] = CALLS * part.number + PUT
-        component.put()
-        doing[0] = CALLS * part.number + ADVANCE
-        part.time = component.go(target)
-        doing[0] = CALLS * part.number + GET
-        component.get()
+        self._announce(part, PUT).put()
+        part.time = self._announce(part, ADVANCE).go(target)
+        self._announce(part, GET).get()
 
     def _take_back(self, saved: dict[Part, Any], target: float, early: Part) -> None:
         """Take back components beyond an early return."""
@@ -284,165 +282,163 @@ class Instants(Policy):
     def _instant(self, t: float, k: int, parts: Sequence[Part]) -> None:
         """Exchange values and handle events of components that have come to a time."""
         here = [part for part in self.fmus if part in parts and abs(part.time - t) <= self.close]
-        self._copy_to(parts, k)
-        for part in here:
-            part.component.look()
-        self._handle_exchanges(t, k)
+        self._begin_instant(t, k, parts, here)
+        for part in self.exchanges:
+            calls = part.component.calls
+            if calls.cause and abs(part.time - t) <= self.close:
+                self._record(part, f"{calls.cause} event")
+                with self._announce(part).instance.check_calls():
+                    calls.handle_event(self.h)
+                self._announce(part, GET).get()
+                self._copy()
         asked = []
         for part in here:
             fmu = part.component
             is_due = fmu.asks or fmu.due <= t + self.close or fmu.name in self.pending
             if is_due or fmu.has_jumped or fmu.is_stirred:
                 asked.append(part)
-        if asked:
-            self._check_progress(t)
-            self._handle(t, k, here, asked)
+        if not asked:
+            return
+        self._times.append(t)
+        if len(self._times) == self._times.maxlen and t - self._times[0] <= AT_ONCE * self.h:
+            names = ", ".join(sorted({part.component.name for part in self.fmus if part.component.asks}))
+            message = messages.EVENTS_CROWD(count=len(self._times), span=AT_ONCE * self.h)
+            raise SimulationError(names or "the run", t, message)
+        self._handle(asked)
 
-    def _handle_exchanges(self, t: float, k: int) -> None:
-        """Handle the events of model exchange."""
-        for part in self.exchanges:
-            calls = part.component.calls
-            if calls.cause and abs(part.time - t) <= self.close:
-                self._record(t, part.component.name, f"{calls.cause} event")
-                self._announce(part)
-                with part.component.instance.check_calls():
-                    calls.handle_event(self.h)
-                self._announce(part, GET)
-                part.component.get()
-                copy_values(self.master.row, self.copies, k)
-
-    def _handle(self, t: float, k: int, here: Sequence[Part], asked: Sequence[Part]) -> None:
-        """Iterate until no FMU needs another round."""
-        joined: list[Part] = []
-        for part in asked:
-            self._record_cause(part, t)
-        for update in range(MOST_EVENTS):
-            before = bytes(self.master.row)
-            for part in asked:
-                if update and part not in joined:
-                    self._record(t, part.component.name, "input")
-                self._join(part, joined)
-                self._tick(part, t)
-            self._settle(t, k, here, joined)
-            again = self._update(joined, k)
-            asked = [p for p in here if p in again or p.component.is_stirred or self._ticks(p, t)]
-            if not asked:
-                self._leave(joined)
-                return
-        self._raise_restless(t, before, asked)
-
-    def _update(self, joined: Iterable[Part], k: int) -> list[Part]:
-        """Update discrete states; return components to repeat."""
-        again = []
-        for part in joined:
-            self._announce(part)
-            if part.component.update():
-                again.append(part)
-        for part in joined:
-            self._announce(part, GET)
-            part.component.get()
-        self._propagate(k)
-        return again
-
-    def _leave(self, joined: Iterable[Part]) -> None:
-        for part in joined:
-            self._announce(part)
-            part.component.leave()
-
-    def _settle(self, t: float, k: int, here: Sequence[Part], joined: list[Part]) -> None:
-        """Exchange values and clocks until they settle."""
-        master = self.master
-        for sweep in range(1, MOST_SWEEPS + 1):
-            before, row, beside = bytes(master.row), list(master.row), list(master.beside)
-            is_quiet = True
-            for part in tuple(joined):
-                self._announce(part, PUT)
-                part.component.put()
-                part.component.look()
-                self._announce(part, GET)
-                part.component.get()
-                for clock in part.component.fired():
-                    is_quiet = False
-                    self._record(t, part.component.name, f"clock {clock}")
-                    self._trigger(part.component.name, clock, t, here, joined)
-                for clock in self.ticked.pop(part.component.name, ()):
-                    is_quiet = False
-                    self._trigger(part.component.name, clock, t, here, joined)
-                copy_values(master.row, self.copies, k)
-            self._propagate(k)
-            for part in here:
-                if part not in joined and part.component.is_stirred:
-                    is_quiet = False
-                    self._record(t, part.component.name, "input")
-                    self._join(part, joined)
-            settled = bytes(master.row) == before or (sweep > EXACT_SWEEPS and is_settled(row, master.row))
-            if is_quiet and settled and list(master.beside) == beside:
-                return
-        name = self._changed(before) or joined[-1].component.name
-        raise SimulationError(name, t, messages.EVENT_NOT_SETTLED(count=MOST_SWEEPS))
-
-    def _propagate(self, k: int) -> None:
-        """Copy all values, also through model exchange."""
-        copy_values(self.master.row, self.copies, k)
-        for part in self.exchanges:
-            without_step(part.component, self.master.doing, CALLS * part.number)()
-        if self.exchanges:
-            copy_values(self.master.row, self.copies, k)
-
-    def _join(self, part: Part, joined: list[Part]) -> None:
-        if part not in joined:
-            joined.append(part)
-            self._announce(part)
-            part.component.enter()
-
-    def _ticks(self, part: Part, t: float) -> list[str]:
-        """Return the clocks of a component that are due."""
-        return [*part.component.due_clocks(t, self.close), *self.pending.get(part.component.name, ())]
-
-    def _tick(self, part: Part, t: float) -> None:
-        names = self._ticks(part, t)
-        if names:
-            self.pending.pop(part.component.name, None)
-            self._announce(part)
-            part.component.tick(names)
-            for name in names:
-                self._record(t, part.component.name, f"clock {name}")
-            wired = [name for name in names if (part.component.name, name) in self.wires]
-            self.ticked |= {part.component.name: wired} if wired else {}
-            self._check_periods(part, names, t)
-
-    def _check_periods(self, part: Part, names: Iterable[str], t: float) -> None:
-        """Raise SimulationError for a clock that is too fast."""
-        for name in names:
-            timer = part.component.timers.get(name)
-            if timer is not None and timer.interval is not None and timer.next <= t + self.close:
-                message = messages.CLOCK_TOO_FAST(interval=timer.interval, step=self.h)
-                raise SimulationError(f"{part.component.name}.{name}", t, message)
-
-    def _trigger(self, owner: str, clock: str, t: float, here: Sequence[Part], joined: list[Part]) -> None:
-        """Tick the clocks connected to a clock."""
-        for name, target in self.wires.get((owner, clock), ()):
-            part = self.by_name[name]
-            if part not in here:
-                self.pending.setdefault(name, []).append(target)
-                continue
-            self._join(part, joined)
-            self._announce(part)
-            part.component.tick([target])
-            self._record(t, name, f"clock {target}")
-
-    def _copy_to(self, parts: Iterable[Part], k: int) -> None:
-        """Copy all values to components, and again whenever values are exchanged in this instant."""
+    def _begin_instant(self, t: float, k: int, parts: Iterable[Part], here: Sequence[Part]) -> None:
+        """Copy all values to components, and note the inputs of FMUs with event mode."""
+        self.time, self.point, self.here, self.joined = t, k, here, []
         names = tuple(part.component.name for part in parts)
         if names not in self._copies:
             stages = {stage.component.name: stage for stage in self.master.system.stages}
             transfers = (t for name in names for t in (*self.master.held[name], *stages[name].transfers))
             self._copies[names] = self.master.copying.of(transfers)
         self.copies = self._copies[names]
-        copy_values(self.master.row, self.copies, k)
+        self._copy()
+        for part in here:
+            part.component.look()
 
-    def _announce(self, part: Part, call: int = OTHER) -> None:
+    def _handle(self, asked: Sequence[Part]) -> None:
+        """Iterate until no FMU needs another round."""
+        for part in asked:
+            fmu = part.component
+            if fmu.asks:
+                self._record(part, "event")
+            elif fmu.next_event <= self.time + self.close:
+                self._record(part, "time event")
+            elif fmu.has_jumped or fmu.is_stirred:
+                self._record(part, "input")
+        for update in range(MOST_EVENTS):
+            before = bytes(self.master.row)
+            for part in asked:
+                if update and part not in self.joined:
+                    self._record(part, "input")
+                self._join(part)
+                self._tick(part)
+            self._settle()
+            again = [part for part in self.joined if self._announce(part).update()]
+            for part in self.joined:
+                self._announce(part, GET).get()
+            self._propagate()
+            asked = [part for part in self.here if part in again or part.component.is_stirred or self._ticks(part)]
+            if not asked:
+                for part in self.joined:
+                    self._announce(part).leave()
+                return
+        name = self._changed(before) or asked[0].component.name
+        names = ", ".join(part.component.name for part in asked)
+        raise SimulationError(name, self.time, messages.EVENTS_WITHOUT_END(count=MOST_EVENTS, names=names))
+
+    def _settle(self) -> None:
+        """Exchange values and clocks until they settle."""
+        master = self.master
+        for sweep in range(1, MOST_SWEEPS + 1):
+            before, row, beside = bytes(master.row), list(master.row), list(master.beside)
+            is_quiet = True
+            for part in tuple(self.joined):
+                self._announce(part, PUT).put()
+                part.component.look()
+                self._announce(part, GET).get()
+                for clock in part.component.fired():
+                    is_quiet = False
+                    self._record(part, f"clock {clock}")
+                    self._trigger(part.component.name, clock)
+                for clock in self.ticked.pop(part.component.name, ()):
+                    is_quiet = False
+                    self._trigger(part.component.name, clock)
+                self._copy()
+            self._propagate()
+            for part in self.here:
+                if part not in self.joined and part.component.is_stirred:
+                    is_quiet = False
+                    self._record(part, "input")
+                    self._join(part)
+            settled = bytes(master.row) == before or (sweep > EXACT_SWEEPS and is_settled(row, master.row))
+            if is_quiet and settled and list(master.beside) == beside:
+                return
+        name = self._changed(before) or self.joined[-1].component.name
+        raise SimulationError(name, self.time, messages.EVENT_NOT_SETTLED(count=MOST_SWEEPS))
+
+    def _propagate(self) -> None:
+        """Copy all values, also through model exchange."""
+        self._copy()
+        for part in self.exchanges:
+            self._announce(part, PUT).put()
+            self._announce(part, GET).get()
+        if self.exchanges:
+            self._copy()
+
+    def _join(self, part: Part) -> None:
+        """Enter event mode, once in an instant."""
+        if part not in self.joined:
+            self.joined.append(part)
+            self._announce(part).enter()
+
+    def _ticks(self, part: Part) -> list[str]:
+        """Return the clocks of a component that are due."""
+        return [*part.component.due_clocks(self.time, self.close), *self.pending.get(part.component.name, ())]
+
+    def _tick(self, part: Part) -> None:
+        """Tick the clocks of a component that are due; raise SimulationError for one that is too fast."""
+        names, owner = self._ticks(part), part.component.name
+        if not names:
+            return
+        self.pending.pop(owner, None)
+        self._announce(part).tick(names)
+        if wired := [name for name in names if (owner, name) in self.wires]:
+            self.ticked[owner] = wired
+        for name in names:
+            self._record(part, f"clock {name}")
+            timer = part.component.timers.get(name)
+            if timer is not None and timer.interval is not None and timer.next <= self.time + self.close:
+                message = messages.CLOCK_TOO_FAST(interval=timer.interval, step=self.h)
+                raise SimulationError(f"{owner}.{name}", self.time, message)
+
+    def _trigger(self, owner: str, clock: str) -> None:
+        """Tick the clocks connected to a clock."""
+        for name, target in self.wires.get((owner, clock), ()):
+            part = self.by_name[name]
+            if part not in self.here:
+                self.pending.setdefault(name, []).append(target)
+                continue
+            self._join(part)
+            self._announce(part).tick([target])
+            self._record(part, f"clock {target}")
+
+    def _copy(self) -> None:
+        copy_values(self.master.row, self.copies, self.point)
+
+    def _announce(self, part: Part, call: int = OTHER) -> Any:
+        """Note the next call of a component for observers; return the component."""
         self.master.doing[0] = CALLS * part.number + call
+        return part.component
+
+    def _record(self, part: Part, cause: str) -> None:
+        event = self.time, part.component.name, cause
+        self.counts[event[1:]] = self.counts.get(event[1:], 0) + 1
+        if len(self.events) < MOST_RECORDED:
+            self.events.append(event)
 
     def add_to(self, results: Results) -> Results:
         """Return results with the events."""
@@ -451,37 +447,8 @@ class Instants(Policy):
             counts.setdefault(component, {})[cause] = count
         return replace(results, events=tuple(self.events), event_counts=counts)
 
-    def _record(self, time: float, component: str, cause: str) -> None:
-        self.counts[component, cause] = self.counts.get((component, cause), 0) + 1
-        if len(self.events) < MOST_RECORDED:
-            self.events.append((time, component, cause))
-
-    def _record_cause(self, part: Part, t: float) -> None:
-        fmu = part.component
-        if fmu.asks:
-            self._record(t, fmu.name, "event")
-        elif fmu.next_event <= t + self.close:
-            self._record(t, fmu.name, "time event")
-        elif fmu.has_jumped or fmu.is_stirred:
-            self._record(t, fmu.name, "input")
-
-    # -- failures -----------------------------------------------------------------------------------
-
-    def _check_progress(self, t: float) -> None:
-        """Raise SimulationError for crowded events."""
-        self._times.append(t)
-        if len(self._times) == self._times.maxlen and t - self._times[0] <= AT_ONCE * self.h:
-            names = ", ".join(sorted({part.component.name for part in self.fmus if part.component.asks}))
-            message = messages.EVENTS_CROWD(count=len(self._times), span=AT_ONCE * self.h)
-            raise SimulationError(names or "the run", t, message)
-
     def _changed(self, before: bytes) -> str:
         """Return the first changed signal, or ""."""
         old = memoryview(before).cast("d")
         pairs = zip(self.master.system.columns, old, self.master.row, strict=True)
         return next((column for column, a, b in pairs if a != b), "")
-
-    def _raise_restless(self, t: float, before: bytes, asked: Sequence[Part]) -> None:
-        name = self._changed(before) or asked[0].component.name
-        names = ", ".join(part.component.name for part in asked)
-        raise SimulationError(name, t, messages.EVENTS_WITHOUT_END(count=MOST_EVENTS, names=names))
