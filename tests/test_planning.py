@@ -24,7 +24,7 @@ from cosim.simulation.criteria import evaluate, sentence
 from cosim.storage.results import Results
 from cosim.storage.yaml_file import MOST_FAULTS
 from cosim.sweeps.sampling import drawn_rows, saltelli_base
-from cosim.system import feasible
+from cosim.system import system as built
 from cosim.system.wiring import Transfer, lay_out, through
 from tests.own_blocks import Block
 from tests.test_schedule import Noted
@@ -337,7 +337,7 @@ def test_results_of_more_than_eight_gigabytes_are_refused() -> None:
     for rows, told in ((1e8 - 1, False), (1e8, True)):  # of ten signals of eight bytes
         noted: Any = Noted()
         noted.file = SimpleNamespace(scenario=SimpleNamespace(duration=0.001 * rows, step=0.001))
-        feasible._check_size(10, noted)
+        built._check_size(10, noted)
         assert bool(noted.faults) is told
     assert noted.faults[0][1].startswith("leaves 1e+08 rows of 10 signals, 8 GB, more than 8 GB")
 

@@ -19,7 +19,7 @@ from cosim.coupling.messages import ASSUMED_WITHOUT_FEEDTHROUGH
 from cosim.coupling.order import AlgebraicLoop, Plan
 from cosim.coupling.strong_components import Edge
 from cosim.scenario.diagnosis import Diagnosis, Place
-from cosim.scenario.scenario import Connection, Scenario
+from cosim.scenario.scenario import Scenario
 from cosim.storage.yaml_file import did_you_mean
 from cosim.system import messages
 from cosim.system.wiring import Components, Transfer
@@ -198,16 +198,12 @@ class _Graph:
             if self.every[name] > 1:
                 yield ("components", name, "step"), messages.OWN_STEP_IN_LOOP(component=name, loop=loop.name)
         for transfer in loop.transfers:
-            signal = self._target_of(transfer)
-            if any(transfer.beside) or (signal is not None and signal.is_whole):
-                kind = signal.kind if signal is not None else ""
+            name, _, variable = transfer.name.partition(".")
+            signals = (*self.components[name].inputs, *self.components[name].exact_inputs)
+            signal = next((signal for signal in signals if signal.name == variable), Signal(variable))
+            if any(transfer.beside) or signal.is_whole:
+                kind = signal.kind
                 yield ("connections",), messages.LOOP_OF_NO_REALS(signal=transfer.name, type=kind)
-
-    def _target_of(self, transfer: Transfer) -> Signal | None:
-        """Return the input that a transfer writes; None for a variable that is no input."""
-        name, _, variable = transfer.name.partition(".")
-        signals = (*self.components[name].inputs, *self.components[name].exact_inputs)
-        return next((signal for signal in signals if signal.name == variable), None)
 
 
 def schedule(
@@ -225,7 +221,12 @@ def schedule(
         interpolates: Whether inputs follow polynomials between values at the start and the end of a step.
     """
     every = {name: _every(scenario, name, diagnosis) for name in components}
-    wired = [(_edge(c), ends) for c, ends in zip(scenario.connections, transfers, strict=True) if not ends[0].is_clock]
+    wired: list[tuple[Edge, Sequence[Transfer]]] = []
+    for connection, ends in zip(scenario.connections, transfers, strict=True):
+        if not ends[0].is_clock:
+            source, _, output = connection.source.partition(".")
+            target, _, variable = connection.target.partition(".")
+            wired.append(((source, target, variable, output), ends))
     graph = _Graph(components, every, wired, interpolates)
     algorithm = algorithms()[scenario.algorithm]
     order = scenario.order if algorithm.sequential else None
@@ -242,8 +243,12 @@ def schedule(
     if scenario.loops is None:
         key = FEEDTHROUGH if algorithm.solves_loops else f"algorithm: {algorithm.name}"
         opened = tuple(graph.left_open(plan.loops, key if order is None else "order", assumptions))
-        diagnosis.warnings += _loop_notes(loops, components)
-    return Schedule(stages, held, _clock_wires(transfers), loops, opened, bool(assumptions), graph.known)
+        stated = {f"{n}.{i}" for n, c in components.items() for i in getattr(c, "feedthrough", None) or ()}
+        for loop in loops:
+            if names := [t.name for t in loop.transfers if stated & {t.name, t.name.rpartition("[")[0]}]:
+                diagnosis.warnings.append(messages.LOOP_BY_FEEDTHROUGH(loop=loop.name, inputs=join_names(names)))
+    clock_wires = tuple((t.origin, t.name) for ends in transfers for t in ends if t.is_clock)
+    return Schedule(stages, held, clock_wires, loops, opened, bool(assumptions), graph.known)
 
 
 def _plan(
@@ -264,20 +269,6 @@ def _plan(
         diagnosis.note(("algorithm",), message)
         return None
     return plan
-
-
-def _loop_notes(loops: Sequence[Loop], components: Components) -> list[str]:
-    """Return a note for each loop that is solved because of stated or measured feedthrough."""
-    stated = {f"{n}.{i}" for n, c in components.items() for i in getattr(c, "feedthrough", None) or ()}
-    inputs = {
-        loop.name: [t.name for t in loop.transfers if stated & {t.name, t.name.rpartition("[")[0]}] for loop in loops
-    }
-    return [messages.LOOP_BY_FEEDTHROUGH(loop=n, inputs=join_names(names)) for n, names in inputs.items() if names]
-
-
-def _clock_wires(transfers: Sequence[Sequence[Transfer]]) -> tuple[tuple[str, str], ...]:
-    """Return the connected clocks: output, input."""
-    return tuple((transfer.origin, transfer.name) for ends in transfers for transfer in ends if transfer.is_clock)
 
 
 def _keys_agree(
@@ -315,12 +306,6 @@ def _every(scenario: Scenario, name: str, diagnosis: Diagnosis) -> int:
         message = messages.LAST_STEP_INCOMPLETE(component=name, step=step, rest=rest * scenario.step)
         diagnosis.warnings.append(message)
     return every
-
-
-def _edge(connection: Connection) -> Edge:
-    target, _, variable = connection.target.partition(".")
-    source, _, output = connection.source.partition(".")
-    return source, target, variable, output
 
 
 def _names_all(order: Sequence[str], components: Components, diagnosis: Diagnosis) -> bool:

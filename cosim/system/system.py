@@ -5,8 +5,9 @@ All checks that need model descriptions are made here, and all faults are report
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -28,11 +29,14 @@ from cosim.system.components import Designed, build_components
 from cosim.system.control import Control, control_of, courses_of
 from cosim.system.event_blocks import check_events
 from cosim.system.events import Events, Targets, changes_of
-from cosim.system.feasible import check_feasible
 from cosim.system.real_time import RealTime, check_live
 from cosim.system.recording import RecordedPart, recorded_part
 from cosim.system.schedule import Loop, Schedule, Stage, schedule
 from cosim.system.wiring import Transfer, alias_transfers, connect, connection_warnings, lay_out
+
+ROUNDING = 1e-6  # fraction of a step, the tolerance of sampled FMUs
+MOST_RESULTS = 8e9  # size of results [bytes]
+BYTES = 8  # size of a number [bytes]
 
 
 @dataclass(frozen=True)
@@ -139,7 +143,8 @@ def build_system(file: ScenarioFile, start_values: Designed | None = None) -> Sy
     transfers = connect(file, components, layout, diagnosis)
     of_aliases = alias_transfers(components, layout, transfers, diagnosis)
     _check_design(file, diagnosis)
-    check_feasible(components.values(), diagnosis)
+    _check_size(sum(len(c.inputs) + len(c.outputs) for c in components.values()), diagnosis)
+    _check_sampling(components.values(), diagnosis)
     recording = recorded_part(scenario, components, layout, diagnosis)
     if is_whole:
         _check_criteria(scenario, layout.columns, recording, diagnosis)
@@ -224,3 +229,35 @@ def _check_criteria(
                 diagnosis.note((*where, key), messages.UNKNOWN_SIGNAL(name=signal, hint=hint))
             elif isinstance(signal, str) and signal not in recorded:
                 diagnosis.note((*where, key), messages.NOT_RECORDED(name=signal))
+
+
+def _check_size(signals: int, diagnosis: Diagnosis) -> None:
+    scenario = diagnosis.file.scenario
+    rows = scenario.duration / scenario.step + 1.0
+    size = rows * signals * BYTES
+    if size > MOST_RESULTS:
+        sizes = {"gigabytes": size / 1e9, "limit": MOST_RESULTS / 1e9}
+        diagnosis.note(("duration",), messages.RESULTS_TOO_LARGE(rows=rows, signals=signals, **sizes))
+
+
+def _check_sampling(components: Iterable[Any], diagnosis: Diagnosis) -> None:
+    file, scenario = diagnosis.file, diagnosis.file.scenario
+    place = file.fault(("step",), "")
+    if file.stands_in or any((f.line, f.column) == (place.line, place.column) for f in file.faults):
+        return  # The step is faulty itself.
+    parameter_of = cache(sampled_by)  # Several components may use the same FMU.
+    for block in components:
+        parameter = parameter_of(block.path) if isinstance(block, FmuBlock) else None
+        if parameter is None:
+            continue
+        declared = next((v.start for v in block.description.modelVariables if v.name == parameter), None)
+        try:
+            sample = float(block.start_values.get(parameter, declared))
+        except (TypeError, ValueError):
+            continue
+        own_step = getattr(scenario.components[block.name], "step", None)
+        step = scenario.step if own_step is None else float(own_step)
+        if abs(step - sample) > ROUNDING * sample:
+            where = ("step",) if own_step is None else ("components", block.name, "step")
+            names = {"component": block.name, "parameter": parameter}
+            diagnosis.note(where, messages.STEP_NOT_OF_SAMPLING(step=step, sample=sample, **names))
