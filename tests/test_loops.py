@@ -12,7 +12,7 @@ import pytest
 
 from cosim.base.errors import InputError, SimulationError
 from cosim.base.messages import code_of
-from cosim.coupling.strong_components import order_with_loops
+from cosim.blocks.coupling import order_with_loops
 from cosim.master.loops import DelayedLoop
 from cosim.master.root_finding import RootFinding
 from cosim.scenario.scenario_file import ScenarioFile

@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from cosim.base.times import MOST, steps_in, whole_steps
+from cosim.blocks.coupling import OWN, AlgebraicLoop, Algorithm, Plan, order_by_dependencies
 from cosim.blocks.faults import Delay, Hold, fault_function, points
-from cosim.coupling.algorithms import OWN, Algorithm, Plan
-from cosim.coupling.order import AlgebraicLoop, order_by_dependencies
 from cosim.master.master import simulate
 from cosim.simulation import metrics
 from cosim.system.schedule import _every, schedule
@@ -167,7 +166,7 @@ def test_a_loop_is_a_fault_of_the_connections_for_an_algorithm_that_solves_none(
         def plan(self, components: Any, edges: Any, order: Any) -> Plan:
             return order_by_dependencies(components, edges, order)
 
-    monkeypatch.setattr("cosim.coupling.algorithms.OWN", (*OWN, Plain()))
+    monkeypatch.setattr("cosim.blocks.coupling.OWN", (*OWN, Plain()))
     components = {"a": block("a", "u", u=True), "b": block("b", "u", u=True)}
     ends, transfers = [("a.y", "b.u"), ("b.y", "a.u")], [(Transfer(0, 1, "b.u"),), (Transfer(2, 3, "a.u"),)]
     noted = Noted()
@@ -186,7 +185,7 @@ def test_an_algorithm_that_forgets_a_component_is_a_fault_of_its_key(monkeypatch
         def plan(self, components: Any, edges: Any, order: Any) -> Plan:
             return Plan(("a",), (False,) * len(edges))
 
-    monkeypatch.setattr("cosim.coupling.algorithms.OWN", (*OWN, Forgetful()))
+    monkeypatch.setattr("cosim.blocks.coupling.OWN", (*OWN, Forgetful()))
     components, noted = {"a": block("a"), "b": block("b")}, Noted()
     named = {name: SimpleNamespace() for name in components}
     assert schedule(scenario(components=named, algorithm="forgetful"), components, [], noted).stages == ()  # type: ignore[arg-type]

@@ -17,12 +17,12 @@ import yaml
 
 from benchmarks.bench_native import native_figures
 from cosim.base.errors import InputError, Interrupted
+from cosim.blocks.coupling import OWN
 from cosim.blocks.description import read_description
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.profile import Change, Profile, profile_function
 from cosim.blocks.sources import Recorded
 from cosim.blocks.stepping import library
-from cosim.coupling.algorithms import OWN
 from cosim.fmi.native import compiler as native_compiler
 from cosim.isolation.rows import Rows
 from cosim.master.master import StoppedRun, simulate
@@ -131,7 +131,7 @@ def test_an_algorithm_of_a_third_party_is_stepped_by_both_loops(
     path = two(tmp_path, algorithm="reversed", order=["r", "rec", "a", "b"])
     with pytest.raises(InputError, match="algorithm is 'reversed': it should be 'gauss-seidel' or 'jacobi'"):
         build_system(ScenarioFile(path))
-    monkeypatch.setattr("cosim.coupling.algorithms.OWN", (*OWN, names["REVERSED"]))
+    monkeypatch.setattr("cosim.blocks.coupling.OWN", (*OWN, names["REVERSED"]))
     backwards = same(path)
     order = [stage.component.name for stage in build_system(ScenarioFile(path)).stages]
     assert order == ["rec", "r", "b", "a"]  # known signals come first

@@ -244,3 +244,9 @@ HIDDEN_LIBRARY = Template(
     "{file} brings {library}, but its process has already loaded another one, {other}, which the FMU therefore uses; "
     "rename the FMU's library, or link it statically",
 )
+ASSUMED_WITHOUT_FEEDTHROUGH = Template(
+    "W-CPL-001",
+    "{component} does not declare which outputs depend directly on its inputs; cosim assumes that none does, so "
+    "{component} steps first. feedthrough: [...] of {component} names the inputs that an output follows at once, [] "
+    "for none; order: [...] states the order instead",
+)

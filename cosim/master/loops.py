@@ -24,9 +24,9 @@ from cosim.base.errors import SimulationError
 from cosim.base.messages import code_of
 from cosim.base.times import first_point
 from cosim.blocks.component import EarlyEnd
+from cosim.blocks.coupling import torn
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.messages import VALUE_NOT_FINITE
-from cosim.coupling.strong_components import torn
 from cosim.isolation.rows import ADVANCE, CALLS, GET, OTHER, PUT
 from cosim.master import messages
 from cosim.master.copying import Copying, copy_values

@@ -17,8 +17,7 @@ from cosim.blocks.compiling import LIMIT, permission
 from cosim.blocks.description import takes_any_step
 from cosim.blocks.fmu import read_description
 from cosim.blocks.guard import validation
-from cosim.blocks.messages import HIDDEN_LIBRARY, HIDDEN_MODULE, OWN_PROCESS
-from cosim.coupling.messages import ASSUMED_WITHOUT_FEEDTHROUGH
+from cosim.blocks.messages import ASSUMED_WITHOUT_FEEDTHROUGH, HIDDEN_LIBRARY, HIDDEN_MODULE, OWN_PROCESS
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.master.live_values import check_hosts

@@ -16,7 +16,7 @@ from cosim.base.text import join_names
 from cosim.blocks.compiling import LIMIT, permission
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
-from cosim.coupling.messages import ASSUMED_WITHOUT_FEEDTHROUGH
+from cosim.blocks.messages import ASSUMED_WITHOUT_FEEDTHROUGH
 from cosim.isolation.limits import LOADING, Limits
 from cosim.isolation.process import Worker
 from cosim.master.beforehand import Feedthrough, Pair, examine, measure_feedthrough, undeclared_inputs

@@ -10,14 +10,12 @@ from cosim.base.messages import Message, code_of, join
 from cosim.base.text import join_names
 from cosim.base.times import steps_in
 from cosim.blocks.component import Component, Signal
+from cosim.blocks.coupling import DEFAULT, WITHOUT_ORDER, AlgebraicLoop, Algorithm, Edge, Plan, algorithms
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fixes import Fixes
 from cosim.blocks.fmu import FmuBlock
+from cosim.blocks.messages import ASSUMED_WITHOUT_FEEDTHROUGH
 from cosim.blocks.sources import SourceBlock
-from cosim.coupling.algorithms import DEFAULT, WITHOUT_ORDER, Algorithm, algorithms
-from cosim.coupling.messages import ASSUMED_WITHOUT_FEEDTHROUGH
-from cosim.coupling.order import AlgebraicLoop, Plan
-from cosim.coupling.strong_components import Edge
 from cosim.scenario.diagnosis import Diagnosis, Place
 from cosim.scenario.scenario import Scenario
 from cosim.storage.yaml_file import did_you_mean
