@@ -209,7 +209,7 @@ def order_by_dependencies(
     while True:
         immediate = tuple((target, name) in direct for _, target, name, _ in edges)
         try:
-            return Plan(_sort(components, edges, immediate), immediate, tuple(notes))
+            return Plan(_sort_components(components, edges, immediate), immediate, tuple(notes))
         except CycleError as error:
             cycle = list(reversed(error.args[1]))
         try:
@@ -266,7 +266,9 @@ def _plan_in_order(components: Mapping[str, Component], edges: Sequence[Edge], o
     return Plan(tuple(place), immediate)
 
 
-def _sort(components: Mapping[str, Component], edges: Sequence[Edge], immediate: Sequence[bool]) -> tuple[str, ...]:
+def _sort_components(
+    components: Mapping[str, Component], edges: Sequence[Edge], immediate: Sequence[bool]
+) -> tuple[str, ...]:
     sorter: TopologicalSorter[str] = TopologicalSorter({name: set() for name in components})
     for (source, target, *_), now in zip(edges, immediate, strict=True):
         if now:
@@ -285,13 +287,13 @@ def order_with_loops(
     names = list(components)
     ends = [(source, target) for (source, target, *_), now in zip(edges, immediate, strict=True) if now]
     groups = strong_components(names, ends)
-    ordered = [_order_within(group, ends) for group in _sort(groups, ends)]
+    ordered = [_order_within(group, ends) for group in _sort_groups(groups, ends)]
     selfish = {source for source, target in ends if source == target}
     loops = tuple(group for group in ordered if len(group) > 1 or group[0] in selfish)
     return tuple(name for group in ordered for name in group), loops
 
 
-def _sort(groups: Sequence[tuple[str, ...]], ends: Iterable[tuple[str, str]]) -> list[tuple[str, ...]]:
+def _sort_groups(groups: Sequence[tuple[str, ...]], ends: Iterable[tuple[str, str]]) -> list[tuple[str, ...]]:
     """Return groups in the order of their connections."""
     group_of = {name: k for k, group in enumerate(groups) for name in group}
     sorter: TopologicalSorter[int] = TopologicalSorter({k: set() for k in range(len(groups))})

@@ -238,7 +238,7 @@ class Master:
             t: Start of the step [s] of components without a step of their own.
             until: End of the step [s].
         """
-        row, begin, h = self.view, self.system.start, self.h
+        row = self.view
         for step, every, length, plain, noisy, through, late in actives:
             for target_places, places in plain:
                 target_places[:] = places
@@ -250,7 +250,7 @@ class Master:
             if every == 1:
                 step(t, length or until - t)
             else:
-                step(since := begin + (k - every) * h, length or until - since)
+                step(since := self.system.start + (k - every) * self.h, length or until - since)
             if late is not None:
                 late(k)
 
