@@ -126,14 +126,6 @@ class Calls(ABC):
         """Return the end time if the FMU discarded a step to end."""
         return None
 
-    def save(self) -> Any:
-        """Return the memory of these calls between steps."""
-        return None
-
-    def restore(self, memory: Any) -> None:
-        """Restore what the calls remembered."""
-        assert memory is None
-
 
 class CoSimulation2(Calls):
     """FMI 2.0 co-simulation."""

@@ -353,11 +353,10 @@ class FmuBlock:
         if state is None:
             return None
         self.log.restore(log)  # Messages of these calls are none of the run.
-        return {"state": state, "calls": self._calls.save(), "time": self.instance.time, "log": log}
+        return {"state": state, "time": self.instance.time, "log": log}
 
     def restore(self, state: dict[str, Any]) -> None:
         self.instance.deserialize(state["state"])
-        self._calls.restore(state["calls"])
         self.instance.time = state["time"]
         self.log.restore(state["log"])
 

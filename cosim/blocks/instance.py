@@ -206,7 +206,7 @@ class Instance:
             state = fmu.getFMUState() if self.fmi3 else fmu.getFMUstate()
             content = fmu.serializeFMUState(state) if self.fmi3 else fmu.serializeFMUstate(state)
             fmu.freeFMUState(state) if self.fmi3 else fmu.freeFMUstate(state)
-        except Exception:  # FMPy raises its own and bare ones. The run goes on; a resumed run replays this FMU.
+        except Exception:  # FMPy raises its own and bare ones. The run goes on; a resumed run makes all steps again.
             self._refuses = True
             return None
         return bytes(content)
