@@ -28,8 +28,7 @@ from cosim.blocks.description import (
 )
 from cosim.blocks.fmi import Calls, CoSimulation1, CoSimulation2, CoSimulation3, SingleCall, end_of
 from cosim.blocks.fmi_types import element_names
-from cosim.blocks.instance import Instance
-from cosim.blocks.message_log import MessageLog
+from cosim.blocks.instance import Instance, MessageLog
 from cosim.blocks.model_exchange import ModelExchange1, ModelExchange2, ModelExchange3
 from cosim.blocks.solvers import Solver
 from cosim.blocks.stepping import Plan, Slot, StopReason, fmu_slot
