@@ -17,7 +17,6 @@ from cosim.isolation.limits import Limits
 from cosim.isolation.rows import CALLS, NOTHING, OTHER, Progress, Rows
 from cosim.isolation.watch import Clock, Watch, fmi_calls, how_ended
 from cosim.master.master import StoppedRun, simulate
-from cosim.master.policies import rollback_objection
 from cosim.system.schedule import Stage
 from tests.own_blocks import Block, rows_for, system_of
 
@@ -87,18 +86,6 @@ def test_the_difference_of_halves_is_that_of_the_values(monkeypatch: pytest.Monk
     block.instance.restore_state = lambda state, keep=False: None  # type: ignore[attr-defined]
     with pytest.raises(StoppedRun, match=r"a at t = 0 s: its outputs differ after a saved state is restored"):
         simulate(replace(system, halved=True), 3, 0.4, rows=rows_for(system, 3))
-
-
-def test_what_cannot_be_taken_back_is_named() -> None:
-    block, source = Block("a", [], ["y"], lambda t, h, u: [t]), SourceBlock("s", {})
-    assert rollback_objection(system_of([block], {})) == "a cannot be taken back"
-    plain = system_of([], {})
-    of = type(plain)
-    assert rollback_objection(of((Stage(source),), (), (), {})) == ""
-    several = "several rates"
-    assert several in rollback_objection(of((Stage(source, every=2),), (), (), {}))
-    for more in ({"beside": ("a.text",)}, {"events": {3: {}}}):
-        assert several in rollback_objection(of((Stage(source),), (), (), {}, **more))
 
 
 @pytest.mark.parametrize("name", NAMES)
