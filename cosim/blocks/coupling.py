@@ -20,8 +20,8 @@ from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, PydanticKnownError
 from pydantic_core.core_schema import no_info_plain_validator_function, str_schema
 
+from cosim.base.messages import CheckWarning
 from cosim.base.registry import ALGORITHMS, load, names
-from cosim.blocks import messages
 from cosim.blocks.component import Component
 
 Edge = tuple[str, str, str, str]  # source component, target component, target input, source output
@@ -46,6 +46,10 @@ class Plan(NamedTuple):
     immediate: tuple[bool, ...]
     notes: tuple[str, ...] = ()
     loops: tuple[tuple[str, ...], ...] = ()
+
+
+class Assumption(CheckWarning):
+    """A warning that a component is taken to have no direct feedthrough."""
 
 
 class AlgebraicLoop(Exception):
@@ -248,7 +252,11 @@ def _open_cycle(
     assumed = min(unknown, key=[*components].index)
     removed = {(c, name) for c, name in direct if c == assumed and components[c].depends_on(name) is None}
     is_stated = getattr(components[assumed], "feedthrough", None) is not None
-    return removed, "" if is_stated else messages.ASSUMED_WITHOUT_FEEDTHROUGH(component=assumed)
+    return removed, "" if is_stated else Assumption(
+        f"{assumed} does not declare which outputs depend directly on its inputs; cosim assumes that none does, "
+        f"so {assumed} steps first. feedthrough: [...] of {assumed} names the inputs that an output follows at "
+        "once, [] for none; order: [...] states the order instead"
+    )
 
 
 def _find_connected(edges: Sequence[Edge], component: str) -> set[str]:

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import CosimError, InputError, Interrupted, Signalled, SweepStopped, Terminated
+from cosim.base.messages import Note
 from cosim.base.version import __version__
-from cosim.live import messages
 from cosim.report.template import DESK, render
 from cosim.server.answers import Answer, Handler, Request, json_answer, report_answer
 from cosim.server.served_page import FIRST_PAGE, RELOAD, ServedPage
@@ -57,7 +57,7 @@ class LivePage(ServedPage):
             self.report = left / "report.html"
         message = str(error) if isinstance(error, CosimError) else type(error).__name__
         if isinstance(error, (Interrupted, Signalled)):
-            message = messages.STOPPED(time=error.time)
+            message = Note(f"stopped at t = {error.time:.6g} s; the rows so far are kept")
         self.update(phase="stopped" if is_stop else "failed", message=message)
 
     # -- state -----------------------------------------------------------------------------------
@@ -91,7 +91,7 @@ class LivePage(ServedPage):
     def check_running(self) -> None:
         """Raise InputError after the end of the work."""
         if self.has_ended:
-            raise InputError.at(Path(self.activity), messages.NOT_RUNNING(activity=self.activity))
+            raise InputError.at(Path(self.activity), f"the {self.activity} has ended, so that nothing can be changed")
 
     def _stop(self, request: Request) -> Answer:
         """Stop the work as Ctrl-C does."""

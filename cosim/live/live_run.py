@@ -13,7 +13,6 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
-from cosim.live import messages
 from cosim.live.envelope import Envelope
 from cosim.live.live_page import LivePage
 from cosim.master.inbox import Control
@@ -149,10 +148,10 @@ class LiveRun(LivePage, Observer):
             )
             count = min(MAX_GROUPS, max(1, int(request.query.get("count", "1000"))))
         except ValueError as error:
-            message = messages.WRONG_REQUEST(value=str(error), wanted="numbers")
+            message = f"is {error!s}; give numbers"
             raise InputError.at(Path("rows"), message) from None
         if any(not 0 <= k < len(run.columns) for k in places) or math.isnan(begin) or math.isnan(end):
-            raise InputError.at(Path("rows"), messages.WRONG_REQUEST(value=places, wanted="places of signals"))
+            raise InputError.at(Path("rows"), f"is {places}; give places of signals")
         first, last = (int(max(0.0, min((t - run.start) / run.step, run.rows))) for t in (begin, end))
         found = envelope.extremes(places, first - 1, last + 2, count)
         head = HEAD.pack(
@@ -166,14 +165,14 @@ class LiveRun(LivePage, Observer):
         """Return the control of the run; raise InputError before its begin and after its end."""
         self.check_running()
         if self._control is None or self._state["phase"] == "writing":
-            raise InputError.at(Path(self.activity), messages.NOT_RUNNING(activity=self.activity))
+            raise InputError.at(Path(self.activity), f"the {self.activity} has ended, so that nothing can be changed")
         return self._control
 
     def _set(self, request: Request) -> Answer:
         """Change variables."""
         values = request.content
         if not isinstance(values, dict) or not all(isinstance(v, (str, int, float, bool)) for v in values.values()):
-            message = messages.WRONG_REQUEST(value="no mapping", wanted="variables with numbers, text, true or false")
+            message = "is no mapping; give variables with numbers, text, true or false"
             raise InputError.at(Path("set"), message)
         control = self._controlled()
         kinds = {v.name: v.kind for v in control.variables}
@@ -184,7 +183,7 @@ class LiveRun(LivePage, Observer):
     def _pause(self, request: Request) -> Answer:
         """Pause or continue."""
         if not isinstance(request.content, bool):
-            message = messages.WRONG_REQUEST(value=request.content, wanted="true or false")
+            message = f"is {request.content}; give true or false"
             raise InputError.at(Path("pause"), message)
         self._controlled().paused = request.content
         self.update()

@@ -20,8 +20,8 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import Interrupted, SimulationError
+from cosim.base.messages import Note
 from cosim.isolation.rows import GET, NOTHING, exact_line
-from cosim.master import messages
 from cosim.master.inbox import Change
 from cosim.storage.state_file import pack, sync, unpack, write_durable
 from cosim.system.system import System
@@ -136,7 +136,14 @@ class Keeper:
         """Go on from `start`, and begin to keep checkpoints."""
         if self.start is not None:
             if _first_difference(master.table[:1], self.start.values[:1]) is not None:
-                raise SimulationError("the run", float(master.time[0]), messages.OTHER_BEGINNING())
+                raise SimulationError(
+                    "the run",
+                    float(master.time[0]),
+                    (
+                        "the components begin with other values than in the run that was to go on; run the "
+                        "scenario again from its start"
+                    ),
+                )
             if self.start.unsaved(master.system):
                 self.repeated = self.start.count
             else:
@@ -150,7 +157,7 @@ class Keeper:
         self.asked[0] = 0
         if self.ending[0]:
             self.save(master, k)
-            raise Interrupted("the run", float(master.time[k]), messages.STOPPED_AFTER_CHECKPOINT())
+            raise Interrupted("the run", float(master.time[k]), Note("stopped after a checkpoint"))
         if self.interval is not None and time.monotonic() - self._last >= 0.5 * self.interval:
             self.save(master, k)
 
@@ -208,7 +215,14 @@ class Keeper:
         place = _first_difference(master.table[: self.start.count], self.start.values)
         if place is not None:
             component = master.system.columns[place[1]].partition(".")[0]
-            raise SimulationError(component, float(master.time[place[0]]), messages.NOT_REPEATED())
+            raise SimulationError(
+                component,
+                float(master.time[place[0]]),
+                (
+                    "its outputs differ from the recorded ones when its steps are made again, so the run cannot go "
+                    "on; run the scenario again from its start"
+                ),
+            )
 
     def _tick(self, interval: float) -> None:
         while not self._over.wait(interval):
@@ -242,9 +256,16 @@ def go_on(master: Master, start: Continuation) -> float:
             master.announce(component, GET)
             component.get()
             if _first_difference(np.array([master.row[outputs]]), start.values[last:, outputs]) is not None:
-                raise SimulationError(component.name, float(master.time[last]), messages.STATE_NOT_RESTORED())
+                raise SimulationError(
+                    component.name,
+                    float(master.time[last]),
+                    (
+                        "its outputs differ after a saved state is restored; use an FMU that restores its state, "
+                        "or one that does not declare that it can"
+                    ),
+                )
     except (ValueError, LookupError, TypeError, AttributeError, OverflowError) as error:  # a state of another system
-        reason = messages.UNUSABLE_STATE(reason=error)
+        reason = f"the checkpoint has no state of these components ({error}); run the scenario again from its start"
         raise SimulationError("the run", float(master.time[last]), reason) from None
     master.view[:] = start.values[last]
     if start.exact:

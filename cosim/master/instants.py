@@ -28,7 +28,6 @@ from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.model_exchange import AT_ONCE, CLOSE, MOST_EVENTS, ULPS, ModelExchange2
 from cosim.blocks.sources import SourceBlock
 from cosim.isolation.rows import ADVANCE, CALLS, GET, OTHER, PUT
-from cosim.master import messages
 from cosim.master.copying import Copies, copy_values
 from cosim.master.initialization import EXACT_SWEEPS, is_settled
 from cosim.master.policies import Active, Policy
@@ -217,7 +216,11 @@ class Instants(Policy):
         """Note how far components were ahead of events, and what the control of the steps notes."""
         for part in self.parts:
             if part.lead:
-                note = messages.AHEAD_OF_EVENT(component=part.component.name, lead=part.lead, count=part.ahead)
+                note = (
+                    f"{part.component.name} was up to {part.lead:.3g} s ahead of an event of another FMU, "
+                    f"because both may return early from a step and it cannot go back: it got {part.ahead} "
+                    "such events that much later. A shorter step of the scenario shortens this"
+                )
                 self.master.notes.append(note)
         if self.master.controlled is not None:
             self.master.controlled.finish()
@@ -302,7 +305,7 @@ class Instants(Policy):
         self._times.append(t)
         if len(self._times) == self._times.maxlen and t - self._times[0] <= AT_ONCE * self.h:
             names = ", ".join(sorted({part.component.name for part in self.fmus if part.component.asks}))
-            message = messages.EVENTS_CROWD(count=len(self._times), span=AT_ONCE * self.h)
+            message = f"{len(self._times)} events within {AT_ONCE * self.h:.2g} s, so that time stands still"
             raise SimulationError(names or "the run", t, message)
         self._handle(asked)
 
@@ -348,7 +351,14 @@ class Instants(Policy):
                 return
         name = self._changed(before) or asked[0].component.name
         names = ", ".join(part.component.name for part in asked)
-        raise SimulationError(name, self.time, messages.EVENTS_WITHOUT_END(count=MOST_EVENTS, names=names))
+        raise SimulationError(
+            name,
+            self.time,
+            (
+                f"it still changes after {MOST_EVENTS} updates of discrete states at one time; these FMUs "
+                f"ask for another one: {names}"
+            ),
+        )
 
     def _settle(self) -> None:
         """Exchange values and clocks until they settle."""
@@ -378,7 +388,14 @@ class Instants(Policy):
             if is_quiet and settled and list(master.beside) == beside:
                 return
         name = self._changed(before) or self.joined[-1].component.name
-        raise SimulationError(name, self.time, messages.EVENT_NOT_SETTLED(count=MOST_SWEEPS))
+        raise SimulationError(
+            name,
+            self.time,
+            (
+                f"it still changes after {MOST_SWEEPS} exchanges of values at one event: an algebraic "
+                "loop between FMUs in event mode that exchanging values does not settle"
+            ),
+        )
 
     def _propagate(self) -> None:
         """Copy all values, also through model exchange."""
@@ -412,7 +429,10 @@ class Instants(Policy):
             self._record(part, f"clock {name}")
             timer = part.component.timers.get(name)
             if timer is not None and timer.interval is not None and timer.next <= self.time + self.close:
-                message = messages.CLOCK_TOO_FAST(interval=timer.interval, step=self.h)
+                message = (
+                    f"the clock ticks every {timer.interval:g} s, but its FMU takes only steps of {self.h:g} "
+                    "s; shorten the step of the scenario"
+                )
                 raise SimulationError(f"{owner}.{name}", self.time, message)
 
     def _trigger(self, owner: str, clock: str) -> None:

@@ -9,7 +9,6 @@ from typing import Any
 
 from cosim.base.arrays import Array
 from cosim.base.errors import Fault, SimulationError, refuse
-from cosim.master import messages
 from cosim.master.inbox import Control, targets_of
 from cosim.system.system import System
 
@@ -115,7 +114,7 @@ class Feed:
         except Exception as error:  # A user's observer may raise any error.
             now = float(self._time[max(0, min(self._delivered, len(self._time)) - 1)])
             reason = " ".join(str(error).split())[:MAX_CHARACTERS]
-            message = messages.OBSERVER_FAILED(error=type(error).__name__, reason=reason)
+            message = f"{type(error).__name__}: {reason}"
             self.failure = self.failure or SimulationError(f"the observer {type(observer).__name__}", now, message)
 
 
@@ -136,7 +135,9 @@ class InputFunctions(Observer):
         targets = targets_of(system)
         reasons = [targets.objection(name) for name in self._functions]
         reasons += [
-            messages.NO_FUNCTION(name=n, value=type(f).__name__) for n, f in self._functions.items() if not callable(f)
+            f"{n} is of type {type(f).__name__}; give a function of time and signals"
+            for n, f in self._functions.items()
+            if not callable(f)
         ]
         refuse([Fault(Path("inputs"), 0, 0, reason) for reason in reasons if reason])
 

@@ -26,9 +26,10 @@ from typing import Any, Self
 from urllib.parse import parse_qsl, unquote, urlsplit
 
 from cosim.base.errors import CosimError, InputError
-from cosim.server import messages
 from cosim.server.answers import Answer, Handler, Request, byte_range, json_answer, json_text
 from cosim.storage.files import parse_json
+
+PORT_REFUSED = "port {port} cannot be used: {reason}; give another one, or 0 for any free port"
 
 ADDRESS = "127.0.0.1"
 REQUEST_TIME = 10.0  # [s] until the whole request has arrived
@@ -66,10 +67,14 @@ class Server:
             self._listener = _Listener((ADDRESS, port), self)
         except OSError as error:
             is_used = error.errno == errno.EADDRINUSE
-            message = messages.PORT_IN_USE(port=port) if is_used else _refused(port, error)
+            message = (
+                f"port {port} is in use by another program; give another one, or 0 for any free port"
+                if is_used
+                else _refused(port, error)
+            )
             raise InputError.at(Path(option), message) from None
         except OverflowError:
-            message = messages.PORT_REFUSED(port=port, reason="ports are numbers from 1 to 65535")
+            message = PORT_REFUSED.format(port=port, reason="ports are numbers from 1 to 65535")
             raise InputError.at(Path(option), message) from None
         self.port: int = self._listener.server_address[1]
         self.closing = threading.Event()
@@ -134,7 +139,7 @@ class Server:
 
 
 def _refused(port: int, error: OSError) -> str:
-    return messages.PORT_REFUSED(port=port, reason=(error.strerror or str(error)).lower())
+    return PORT_REFUSED.format(port=port, reason=(error.strerror or str(error)).lower())
 
 
 class _Listener(ThreadingHTTPServer):
@@ -249,7 +254,7 @@ class _Connection(BaseHTTPRequestHandler):
         except _Refused as refusal:
             answer = json_answer({"error": refusal.reason}, refusal.status)
         except CosimError as error:
-            answer = json_answer({"error": str(error), "code": error.code}, 400)
+            answer = json_answer({"error": str(error), "kind": type(error).__name__}, 400)
         except TimeoutError:
             raise
         except Exception as error:  # A fault of a handler must not end the program of the user.

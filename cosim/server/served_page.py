@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Self
 
-from cosim.server import messages
+from cosim.base.messages import Note
 from cosim.server.answers import Answer, Handler, Request, page_answer
 from cosim.server.local_server import Server
 
@@ -81,7 +81,7 @@ class ServedPage:
         since = time.monotonic()
         try:
             if self.server.streams or (first and not self.server.opened):
-                say(messages.PAGE_STAYS())
+                say(Note("the page stays until it is closed in the browser; Ctrl-C ends it"))
             while self.server.streams or time.monotonic() - since < (reload if self.server.opened else first):
                 if self.server.streams:  # Without a page, a reload has its full time.
                     since = time.monotonic()

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from cosim.base.errors import Terminated
+from cosim.base.messages import Note
 from cosim.verbs.terminal import LAST, say_finding, say_note
 
 PAGES = {  # verb → module and class of its page
@@ -30,14 +31,13 @@ def live_page(verb: str, title: str, *, live: bool, port: int | None, **settings
     if not live and port is None:
         yield None
         return
-    from cosim.live import messages
     from cosim.server.browser import open_page
 
     module, name = PAGES[verb]
     page = getattr(import_module(module), name)(title, port or 0, **settings)
     LAST.append(lambda: _wait(page))
     is_open = open_page(page.server.url, title)
-    (say_note if is_open else say_finding)(messages.LIVE_PAGE(url=page.server.url))
+    (say_note if is_open else say_finding)(Note(f"live page: {page.server.url}"))
     with page:
         yield page
 

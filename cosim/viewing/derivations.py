@@ -11,7 +11,6 @@ from types import MappingProxyType
 from typing import Any
 
 from cosim.base.errors import InputError
-from cosim.viewing import messages
 from cosim.viewing.derived_signals import Formula
 from cosim.viewing.pyramid import TIME
 from cosim.viewing.viewed_runs import ViewedRun
@@ -21,10 +20,15 @@ Signal = tuple[int, str]  # number of the run, name
 
 @dataclass(frozen=True)
 class Definition:
-    """The formula of a derived signal, and letter → signal."""
+    """The formula of a derived signal, letter → signal, and its unit.
+
+    Attributes:
+        unit: Unit stated by the user; "" for that of the signal if the formula is one letter, else none.
+    """
 
     formula: str
     of: Mapping[str, Signal]
+    unit: str = ""
 
 
 class Derivations:
@@ -35,30 +39,32 @@ class Derivations:
         self._definitions: dict[Signal, Definition] = {}
         self._notes: dict[Signal, list[str]] = {}
 
-    def define(self, name: str, formula: str, of: Mapping[str, Signal]) -> list[dict[str, Any]]:
+    def define(self, name: str, definition: Definition) -> list[dict[str, Any]]:
         """Add a derived signal to the run of its first signal, or replace it; return it and all that depend on it.
 
         Raises:
             InputError: The name is that of a signal of the run, the signal depends on itself, or the formula is wrong.
         """
-        made = next(iter(of.values()))[0], name
+        made = next(iter(definition.of.values()))[0], name
         run = self._runs[made[0]]
         if name in run.rows.units or name in run.rows.texts or name == TIME:
-            raise InputError.at(Path("name"), messages.NAME_TAKEN(name=name))
+            raise InputError.at(Path("name"), f"{name} is a signal of the run; give another name")
         with self._lock:
             try:
-                self._ordered({made: Definition(formula, of)})
+                self._ordered({made: definition})
             except CycleError as error:
                 cycle: list[Signal] = error.args[1][:0:-1]  # each is derived from the next, and the last from the first
                 place = cycle.index(made)
                 chain = " ← ".join(signal for _, signal in (*cycle[place:], *cycle[:place], made))
-                raise InputError.at(Path("name"), messages.OWN_SIGNAL(name=name, way=chain)) from None
-            changed = {made: Definition(formula, of)}
+                raise InputError.at(
+                    Path("name"), f"{name} would be derived from itself: {chain}; give another name"
+                ) from None
+            changed = {made: definition}
             changed |= {signal: self._definitions[signal] for signal in self._dependents(made)}
             before = {signal: self._definitions[signal] for signal in changed if signal in self._definitions}
             try:
                 return [self._compute(signal, definition) for signal, definition in changed.items()]
-            except InputError:  # A signal that depends on this one has, for example, no unit any more.
+            except InputError:
                 for signal, definition in before.items():
                     self._compute(signal, definition)
                 raise
@@ -72,9 +78,9 @@ class Derivations:
         signal = number, name
         with self._lock:
             if signal not in self._definitions:
-                raise InputError.at(Path("name"), messages.NOT_DERIVED(name=name))
+                raise InputError.at(Path("name"), f"{name} is no derived signal")
             if others := [other for _, other in self._dependents(signal)]:
-                raise InputError.at(Path("name"), messages.NEEDED(name=name, others=", ".join(others)))
+                raise InputError.at(Path("name"), f"{', '.join(others)} is derived from {name}; remove that first")
             del self._definitions[signal], self._notes[signal]
             self._runs[number].rows.remove(name)
 
@@ -100,7 +106,10 @@ class Derivations:
         number, name = signal
         signals = {letter: (self._runs[k].rows, other) for letter, (k, other) in definition.of.items()}
         formula = Formula(definition.formula, signals, name)
-        values, unit = formula.evaluate()
+        values, unit = formula.evaluate(), definition.unit
+        if not unit and definition.formula.strip() in signals:
+            rows, other = signals[definition.formula.strip()]
+            unit = {**rows.units, **rows.added}.get(other, "")
         self._runs[number].rows.add(name, values, unit)
         self._definitions[signal] = definition
         self._notes[signal] = list(formula.notes)
@@ -111,4 +120,4 @@ class Derivations:
         definition, rows = self._definitions[signal], self._runs[number].rows
         of = {letter: list(other) for letter, other in definition.of.items()}
         about = {"run": number, "name": name, "formula": definition.formula, "of": of, "unit": rows.added[name]}
-        return {**about, "notes": self._notes[signal]}
+        return {**about, "stated_unit": definition.unit, "notes": self._notes[signal]}

@@ -20,8 +20,7 @@ from cosim.server.answers import Answer, Handler, Request, json_answer
 from cosim.server.served_page import ServedPage
 from cosim.storage.csv_source import cell_text, write_table
 from cosim.storage.files import parse_json
-from cosim.viewing import messages
-from cosim.viewing.derivations import Derivations
+from cosim.viewing.derivations import Definition, Derivations
 from cosim.viewing.layouts import Layouts, check_layouts
 from cosim.viewing.pyramid import TIME, Picture
 from cosim.viewing.viewed_runs import ViewedRun
@@ -159,16 +158,17 @@ class ViewPage(ServedPage):
             removed, signal = self._curve(content["remove"])
             self._derivations.remove(self._runs.index(removed), signal)
             return json_answer([])
-        name, text, of = (content.get(key) for key in ("name", "formula", "of"))
-        if not (isinstance(name, str) and name.strip() and isinstance(text, str) and isinstance(of, dict) and of):
+        name, text, of, unit = (content.get(key) for key in ("name", "formula", "of", "unit"))
+        texts = (name, text, unit or "")
+        if not (all(isinstance(each, str) for each in texts) and name.strip() and isinstance(of, dict) and of):
             raise _refused("a name, a formula and its signals")
         curves = {str(letter): self._curve(curve) for letter, curve in of.items()}
         signals = {letter: (self._runs.index(run), each) for letter, (run, each) in curves.items()}
         try:
-            return json_answer(self._derivations.define(name, text, signals))
+            return json_answer(self._derivations.define(name, Definition(text, signals, (unit or "").strip())))
         except OSError:
             lost = next((run.lost for run, _ in curves.values() if not run.check()), "its rows cannot be read")
-            raise InputError.at(Path("formula"), messages.UNREADABLE(reason=lost)) from None
+            raise InputError.at(Path("formula"), f"cannot be read: {lost}") from None
 
     def _save_layout(self, request: Request) -> Answer:
         """Save a layout, or return the layouts of a file that the page has opened."""
@@ -193,7 +193,13 @@ class ViewPage(ServedPage):
             first, stop = run.rows.locate(begin), run.rows.locate(end, "right")
             cells += stop - first
             if cells > MOST_CELLS:
-                raise InputError.at(Path("export"), messages.MANY_CELLS(count=cells / 1e6, limit=MOST_CELLS / 1e6))
+                raise InputError.at(
+                    Path("export"),
+                    (
+                        f"these are {cells / 1e6:.0f} million values, more than {MOST_CELLS / 1e6:.0f} million; zoom "
+                        "in first"
+                    ),
+                )
             at, values = run.rows.read(TIME, first, stop), run.rows.exact(name, first, stop)
             unit = {**run.rows.units, **run.rows.added}.get(name, "")
             heads.append(f"{f'{run.place.label}: ' * several}{name}{f' [{unit}]' * bool(unit)}")
@@ -242,7 +248,7 @@ def _unless_lost(run: ViewedRun, read: Callable[..., list[Any]], *of: Any, lost:
         try:
             return read(*of)
         except OSError:
-            run.lost = messages.LOST(run=run.place.label)
+            run.lost = f"{run.place.label} was removed or replaced; what is drawn of it stays, zoom shows the others"
     return lost
 
 
@@ -260,7 +266,7 @@ def _number(request: Request, key: str) -> float:
 
 
 def _refused(wanted: str) -> InputError:
-    return InputError.at(Path("view"), messages.WRONG_REQUEST(reason=f"give {wanted}"))
+    return InputError.at(Path("view"), f"the request is not understood: {f'give {wanted}'}")
 
 
 def _binary(parts: Sequence[Array]) -> Answer:

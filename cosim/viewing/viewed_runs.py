@@ -10,15 +10,16 @@ from typing import Any
 
 from cosim.base.drafts import is_full
 from cosim.base.errors import Fault, InputError, refuse
+from cosim.base.messages import Note
 from cosim.history.entries import Entry, entries
 from cosim.history.selection import Selected, select_groups
-from cosim.storage import messages as storage_messages
-from cosim.storage.folders import manifest_in, record_of, replay_record, status_in, warnings_on
+from cosim.storage.folders import manifest_in, replay_record, run_name, status_in, warnings_on
 from cosim.storage.kinds import LOG, check_given, refuse_folder
-from cosim.storage.results import cut_rows, is_cut_in_line, rows_in
-from cosim.viewing import messages
+from cosim.storage.results import rows_in
 from cosim.viewing.pyramid import Recording
 from cosim.viewing.stored_rows import ColumnTypes, notes_on, open_rows
+
+NO_ROWS = "has no rows to draw{status}; give folders of runs, or tables with time in the first column"
 
 MOST_RUNS = 20  # shown without names
 MOST_NAMES = 5  # signals in a note
@@ -61,7 +62,7 @@ class ViewedRun:
     def check(self) -> bool:
         """Return whether the file is still the opened one."""
         if not self.lost and file_state(self.place.file) != self.state:
-            self.lost = messages.LOST(run=self.place.label)
+            self.lost = f"{self.place.label} was removed or replaced; what is drawn of it stays, zoom shows the others"
         return not self.lost
 
 
@@ -84,9 +85,9 @@ def find_runs(texts: Sequence[str], results: Path) -> tuple[list[RunPlace], list
     if not texts:
         found = [place for entry in entries(results) if (place := _of_entry(entry, is_named=False)) is not None]
         if not found:
-            raise InputError.at(results, messages.NOTHING())
+            raise InputError.at(results, "holds no results with rows; run a scenario first, or name folders and tables")
         if len(found) > MOST_RUNS:
-            notes.append(messages.EARLIER(count=MOST_RUNS, all=len(found)))
+            notes.append(Note(f"the newest {MOST_RUNS} of {len(found)} results are shown; name the others"))
         return _differing(found[-MOST_RUNS:]), notes
     found, faults = list[RunPlace](), list[Fault]()
     for text, group in zip(texts, select_groups(texts, results), strict=True):
@@ -107,21 +108,30 @@ def open_runs(places: Iterable[RunPlace], bar: Bar) -> tuple[list[ViewedRun], li
     runs, notes, faults, named = list[ViewedRun](), list[str](), list[Fault](), list[Fault]()
     for place in places:
         folder = place.file.parent
-        manifest, record = manifest_in(folder), record_of(place.file)
+        manifest = manifest_in(folder)
         units: Any = manifest.get("units") or replay_record(folder).get("units") or {}
         try:
             state = file_state(place.file)
             with bar(f"converting {place.label}") as progress:
-                ended = is_cut_in_line(place.file, record)
                 columns = ColumnTypes(units, manifest.get("beside", ()), frozenset(manifest.get("texts", ())))
-                rows = open_rows(place.file, columns, progress, ended=ended)
+                rows = open_rows(place.file, columns, progress)
             if place.entry is not None:
                 place.entry.check_current()
-            about = (*warnings_on(folder), *cut_rows(place.file, rows.rows, record), *notes_on(place.file))
+            about = (*warnings_on(folder), *notes_on(place.file))
             if rows.rounded:
-                about += (messages.ROUNDED(run=place.label, names=", ".join(rows.rounded[:MOST_NAMES])),)
+                about += (
+                    Note(
+                        f"{place.label}: integers of {', '.join(rows.rounded[:MOST_NAMES])} above 2^53 are drawn as "
+                        "the nearest double; the cursor shows all digits"
+                    ),
+                )
             if rows.inexact:
-                about += (messages.INEXACT(run=place.label, names=", ".join(rows.inexact[:MOST_NAMES])),)
+                about += (
+                    Note(
+                        f"{place.label}: integers of {', '.join(rows.inexact[:MOST_NAMES])} above 2^53 are read as "
+                        "the nearest double"
+                    ),
+                )
             runs.append(ViewedRun(place, rows, state))
             notes += [note for note in about if note not in notes]
         except (InputError, OSError) as caught:
@@ -129,12 +139,14 @@ def open_runs(places: Iterable[RunPlace], bar: Bar) -> tuple[list[ViewedRun], li
                 raise
             error = caught
             if isinstance(error, FileNotFoundError):
-                error = InputError.at(place.file, storage_messages.GONE())
+                error = InputError.at(
+                    place.file, "was removed while it was read; repeat the command with the results that are left"
+                )
             elif isinstance(error, OSError):
-                error = InputError.at(place.file, messages.UNREADABLE(reason=error.strerror))
+                error = InputError.at(place.file, f"cannot be read: {error.strerror}")
             (named if place.is_named else faults).extend(error.faults)
             reason = str(error).partition("\n")[0]
-            notes.append(messages.LEFT_OUT(run=place.label, reason=reason))
+            notes.append(f"{place.label} is left out: {reason}")
     refuse(named or (faults if not runs else ()))
     return runs, notes
 
@@ -150,19 +162,20 @@ def _places_of(text: str, group: Sequence[Selected]) -> list[RunPlace]:
         elif entry is not None and (place := _of_entry(entry, is_named=not selected.by_pattern)) is not None:
             found.append(place)
         elif entry is None and (rows := rows_in(path)) is not None:
-            name = path.resolve().name
+            name = run_name(path)
             found.append(RunPlace(name, name, rows))
         elif not selected.by_pattern:
             refuse_folder(path, WANTED)
-            raise InputError.at(path, messages.NO_ROWS(status=status_in(path)))
+            raise InputError.at(path, NO_ROWS.format(status=status_in(path)))
     if group and not found:
-        raise InputError.at(Path(text), messages.NO_ROWS(status=""))
+        raise InputError.at(Path(text), NO_ROWS.format(status=""))
     return found
 
 
 def _of_entry(entry: Entry, *, is_named: bool) -> RunPlace | None:
     rows = rows_in(entry.folder)
-    return None if rows is None else RunPlace(entry.name, entry.label, rows, is_named, entry)
+    name = entry.of if entry.is_newest else entry.name
+    return None if rows is None else RunPlace(name, entry.label, rows, is_named, entry)
 
 
 def _differing(places: Sequence[RunPlace]) -> list[RunPlace]:
