@@ -386,7 +386,7 @@ class LoopSolver:
                 self._rough.append((t, outcome.residual[worst], outcome.z[worst], self.back[worst].name))
             return outcome.iterations
         signals = ", ".join(t.name for t in self._transfers)
-        fields = {"signal": self.back[worst].name, "value": float(outcome.z[worst])}
+        fields: dict[str, Any] = {"signal": self.back[worst].name, "value": float(outcome.z[worst])}
         fields |= {"residual": float(outcome.residual[worst]), "loop": self.name, "count": outcome.iterations}
         gave_up = outcome.iterations < self.settings.iterations  # because no step leads nearer
         more = f", or more iterations (loops: {{iterations: {5 * self.settings.iterations}}})"

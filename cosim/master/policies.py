@@ -247,7 +247,12 @@ class StepCount:
     def warning(self, control: Control) -> str:
         """Return the warning about steps above the tolerance."""
         t, error, name = self.first_missed if self.missed else self.first
-        fields = {"signal": name, "time": t, "error": error * control.tolerance, "count": self.missed or self.failed}
+        fields: dict[str, Any] = {
+            "signal": name,
+            "time": t,
+            "error": error * control.tolerance,
+            "count": self.missed or self.failed,
+        }
         fields |= {"worst": self.worst * control.tolerance}
         if self.missed:
             return (
