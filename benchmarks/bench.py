@@ -23,8 +23,8 @@ from controller.gains import Settings
 from controller.loop import Loop
 from cosim.base.arrays import Array
 from cosim.base.errors import Interrupted
+from cosim.blocks.faults import gaussian, stream
 from cosim.blocks.fmu import FmuBlock
-from cosim.blocks.noise import gaussian, stream
 from cosim.fmi.fmu_build import build
 from cosim.fmi.native.compiler import compiler
 from cosim.isolation import worker

@@ -14,7 +14,7 @@ from typing import Any
 from cosim.base.drafts import draft_of
 from cosim.base.errors import Fault, InputError
 from cosim.base.scratch import temporary_folder
-from cosim.coupling.algorithms import Jacobi
+from cosim.blocks.coupling import Jacobi
 from cosim.scenario.pinned import SYSTEM
 from cosim.scenario.scenario_file import ROUNDING, ScenarioFile
 from cosim.ssp.elements import Element

@@ -365,12 +365,6 @@ def keep_state(rows: Path, record: Mapping[str, Any], warnings: Sequence[str], s
     write_durable(write_run(rows.parent, record, rows.name, warnings) / STATE, state)
 
 
-def replayed_names(system: System, start: Continuation) -> Sequence[str]:
-    """Return the FMUs that are replayed."""
-    states = {} if start.state is None else unpack(start.state).get("components", {})
-    return [name for name in system.fmus if states.get(name) is None]
-
-
 def unsaved_names(system: System) -> Sequence[str]:
     """Return the components whose state no checkpoint has."""
     again = system.fmus if system.reruns else {}

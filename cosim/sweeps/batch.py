@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.blocks.noise import samples_of, stream
+from cosim.blocks.faults import samples_of, stream
 from cosim.master.initialization import EXACT_SWEEPS
 from cosim.sweeps.c_lanes import WIDTH
 from cosim.sweeps.twins import Twin, TwinMaker, kind_of, merge_values

@@ -35,8 +35,7 @@ from cosim.verbs.scratch_results import results_in
 from cosim.verbs.terminal import progress_bar, say, say_finding, warn
 
 if TYPE_CHECKING:
-    from cosim.master.input_functions import NamedFunctions
-    from cosim.master.observer import Observers
+    from cosim.master.observer import NamedFunctions, Observers
     from cosim.simulation.run_signals import Run
 
 
