@@ -40,7 +40,7 @@ def command(
     check_size(runs, steps)
     with new_run(out, "consistency", VERB, force=force) as out, progress_bar("estimating") as progress:
         rows = over_runs(runs, steps, seed, progress)
-        remove_earlier(out, VERB)
+        remove_earlier(out)
         record = {"runs": runs, "steps": steps, "seed": seed, "rows": [row.as_json() for row in rows]}
         write_json(out / FILES[0], record, indent=1)
         if report:

@@ -126,7 +126,7 @@ def _check_tolerance(path: Path, tolerance: float | None, absolute: float) -> No
 def _write(place: Path, content: Mapping[str, Any], page: Callable[[], str] | None, compared: Sequence[Path]) -> None:
     """Write comparison.json and report.html; what is compared stays where it is."""
     check_writable(place, FILES, compared)
-    remove_earlier(place, "cosim compare", read=compared)
+    remove_earlier(place, read=compared)
     write_json(place / "comparison.json", content)
     if page is not None:
         write_text(place / "report.html", page())
