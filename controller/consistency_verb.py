@@ -22,7 +22,7 @@ def command(
     ] = 50,
     steps: Annotated[int, typer.Option("--steps", min=100, help="Number of samples of each run, at least 100.")] = 500,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed for all random numbers.")] = 1,
-    out: Annotated[Path | None, out_option("results/consistency")] = None,
+    out: Annotated[Path | None, out_option("a new number in results/consistency")] = None,
     report: Report = True,
     open_: Open = False,
     force: Force = False,
