@@ -11,7 +11,7 @@ from typing import Any
 
 from cosim.base.errors import InputError
 from cosim.base.version import __version__
-from cosim.history.inputs import changes_between, input_text, input_tree, short_input
+from cosim.history.inputs import changes_between, input_leaves, input_text, short_input
 from cosim.storage.artefact import artefacts
 from cosim.storage.folders import (
     COMMAND,
@@ -111,7 +111,7 @@ def entries(results: Path | None = None) -> list[Entry]:
         group.sort(key=lambda each: _age(each[0].name))
         before: Mapping[str, Any] = {}
         for entry, content in group:
-            inputs = input_tree(content)
+            inputs = input_leaves(content)
             changes = changes_between(before, inputs) if before and inputs else {}
             every.append(replace(entry, changes=changes, is_newest=entry is group[-1][0]))
             before = inputs or before
