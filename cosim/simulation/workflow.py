@@ -272,7 +272,7 @@ def _prepare_new(
     check_pinned(file)
     system = build_system(file)
     if not is_package:
-        remove_earlier(place, "cosim run", read=file.files)
+        remove_earlier(place, read=file.files)
     check_writable(place, (rows_file, MANIFEST, "report.html"), file.files)
     system = replace(with_feedthrough(file, system, worker, tell), pace=file.scenario.pace)
     ssp = path if is_package else None
