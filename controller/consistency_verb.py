@@ -7,16 +7,14 @@ from typing import Annotated
 
 import typer
 
-from cosim.storage.files import check_writable, write_json, write_text
-from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import check_overwritable, folder_named, keep_earlier
+from cosim.storage.files import write_json, write_text
+from cosim.storage.folders import new_run, remove_earlier
 from cosim.verbs.options import Force, Json, Open, Report, out_option
 from cosim.verbs.terminal import colour, progress_bar, say, say_json, show, table
 
 VERB, FILES = "cosim consistency", ("consistency.json", "report.html")
 
 
-@folder_locks()
 def command(
     *,
     runs: Annotated[
@@ -40,18 +38,15 @@ def command(
     from controller.consistency import consistency as over_runs
 
     check_size(runs, steps)
-    out = out or folder_named("consistency")
-    check_overwritable(out, VERB, force=force)
-    check_writable(out, FILES)
-    with progress_bar("estimating") as progress:
+    with new_run(out, "consistency", VERB, force=force) as out, progress_bar("estimating") as progress:
         rows = over_runs(runs, steps, seed, progress)
-    keep_earlier(out, VERB)
-    record = {"runs": runs, "steps": steps, "seed": seed, "rows": [row.as_json() for row in rows]}
-    write_json(out / FILES[0], record, indent=1)
-    if report:
-        from controller.consistency_page import page
+        remove_earlier(out, VERB)
+        record = {"runs": runs, "steps": steps, "seed": seed, "rows": [row.as_json() for row in rows]}
+        write_json(out / FILES[0], record, indent=1)
+        if report:
+            from controller.consistency_page import page
 
-        write_text(out / FILES[1], page(rows, steps, seed))
+            write_text(out / FILES[1], page(rows, steps, seed))
     show(out / "report.html", open_=report and open_)
     if as_json:
         say_json([row.as_json() for row in rows])

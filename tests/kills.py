@@ -102,7 +102,8 @@ class Killed:
         scenario = walker_scenario(
             folder, python=python, duration=0.01 * STEPS, pause=PAUSE, checkpoint="15 ms"
         )  # fmt: skip
-        self.begin, self.resume = [str(scenario), "--out", str(folder / "part")], [str(folder / "part"), "--resume"]
+        self.begin = [str(scenario), "--out", str(folder / "part"), "--force"]
+        self.resume = [str(folder / "part"), "--resume"]
         command = self.command([str(scenario), "--out", str(folder / "whole")])
         assert command.wait(LONGEST) == 0, self._said(command)
 
@@ -165,7 +166,6 @@ class Killed:
         keys = [key for key in {**manifests[0], **manifests[1]} if manifests[0].get(key) != manifests[1].get(key)]
         found += [f"manifest.json differs in {', '.join(keys)}"] if keys else []
         names = sorted(path.relative_to(part).as_posix() for path in part.rglob("*") if path.is_file())
-        names = [name for name in names if not name.startswith("runs/")]  # runs killed before their first checkpoint
         if names != ["checkpoint/run.json", "checkpoint/state", "manifest.json", "results.csv"]:
             found.append(f"files: {names}")
         return found

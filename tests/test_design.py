@@ -133,6 +133,7 @@ def test_a_designed_fmu_flies_as_one_that_is_given_its_start_values(project: Pat
             cosim.run(
                 project / "scenarios" / "regulate.yaml",
                 project / "out",
+                force=True,
                 set={"duration": 2, "criteria": {}, "components.controller.fmu": str(project / fmu), **more},
                 report=False,
                 in_process=True,
@@ -268,7 +269,7 @@ def test_a_controller_designed_for_the_refined_craft_brings_it_home(project: Pat
         end, heading = {}, {}
         for fmu in ("build", "built"):
             set_ = {"components.controller.fmu": str(project / fmu / "controller.fmu")}
-            results = cosim.run(project / "scenarios" / "regulate.yaml", project / fmu, set=set_, seed=seed)
+            results = cosim.run(project / "scenarios" / "regulate.yaml", project / f"{fmu}-{seed}", set=set_, seed=seed)
             end[fmu] = abs(results["plant.x"][-1])
             heading[fmu] = np.abs(results["plant.psi"][75:]).max()  # after 1.5 s
         # position is dead reckoning with the model's numbers: what they miss in 1 m stays

@@ -33,6 +33,8 @@ def place_of(text: str) -> tuple[int, int]:
 FAULTS = [  # a part of regulate.yaml, and what stands in its place: @ is before the part at fault
     ("seed: 1", "@sed: 1"),
     ("design: ", "@design: {}\n"),
+    ("seed: 1", "@live: {}"),
+    ("fmu: ../build/plant.fmu", "@at: lab:5600\n    fmu: ../build/plant.fmu"),
     ("duration: 10", "duration: @ten"),
     ("duration: 10", "duration: @-1"),
     ("duration: 10", "duration: @.inf"),

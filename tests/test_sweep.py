@@ -230,7 +230,7 @@ def test_a_sweep_of_which_no_run_ends_is_a_failure(tanks: Callable[..., Path]) -
     (path.parent / "tanks.yaml").write_text(text.replace("factor: 0.01,", "factor: 1.0e+308, offset: 1.0e+308,"))
     for _ in range(2):  # the second time from sweep.json
         with pytest.raises(SweepFailed, match="all 2 runs failed; run 0: "):
-            sweep(path, path.parent / "out", in_process=True, report=False)
+            sweep(path, path.parent / "out", in_process=True, report=False, resume=True)
 
 
 @pytest.mark.parametrize(
@@ -284,12 +284,14 @@ def test_a_sweep_that_was_killed_is_gone_on_with_and_its_table_is_that_of_one_th
     kept = runs_in(folder)
     assert 8 <= kept < 40, "it was killed on its way"
     assert not (folder / TABLE).exists()
-    after = sweep(path, folder, in_process=True, report=False)
+    with pytest.raises(InputError):
+        sweep(path, folder, in_process=True, report=False)
+    after = sweep(path, folder, in_process=True, report=False, resume=True)
     assert after.made == 40 - kept
     whole = sweep(path, path.parent / "whole", in_process=True, report=False)
     assert whole.made == 40
     assert (folder / TABLE).read_bytes() == (path.parent / "whole" / TABLE).read_bytes()
-    assert sweep(path, folder, in_process=True, report=False).made == 0
+    assert sweep(path, folder, in_process=True, report=False, resume=True).made == 0
 
 
 def runs_in(folder: Path) -> int:
@@ -309,8 +311,9 @@ def test_the_runs_of_another_sweep_are_not_gone_on_with(tanks: Callable[..., Pat
     path = tanks(VARY.replace("runs: 40", "runs: 2"))
     sweep(path, path.parent / "out", in_process=True, report=False)
     tanks(VARY.replace("runs: 40", "runs: 3"))
-    with pytest.raises(InputError, match=r"holds another sweep.*--force"):
-        sweep(path, path.parent / "out", in_process=True, report=False)
+    for resume in (False, True):
+        with pytest.raises(InputError):
+            sweep(path, path.parent / "out", in_process=True, report=False, resume=resume)
     assert sweep(path, path.parent / "out", in_process=True, report=False, force=True).made == 6
 
 
@@ -621,10 +624,10 @@ def test_a_sweep_on_a_full_disk_keeps_its_runs_and_goes_on_when_there_is_room(
     with full_disk(10_000), pytest.raises(OSError, match="space"):  # before the first run
         sweep(path, out, in_process=True, report=False)
     with full_disk(500_000), pytest.raises(SweepStopped) as stopped:
-        sweep(path, out, in_process=True, report=False)
+        sweep(path, out, in_process=True, report=False, resume=True)
     assert stopped.value.exit_code == 4
     with Database(out, read_sweep(path).key) as base:
         kept = len(base.numbers())
     assert 0 < kept < 1100
-    swept = sweep(path, out, in_process=True, report=False)
+    swept = sweep(path, out, in_process=True, report=False, resume=True)
     assert (swept.made, swept.record["runs"], swept.record["failed"]) == (1100 - kept, 1100, 0)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.authoring.draft_text import BY, scenario_text
+from cosim.authoring.draft_text import scenario_text
 from cosim.authoring.matching import Match, Matches, Port, match_ports, text
 from cosim.authoring.parts import SLACK, STEPS, STOP, DraftPart, RequestedTimes, parts_of, times_of
 from cosim.base.drafts import draft_of
@@ -26,7 +26,6 @@ from cosim.coupling.algorithms import DEFAULT, WITHOUT_ORDER, Algorithm
 from cosim.coupling.order import AlgebraicLoop
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.storage.files import check_writable
-from cosim.storage.folders import MOST_BYTES, check_run_folder, keep_earlier
 from cosim.storage.kinds import LOG, check_given
 from cosim.system.system import System, build_system
 
@@ -53,7 +52,6 @@ def write_single(
     step: float | None = None,
     record: Sequence[str] = (),
     interpolation: str = "held",
-    force: bool = False,
 ) -> tuple[Path, tuple[str, ...]]:
     """Write scenario.yaml for a run of one FMU.
 
@@ -67,14 +65,10 @@ def write_single(
         The path and warnings.
 
     Raises:
-        InputError: The FMU or its settings are faulty, no column is an input, or the folder belongs to another command.
+        InputError: The FMU or its settings are faulty, no column is an input.
     """
     (part,) = parts_of([fmu], start)
     path = folder / "scenario.yaml"
-    check_run_folder(folder, part.name, force=force)
-    earlier = _read_earlier(path) if path.is_file() else BY.format("simulate")
-    if not earlier.startswith(BY.format("simulate")):
-        raise InputError.at(path, "is a scenario of yours and would be written over; give another folder as --out")
     recording = _read_recording(recorded, part) if recorded is not None else None
     request, notes = _choose_times(part, recording, stop, step)
     times = times_of([part], request, most=MAX_SINGLE_STEPS)
@@ -86,13 +80,7 @@ def write_single(
     lines += f"record: {json.dumps(names)}\n" if names else ""
     with draft_of(path) as draft:
         _write_sound(draft, lines, fmu)
-        keep_earlier(folder, "cosim run", [path.name], read=inputs)
     return path, (*notes, *times.notes)
-
-
-def _read_earlier(path: Path) -> str:
-    """Return the text of an earlier scenario, or an empty text for a file larger than MOST_BYTES."""
-    return path.read_text(encoding="utf-8", errors="replace") if path.stat().st_size <= MOST_BYTES else ""
 
 
 def _choose_times(

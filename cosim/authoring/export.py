@@ -140,8 +140,6 @@ def _faults(file: ScenarioFile, system: System) -> Iterator[Fault]:
             )
         if not isinstance(component, FmuComponent):
             continue
-        if component.at:
-            yield file.fault((*where, "at"), "the FMU is on another machine; an SSP holds its FMUs, so take out at:")
         if component.step is not None and component.step != scenario.step:
             yield file.fault(
                 (*where, "step"),

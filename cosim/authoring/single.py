@@ -14,14 +14,12 @@ from cosim.base.errors import Fault, refuse
 from cosim.base.text import split_assignment
 from cosim.blocks.summary import read_fmus
 from cosim.simulation.workflow import Outcome, run
-from cosim.storage.files import FilePath, named_path
-from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import folder_named
+from cosim.storage.files import FilePath
+from cosim.storage.folders import new_run
 from cosim.storage.yaml_file import short
 from cosim.storage.yaml_nodes import Document, NotYaml
 
 
-@folder_locks()
 def simulate(
     fmu: FilePath,
     folder: FilePath | None = None,
@@ -62,13 +60,13 @@ def simulate(
     _check_times(path, stop, step)
     (description,) = read_fmus([path])
     values = start if isinstance(start, Mapping) else start_pairs(path, start, description)
-    place = folder_named(parts_of([path])[0].name) if folder is None else named_path(folder)
     csv = None if recorded is None else Path(recorded)
-    scenario, notes = write_single(
-        place, path, values, csv, stop=stop, step=step, record=record, interpolation=interpolation, force=force
-    )
-    settings: dict[str, Any] = {"in_process": in_process, "format_": format_, "progress": progress}
-    outcome = run(scenario, place, report=report, force=True, command="cosim simulate", **settings)
+    with new_run(folder, parts_of([path])[0].name, "cosim simulate", force=force) as place:
+        scenario, notes = write_single(
+            place, path, values, csv, stop=stop, step=step, record=record, interpolation=interpolation
+        )
+        settings: dict[str, Any] = {"in_process": in_process, "format_": format_, "progress": progress}
+        outcome = run(scenario, place, report=report, command="cosim simulate", **settings)
     return outcome, notes
 
 

@@ -12,14 +12,11 @@ from cosim.base.errors import Fault, InputError
 DISTRIBUTION = "fmu-cosim"
 EXTRAS = {  # library → extra that installs it
     "SALib": "sweep",
-    "cryptography": "remote",
     "distributed": "dask",
     "h5py": "hdf5",
-    "mcap": "mcap",
     "pandas": "sweep",
     "pyarrow": "parquet",
     "ziglang": "native",
-    "zmq": "remote",
 }
 
 

@@ -8,13 +8,11 @@ from pathlib import Path
 from cosim.base.errors import InputError
 from cosim.simulation.run_files import read_ran
 from cosim.storage.files import FilePath, check_writable
-from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import refuse_links, warnings_on
+from cosim.storage.folders import newest_run, warnings_on
 from cosim.storage.kinds import check_given
 from cosim.storage.results import rows_in
 
 
-@folder_locks()
 def report_of(folder: FilePath, *, figures: bool = False, tell: Callable[..., None] = lambda *warnings: None) -> Path:
     """Write an earlier run's report.html again.
 
@@ -26,7 +24,7 @@ def report_of(folder: FilePath, *, figures: bool = False, tell: Callable[..., No
     Raises:
         InputError: The folder has no run, or a run without rows.
     """
-    path = Path(folder)
+    path = newest_run(Path(folder))
     if not path.is_dir():
         check_given(path, "a folder that a run left")
         raise InputError.at(path, "is a file; give the folder with the results of `cosim run`")
@@ -46,7 +44,6 @@ def report_of(folder: FilePath, *, figures: bool = False, tell: Callable[..., No
         )
     if not run.results.time.size:
         raise InputError.at(rows_in(path) or path, "has no rows: the run stopped before its first; run it again")
-    refuse_links(path)
     check_writable(path, ("report.html",))
     from cosim.simulation.report import write_figures, write_report
 

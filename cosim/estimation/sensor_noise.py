@@ -27,17 +27,13 @@ def sensor_noise(problem: Problem) -> dict[str, float]:
     The level is the deviation of readings from four neighbours, which also contains fast motion. The model's own run
     estimates the share of motion. Outputs with a large share, such as sensors slower than the motion, are omitted.
     """
-    if problem.table:  # A table has no neighbours, so the first guess is the residual of the given model.
-        runs = [problem.own_run(index).outputs for index in range(len(problem.logs))]
-        residuals = np.vstack([log.y - run for log, run in zip(problem.logs, runs, strict=True)])
-        return dict(zip(problem.layout.outputs, np.sqrt(np.nanmean(residuals**2, axis=0)).tolist(), strict=True))
     levels = _deviations(problem).items()
     return {name: math.sqrt(read**2 - motion**2) for name, (read, motion) in levels if motion < SMOOTH * read}
 
 
 def first_noise(problem: Problem) -> dict[str, float]:
     """Return output → first guess of its noise; where motion hides the noise, the level of both together."""
-    both = {} if problem.table else {name: read for name, (read, _) in _deviations(problem).items()}
+    both = {name: read for name, (read, _) in _deviations(problem).items()}
     return both | sensor_noise(problem)
 
 
@@ -124,8 +120,6 @@ def _line(levels: Mapping[str, float]) -> str:
 
 def at_rest(problem: Problem) -> bool:
     """Return True if no input moves and no output exceeds its noise in any log."""
-    if problem.table:
-        return not np.ptp(np.vstack([log.u for log in problem.logs]), axis=0).any()
     return all(
         not np.ptp(log.u, axis=0).any() and all(_is_noise(column[np.isfinite(column)]) for column in log.y.T)
         for log in problem.logs

@@ -22,6 +22,7 @@ from cosim.model.model import Model
 from cosim.refinement.decision.judgement import SIGNIFICANT
 from cosim.refinement.search.hypotheses import TOGETHER
 from cosim.refinement.study import StudyFile, read_study
+from cosim.storage.folders import newest_run
 from cosim.storage.kinds import ANSWER, CODE, FMU, MODEL, check_form, check_given, kind_by_form
 from cosim.storage.yaml_file import YamlFile, did_you_mean
 from cosim.subject.candidates import Candidate
@@ -119,7 +120,7 @@ def ask(
     else:
         path, question = _read_question(text, against)
     model, faults = question.base.model, list[str]()
-    if model.static:
+    if not model.base_states:
         raise InputError.at(
             path,
             (
@@ -157,7 +158,7 @@ def _read_question(text: str, against: Sequence[str]) -> tuple[Path, Question]:
 def refinement_folder(text: str) -> Path | None:
     """Return the folder of a refinement from the name of the folder or of its JSON file, else None."""
     path = Path(text)
-    return path if path.is_dir() else path.parent if path.suffix == ".json" else None
+    return newest_run(path) if path.is_dir() else path.parent if path.suffix == ".json" else None
 
 
 def _question_of_refinement(path: Path, against: Sequence[str]) -> Question:

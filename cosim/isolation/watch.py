@@ -9,10 +9,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from cosim.base.errors import SimulationError, TimedOut
-from cosim.isolation.component_times import ComponentTimes
 from cosim.isolation.limits import Limits
 from cosim.isolation.memory import ProcessTree
-from cosim.isolation.rows import CALLS, NOTHING, OTHER, WAITING, Progress
+from cosim.isolation.rows import ADVANCE, CALLS, GET, NOTHING, OTHER, PUT, WAITING, Progress
 
 SIGNALS = {
     "SIGSEGV": "crashed: segmentation fault",
@@ -29,6 +28,8 @@ STATUSES = {  # NTSTATUS of Windows
     0xC0000374: "crashed: heap corrupted",
     0xC0000409: "crashed: abort",
 }
+CALL_KEYS = {"set": PUT, "step": ADVANCE, "get": GET, "other": OTHER}  # of the manifest
+READING_PAUSE = 0.003, 0.007  # [s] shortest and longest time between two readings of the current call, at random
 LASTING = 0.02  # [s] that an FMU stays in a call, for certainty about it
 MOST_NAMED = 5  # FMUs in a message
 PLAIN_CALLS = ("setting its inputs", "stepping", "reading its outputs")  # for components other than FMUs
@@ -36,6 +37,53 @@ FMI_CALLS = {
     "2": ("fmi2SetReal", "fmi2DoStep", "fmi2GetReal"),
     "3": ("fmi3SetFloat64", "fmi3DoStep", "fmi3GetFloat64"),
 }
+
+
+class ComponentTimes:
+    """Wall time of each call of the components, summed by the caller of a worker, about 200 times a second.
+
+    Args:
+        components: Names by number in `Rows.doing`.
+        first_row: Number of rows of a stopped run, whose repetition is not counted.
+        clock: Wall clock [s].
+    """
+
+    def __init__(
+        self, components: Sequence[str], first_row: int = 0, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._components, self._first_row, self._clock = components, first_row, clock
+        self._seconds = [[0.0] * CALLS for _ in components]
+        self._rest = self._waiting = 0.0
+        self._readings = 0  # without those of waiting and of the worker's start
+        self._last = clock()
+
+    def read(self, rows: int, doing: int) -> None:
+        """Add the time since the last reading to the current call."""
+        now = self._clock()
+        elapsed, self._last = now - self._last, now
+        if rows < self._first_row:
+            return
+        number, call = divmod(doing, CALLS)
+        if doing == WAITING:
+            self._waiting += elapsed
+        elif 0 <= number < len(self._components):
+            self._seconds[number][call] += elapsed
+            self._readings += 1
+        elif rows:  # before the first row, the worker starts
+            self._rest += elapsed
+            self._readings += 1
+
+    def record(self) -> dict[str, Any]:
+        """Return the times for a manifest [s], the component with the longest time first."""
+        sums = sorted(zip(self._components, self._seconds, strict=True), key=lambda pair: -sum(pair[1]))
+        whole = max(sum(sum(seconds) for _, seconds in sums) + self._rest, 1e-9)
+        components = {
+            name: {"share": round(sum(seconds) / whole, 4)}
+            | {key: round(seconds[call], 4) for key, call in CALL_KEYS.items()}
+            for name, seconds in sums
+        }
+        waiting = {"waiting": round(self._waiting, 4)} if self._waiting else {}
+        return {"components": components, "rest": round(self._rest, 4), **waiting, "readings": self._readings}
 
 
 @dataclass(frozen=True)
@@ -50,7 +98,7 @@ class Watch:
         spent: [total time without loading [s]], increased by this job.
         progress: Function called with the number of rows.
         grace: Time [s] for a stopped job to end by itself, for a checkpoint.
-        times: Wall time of components and calls, sampled while the job lasts.
+        times: Wall time of components and calls, read while the job lasts.
     """
 
     components: Sequence[str] = ()

@@ -30,8 +30,7 @@ from cosim.linearization.write import FILES, write
 from cosim.loading.file import LoadedModel, load_model, named_model
 from cosim.loading.refined import names_refine, refined_file
 from cosim.storage.files import FilePath, check_writable, named_path, write_text
-from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import check_overwritable, keep_earlier
+from cosim.storage.folders import new_run, remove_earlier
 from cosim.storage.kinds import CODE, FMU, MODEL, check_given, kind_of
 from cosim.storage.yaml_file import did_you_mean
 
@@ -52,7 +51,6 @@ class Selection:
     fast: Sequence[str] = ()
 
 
-@folder_locks()
 def linearize(
     model: FilePath,
     out: FilePath | None = None,
@@ -67,7 +65,7 @@ def linearize(
     step: Positive | None = None,
     side: str | None = None,
     report: bool = True,
-    force: bool = True,
+    force: bool = False,
     compile: bool = False,
 ) -> Outcome:
     """Linearize a model or an FMU about an operating point.
@@ -85,7 +83,7 @@ def linearize(
         step: Step of central differences, which replace the directional derivatives of an FMU.
         side: Side of a kink whose derivative is used, "below" or "above". Without it a kink is refused.
         report: Write report.html.
-        force: Overwrite results of another model or command in `out`.
+        force: Write into `out` even if it is not empty.
         compile: Compile and execute the sources of an FMU that has no library for this machine.
 
     Returns:
@@ -107,7 +105,7 @@ def linearize(
         source = _source(stack, Path(model), values, step)
         selection = _complete(source, selection)
         if folder is not None:
-            check_overwritable(folder, "cosim linearize", str(model), force=force)
+            stack.enter_context(new_run(folder, "", "cosim linearize", force=force))
             check_writable(folder, (*FILES, "report.html"), source.files)
         notes: list[str] = []
         if where.moment is None:
@@ -118,23 +116,23 @@ def linearize(
             points, notes = along.points(source), along.notes
         points = [move(source, point, where.values) for point in points]
         linear = _linear(source, points, selection, side)
-    notes += _notes(linear, notes)
-    if side is not None and not any(each.kinks for each in linear):
-        notes.append(
-            Note(
-                f"--side {side} has no effect: the chosen states, inputs and outputs have the same slopes on both "
-                "sides here"
+        notes += _notes(linear, notes)
+        if side is not None and not any(each.kinks for each in linear):
+            notes.append(
+                Note(
+                    f"--side {side} has no effect: the chosen states, inputs and outputs have the same slopes on both "
+                    "sides here"
+                )
             )
-        )
-    outcome = Outcome(str(model), source.title, tuple(linear), structure(linear[0]), tuple(notes), folder)
-    if folder is not None:
-        keep_earlier(folder, "cosim linearize", read=source.files)
-        write(folder, outcome)
-        if report:
-            from cosim.linearization.report import page
+        outcome = Outcome(str(model), source.title, tuple(linear), structure(linear[0]), tuple(notes), folder)
+        if folder is not None:
+            remove_earlier(folder, "cosim linearize", read=source.files)
+            write(folder, outcome)
+            if report:
+                from cosim.linearization.report import page
 
-            write_text(folder / "report.html", page(outcome))
-    return outcome
+                write_text(folder / "report.html", page(outcome))
+        return outcome
 
 
 def _notes(linear: Sequence[Linear], notes: Sequence[str]) -> list[str]:

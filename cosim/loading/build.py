@@ -13,17 +13,14 @@ from cosim.base.scratch import temporary_folder
 from cosim.base.settings import ModelName
 from cosim.fmi.ports import Value
 from cosim.loading.file import meant_model
-from cosim.loading.own_experiment import carry_experiment
 from cosim.loading.substep import with_substep
 from cosim.model.model import Model
 from cosim.storage.files import FilePath, check_folder, named_path
-from cosim.storage.folder_lock import folder_locks
 from cosim.storage.yaml_file import YamlFile
 
 PLANT = "plant.fmu"
 
 
-@folder_locks()
 def build(
     folder: FilePath,
     model: ModelName | None = None,
@@ -77,8 +74,6 @@ def build(
     with temporary_folder("build") as drafts:
         for name, recipe in recipes.items():
             draft = build_fmu(recipe, drafts / name)
-            if name == PLANT:
-                carry_experiment(draft, loaded.model)
             with draft_of(folder / name) as target:
                 copyfile(draft, target)
     return [folder / name for name in recipes]

@@ -15,12 +15,10 @@ from cosim.base.scratch import temporary_folder
 from cosim.fmi.ports import Value
 from cosim.loading.build import designed_starts
 from cosim.loading.file import LoadedModel, meant_model
-from cosim.loading.own_experiment import carry_experiment
 from cosim.loading.source import ModelText
 from cosim.loading.substep import with_substep
 from cosim.model.model import Model
 from cosim.storage.files import FilePath, check_folder, named_path
-from cosim.storage.folder_lock import folder_locks
 from cosim.storage.yaml_file import did_you_mean
 
 if TYPE_CHECKING:
@@ -43,7 +41,6 @@ class NativeFmu:
         return f"built {self.path} for {', '.join(places)}"
 
 
-@folder_locks()
 def build_native(
     folder: FilePath,
     model: str | None = None,
@@ -84,7 +81,6 @@ def build_native(
     natives = [(f"{name}{SUFFIX[fmi]}", native) for name, native in _natives(loaded, starts)]
     with temporary_folder("build") as drafts:  # all archives, or none after a failure
         built = {file: _compile(native, drafts / file, fmi, platforms) for file, native in natives}
-        carry_experiment(built[natives[0][0]].path, loaded.model)
         for file, one in built.items():
             with draft_of(folder / file) as draft:
                 draft.write_bytes(one.path.read_bytes())

@@ -84,7 +84,7 @@ def _symbol_faults(model: Model, source: ModelText) -> list[Fault]:
         faults += [start] if isinstance(start, Fault) else []
         if body := _body_faults(s.model, source, m, arguments, _symbol_objection):
             faults += body
-        elif s.model.static and any(
+        elif not s.model.base_states and any(
             s.time in sympy.sympify(value).free_symbols for value in s.model.equations(m).output(*arguments)
         ):
             table = f"{type(model).__name__} has no states, so each row of its tables is independent of the others"

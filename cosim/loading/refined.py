@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cosim.storage.folders import content_of
+from cosim.storage.folders import content_of, newest_run
 
 ANSWER = "refine.json"
 REFINED = ("model.yaml", "plant.fmu")
 NEAREST = ("nearest.yaml", "nearest.fmu")
-SSPS = ("plant.ssp", "nearest.ssp")  # in place of plant.fmu and nearest.fmu
 
 
 class NoNearest(ValueError):
@@ -18,7 +17,7 @@ class NoNearest(ValueError):
 
 def folder_of(path: Path) -> Path | None:
     """Return the folder of a refine from its path or the path of a file in it."""
-    folder = path if path.is_dir() else path.parent
+    folder = newest_run(path) if path.is_dir() else path.parent
     return folder if path.exists() and (folder / ANSWER).is_file() else None
 
 
@@ -33,7 +32,7 @@ def refined_file(path: Path, *, nearest: bool = False) -> Path:
         NoNearest: No nearest model exists.
     """
     if not nearest:
-        return (path if path.is_dir() else path.parent) / REFINED[0] if names_refine(path) else path
+        return (newest_run(path) if path.is_dir() else path.parent) / REFINED[0] if names_refine(path) else path
     folder = folder_of(path)
     if folder is None:
         raise NoNearest(
@@ -50,4 +49,4 @@ def refined_file(path: Path, *, nearest: bool = False) -> Path:
 
 def names_refine(path: Path) -> bool:
     """Return whether a path is the results folder of `cosim refine` or its refine.json, and not another file in it."""
-    return path.name == ANSWER if path.is_file() else (path / ANSWER).is_file()
+    return path.name == ANSWER if path.is_file() else (newest_run(path) / ANSWER).is_file()

@@ -73,7 +73,7 @@ def with_substep(loaded: LoadedModel, logs: Sequence[RunLog] = ()) -> tuple[Load
         InputError: The stated substep is unstable, or a mode too fast for RK4 does not decay within a row.
     """
     model = loaded.model
-    if model.static or is_model(loaded.source):
+    if not model.base_states or is_model(loaded.source):
         return loaded, []
     if model.integrator == STIFF and _is_stated(model):
         return loaded, []

@@ -40,7 +40,7 @@ class _AloneReader(LogReader):
     def __init__(self, path: Path, columns: Mapping[str, str]) -> None:
         self.unknown: dict[str, str] = {}  # column → unit unknown to the framework
         self.text: list[str] = []
-        super().__init__(path, {}, {}, True, columns)
+        super().__init__(path, {}, {}, columns, True)
 
     def _column(self, heading: Heading) -> Column | None:
         if heading.cell > 1:
@@ -83,7 +83,7 @@ class _AloneReader(LogReader):
                     "warning", "undeclared", name, f'"{unit}" is no unit known here: its numbers are taken as they are'
                 )
         if count := len(self.text):
-            message = Note(f"{counted(count, 'column')} of text not read: {', '.join(self.text)}")
+            message = f"{counted(count, 'column')} of text not read: {', '.join(self.text)}"
             yield Finding("note", "unread", "", message, {"columns": count})
         yield Finding(
             "note",

@@ -40,7 +40,7 @@ def frame_findings(log: Log, traits: Traits | None = None) -> Iterator[Finding]:
         if log.units[name] == "rad":
             yield from _magnitude(log, name, values, bounds.get(name))
     for name, times in log.unwrapped.items():
-        message = Note(
+        message = (
             f"has {counted(len(times), 'jump')} of a turn, first at t = {times[0]:.6g} s; undone, it is continuous"
         )
         yield Finding("note", "wrapped", name, message, {"count": float(len(times)), "first": times[0]})

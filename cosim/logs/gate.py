@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from itertools import combinations
 
 import numpy as np
 
@@ -16,10 +17,10 @@ from cosim.logs.finding import Finding
 from cosim.logs.frames import frame_findings
 from cosim.logs.log import MISSING, Log, name_list
 from cosim.logs.spikes import Spikes, find_spikes, out_of_line
-from cosim.logs.static_table import alike_inputs, table_findings
 from cosim.model.traits import Traits
 
 ORDER = ("fault", "warning", "note")
+ALIKE = 0.98  # correlation of two inseparable inputs
 SLOWER, FASTER = 1.5, 50.0  # ratio of the log's step to the model's from which the steps disagree
 SHORT = 10.0  # [s]; the first 2 s and whole windows of 2 s must leave enough rows
 
@@ -39,14 +40,11 @@ def gate(
         traits: Signal properties of the model, None without a model.
         spikes: Outliers confirmed by a model; default: search without a model.
     """
-    if log.table:
-        findings = list(table_findings(log, traits))
-    else:
-        clock = [*_timing(log), *_rate(log, rate, strict)]
-        channels = [*_inputs(log), *_outputs(log), *outliers(log, find_spikes(log) if spikes is None else spikes)]
-        findings = [*clock, *channels, *frame_findings(log, traits)]
-        if any(f.severity == "fault" for f in clock):  # a wrong clock unit causes the scale error
-            findings = [f for f in findings if f.kind != "scale"]
+    clock = [*_timing(log), *_rate(log, rate, strict)]
+    channels = [*_inputs(log), *_outputs(log), *outliers(log, find_spikes(log) if spikes is None else spikes)]
+    findings = [*clock, *channels, *frame_findings(log, traits)]
+    if any(f.severity == "fault" for f in clock):  # a wrong clock unit causes the scale error
+        findings = [f for f in findings if f.kind != "scale"]
     return sorted((*findings, *_warn_undeclared(log), *_unread(log)), key=lambda f: ORDER.index(f.severity))
 
 
@@ -78,9 +76,7 @@ def _unread(log: Log) -> Iterator[Finding]:
         if hint:
             yield Finding("warning", "unread", name, f"is not read: the model has none of this name{hint}")
     if others := [name or "one without a name" for name, hint in log.unread.items() if not hint]:
-        message = Note(
-            f"{counted(len(others), 'column')} not read, for the model has none of this name: {name_list(others)}"
-        )
+        message = f"{counted(len(others), 'column')} not read, for the model has none of this name: {name_list(others)}"
         yield Finding("note", "unread", "", message, {"columns": len(others)})
 
 
@@ -201,10 +197,8 @@ def _rate(log: Log, rate: float | None, strict: bool) -> Iterator[Finding]:
             numbers,
         )
     elif abs(ratio - 1.0) > 0.02:
-        message = Note(
-            "rows are {step} s apart, the model is made for {rate} s: {count} a step".format(
-                count=counted(round(1.0 / ratio), "row"), **place
-            )
+        message = "rows are {step} s apart, the model is made for {rate} s: {count} a step".format(
+            count=counted(round(1.0 / ratio), "row"), **place
         )
         yield Finding("note", "rate", "time", message, numbers)
 
@@ -216,7 +210,7 @@ def _inputs(log: Log) -> Iterator[Finding]:
     moving = {}
     for name, values in log.inputs.items():
         if np.count_nonzero(np.diff(values)) < 3 or np.ptp(values) <= 1e-9 * np.abs(values).max():
-            message = Note(
+            message = (
                 f"is constant at {amount(float(np.median(values)), log.units[name])}: it excites nothing, and "
                 "effects that act only through it cannot be identified"
             )
@@ -226,7 +220,15 @@ def _inputs(log: Log) -> Iterator[Finding]:
             yield _excitation(log, name, values)
     if log.inputs and not moving:
         yield Finding("warning", "no_excitation", "", "no input moves: such a log says next to nothing about a model")
-    yield from alike_inputs(moving, "moves")
+    for one, other in combinations(moving, 2):
+        rho = float(np.corrcoef(moving[one], moving[other])[0, 1])
+        if abs(rho) > ALIKE:
+            direction, correlation = "with" if rho > 0 else "against", plain(rho, 3)
+            message = (
+                f"moves {direction} {other} (correlation {correlation}): what one does cannot be separated from "
+                "what the other does"
+            )
+            yield Finding("note", "alike", one, message, {"correlation": rho})
 
 
 def _excitation(log: Log, name: str, values: Array) -> Finding:
@@ -240,10 +242,8 @@ def _excitation(log: Log, name: str, values: Array) -> Finding:
     share = sum(ends) / values.size if max(ends) > 2 else 0.0
     sizes = {key: amount(value, log.units[name]) for key, value in (("rms", rms), ("low", low), ("high", high))}
     at_ends = f", there {percent(share)} of the rows" if share else ""
-    message = Note(
-        "moves {rms} (rms) with 95 % of its power below {bandwidth}, between {low} and {high}{share}".format(
-            bandwidth=amount(bandwidth, "Hz", 2), share=at_ends, **sizes
-        )
+    message = "moves {rms} (rms) with 95 % of its power below {bandwidth}, between {low} and {high}{share}".format(
+        bandwidth=amount(bandwidth, "Hz", 2), share=at_ends, **sizes
     )
     numbers = {"rms": rms, "bandwidth": bandwidth, "saturated": share, "low": low, "high": high}
     return Finding("note", "excitation", name, message, numbers)
@@ -259,7 +259,7 @@ def _outputs(log: Log) -> Iterator[Finding]:
         share = float(good.mean())
         if share < 1.0:
             interval = float(np.median(np.diff(log.time[good]))) if readings.size > 1 else math.nan
-            message = Note(f"measured in {percent(share)} of the rows, every {amount(interval, 's')}")
+            message = f"measured in {percent(share)} of the rows, every {amount(interval, 's')}"
             yield Finding("note", "missing", name, message, {"share": share, "every": interval})
         if np.ptp(readings) <= 1e-12 * max(1.0, float(np.abs(readings).max())):
             message = (

@@ -1,7 +1,4 @@
-"""Measured logs from CSV files with `time` and the model's inputs and outputs; faults have a place.
-
-A model without states has a table instead: its rows are independent and have no `time`.
-"""
+"""Measured logs from CSV files with `time` and the model's inputs and outputs; faults have a place."""
 
 from __future__ import annotations
 
@@ -84,7 +81,6 @@ class Log:
     called: Mapping[str, str] = field(default_factory=dict)
     undeclared: Mapping[str, str] = field(default_factory=dict)
     cells: Mapping[str, int] = field(default_factory=dict)  # column in the header by signal, from 1
-    table: bool = False  # rows are independent; `time` is their number
 
     @property
     def rows(self) -> int:
@@ -125,14 +121,12 @@ def read_log(
     inputs: Sequence[SignalLike],
     outputs: Sequence[SignalLike],
     *,
-    table: bool = False,
     columns: Mapping[str, str] = MappingProxyType({}),
     alone: bool = False,
 ) -> Log:
     """Return a log of a model with these signals.
 
     Args:
-        table: True for a file of independent rows without `time`.
         columns: Name in the file → name in the model, or `time`, if different.
         alone: True if `columns` applies to this file alone, so that a missing column is a fault.
 
@@ -143,7 +137,7 @@ def read_log(
     signals = [s for s in (*inputs, *outputs) if isinstance(s, Signal)]
     differences = {s.name for s in signals if s.relative}
     definitions = {s.unit: s.definition for s in signals if s.definition is not None}
-    return LogReader(path, *units, not table, columns, alone, differences=differences, definitions=definitions).log()
+    return LogReader(path, *units, columns, alone, differences=differences, definitions=definitions).log()
 
 
 class LogReader:
@@ -154,7 +148,6 @@ class LogReader:
         path: Path,
         inputs: dict[str, str],
         outputs: dict[str, str],
-        timed: bool,
         columns: Mapping[str, str],
         alone: bool = False,
         *,
@@ -162,20 +155,17 @@ class LogReader:
         definitions: Mapping[str, Sequence[float]] = MappingProxyType({}),
     ) -> None:
         self.differences, self.definitions = differences, definitions
-        self.inputs, self.outputs, self.signals, self.timed = inputs, outputs, inputs | outputs, timed
+        self.inputs, self.outputs, self.signals = inputs, outputs, inputs | outputs
         self.renamings, self.alone = columns, alone
         self.units = dict(self.signals)  # units of the values after reading
         self.faults = Faults(path)
-        self.timeless: dict[str, str] = {}  # unneeded time of a table, without a unit
         self.unread: dict[str, str] = {}
         self.undeclared: dict[str, str] = {}
         self.cells: dict[str, int] = {}  # column → its cell
         shorter = "cut it into pieces and list them as logs of one study"
         names = frozenset((*self.signals, *columns))
         times = [column for column, name in columns.items() if name == "time"]
-        self.table = read_table(
-            self.faults, self._column, "inputs and outputs", shorter, timed=timed, names=names, times=times
-        )
+        self.table = read_table(self.faults, self._column, "inputs and outputs", shorter, names=names, times=times)
 
     def log(self) -> Log:
         """Return the log.
@@ -183,23 +173,22 @@ class LogReader:
         Raises:
             InputError: Every fault of the file.
         """
-        if "time" in self.table.columns or (not self.timed and self.table.whole):
+        if "time" in self.table.columns:
             self._check_header()
         if self.table.whole:
             self._check_values()
         self.faults.raise_any()
         columns = {name: self.table[name] for name in self.table.columns}
-        time = columns.pop("time") if self.timed else np.arange(self.table.rows, dtype=np.float64)
-        units, unwrapped = {n: self.units[n] for n in columns}, dict[str, tuple[float, ...]]()
+        time = columns.pop("time")
+        units = {n: self.units[n] for n in columns}
         outputs = {n: values for n, values in columns.items() if n in self.outputs}
-        if self.timed:
-            outputs, unwrapped = _unwrap_angles(outputs, units, time)
+        outputs, unwrapped = _unwrap_angles(outputs, units, time)
         inputs, step = {name: columns[name] for name in self.inputs}, usual_step(time)
         cells = {name: column.cell for name, column in self.table.columns.items()}
-        written = {name: column.heading.unit for name, column in self.table.columns.items()} | self.timeless
+        written = {name: column.heading.unit for name, column in self.table.columns.items()}
         path, header, unread, called = self.faults.path, self.table.header, self._unread(), dict(self.renamings)
         names = (header, unread, called, self.undeclared, cells)
-        return Log(path, time, inputs, outputs, units, step, written, unwrapped, *names, table=not self.timed)
+        return Log(path, time, inputs, outputs, units, step, written, unwrapped, *names)
 
     def _unread(self) -> dict[str, str]:
         """Return columns unknown to the model → suggested name, or ""."""
@@ -217,10 +206,7 @@ class LogReader:
         """Return the conversion of a column to the model's unit, None for unread columns."""
         self.cells.setdefault(heading.name, heading.cell)
         written, heading = heading.name, replace(heading, name=self.renamings.get(heading.name, heading.name))
-        name, is_time = heading.name, self.timed and heading.cell == 1
-        if not self.timed and name == "time":
-            self.timeless = {"time": ""}
-            return None
+        name, is_time = heading.name, heading.cell == 1
         if not is_time and name not in self.signals:
             self.unread[written] = ""
             return None
@@ -256,12 +242,12 @@ class LogReader:
                 ),
             )
             return
-        kind, inputs = self._kind, name_list(self.inputs)
+        inputs = name_list(self.inputs)
         for name in missing:
             if close := closest(name, self.unread):
                 message = (
-                    f'"{close}" is no column of the model; did you mean "{name}", which is missing? A {kind} '
-                    f"holds every input of the model: {inputs}"
+                    f'"{close}" is no column of the model; did you mean "{name}", which is missing? A log holds '
+                    f"every input of the model: {inputs}"
                 )
                 self.faults.note(line, self.cells[close], message)
             else:
@@ -269,8 +255,8 @@ class LogReader:
                     line,
                     1,
                     (
-                        f'input "{name}" is missing; a {kind} holds every input of the model: {inputs}; for a column '
-                        f"of another name say --column COLUMN={name}, or `columns` in a study"
+                        f'input "{name}" is missing; a log holds every input of the model: {inputs}; for a column of '
+                        f"another name say --column COLUMN={name}, or `columns` in a study"
                     ),
                 )
         if not missing and not any(name in columns for name in self.outputs):
@@ -285,15 +271,11 @@ class LogReader:
                 ),
             )
 
-    @property
-    def _kind(self) -> str:
-        return "log" if self.timed else "table"
-
     def _check_renamed_columns(self) -> None:
         """Note faults of renamed columns."""
         line, first = self.table.header, self.table.first
         for column, name in self.renamings.items():
-            if name == "time" and self.timed:
+            if name == "time":
                 if column != first:
                     self.faults.note(line, 1, f'"{column}" is to be the time, which is the first column, "{first}"')
             elif name not in self.signals:
@@ -317,9 +299,9 @@ class LogReader:
         """Note faults of whole columns: too few rows, no measurement, absurd values."""
         table, counts = self.table, self.faults.counts
         if table.rows < 2 and not counts:
-            count, usual = "no row" if table.rows == 0 else "one row", "some hundred" if self.timed else "a dozen"
+            count = "no row" if table.rows == 0 else "one row"
             self.faults.note(
-                table.header + 1, 1, f"holds {count}; a {self._kind} has at least two, and {usual} to be of use"
+                table.header + 1, 1, f"holds {count}; a log has at least two, and some hundred to be of use"
             )
             return
         if not table.rows:

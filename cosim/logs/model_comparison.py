@@ -13,7 +13,6 @@ from cosim.base.arrays import Array
 from cosim.base.correlation import correlation_at_lags
 from cosim.base.text import amount, plain
 from cosim.base.units import factor
-from cosim.logs import messages
 from cosim.logs.channel_noise import noise_level
 from cosim.logs.finding import Finding
 from cosim.logs.log import Log
@@ -86,7 +85,6 @@ def scales(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
 
 def _unit_mistake(log: Log, name: str, fit: SlopeFit) -> str | None:
     """Return the message on a signal whose slope over its prediction is the factor between two units."""
-    is_alike = fit.correlation > LIKE
     if _is_converted_wrongly(log, name, fit.slope):
         return (
             f"was converted from {log.written[name]} to {log.units[name]}, but agrees with the model without this "
@@ -94,8 +92,10 @@ def _unit_mistake(log: Log, name: str, fit: SlopeFit) -> str | None:
         )
     if not (unit := other_unit(log.units[name], fit.slope)):
         return None
-    template = messages.OTHER_SLOPE if is_alike else messages.PERHAPS_OTHER_SLOPE
-    return template(slope=plain(fit.slope), error=plain(fit.error, 1), unit=unit, name=name)
+    return (
+        f"moves with the model, but {plain(fit.slope)} ± {plain(fit.error, 1)} times as far; is its unit {unit}? "
+        f'Then call the column "{name} [{unit}]"'
+    )
 
 
 def _size_findings(log: Log, name: str, model: Array) -> Iterator[Finding]:

@@ -117,10 +117,7 @@ class Master:
         self.controlled: ControlledSteps | None = None
         self.notes: list[str] = []
         self.events, self.inbox = sorted(system.events), inbox
-        pace = None if system.real_time is None else system.real_time.pace
-        self.partners = None if inbox is None else inbox.partners
-        self._sends = self.partners.send if self.partners is not None and self.partners.sends else None
-        self.pacer = None if pace is None else Pacer(pace, steps, h, rows.doing, progress)
+        self.pacer = None if system.pace is None else Pacer(system.pace, steps, h, rows.doing, progress)
         for stage in system.stages:
             if isinstance(stage.component, FmuBlock):
                 points = [k for k, changes in system.events.items() if stage.component.name in changes]
@@ -317,7 +314,7 @@ class Master:
 
     def _next_call(self, k: int) -> int:
         """Return the next communication point, from k on, that needs Python in the C loop, or `NEVER`."""
-        if self.beside or self.pacer is not None or self._sends is not None:
+        if self.beside or self.pacer is not None:
             return k
         place = bisect.bisect_left(self.events, k)
         points = self.events[place : place + 1]
@@ -334,8 +331,6 @@ class Master:
             calls.append(self._apply_events)
         if self.beside:
             calls.append(self._record_exact)
-        if (send := self._sends) is not None:
-            calls.append(lambda k: send(k, self.row))
         if progress is not None:
             every = PROGRESS_EVERY if self.inbox is None else 1
             calls.append(lambda k: progress(k) if k and k % every == 0 else None)
@@ -415,9 +410,6 @@ class Master:
         time, table = self.time[: self.done], self.table[: self.done]
         of_loops = [note for solver in self.solvers for note in solver.notes()]
         notes = [*self.notes, *of_loops, *(() if self.pacer is None else self.pacer.notes(self.system.start))]
-        if self.partners is not None:
-            self.partners.finish(max(0, self.done - 1))
-            notes += self.partners.notes()
         results = results_of(self.system, time, table, beside, notes, self.loop, details=self.details())
         return results if self.instants is None else self.instants.record.add_to(results)
 
@@ -428,8 +420,6 @@ class Master:
             details["steps"] = self.controlled.record()
         if self.pacer is not None:
             details["pacing"] = self.pacer.record(self.system.start)
-        if self.partners is not None:
-            details["partners"] = self.partners.record()
         return details
 
 

@@ -264,7 +264,7 @@ class ControlledSteps:
         """Judge a step by the values at its end, and choose the next one."""
         expected = self.past(reached)
         judged = self._bonds(expected) if self.control.estimator == "energy" else self._judge(self.sources, expected)
-        self._count_exchange()
+        self.count.made += 1
         is_shortest = reached - t <= self.control.shortest * (1.0 + ROUNDING)
         self.count.accept(t, reached - t, *judged, final=is_shortest)
         self._choose(reached - t, judged[0])
@@ -349,11 +349,7 @@ class ControlledSteps:
             step(t, until - t)
             if late is not None:
                 late(k)
-        self._count_exchange()
-
-    def _count_exchange(self) -> None:
         self.count.made += 1
-        self.master.rows.steps[0] = self.count.made
 
     def _step_others(self, k: int, end: float) -> None:
         """Step the components that step only at rows."""

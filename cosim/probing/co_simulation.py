@@ -35,7 +35,7 @@ LASTS = 1.4  # least such ratio of a stored quantity; 1 without an integrator, 2
 
 def outputs_along(fmu: Fmu, course: Course) -> tuple[Array, SimulationError | None]:
     """Return the real outputs along a course, and the error that ended it early. Runs in the worker."""
-    block, row = fmu.opened_for_steps(course)
+    block, row = fmu.opened_by("co-simulation", course)
     with closing(block):
         table, stop = run_along(block, row, course)
         names = [s.name for s in block.outputs]

@@ -9,13 +9,12 @@ from types import MappingProxyType
 from typing import Any
 
 from cosim.base.errors import FmuError, InputError, SimulationError
-from cosim.base.messages import Message, Note
 from cosim.blocks.description import Way, read_description, ways
 from cosim.isolation.limits import Limits
 from cosim.logs.log import Log
 from cosim.model.quantities import Quantity
-from cosim.probing.behaviour import Behaviour, probe_behaviour
 from cosim.probing.fmu_structure import Structure
+from cosim.probing.own_step import OwnStep, probe_own_step
 from cosim.probing.probe_structure import probe_structure
 from cosim.probing.prober import LIMITS
 
@@ -29,17 +28,17 @@ class Places:
     Attributes:
         way, reason: Interface and the reason for it.
         structure: Structure of that interface.
-        behaviour: Behaviour of co-simulation if the FMU has it, else of model exchange.
+        own_step: Step that the FMU makes on its own in co-simulation, None without one.
     """
 
     way: Way
-    reason: Message
+    reason: str
     structure: Structure
-    behaviour: Behaviour
+    own_step: OwnStep | None
 
     @property
-    def findings(self) -> tuple[Message, ...]:
-        """Return everything that deviates, with codes."""
+    def findings(self) -> tuple[str, ...]:
+        """Return sentences on a step of its own, on failures, and on dampings that could not be tried."""
         stops = [f"{stop}; the structure is that before it" for stop in self.structure.stops]
         apart = [d for d in self.structure.directions if not d.in_step]
         lost = [
@@ -50,14 +49,14 @@ class Places:
             )
             for d in apart
         ]
-        return (*self.behaviour.findings, *lost, *stops)
+        return (*([self.own_step.finding] if self.own_step else []), *lost, *stops)
 
     def as_json(self) -> dict[str, Any]:
         """Return the places as plain data."""
-        s, b = self.structure, self.behaviour
+        s = self.structure
         return {
             "way": self.way,
-            "reason": {"code": self.reason.code, "text": str(self.reason)},
+            "reason": self.reason,
             "pairs": [asdict(pair) for pair in s.pairs],
             "connections": [asdict(connection) for connection in s.connections],
             "dampings": [asdict(damping) for damping in s.dampings],
@@ -72,21 +71,8 @@ class Places:
             "largest_rate": s.largest_rate,
             "step": s.step,
             "events": [asdict(count) for count in s.events],
-            "behaviour": {
-                "way": b.way,
-                "resets": b.resets,
-                "keeps_early": b.keeps_early,
-                "keeps_inside": b.keeps_inside,
-                "repeats": b.repeats,
-                "independent": b.independent,
-                "moves": b.moves,
-                "growth": b.growth,
-                "own_step": b.own_step,
-                "rolls_back": b.rolls_back,
-                "events": b.events,
-                "failing": list(b.failing),
-            },
-            "findings": [{"code": finding.code, "text": str(finding)} for finding in self.findings],
+            "own_step": self.own_step.length if self.own_step else 0.0,
+            "findings": list(self.findings),
         }
 
 
@@ -119,24 +105,24 @@ def probe_places(
         SimulationError: The FMU fails, crashes or hangs at its start.
     """
     offered = ways(read_description(fmu))
-    behaviour = probe_behaviour(fmu, logs, values, limits=limits)
+    own_step = probe_own_step(fmu, logs, values, limits=limits)
     if "model-exchange" not in offered:
         structure = probe_structure(fmu, logs, values, limits=limits)
-        return Places("co-simulation", Note("it has no model exchange"), structure, behaviour)
+        return Places("co-simulation", "it has no model exchange", structure, own_step)
     try:
         exchange = probe_structure(fmu, logs, values, way="model-exchange", limits=limits)
     except (InputError, FmuError, SimulationError) as error:
         if "co-simulation" not in offered:
             raise
         structure = probe_structure(fmu, logs, values, way="co-simulation", limits=limits)
-        return Places("co-simulation", Note(f"its model exchange fails: {error!s}"), structure, behaviour)
-    way, reason = choose_way(exchange, behaviour, offered)
+        return Places("co-simulation", f"its model exchange fails: {error!s}", structure, own_step)
+    way, reason = choose_way(exchange, own_step, offered)
     if way == "co-simulation":
         exchange = probe_structure(fmu, logs, values, way=way, limits=limits)
-    return Places(way, reason, exchange, behaviour)
+    return Places(way, reason, exchange, own_step)
 
 
-def choose_way(exchange: Structure, behaviour: Behaviour, offered: Sequence[Way]) -> tuple[Way, Message]:
+def choose_way(exchange: Structure, own_step: OwnStep | None, offered: Sequence[Way]) -> tuple[Way, str]:
     """Return the interface by which an FMU is refined, and the reason.
 
     Args:
@@ -144,23 +130,23 @@ def choose_way(exchange: Structure, behaviour: Behaviour, offered: Sequence[Way]
     """
     stiffness = exchange.step * exchange.largest_rate
     events = sum(count.total for count in exchange.events)
-    objection: Message | None = None
+    objection: str | None = None
     if events:
-        objection = Note(f"model exchange has {events} events along the logs")
+        objection = f"model exchange has {events} events along the logs"
     elif stiffness > FASTEST:
-        objection = Note(f"step times largest eigenvalue is {stiffness:.3g} in model exchange, above {FASTEST:g}")
+        objection = f"step times largest eigenvalue is {stiffness:.3g} in model exchange, above {FASTEST:g}"
     elif not exchange.states:
-        objection = Note("model exchange has no continuous states")
+        objection = "model exchange has no continuous states"
     if objection is None:
-        return "model-exchange", Note(
+        return "model-exchange", (
             "its states and derivatives are accessible, no events occur along the logs, and step times largest "
             f"eigenvalue is {stiffness:.2g}, at most {FASTEST:g}"
         )
     if "co-simulation" not in offered:
-        return "model-exchange", Note(f"it has no co-simulation, although {objection}")
-    if behaviour.own_step:
-        return "model-exchange", Note(
-            f"its co-simulation has steps of its own of {behaviour.own_step:.3g} s, above those of the logs, "
+        return "model-exchange", f"it has no co-simulation, although {objection}"
+    if own_step:
+        return "model-exchange", (
+            f"its co-simulation has steps of its own of {own_step.length:.3g} s, above those of the logs, "
             f"although {objection}"
         )
     return "co-simulation", objection

@@ -22,7 +22,7 @@ from cosim.probing.log_runs import Fmu, limits_of
 from cosim.storage.yaml_file import did_you_mean
 
 Job = Callable[..., Any]
-JOBS = ("exchange_points", "co_simulation", "trial_runs")
+JOBS = ("exchange_points", "co_simulation", "log_runs", "misbehaviour")
 MODULES = (*(f"cosim.probing.{job}" for job in JOBS), "fmpy.fmi2", "fmpy.fmi3", "fmpy.logging")
 LIMITS = Limits(step=20.0, load=60.0)
 USUAL_STEP, USUAL_LOAD = 5.0, 10.0  # least time limits of a trial [s]

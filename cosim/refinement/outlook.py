@@ -10,7 +10,6 @@ import numpy as np
 
 from cosim.base.messages import Note
 from cosim.base.text import counted, join_names
-from cosim.fmi.native.compiler import compiler
 from cosim.loading.file import is_execution_allowed
 from cosim.logs.log import Log
 from cosim.probing.fmu_structure import Pair, Structure
@@ -59,8 +58,6 @@ def _plan(study: Study, subject: FmuSubject) -> Iterator[str]:
     yield Note(f"`cosim refine` will use {subject.source.removeprefix(f'{structure.fmu}, ')}")
     count = len(subject.candidates([q.name for q in subject.inputs]))
     yield Note(f"`cosim refine` will try {count} terms and parameters: {'; '.join(_places(structure))}")
-    if compiler() is None:
-        yield "`cosim refine` needs a C compiler for FMUs, and there is none here: pip install 'fmu-cosim[native]'"
 
 
 def _places(s: Structure) -> Iterator[str]:

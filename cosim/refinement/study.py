@@ -22,6 +22,7 @@ from cosim.base.registry import BASE
 from cosim.base.text import counted, plain
 from cosim.base.units import has_unit, read_quantity
 from cosim.estimation.problem import Settings
+from cosim.fmi.native.compiler import compiler, cure
 from cosim.isolation.limits import Limits, read_limits
 from cosim.loading.file import LoadedModel, load_model, own_terms
 from cosim.loading.substep import with_substep
@@ -29,7 +30,6 @@ from cosim.logs.gate import gate, gate_faults
 from cosim.logs.holes import fill_holes
 from cosim.logs.log import Log, read_log, rename_signals, stretches
 from cosim.logs.spikes import drop_outliers, find_spikes
-from cosim.probing.messages import OWN_STEP
 from cosim.probing.places import probe_places
 from cosim.refinement.search.groups import Places, full_name, group_of, per_log_faults
 from cosim.residuals.drive import log_of_fmu
@@ -38,8 +38,7 @@ from cosim.storage.artefact import kind_by_keys
 from cosim.storage.files import FilePath
 from cosim.storage.kinds import STUDY, check_form, refuse_other
 from cosim.storage.yaml_file import UNIT_OF_KEY, Positive, PositiveSeconds, YamlFile, did_you_mean
-from cosim.subject.base_parameters import tolerances
-from cosim.subject.fmu_subject import Delivery, FmuSubject
+from cosim.subject.fmu_subject import FmuSubject
 from cosim.subject.interface import Subject
 from cosim.subject.model_subject import ModelSubject
 
@@ -47,7 +46,6 @@ MISSING_LOG = "{log}: no such file beside the study; its logs are named from the
 
 FMU_SUFFIX = ".fmu"
 SCORED = 1.0  # [s] least scored time, beside the skipped start and one horizon
-SPARE = 3  # rows of tables beyond the estimated parameters, to estimate the noise
 FINEST, COARSEST = 1e-12, 1e3  # share of the largest reading outside which a standard deviation is implausible
 Interpolation = Literal["held", "interpolated"]
 AnySubject = TypeVar("AnySubject", bound=Subject)
@@ -110,8 +108,6 @@ class StudyFile(BaseModel):
     limits:     Limits of each FMU call; `total` ends a search that takes longer.
     horizon:    Duration of the replays that measure errors, if different from the model's, or `free run` [s].
     terms:      File with further terms for an FMU, subclasses of `cosim.terms.Force`, `InputTerm` or `RateTerm`.
-    carry_logs: Whether the refined FMU carries the validation logs, with the errors before and after.
-    delivery:   `ssp` for an FMU that must not be repackaged: an SSP of the original and of FMUs with the terms.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -133,8 +129,6 @@ class StudyFile(BaseModel):
     groups: dict[str, list[FileName]] = {}
     limits: Limits | None = None
     terms: FileName = ""
-    carry_logs: bool = False
-    delivery: Delivery = "fmu"
     horizon: PositiveSeconds | Literal["free run"] | None = None
 
     def judged(self, subject: AnySubject) -> AnySubject:
@@ -233,17 +227,6 @@ def read_study(path: Path, limits: str = "") -> Study:
                 key=True,
             )
         )
-    if content.delivery == "ssp":
-        faults.append(
-            yaml.fault(
-                ("delivery",),
-                (
-                    f"delivery: ssp is for an FMU, and {content.model} is none; cosim export-ssp writes a scenario of "
-                    "it as an SSP"
-                ),
-                key=True,
-            )
-        )
     try:
         loaded = load_model(content.model, path.parent, yaml)
     except InputError as error:
@@ -252,6 +235,7 @@ def read_study(path: Path, limits: str = "") -> Study:
         refuse([*faults, *_repeated_logs(yaml, content.logs, {})])
         raise
     subject = ModelSubject(loaded)
+    _refuse_without_states(yaml, subject)
     content, unit_faults = _in_units(yaml, content, subject)
     subject = content.judged(subject)
     faults += unit_faults
@@ -328,9 +312,11 @@ def _of_fmu(yaml: YamlFile, content: StudyFile, faults: list[Fault]) -> Study:
         FmuError: Only the FMU has faults.
     """
     fmu, logs, terms = read_parts_of_fmu(yaml, content, faults)
+    if compiler() is None:
+        raise InputError.at(fmu, f"a refinement of an FMU needs a C compiler; {cure('refine')}")
     probed = probe_places(fmu, logs)
-    if probed.way == "co-simulation" and probed.behaviour.has(OWN_STEP):
-        own = {"own": probed.behaviour.own_step, "step": probed.structure.step}
+    if probed.way == "co-simulation" and probed.own_step and probed.own_step.distorts:
+        own = {"own": probed.own_step.length, "step": probed.structure.step}
         message = (
             "{name} has no usable model exchange ({reason}), and its co-simulation takes steps of its own of "
             "about {own:.3g} s, above the {step:.3g} s of the logs, so its results are wrong there; export it "
@@ -339,13 +325,12 @@ def _of_fmu(yaml: YamlFile, content: StudyFile, faults: list[Fault]) -> Study:
         raise InputError([yaml.fault(("model",), message)])
     subject = FmuSubject.of_fmu(probed.structure, logs, terms, content.limits or Limits())
     subject.source += f", because {probed.reason}"
-    subject.delivery = content.delivery
     content, unit_faults = _in_units(yaml, _in_names_of(subject, content), subject)
     subject = content.judged(subject)
     faults += [*unit_faults, *_key_faults(yaml, content, subject, unlisted=False)]
     read, warnings, log_faults = _read_logs(yaml, content, subject)
     refuse([*faults, *log_faults])
-    found = [with_prefix(f"{content.model}: ", finding) for finding in probed.behaviour.findings]
+    found = [f"{content.model}: {probed.own_step.finding}"] if probed.own_step else []
     return Study(yaml.path, content, subject, tuple(read["estimation"]), (*found, *warnings))
 
 
@@ -409,10 +394,18 @@ def study_of(
         raise InputError(
             [places.fault(e["loc"], f"{e['msg']}; give a value as in a study file") for e in error.errors()]
         ) from None
+    _refuse_without_states(places, subject)
     subject = content.judged(copy(subject))
     usable, warnings, log_faults = _read_logs(places, content, subject)
     refuse([*_key_faults(places, content, subject, unlisted=not logs), *log_faults])
     return Study(None, content, subject, tuple(usable["estimation"]), tuple(warnings))
+
+
+def _refuse_without_states(places: Places, subject: Subject) -> None:
+    """Raise InputError for a model without states, whose rows over time say nothing more than any table."""
+    if not subject.states:
+        cure = "estimate its parameters with `cosim fit LOG --fmu FMU`, or give it the state that it lacks"
+        raise InputError([places.fault(("model",), f"{subject.title} has no states, so it cannot be refined; {cure}")])
 
 
 def _key_faults(places: Places, content: StudyFile, subject: Subject, *, unlisted: bool) -> Iterator[Fault]:
@@ -467,12 +460,11 @@ def _read_logs(
         warnings += [
             with_prefix(f"{name}: ", f.whole) for f in findings if f.severity == "warning" and f.kind != "outliers"
         ]
-        if count := 0 if log.table else len(stretches(log)) - len(usable):
+        if count := len(stretches(log)) - len(usable):
             warnings.append(f"{name}: {counted(count, 'piece')} between pauses too short to be used")
         logs[part] += usable
     faults += _implausible_noise(places, content.noise, logs["estimation"])
     faults += _repeated_logs(places, content.logs, digests)
-    faults += _few_rows(places, content, subject, logs["estimation"])
     return logs, warnings, faults
 
 
@@ -486,7 +478,7 @@ def _read(path: Path, content: StudyFile, subject: Subject) -> Log:
     if isinstance(subject, FmuSubject):
         log = log_of_fmu(path, subject.structure.fmu, content.columns, alone=False)
         return rename_signals(log, subject.names)
-    return read_log(path, subject.inputs, subject.outputs, table=subject.static, columns=content.columns)
+    return read_log(path, subject.inputs, subject.outputs, columns=content.columns)
 
 
 def _repeated_logs(places: Places, logs: LogLists, digests: Mapping[str, str]) -> Iterator[Fault]:
@@ -516,8 +508,8 @@ def _digest(log: Log) -> str:
 
 
 def _spikes(log: Log, subject: Subject) -> dict[str, Rows]:
-    """Return outliers of a log; a table has none."""
-    return {} if log.table else find_spikes(log, subject.prediction(log))
+    """Return outliers of a log."""
+    return find_spikes(log, subject.prediction(log))
 
 
 def _min_duration(log: Log, horizon: float) -> float:
@@ -530,8 +522,6 @@ def _min_duration(log: Log, horizon: float) -> float:
 
 def _usable_stretches(log: Log, horizon: float) -> list[Log]:
     """Return the measured stretches of sufficient duration."""
-    if log.table:
-        return [log]
     least = _min_duration(log, horizon) - 0.5 * log.step
     return [fill_holes(s) for s in stretches(log) if s.outputs and s.time[-1] - s.time[0] >= least]
 
@@ -548,23 +538,6 @@ def _short_log(log: Log, horizon: float) -> Fault:
         "longer or leave it out"
     )
     return Fault(log.path, 0, 0, message)
-
-
-def _few_rows(places: Places, content: StudyFile, subject: Subject, logs: Sequence[Log]) -> Iterator[Fault]:
-    """Yield faults of tables with too few rows."""
-    if not logs or not subject.static:
-        return
-    count = len(tolerances(subject, content.tolerance_of(subject)))
-    rows, least = sum(len(log.time) for log in logs), count + 1 + SPARE
-    if rows < least:
-        texts = {"rows": counted(rows, "row"), "parameters": counted(count, "number")}
-        yield places.fault(
-            ("logs", "estimation"),
-            (
-                "the logs of estimation have {rows}, and a study needs {least}: {parameters} that may be off, one "
-                "for a missing effect, and {spare} more to estimate the noise; record more rows"
-            ).format(least=least, spare=SPARE, **texts),
-        )
 
 
 def _latency_faults(model_file: Path, loaded: LoadedModel, logs: Sequence[Log]) -> Iterator[Fault]:

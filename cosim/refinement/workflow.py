@@ -28,7 +28,7 @@ from cosim.estimation.sensor_noise import at_rest, cell_warnings, first_noise, n
 from cosim.estimation.start_states import with_likely_starts
 from cosim.isolation.limits import Limits
 from cosim.kernel.nameless import RATE
-from cosim.loading.refined import ANSWER, NEAREST, REFINED, SSPS
+from cosim.loading.refined import ANSWER, NEAREST, REFINED
 from cosim.logs.log import Log
 from cosim.refinement.decision.claims import Claims, Nearest, judge
 from cosim.refinement.decision.constancy import check_constancy
@@ -44,7 +44,6 @@ from cosim.refinement.decision.sentences import floor_warning
 from cosim.refinement.decision.special_cases import not_excluded
 from cosim.refinement.decision.trust import attribute
 from cosim.refinement.proof.agreement import compare_with_predictions
-from cosim.refinement.proof.carried import carry_sealed_logs
 from cosim.refinement.proof.measure import (
     FLOOR_SEED,
     Evidence,
@@ -54,7 +53,6 @@ from cosim.refinement.proof.measure import (
     rmse,
 )
 from cosim.refinement.proof.nearest import held_out_improvement, ladder, nearest
-from cosim.refinement.proof.prediction_search import search_nearest
 from cosim.refinement.proof.proof_replays import LogSets, Proof, warnings_of
 from cosim.refinement.proof.refined_models import Variant, log_noise, refined_subject, variant_of, variants_of
 from cosim.refinement.proof.replay_check import (
@@ -64,7 +62,6 @@ from cosim.refinement.proof.replay_check import (
     with_miss_of_rivals,
 )
 from cosim.refinement.proof.sealed import find_rises, repeated_motion, sealed_improvement
-from cosim.refinement.proof.table_errors import add_dependence, errors_on_held_out_rows
 from cosim.refinement.record import Floors, Measurements, Part, Replayed, keep_finite, record
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.search.fits import SearchResult
@@ -84,36 +81,32 @@ from cosim.storage.files import (
     scratch_folder,
     write_json,
 )
-from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import begin_unrecorded, check_overwritable, keep_earlier
+from cosim.storage.folders import remove_earlier
 from cosim.subject.candidates import Candidate
 from cosim.subject.interface import Subject, Workplace
 
 DELIVERED = {"refined": "after", "nearest": "nearest"}  # name of written files → variant
-RESULTS = (*REFINED, *NEAREST, *SSPS, ANSWER)  # in the order of their publication
+RESULTS = (*REFINED, *NEAREST, ANSWER)  # in the order of their publication
 Progress = Callable[[str, float], None]
 
 
 @one_stop()
-@folder_locks()
 def refine(
     study: FilePath | Study,
     folder: FilePath,
     progress: Progress | None = None,
     *,
     report: bool = False,
-    force: bool = True,
     in_process: bool = False,
     limits: str = "",
 ) -> Refinement:
     """Refine the model of a study; write refine.json and the refined files to `folder`, all or none.
 
-    A model gives model.yaml and plant.fmu. The files of an earlier refinement move to `runs` in the folder.
+    A model gives model.yaml and plant.fmu. The files of an earlier refinement are replaced.
 
     Args:
         study: Study file, or a study of any subject (`cosim.refinement.study.study_of`).
         report: Write report.html too.
-        force: Overwrite results of another study or command.
         in_process: Load FMUs into this process, for a debugger.
         limits: Limits in place of those of a study file, such as `step: 10 s, total: 10 min`.
 
@@ -128,9 +121,7 @@ def refine(
     folder = named_path(folder)
     study = study if isinstance(study, Study) else read_study(Path(study), limits)
     limited = _within_limit(progress, study.content.limits, start)
-    check_overwritable(folder, "cosim refine", *filter(None, [str(study.path or "")]), force=force)
     check_writable(folder, (*RESULTS, "report.html"), study.files)
-    begin_unrecorded(folder, "cosim refine", study.files)
     problem = _build_problem(study)
     refuse(_divergences(study, problem))
     study = _with_predictable_horizon(study, problem)
@@ -138,7 +129,7 @@ def refine(
     result = attribute(subject, problem, _candidates(study), limited)
     limited("weighing what was found", 0.0)
     attribution, claims = _judge(study, decide(result), result, limited)
-    claims = _add_nearest(study, claims, result, attribution, problem, limited)
+    claims = _add_nearest(study, claims, result, attribution)
     between = between_rows(result.search.problem, attribution.base)
     claims = replace(claims, inputs=between.other_line if between.is_otherwise else "")
     noise = log_noise(attribution.best.fit.noise, result.free_noise)
@@ -180,10 +171,8 @@ def refine(
         written = record(study, attribution, claims, problem, between, measured)
         content = written.model_dump(mode="json")
         write_json(scratch / ANSWER, content, allow_nan=False)
-        if study.content.carry_logs and sealed:
-            carry_sealed_logs([path for path in files if path.suffix == ".fmu"], sealed, content)
         with delay_stops():
-            keep_earlier(folder, "cosim refine", read=study.files)
+            remove_earlier(folder, "cosim refine", read=study.files)
             _publish(files, scratch / ANSWER, folder)
         release_stops()
     searched, evidence = result.search.problem, _at_horizon(played, subject.horizon)
@@ -332,8 +321,7 @@ def _judge_best(study: Study, a: Attribution, result: SearchResult, progress: Pr
         claims = compare_with_predictions(search, a, claims)
     progress("replaying with the claim and without", 0.0)
     claims = check_constancy(search, a, check_with_replays(study, a, claims, result, problem))
-    claims = replace(claims, not_excluded=not_excluded(search, claims, _candidates(study)))
-    return add_dependence(claims, a, problem, subject) if subject.static else claims
+    return replace(claims, not_excluded=not_excluded(search, claims, _candidates(study)))
 
 
 def _is_steady(problem: Problem, leftover: Leftover, with_terms: Fit, alone: Fit, horizon: float) -> bool:
@@ -343,9 +331,7 @@ def _is_steady(problem: Problem, leftover: Leftover, with_terms: Fit, alone: Fit
     return steadiness(problem, with_terms, alone) >= chance_limit(problem, with_terms, leftover.among)
 
 
-def _add_nearest(
-    study: Study, claims: Claims, result: SearchResult, a: Attribution, problem: Problem, progress: Progress
-) -> Claims:
+def _add_nearest(study: Study, claims: Claims, result: SearchResult, a: Attribution) -> Claims:
     """Return the claims with held-out errors by number of candidates, and the nearest model if incomplete."""
     close = {h.names: h for h in (a.best, result.best) if h.candidates}
     claims = replace(claims, ladder=ladder(result.search, a, list(close.values())))
@@ -353,12 +339,9 @@ def _add_nearest(
         h = nearest(claims.ladder)
         why = a.reasons.get(h.names, "") if h else ""
         claims = replace(claims, nearest=Nearest(h, moved_beyond_tolerance(h.fit) if h else (), why))
-        progress("fitting predictions over the horizon", 0.0)
-        claims = search_nearest(study, claims, a, problem, result.search, result.candidates)
     if claims.name in ("ambiguous", "unexplained") and not claims.claimed_candidates:
         claims = replace(claims, improvement=held_out_improvement(claims.ladder, claims.nearest_hypothesis))
-    left_out = errors_on_held_out_rows(result.search, a, claims) if result.search.problem.table else None
-    return replace(claims, restricted=study.content.candidates is not None, left_out=left_out)
+    return replace(claims, restricted=study.content.candidates is not None)
 
 
 def _variants(study: Study, a: Attribution, claims: Claims, free_noise: Noise | None) -> dict[str, Variant]:

@@ -91,14 +91,6 @@ def log_of_fmu(path: Path, fmu: Path, columns: Mapping[str, str] = MappingProxyT
     """
     check_files(path, fmu)
     signals = model_signals(fmu)
-    if (traits := traits_of(fmu)) is not None and traits.static:
-        raise InputError.at(
-            fmu,
-            (
-                "has no states, so there is no time over which to replay a log; list the table in a study, `cosim "
-                "refine` holds each row against the model"
-            ),
-        )
     return read_log(path, *signals, columns=columns, alone=alone)
 
 
@@ -291,30 +283,6 @@ class Drive:
             raise StoppedReplay(error, self._at_rows(table[:whole], steps.reached, first, last)) from None
         self._count(steps)
         return self._at_rows(table, steps.reached, first, last)
-
-    def rows(self, start: Mapping[str, Any]) -> Array:
-        """Return the FMU's outputs for each row of a table (independent rows without time), shape (rows, outputs).
-
-        Raises:
-            StoppedReplay: The FMU fails.
-        """
-        log, written = self.log, self._new_rows(self.log.rows, len(self.outputs))
-        table, done = written.table, 0
-        try:
-            written.doing[0] = OTHER
-            self._begin(start, 0, float(log.time[-1]) + log.step)
-            self.block.start()
-            for done, t in enumerate(log.time.tolist()):
-                self._row[: len(self.inputs)] = self._commands[done]
-                written.doing[0] = ADVANCE
-                self.block.put()
-                self.block.advance(t, log.step)
-                self.block.get()
-                table[done] = self._row[len(self.block.inputs) :]
-                written.made[0] = done + 1
-        except SimulationError as error:
-            raise StoppedReplay(error, table[:done]) from None
-        return table
 
     # -- internals ----------------------------------------------------------------------------
 

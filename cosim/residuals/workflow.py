@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from types import MappingProxyType
@@ -46,16 +46,13 @@ from cosim.storage.files import (
     write_json,
     write_text,
 )
-from cosim.storage.folder_lock import folder_locks, release_early
-from cosim.storage.folders import REPLAY, SCHEMA_VERSION, begin, check_overwritable, keep_earlier
-from cosim.storage.results import Results, remove_rows, rows_name
-from cosim.storage.started import KILLED, STARTED, STATUS
+from cosim.storage.folders import REPLAY, SCHEMA_VERSION, describe_run, remove_earlier
+from cosim.storage.results import Results, rows_name
 
 MEASURED = "log"  # component name of measurements, beside PLANT
 
 
 @one_stop()
-@folder_locks()
 def replay(
     log: FilePath,
     folder: FilePath,
@@ -64,7 +61,6 @@ def replay(
     start: Sequence[str] = (),
     columns: Sequence[str] = (),
     report: bool = True,
-    force: bool = True,
     in_process: bool = False,
     limits: str = "",
     format_: str = "csv",
@@ -78,7 +74,6 @@ def replay(
     Args:
         start: Start values and parameters of the FMU as NAME=VALUE, `gain=0.9`, `angle=12 deg`.
         columns: Log columns with other names than in the FMU, `measured_speed=motor.w`.
-        force: Overwrite results of another command.
         in_process: Load the FMU into this process, for a debugger.
         limits: Limits of the FMU, such as `step: 10 s, memory: 2 GB`; default: none.
 
@@ -91,7 +86,6 @@ def replay(
     rows_name("results", format_)  # An unavailable format must fail before the replay.
     check_files(Path(log), None if fmu is None else Path(fmu))
     place = named_path(folder)
-    check_overwritable(place, "cosim replay", str(log), str(fmu or ""), force=force)
     with ExitStack() as stack:
         worker = None if in_process else stack.enter_context(Worker(*MODULES))
         if worker is not None:
@@ -158,11 +152,10 @@ def write_replay(
         findings = _findings(drive, log, rate)
         written = "report.html", REPLAY, NEXT_STUDY
         check_writable(folder, (rows_file.name, residual_file.name, *written), (log.path, fmu))
-        keep_earlier(folder, "cosim replay", read=(log.path, fmu))
-        _remove_outdated(folder, written, rows_file)
+        remove_earlier(folder, "cosim replay", read=(log.path, fmu))
         sources = {"log": str(log.path), "fmu": "" if passing else str(fmu)}
         chosen = {"start": dict(given)} if given else {}
-        begin(folder, "cosim replay", REPLAY, {"schema_version": SCHEMA_VERSION, **sources, **chosen, STATUS: KILLED})
+        describe_run(folder, {**sources, **chosen})
         free = _free_run(drive, start, rows_file)
         try:
             release_stops()
@@ -194,14 +187,6 @@ def _findings(drive: Drive, log: Log, rate: float | None) -> list[Finding]:
     findings += input_unit_findings(log, drive.starts, drive.traits.bounds if drive.traits else {})
     refuse_faults(log, findings)
     return findings
-
-
-def _remove_outdated(folder: Path, names: Iterable[str], rows_file: Path) -> None:
-    """Remove the results of an earlier replay."""
-    for name in names:
-        (folder / name).unlink(missing_ok=True)
-    remove_rows(folder, "residual")
-    remove_rows(folder, "results", besides=rows_file.name)
 
 
 def _free_run(drive: Drive, start: Mapping[str, Any] | None, file: Path) -> Replay:
@@ -236,7 +221,6 @@ def _write_rows(rows: Results, file: Path) -> None:
     """Write the rows, with units in replay.json; raise DiskFull after a partial write."""
     try:
         _record(file.parent, {"status": "stopped", "units": dict(rows.units)})  # rewritten at the end
-        release_early(file.parent / STARTED)
         rows.write(file)
     except OSError as error:
         if not is_full(error):

@@ -16,7 +16,7 @@ def take_nearest(file: ScenarioFile) -> None:
     components: dict[str, Any] = dict(file.scenario.components)
     has_refined = False
     for name, component in components.items():
-        if not isinstance(component, FmuComponent) or component.at:
+        if not isinstance(component, FmuComponent):
             continue
         if (path := _refined_path(file, component.fmu)) is None:
             continue

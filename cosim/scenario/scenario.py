@@ -141,8 +141,7 @@ class ClockTiming(Part):
 class FmuComponent(Part):
     """FMU with start values: a number in the variable's unit, or text such as `12 deg`.
 
-    fmu:     file, relative to the scenario; with `at`, relative to a folder of the server
-    at:      host:port of a server of FMUs (`cosim serve`) that has the file
+    fmu:     file, relative to the scenario
     start:   variable → value, for parameters and unconnected inputs
     process: `own` for a process shared with no other FMU
     interface: FMI interface, if the FMU offers several
@@ -161,7 +160,6 @@ class FmuComponent(Part):
     """
 
     fmu: str
-    at: Annotated[str, Field(pattern=r"^[A-Za-z0-9.-]+:[1-9][0-9]{0,4}$")] | None = None
     process: Literal["own"] | None = None
     start: dict[str, Annotated[Any, AfterValidator(_scalar)]] = Field(default_factory=dict)
     interface: Literal["co-simulation", "model-exchange", "scheduled-execution"] | None = None
@@ -310,48 +308,6 @@ class LoopSettings(Part):
     method: Literal["newton", "anderson"] | None = None
 
 
-def _address(value: Any) -> str:
-    """Return a port or `host:port` as `host:port`; a port alone is one of this machine."""
-    host, _, port = str(value).rpartition(":")
-    if isinstance(value, bool) or not (port.isascii() and port.isdigit() and 0 < int(port) < 65536):
-        raise ValueError("it is a port from 1 to 65535, such as 5005, or host:port, such as 192.168.0.7:5005")
-    return f"{host or LOCALHOST}:{int(port)}"
-
-
-LOCALHOST = "127.0.0.1"
-Address = Annotated[Any, AfterValidator(_address), Field(json_schema_extra={"type": ["integer", "string"]})]
-
-
-class LiveValue(Part):
-    """Partner that sends an input or receives an output in messages of JSON; udp or mqtt.
-
-    udp:   port on this machine, or `host:port`: where to receive, or where to send to
-    mqtt:  topic
-    field: name of the value in the message; by default that of the variable
-    """
-
-    udp: Address | None = None
-    mqtt: Annotated[str, Field(min_length=1, max_length=1000, pattern=r"^[^#+\x00]+$")] | None = None
-    field: str | None = None
-
-
-class Live(Part):
-    """Values exchanged with partners while a run goes on.
-
-    inputs:  unconnected input or tunable parameter, `component.variable` → its sender
-    outputs: signal, `component.variable` → its receiver
-    every:   simulated time [s] between two messages to receivers; by default each communication point
-    lost:    time [s] on the clock without message, after which a sender counts as lost
-    broker:  `host:port` of the MQTT broker
-    """
-
-    inputs: dict[Variable, LiveValue] = Field(default_factory=dict)
-    outputs: dict[Variable, LiveValue] = Field(default_factory=dict)
-    every: PositiveSeconds | None = None
-    lost: PositiveSeconds = 1.0
-    broker: Address = f"{LOCALHOST}:1883"
-
-
 class Criterion(Part):
     """Figure of merit with a limit.
 
@@ -417,7 +373,6 @@ class Scenario(Part):
     limits:      limits on time and memory of a run
     checkpoint:  wall-clock time [s] between two checkpoints, from which `cosim run FOLDER --resume` goes on
     pace:        simulated seconds per second: 1 for real time; by default as fast as possible
-    live:        values exchanged with partners outside while it runs
     """
 
     name: str
@@ -449,7 +404,6 @@ class Scenario(Part):
     limits: Limits | None = None
     checkpoint: PositiveSeconds | None = None
     pace: Positive | None = None
-    live: Live | None = None
 
     @property
     def control(self) -> StepControl | None:

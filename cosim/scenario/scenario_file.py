@@ -100,8 +100,8 @@ class ScenarioFile:
     @property
     def files(self) -> list[Path]:
         """Return the FMUs and recordings of the components."""
-        local = [c for c in self.scenario.components.values() if getattr(c, "at", None) is None]
-        names = ((getattr(c, "fmu", None) or getattr(c, "file", None)) for c in local)
+        every = self.scenario.components.values()
+        names = ((getattr(c, "fmu", None) or getattr(c, "file", None)) for c in every)
         return [self.resolve(name) for name in names if name]
 
     def fault(self, location: Location, message: str, exit_code: int = 2) -> Fault:
@@ -286,8 +286,8 @@ def _from_here(keys: Sequence[str], value: Any) -> Any:
 
     Relative names start at the current folder, where the user typed them.
     """
-    if keys[0] != "components" or len(keys) not in {2, 3} or (isinstance(value, dict) and value.get("at")):
-        return value  # With `at`, its file is that of a server.
+    if keys[0] != "components" or len(keys) not in {2, 3}:
+        return value
     if len(keys) == 2:
         return {k: _from_here([*keys, str(k)], v) for k, v in value.items()} if isinstance(value, dict) else value
     return os.path.abspath(value) if keys[2] in FILES and isinstance(value, str) and value else value

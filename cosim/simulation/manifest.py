@@ -20,8 +20,7 @@ from cosim.master.inbox import Change
 from cosim.scenario.pinned import key_of, sha256
 from cosim.scenario.scenario import FmuComponent, Scenario, resolve_defaults
 from cosim.scenario.scenario_file import ScenarioFile
-from cosim.storage.folders import SCHEMA_VERSION
-from cosim.storage.started import COMMAND
+from cosim.storage.folders import COMMAND, SCHEMA_VERSION
 from cosim.system.system import System
 
 PACKAGES = ("FMPy", "pythonfmu", "numpy", "scipy", "filterpy", "control", "pydantic")
@@ -31,13 +30,11 @@ def resolve_scenario(file: ScenarioFile, system: System) -> Scenario:
     """Return the executed scenario for the manifest.
 
     The scenario has absolute paths and the hash of each file. It repeats the run from its record, as fast as possible:
-    without `pace` and `live`.
+    without `pace`.
     """
     components, changes = dict[str, Any](), dict[str, Any]()
     for name, component in file.scenario.components.items():
-        if isinstance(component, FmuComponent) and component.at:
-            changes = {"sha256": system.distant[name]}
-        elif isinstance(component, FmuComponent):
+        if isinstance(component, FmuComponent):
             path = system.fmus[name][0]
             changes = {"fmu": str(path), "sha256": sha256(path)}
         elif component.block == "playback":
@@ -46,7 +43,7 @@ def resolve_scenario(file: ScenarioFile, system: System) -> Scenario:
         else:
             changes = {}
         components[name] = component.model_copy(update=changes)
-    return file.scenario.model_copy(update={"components": components, "pace": None, "live": None})
+    return file.scenario.model_copy(update={"components": components, "pace": None})
 
 
 def check_pinned(file: ScenarioFile) -> None:
@@ -56,7 +53,7 @@ def check_pinned(file: ScenarioFile) -> None:
         key = key_of(component)
         pinned: str | None = getattr(component, "sha256", None)
         path = file.resolve(getattr(component, key, ""))
-        if pinned is not None and not getattr(component, "at", None) and path.is_file() and sha256(path) != pinned:
+        if pinned is not None and path.is_file() and sha256(path) != pinned:
             message = (
                 f"{path} is not the {'FMU' if key == 'fmu' else 'file'} of this run: its SHA-256 differs; put "
                 "that one back, or run the scenario"
@@ -79,7 +76,7 @@ def manifest(file: ScenarioFile, system: System, command: str = "") -> dict[str,
         "status": "ok",
         "source": str(file.path.resolve()),
         "scenario": resolve_defaults(scenario),
-        **_real_time(file.scenario),
+        **({"real_time": {"pace": file.scenario.pace}} if file.scenario.pace is not None else {}),
         "seed": scenario.seed,
         "order": system.names,
         "held": [transfer.name for transfer in system.held if not transfer.of],
@@ -111,13 +108,6 @@ def manifest(file: ScenarioFile, system: System, command: str = "") -> dict[str,
         "warnings": list(system.warnings),
         "criteria": [],
     }
-
-
-def _real_time(scenario: Scenario) -> dict[str, Any]:
-    """Return the pace and the partners of a run as a record; a repetition uses neither."""
-    resolved = resolve_defaults(scenario)
-    settings = {key: resolved[key] for key in ("pace", "live") if key in resolved}
-    return {"real_time": settings} if settings else {}
 
 
 def add_changes(record: dict[str, Any], scenario: Scenario, changes: Sequence[Change]) -> None:

@@ -24,7 +24,7 @@ from cosim.ssp.read import Reader
 from cosim.ssp.ssp_package import Package, open_package
 from cosim.ssp.structure import SspStructure
 from cosim.storage.files import check_writable, write_json
-from cosim.storage.folders import keep_earlier
+from cosim.storage.folders import remove_earlier
 from cosim.storage.kinds import SSP, kind_by_form
 from cosim.storage.yaml_nodes import Location
 from cosim.system.system import build_system
@@ -101,7 +101,7 @@ def open_scenario(path: Path, overrides: Sequence[str] = ()) -> Iterator[Package
 def lay_out(path: Path, folder: Path, overrides: Sequence[str] = ()) -> tuple[ScenarioFile, list[str]]:
     """Write an SSP's scenario and FMUs to `folder`/system.
 
-    The files of an earlier run move to `runs` in the folder. A faulty SSP raises InputError before anything is written.
+    The files of an earlier run are removed. A faulty SSP raises InputError before anything is written.
 
     Returns:
         The scenario file and warnings.
@@ -110,7 +110,7 @@ def lay_out(path: Path, folder: Path, overrides: Sequence[str] = ()) -> tuple[Sc
         within = folder / FOLDER
         inputs = [path, *packaged.files.values()]
         check_writable(within, (SCENARIO, *packaged.files), inputs)
-        keep_earlier(folder, "cosim run", read=inputs)
+        remove_earlier(folder, "cosim run", read=inputs)
         for name, source in packaged.files.items():
             with draft_of(within / name) as draft:
                 shutil.copyfile(source, draft)

@@ -203,4 +203,4 @@ def read_run(path: Path) -> Run | Signals:
     ran = read_ran(path)
     for text in ran.warnings:
         warnings.warn(printable(text), stacklevel=2)
-    return run_of(ran.results, ran.manifest, path) if path.is_dir() else Signals(ran.name, ran.results)
+    return run_of(ran.results, ran.manifest, ran.path) if path.is_dir() else Signals(ran.name, ran.results)

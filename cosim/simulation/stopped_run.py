@@ -13,8 +13,8 @@ import math
 import os
 import shutil
 import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -40,8 +40,8 @@ from cosim.master.remote import IN_USE, read_state
 from cosim.scenario.scenario import Scenario
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.storage.files import write_json
-from cosim.storage.folders import content_of, manifest_in, prepare_folder
-from cosim.storage.record_types import MAPPING, TEXT, TEXTS, WHOLE, Kind, sound_part
+from cosim.storage.folders import content_of, new_run, newest_run
+from cosim.storage.record_types import EACH, fault_of, sound_part
 from cosim.storage.results import Results, read_results, rows_in
 from cosim.storage.state_file import BadState, sync, unpack, write_durable
 from cosim.system.system import System
@@ -64,21 +64,16 @@ STOPPED_BEFORE_ROWS = "its run was stopped before its first row or checkpoint; r
 FOLDER, RUN, MANIFEST = "checkpoint", "run.json", "manifest.json"
 PATIENCE, PAUSE = 15.0, 0.05  # time [s] for the worker of a killed command to end, and between two looks
 ALL = "all-"  # prefix of the files of rows after the end of a run of which a part is recorded
-EXTRA = "files"  # key of run.json beside those of a manifest: name of the rows file, warnings of an SSP, codes of all
-EXTRA_KIND = Kind("a mapping", dict, keys={"rows": TEXT, "warnings": TEXTS, "codes": TEXTS})
-DOUBLE = Kind("a number", float)
-CHECKPOINT = Kind(
-    "a mapping",
-    dict,
-    keys={
-        "point": WHOLE,
-        "time": DOUBLE,
-        "elapsed": DOUBLE,
-        "components": MAPPING,
-        "links": Kind("a mapping", dict, Kind("a list", list)),
-        "changes": Kind("a list of changes", list, Kind("a list", list)),
-    },
-)
+EXTRA = "files"  # key of run.json beside those of a manifest: name of the rows file, warnings of an SSP, notes
+EXTRA_KIND = {"rows": str, "warnings": [str], "notes": [str]}
+CHECKPOINT = {
+    "point": int,
+    "time": float,
+    "elapsed": float,
+    "components": dict,
+    "links": {EACH: list},
+    "changes": [list],
+}
 
 
 @dataclass(frozen=True)
@@ -91,7 +86,6 @@ class StoppedRun:
         rows_file: Name of the file of the rows.
         state: Content of the last checkpoint, if any.
         lasted: Wall time [s] of the steps so far, if known.
-        is_finished: Whether the results are those of a finished run, which a longer run extends.
     """
 
     folder: Path
@@ -100,7 +94,6 @@ class StoppedRun:
     rows_file: str
     state: bytes | None
     lasted: float
-    is_finished: bool = False
 
     def base(self, warnings: Sequence[str] | None) -> dict[str, Any]:
         """Return the manifest without timings and outcome.
@@ -172,21 +165,6 @@ class StoppedRun:
     def end(self) -> int:
         """Return the last communication point of the run so far."""
         return ScenarioFile(self.source).scenario.steps
-
-    def protect(self) -> Callable[[], None]:
-        """Return a function that brings the folder of checkpoints back to its present content."""
-        kept = self.folder / FOLDER
-        record, state = ((kept / name).read_bytes() if (kept / name).is_file() else None for name in (RUN, STATE))
-        new = [name for name in (ROWS, BESIDE, IN_USE) if not (kept / name).is_file()]
-
-        def bring_back() -> None:
-            for name, content in ((STATE, state), (RUN, record)):
-                if content is not None:
-                    write_durable(kept / name, content)
-            for name in new:
-                (kept / name).unlink(missing_ok=True)
-
-        return bring_back
 
     @cached_property
     def results(self) -> Results:
@@ -278,7 +256,7 @@ def _record_of(folder: Path) -> tuple[Path, dict[str, Any]]:
     if source is None or (source.name == MANIFEST and "scenario" not in record):
         raise InputError.at(folder, NOTHING_TO_RESUME)
     sound, _ = sound_part(folder / MANIFEST, record)
-    wrong = [key for key in record if key not in sound or (key == EXTRA and EXTRA_KIND.fault(record[key], key))]
+    wrong = [key for key in record if key not in sound or (key == EXTRA and fault_of(record[key], EXTRA_KIND, key))]
     if wrong or "scenario" not in sound:
         raise InputError.at(source, DAMAGED_CHECKPOINT.format(reason=f"it has no {[*wrong, 'scenario'][0]}"))
     if (version := record.get("cosim_version")) != __version__:
@@ -286,22 +264,22 @@ def _record_of(folder: Path) -> tuple[Path, dict[str, Any]]:
     return source, record
 
 
-def open_stopped(path: Path) -> StoppedRun:
-    """Lock the folder of a run; return the run.
+def open_stopped(path: Path, stack: ExitStack) -> StoppedRun:
+    """Return the run in a folder, which no other command writes into until the stack is closed.
 
     Raises:
         InputError: The folder holds no run to go on with, or a checkpoint that is damaged or of another version.
     """
-    folder = path.parent if path.name == MANIFEST and path.is_file() else path
+    folder = path.parent if path.name == MANIFEST and path.is_file() else newest_run(path)
     if not folder.is_dir():
         raise InputError.at(
             path, "not the folder of a run; --resume and --until take the folder of an earlier run, as results/NAME"
         )
-    prepare_folder(folder, keep=False)
+    source, record = _record_of(folder)
+    stack.enter_context(new_run(folder, "", "cosim run", force=True))
     kept = folder / FOLDER
     wait_for_worker(kept)
     remove_drafts(kept, (STATE, BESIDE, RUN))
-    source, record = _record_of(folder)
     simulated = record.get("timings", {}).get("simulate")
     lasted = simulated if isinstance(simulated, float) else 0.0
     state = read_state(kept / STATE)
@@ -310,20 +288,7 @@ def open_stopped(path: Path) -> StoppedRun:
         lasted = float(checkpoint["elapsed"])
     rows = rows_in(folder)
     rows_file = record.get(EXTRA, {}).get("rows", "results.csv" if rows is None else rows.name)
-    return StoppedRun(folder, source, record, rows_file, state, lasted, _is_finished(folder, record))
-
-
-def _is_finished(folder: Path, record: Mapping[str, Any]) -> bool:
-    """Return whether a folder has the results of a finished run that a record repeats or extends."""
-    manifest = manifest_in(folder)
-    if manifest.get("status") != "ok" or "scenario" not in manifest or rows_in(folder) is None:
-        return False
-    one, other = (copy.deepcopy(each["scenario"]) for each in (manifest, record))
-    for scenario in (one, other):
-        scenario.pop("duration", None)
-        for component in scenario.get("components", {}).values():
-            component.pop("solver_step", None)  # Only --until adds it.
-    return bool(one == other)
+    return StoppedRun(folder, source, record, rows_file, state, lasted)
 
 
 def _unpack(path: Path, state: bytes) -> Mapping[str, Any]:
@@ -332,7 +297,7 @@ def _unpack(path: Path, state: bytes) -> Mapping[str, Any]:
         checkpoint = unpack(state)
         if checkpoint["format"] != FORMAT:
             raise InputError.at(path, OTHER_VERSION.format(version=f"format {checkpoint['format']}", own=FORMAT))
-        if fault := CHECKPOINT.fault({**dict.fromkeys(CHECKPOINT.keys), **checkpoint}, "checkpoint"):
+        if fault := fault_of({**dict.fromkeys(CHECKPOINT), **checkpoint}, CHECKPOINT, "checkpoint"):
             raise BadState(f"{fault.name} is not {fault.wanted}")
         if checkpoint["point"] < 0 or any(len(change) != 2 for change in checkpoint["changes"]):
             raise BadState("it has no row to go on from")
@@ -357,19 +322,8 @@ def wait_for_worker(kept: Path) -> None:
 
 def begin_keeping(folder: Path, record: Mapping[str, Any], rows_file: str, warnings: Sequence[str]) -> Path:
     """Prepare and return the folder of checkpoints."""
-    kept = folder / FOLDER
-    wait_for_worker(kept)
-    kept.mkdir(exist_ok=True)
-    for name in (
-        STATE,
-        ROWS,
-        BESIDE,
-        f"{ALL}{ROWS}",
-        f"{ALL}{BESIDE}",
-        RUN,
-    ):  # A kill in between leaves no checkpoint with the rows of another run.
-        (kept / name).unlink(missing_ok=True)
-    remove_drafts(kept, (STATE, BESIDE, RUN))
+    wait_for_worker(folder / FOLDER)
+    shutil.rmtree(folder / FOLDER, ignore_errors=True)
     return write_run(folder, record, rows_file, warnings)
 
 

@@ -19,14 +19,13 @@ from cosim.blocks.fmu import read_description
 from cosim.blocks.guard import validation
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
-from cosim.master.live_values import check_hosts
 from cosim.master.remote import simulate_apart
+from cosim.probing.misbehaviour import misbehaviour
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.manifest import check_pinned
 from cosim.simulation.packaged import lay_out
 from cosim.simulation.undeclared import with_feedthrough
 from cosim.storage.artefact import Checking
-from cosim.system.real_time import real_time_of
 from cosim.system.recording import recording_notes
 from cosim.system.system import System, build_system
 
@@ -39,6 +38,8 @@ def check_loaded_fmu(path: Path, checking: Checking) -> list[str]:
     """Return violations of FMI rules; raise InputError if the FMU cannot be run."""
     notes: list[str] = []
     refuse(check_fmu(path, checking.worker, notes))
+    if checking.worker is not None:
+        notes += [f"warning: {sentence}" for sentence in misbehaviour(path)]
     # FMPy's findings are about a readable FMU, as accepted by importing tools.
     return notes + [f"warning: {problem}" for problem in validation(path)]
 
@@ -96,7 +97,6 @@ def check_scenario(path: Path, checking: Checking) -> list[str]:
     said: Sequence[str] = ()
     system = build_system(file)
     if worker is not None:
-        check_hosts(real_time_of(file))
         system = with_feedthrough(file, system, worker)
         faults, said = _run_once(file, system, path, worker)
         refuse(faults)

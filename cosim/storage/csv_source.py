@@ -44,18 +44,11 @@ EMPTY_CELL = re.compile(rb",(?=[,\r\n]|\Z)")
 
 
 class Csv(Source):
-    """Comma-separated values in UTF-8, with a header line.
-
-    Args:
-        ended: Whether a frame leaves out a last line without an end, for rows that were cut.
-    """
+    """Comma-separated values in UTF-8, with a header line."""
 
     name = "CSV"
     suffixes = (".csv",)
     writes = True
-
-    def __init__(self, *, ended: bool = False) -> None:
-        self.ended = ended
 
     def table(self, faults: Faults, request: TableRequest) -> Table:
         """Read the requested columns and note the faults of all cells."""
@@ -73,7 +66,7 @@ class Csv(Source):
         frame = Frame()
         if _is_small_enough(faults, "leave out columns or rows"):
             with _open(path) as stream:
-                cells = _Cells(stream, faults, ended=self.ended)
+                cells = _Cells(stream, faults)
                 if cells.header:
                     frame = _frame_of(cells, names, text)
                 elif not faults.items:
@@ -95,7 +88,7 @@ class Csv(Source):
         write_table(path, [c.name for c in columns], zip(*values, strict=True), cell_text)
 
 
-CSV, ENDED_CSV = Csv(), Csv(ended=True)
+CSV = Csv()
 
 
 def read_heading(path: Path, names: Container[str] = ()) -> tuple[list[tuple[str, str]], int]:
@@ -130,13 +123,11 @@ def _open(path: Path) -> TextIO:
     return io.TextIOWrapper(open_bytes(path), encoding="latin-1", newline="")
 
 
-def _lines(stream: TextIO, *, ended: bool) -> Iterator[str]:
-    """Yield the UTF-8 lines, all or those with an end, of a file from `_open`. A byte order mark is left out."""
+def _lines(stream: TextIO) -> Iterator[str]:
+    """Yield the UTF-8 lines of a file from `_open`. A byte order mark is left out."""
     while line := stream.readline(LONGEST_LINE + 1):
         if len(line) > LONGEST_LINE:
             raise _BadLine(f"the line has more than {LONGEST_LINE / 1e6:g} MB; is this a CSV?")
-        if ended and not line.endswith(("\n", "\r")):
-            return
         try:
             yield line.encode("latin-1").decode("utf-8-sig")
         except UnicodeDecodeError:
@@ -154,15 +145,14 @@ class _Cells:
         header: Cells of the first non-blank line; empty for an empty file or binary data.
         line: Line number of the header.
         plain: Whether commas separate cells.
-        ended: Whether a last line without an end is left out.
         whole: Whether all rows were read.
     """
 
-    def __init__(self, stream: TextIO, faults: Faults, *, ended: bool = False) -> None:
-        self.faults, self.ended = faults, ended
+    def __init__(self, stream: TextIO, faults: Faults) -> None:
+        self.faults = faults
         self.header: list[str] = []
         self.line, self.plain, self.whole = 1, True, False
-        self._text = _lines(stream, ended=ended)
+        self._text = _lines(stream)
         self._rows, self._above = csv.reader(self._text), 0  # rows, and the number of lines read by an earlier reader
         with self._noting_faults():
             self._read_header()
@@ -227,8 +217,6 @@ def _plain_numbers(cells: _Cells) -> tuple[Array, Sequence[bytes]] | None:
     Empty cells become NaN.
     """
     body, width = cells.faults.path.read_bytes(), len(cells.header)
-    if cells.ended:
-        body = body[: body.rfind(b"\n") + 1]
     for _ in range(cells.line):
         body = body.partition(b"\n")[2]
     if not body.strip() or not body.isascii() or b'"' in body or body.count(b"\r") != body.count(b"\r\n"):

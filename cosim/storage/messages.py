@@ -5,8 +5,6 @@ from cosim.base.messages import Template
 # -- archives -------------------------------------------------------------------------------------
 DOCTYPE = Template("E-STO-014", "its {name} has a DOCTYPE, which {standard} knows nothing of; take it out")
 
-# -- cache ----------------------------------------------------------------------------------------
-
 # -- files ----------------------------------------------------------------------------------------
 
 # -- tables ---------------------------------------------------------------------------------------
@@ -18,7 +16,5 @@ ROW_WITH_DECIMAL_COMMAS = Template(
 )
 
 # -- YAML and JSON --------------------------------------------------------------------------------
-UNKNOWN_KEY = Template("E-STO-078", 'unknown key "{key}"{hint} (known here: {keys})')
-WRONG_VALUE = Template("E-STO-080", "{name} is {value}: {reason}")
 
 # -- results folders ------------------------------------------------------------------------------

@@ -38,7 +38,6 @@ OWN = {
     "parquet": "cosim.storage.parquet_source:PARQUET",
     "mat": "cosim.storage.mat_source:MAT",
     "hdf5": "cosim.storage.hdf5_source:HDF5",
-    "mcap": "cosim.storage.mcap_source:MCAP",
 }
 HEAD = 64  # bytes examined to detect a format
 

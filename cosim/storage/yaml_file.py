@@ -306,6 +306,10 @@ def _reason(error: Any) -> str:
 
 
 REMOVED_KEYS: dict[str, str] = {  # key of earlier versions → what to use instead
+    "at": "Run FMUs on this machine; `cosim sweep --dask` spreads runs over many machines.",
+    "live": "Exchange values with a function of Python: cosim.run(..., inputs={...}); examples/live shows one.",
+    "carry_logs": "Remove it, and pass the validation logs on beside the FMU.",
+    "delivery": "A refined FMU holds the original and the terms: leave the key out.",
     "design": "Design the controller beforehand: cosim build --model MODEL --design FILE.",
 }
 _WORDS = {
@@ -340,8 +344,6 @@ def _errors_of_branches(errors: Sequence[Any], data: Any) -> list[Any]:
 
 
 _PATTERNS = {  # part of a pattern in use → form of its texts
-    ":[1-9]": "host:port, such as 192.168.0.7:5600",
-    "[^#+": "a topic without # and +",
     "\\.": "component.variable, the component's name of letters, digits and _ that begins with no digit",
     "": "a name of letters, digits and _ that begins with no digit",
 }

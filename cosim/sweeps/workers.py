@@ -176,7 +176,7 @@ class DaskExecutor(Executor):
             raise
         except Exception as error:
             raise SweepFailed(
-                f"a dask worker failed: {_one_line(error)}; see the log of the worker; the same command goes on "
+                f"a dask worker failed: {_one_line(error)}; see the log of the worker; `--resume` goes on "
                 "with the runs that are there"
             ) from None
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +15,7 @@ from cosim.blocks.description import read_description, state_names, ways
 from cosim.blocks.fixes import COUNT, Fixes, Sensor
 from cosim.blocks.fmi_types import element_names, kinds_of
 from cosim.blocks.fmu import FmuBlock, matches
-from cosim.blocks.remote_fmu import Distant, RemoteFmu, find_distant
 from cosim.blocks.sources import SourceBlock, playback, reference
-from cosim.blocks.wire import LinkError
 from cosim.scenario.diagnosis import Diagnosis
 from cosim.scenario.scenario import FixComponent, FmuComponent, PlaybackComponent, ReferenceComponent, Scenario
 from cosim.scenario.scenario_file import ScenarioFile
@@ -69,7 +67,7 @@ def _exact(file: ScenarioFile, name: str, read: Callable[[Path], Any]) -> dict[s
         owner, _, column = connection.source.partition(".")
         target, _, variable = connection.target.partition(".")
         fmu = file.scenario.components.get(target)
-        if owner != name or not isinstance(fmu, FmuComponent) or fmu.at is not None:
+        if owner != name or not isinstance(fmu, FmuComponent):
             continue
         with suppress(FmuError, InputError, OSError):  # Another check reports this FMU.
             description = read(file.resolve(fmu.fmu))
@@ -123,12 +121,7 @@ def _fmu(
     read: Callable[[Path], Any],
     diagnosis: Diagnosis,
 ) -> FmuBlock | None:
-    distant = None
-    if component.at is not None:
-        distant = _find_distant(name, component, component.at, diagnosis)
-        if distant is None:
-            return None
-    path = file.resolve(component.fmu) if distant is None else distant.path
+    path = file.resolve(component.fmu)
     if not path.is_file():
         diagnosis.note(("components", name, "fmu"), f"no such FMU: {path}{_cure(file, path)}")
         return None
@@ -144,18 +137,6 @@ def _fmu(
     make = event_block(file, name, component, path, read, diagnosis)
     if make is None:
         return None
-    if distant is not None:
-        if make is not FmuBlock or (component.interface or ways(description)[0]) != "co-simulation":
-            diagnosis.note(
-                ("components", name, "at"),
-                (
-                    f"{component.fmu} uses model exchange, event mode, clocks or scheduled execution, which are not "
-                    "offered at another machine; leave out at: (process: own keeps it apart here), or give "
-                    "interface: co-simulation or event_mode: false"
-                ),
-            )
-            return None
-        make = partial(RemoteFmu, distant=distant)
     return make(
         name,
         path,
@@ -196,17 +177,6 @@ def _cure(file: ScenarioFile, path: Path) -> str:
     is_built = is_model(BASE) and path.name in model_entry().built
     cure = f'; "cosim build --out {shell_path(path.parent)}" makes it' if is_built else ""
     return cure if file.manifest is None else f"{cure}; put it there, or {path.name} beside {file.path.name}"
-
-
-def _find_distant(name: str, component: FmuComponent, at: str, diagnosis: Diagnosis) -> Distant | None:
-    """Return the FMU of a server; note a fault if there is none."""
-    try:
-        return find_distant(at, component.fmu, component.sha256)
-    except LinkError as error:
-        diagnosis.note(("components", name, error.key), error.message, exit_code=error.exit_code)
-    except InputError as error:  # A library is missing.
-        diagnosis.note(("components", name, "at"), error.faults[0].message)
-    return None
 
 
 def _recorded_names(patterns: Sequence[str], name: str, description: Any) -> frozenset[str]:

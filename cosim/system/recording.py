@@ -81,7 +81,7 @@ def recording_notes(scenario: Scenario, columns: Sequence[str], part: RecordedPa
     recorded = {columns[k] for k in part.columns}
     ends = [(c.source, c.target) for c in scenario.connections]
     lost = [f"{s} → {t}" for s, t in ends if {s, t} <= set(columns) and not {s, t} <= recorded]
-    notes = []
+    notes: list[str] = []
     if lost:
         fields = {"count": len(recorded), "total": len(columns), "names": join_names(lost)}
         notes.append(

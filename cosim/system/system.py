@@ -15,7 +15,6 @@ from cosim.blocks.component import Component, Signal
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fixes import Fixes
 from cosim.blocks.fmu import FmuBlock
-from cosim.blocks.remote_fmu import RemoteFmu
 from cosim.blocks.shared_code import separate
 from cosim.blocks.sources import Recorded, SourceBlock
 from cosim.fmi.sampled import sampled_by
@@ -26,9 +25,8 @@ from cosim.storage.yaml_file import did_you_mean
 from cosim.system.components import build_components
 from cosim.system.control import Control, control_of, courses_of
 from cosim.system.event_blocks import check_events
-from cosim.system.events import Events, Targets, changes_of
+from cosim.system.events import Events, changes_of
 from cosim.system.feasible import check_feasible
-from cosim.system.real_time import RealTime, check_live
 from cosim.system.recording import RecordedPart, recorded_part
 from cosim.system.schedule import Loop, Schedule, Stage, schedule
 from cosim.system.wiring import Transfer, alias_transfers, connect, connection_warnings, lay_out
@@ -50,8 +48,7 @@ class System:
         clock_wires: Connected clocks, output and input, as `component.clock`.
         loops: Algebraic loops to solve at each communication point.
         solving: Settings of their solution, None for the default.
-        real_time: What ties its steps to the clock, set by runs that it is to tie.
-        distant: SHA-256 of each FMU on another machine.
+        pace: Simulated seconds per second, set by runs that keep to the clock; None for as fast as possible.
         recording: Recorded part of the rows, None for all of them.
         opened: As in `Schedule`; `assumed` too.
     """
@@ -74,8 +71,7 @@ class System:
     courses: tuple[int, int] = (0, 0)
     loops: tuple[Loop, ...] = ()
     solving: LoopSettings | None = None
-    real_time: RealTime | None = None
-    distant: Mapping[str, str] = field(default_factory=dict)
+    pace: float | None = None
     recording: RecordedPart | None = None
     opened: tuple[Loop, ...] = ()
     assumed: bool = False
@@ -139,14 +135,11 @@ def build_system(file: ScenarioFile) -> System:
     way = {"interpolates": courses[1] > 0}
     plan = schedule(scenario, components, transfers, diagnosis, **way) if is_connected else Schedule()
     blocks = {name: c for name, c in components.items() if isinstance(c, FmuBlock)}
-    here = [(name, block.path) for name, block in blocks.items() if not isinstance(block, RemoteFmu)]
-    separated, notes = separate(here, scenario.isolated)
+    separated, notes = separate([(name, block.path) for name, block in blocks.items()], scenario.isolated)
     check_events(plan, scenario.isolated | separated, diagnosis, scenario.targets)
     control = control_of(scenario, components, layout, list(chain.from_iterable(transfers)), diagnosis)
     events = changes_of(file, blocks, diagnosis)
     _check_record(file, components, diagnosis)
-    targets = Targets({name: block.description for name, block in blocks.items()}, scenario.targets)
-    check_live(file, targets, layout.columns, layout.beside, diagnosis)
     diagnosis.raise_any()
     of_blocks = chain.from_iterable(block.warnings for block in blocks.values())
     warnings = *diagnosis.warnings, *connection_warnings(file, components), *of_blocks, *notes
@@ -168,7 +161,6 @@ def build_system(file: ScenarioFile) -> System:
         solving=scenario.loops,
         control=control,
         courses=courses,
-        distant={name: c.distant.sha256 for name, c in blocks.items() if isinstance(c, RemoteFmu)},
         recording=recording,
         opened=plan.opened,
         assumed=plan.assumed,

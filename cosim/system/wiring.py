@@ -414,7 +414,6 @@ def connection_warnings(file: ScenarioFile, components: Components) -> Iterator[
     """Yield a warning for each component with unconnected inputs that have no value in the scenario."""
     driven = file.scenario.targets
     driven |= {target for event in file.scenario.events for target in event.set}
-    driven |= set() if file.scenario.live is None else {*file.scenario.live.inputs}
     for name, component in components.items():
         declared = file.scenario.components[name]
         start = {*declared.start} if isinstance(declared, FmuComponent) else set[str]()

@@ -40,7 +40,6 @@ VERBS = {  # in the order of `cosim -h`
     "run": _verb("run", SIMULATE, "cosim.verbs.run_verb:run"),
     "simulate": _verb("simulate", SIMULATE, "cosim.verbs.simulate_verb:simulate"),
     "init": _verb("init", SIMULATE),
-    "serve": _verb("serve", SIMULATE),
     "sweep": _verb("sweep", SIMULATE, "cosim.sweeps.workflow:sweep"),
     "compare": _verb("compare", INSPECT, "cosim.verbs.compare_verb:compare"),
     "check": _verb("check", INSPECT, "cosim.verbs.check_verb:check"),

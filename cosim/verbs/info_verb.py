@@ -28,7 +28,7 @@ def command(
     every: Annotated[bool, typer.Option("--all", help="List local variables and every parameter too.")] = False,
     places: Annotated[
         bool,
-        typer.Option("--places", help="Execute each FMU to find the places where terms can act, and its misbehaviour."),
+        typer.Option("--places", help="Execute each FMU to find the places where terms can act."),
     ] = False,
     log: Annotated[
         Texts, typer.Option("--log", metavar="LOG", help="Measured log that drives the inputs for --places.")

@@ -77,7 +77,7 @@ def run(
         force: Overwrite results of another scenario or command in `out`.
         in_process: Load FMUs into this process, for a debugger; limits do not apply.
         compile: Compile and execute the sources of FMUs that have no library for this machine.
-        format: File format of the rows: "csv", "parquet", "mat", "hdf5", "mcap", or one of an installed package.
+        format: File format of the rows: "csv", "parquet", "mat", "hdf5", or one of an installed package.
         progress: Function of (completed steps, all steps).
         observers: Objects that receive the rows during the run (`cosim.master.observer.Observer`).
         inputs: Input → function of time and signals that returns its value while the run goes on, None to hold it.
@@ -118,10 +118,10 @@ def run(
                 until=until,
             )
         return run_of(outcome.results, outcome.manifest, outcome.folder)
-    with compiling(compile), results_in(out) as folder, _scenario_file(scenario) as path:
+    with compiling(compile), results_in(out, "cosim run", force=force) as folder, _scenario_file(scenario) as path:
         steps = partial(run_file, in_process=in_process, progress=progress, observers=observers, inputs=inputs)
         leaves = partial(steps, report=report and out is not None, figures=figures and out is not None)
-        outcome = leaves(path, folder, overrides, force=force, nearest=nearest, format_=format)
+        outcome = leaves(path, folder, overrides, nearest=nearest, format_=format)
     return run_of(outcome.results, outcome.manifest, None if out is None else outcome.folder)
 
 

@@ -20,10 +20,15 @@ Signal = tuple[int, str]  # number of the run, name
 
 @dataclass(frozen=True)
 class Definition:
-    """The formula of a derived signal, and letter → signal."""
+    """The formula of a derived signal, letter → signal, and its unit.
+
+    Attributes:
+        unit: Unit stated by the user; "" for that of the signal if the formula is one letter, else none.
+    """
 
     formula: str
     of: Mapping[str, Signal]
+    unit: str = ""
 
 
 class Derivations:
@@ -34,19 +39,19 @@ class Derivations:
         self._definitions: dict[Signal, Definition] = {}
         self._notes: dict[Signal, list[str]] = {}
 
-    def define(self, name: str, formula: str, of: Mapping[str, Signal]) -> list[dict[str, Any]]:
+    def define(self, name: str, definition: Definition) -> list[dict[str, Any]]:
         """Add a derived signal to the run of its first signal, or replace it; return it and all that depend on it.
 
         Raises:
             InputError: The name is that of a signal of the run, the signal depends on itself, or the formula is wrong.
         """
-        made = next(iter(of.values()))[0], name
+        made = next(iter(definition.of.values()))[0], name
         run = self._runs[made[0]]
         if name in run.rows.units or name in run.rows.texts or name == TIME:
             raise InputError.at(Path("name"), f"{name} is a signal of the run; give another name")
         with self._lock:
             try:
-                self._ordered({made: Definition(formula, of)})
+                self._ordered({made: definition})
             except CycleError as error:
                 cycle: list[Signal] = error.args[1][:0:-1]  # each is derived from the next, and the last from the first
                 place = cycle.index(made)
@@ -54,12 +59,12 @@ class Derivations:
                 raise InputError.at(
                     Path("name"), f"{name} would be derived from itself: {chain}; give another name"
                 ) from None
-            changed = {made: Definition(formula, of)}
+            changed = {made: definition}
             changed |= {signal: self._definitions[signal] for signal in self._dependents(made)}
             before = {signal: self._definitions[signal] for signal in changed if signal in self._definitions}
             try:
                 return [self._compute(signal, definition) for signal, definition in changed.items()]
-            except InputError:  # A signal that depends on this one has, for example, no unit any more.
+            except InputError:
                 for signal, definition in before.items():
                     self._compute(signal, definition)
                 raise
@@ -101,7 +106,10 @@ class Derivations:
         number, name = signal
         signals = {letter: (self._runs[k].rows, other) for letter, (k, other) in definition.of.items()}
         formula = Formula(definition.formula, signals, name)
-        values, unit = formula.evaluate()
+        values, unit = formula.evaluate(), definition.unit
+        if not unit and definition.formula.strip() in signals:
+            rows, other = signals[definition.formula.strip()]
+            unit = {**rows.units, **rows.added}.get(other, "")
         self._runs[number].rows.add(name, values, unit)
         self._definitions[signal] = definition
         self._notes[signal] = list(formula.notes)
@@ -112,4 +120,4 @@ class Derivations:
         definition, rows = self._definitions[signal], self._runs[number].rows
         of = {letter: list(other) for letter, other in definition.of.items()}
         about = {"run": number, "name": name, "formula": definition.formula, "of": of, "unit": rows.added[name]}
-        return {**about, "notes": self._notes[signal]}
+        return {**about, "stated_unit": definition.unit, "notes": self._notes[signal]}

@@ -1,27 +1,23 @@
-"""Signals derived from others by a formula such as `a - b`, `der(a)` or `lowpass(a, 0.5)`."""
+"""Signals derived from others by a formula such as `a - b`, `der(a)` or `lowpass(a, 0.5)`, in numbers as drawn."""
 
 from __future__ import annotations
 
 import ast
+import operator
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
-from cosim.base.messages import Note
 from cosim.base.text import counted
-from cosim.base.units import parse
-from cosim.viewing import formula_units
-from cosim.viewing.formula_units import Quantity
 from cosim.viewing.pyramid import TIME, Recording
 
 LONGEST, DEEPEST = 500, 40  # characters of a formula, levels of brackets
+LARGEST = 10**308  # of a number; larger ones are infinite
 UNIFORM = 1e-6  # largest deviation of a step, relative to the steps
-Rule = Callable[[Callable[..., Array], Sequence[Quantity], str], Quantity]
 
 
 def derivative(time: Array, values: Array) -> Array:
@@ -69,26 +65,32 @@ def over_rows_with_values(function: Callable[..., Array], time: Array, values: A
     return out
 
 
-PLAIN: dict[str, tuple[int, Callable[..., Array], Rule]] = {  # number of arguments, function, rule of units
-    "abs": (1, np.abs, formula_units.same_unit),
-    "sqrt": (1, np.sqrt, formula_units.root),
-    "sin": (1, np.sin, formula_units.ratio),
-    "cos": (1, np.cos, formula_units.ratio),
-    "tan": (1, np.tan, formula_units.ratio),
-    "asin": (1, np.arcsin, formula_units.angle),
-    "acos": (1, np.arccos, formula_units.angle),
-    "atan": (1, np.arctan, formula_units.angle),
-    "atan2": (2, np.arctan2, formula_units.direction),
-    "exp": (1, np.exp, formula_units.ratio),
-    "log": (1, np.log, formula_units.ratio),
-    "log10": (1, np.log10, formula_units.ratio),
-    "hypot": (2, np.hypot, formula_units.length),
-    "min": (2, np.minimum, formula_units.alike),
-    "max": (2, np.maximum, formula_units.alike),
-    "number": (1, np.positive, formula_units.bare),
+PLAIN: dict[str, tuple[int, Callable[..., Any]]] = {  # number of arguments, function
+    "abs": (1, np.abs),
+    "sqrt": (1, np.sqrt),
+    "sin": (1, np.sin),
+    "cos": (1, np.cos),
+    "tan": (1, np.tan),
+    "asin": (1, np.arcsin),
+    "acos": (1, np.arccos),
+    "atan": (1, np.arctan),
+    "atan2": (2, np.arctan2),
+    "exp": (1, np.exp),
+    "log": (1, np.log),
+    "log10": (1, np.log10),
+    "hypot": (2, np.hypot),
+    "min": (2, np.minimum),
+    "max": (2, np.maximum),
 }
 OVER_TIME = {"der": 1, "integral": 1, "lowpass": 2}  # numbers of arguments
 FUNCTIONS = (*OVER_TIME, *PLAIN)
+OPERATORS: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: np.divide,
+    ast.Pow: lambda base, exponent: np.power(np.asarray(base, dtype=np.float64), exponent),
+}
 
 
 class Formula:
@@ -112,74 +114,49 @@ class Formula:
         except (SyntaxError, ValueError, RecursionError, MemoryError):
             self._refuse("it is no formula")
 
-    def evaluate(self) -> tuple[Array, str]:
-        """Return the values at the rows of the first signal, and their unit."""
-        self._time, self._unknown, self.notes = self._rows.read(TIME), dict[str, None](), []
+    def evaluate(self) -> Array:
+        """Return the values at the rows of the first signal."""
+        self._time, self.notes = self._rows.read(TIME), []
         with np.errstate(all="ignore"):
             result = self._value(self._tree, 0)
-        formula_units.check_result(result)
-        values = np.broadcast_to(np.asarray(result.values, dtype=np.float64), self._time.shape).copy()
-        if self._unknown and not result.unit:
-            self.notes.append(
-                Note(f"{self._name}: {' or '.join(self._unknown)} is no known unit, so that the result has none")
-            )
+        values = np.broadcast_to(np.asarray(result, dtype=np.float64), self._time.shape).copy()
         if not np.isfinite(values).any():
-            self.notes.append(Note(f"{self._name} has no value in any row"))
-        return values, result.unit
+            self.notes.append(f"{self._name} has no value in any row")
+        return values
 
-    def _value(self, node: ast.AST, depth: int) -> Quantity:
+    def _value(self, node: ast.AST, depth: int) -> Any:
         if depth > DEEPEST:
             self._refuse("it is nested too deeply")
         match node:
             case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
-                return Quantity(_finite(number), "", ast.unparse(node))
+                return np.float64(number) if abs(number) < LARGEST else np.inf
             case ast.Name(id=name):
                 return self._signal(name)
             case ast.UnaryOp(op=ast.UAdd(), operand=operand):
                 return self._value(operand, depth + 1)
             case ast.UnaryOp(op=ast.USub(), operand=operand):
-                inner = self._value(operand, depth + 1)
-                return replace(inner, values=-inner.values, weight=-inner.weight, text=ast.unparse(node))
-            case ast.BinOp(op=op, left=left, right=right):
-                sides = self._value(left, depth + 1), self._value(right, depth + 1)
-                return self._combine(op, *sides, ast.unparse(node))
+                return -self._value(operand, depth + 1)
+            case ast.BinOp(op=op, left=left, right=right) if type(op) in OPERATORS:
+                return OPERATORS[type(op)](self._value(left, depth + 1), self._value(right, depth + 1))
             case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
-                return self._call(name, [self._value(each, depth + 1) for each in arguments], ast.unparse(node))
+                return self._call(name, [self._value(each, depth + 1) for each in arguments])
         return self._refuse("a part of it is not allowed")
 
-    def _combine(self, operator: ast.operator, left: Quantity, right: Quantity, text: str) -> Quantity:
-        match operator:
-            case ast.Add():
-                return formula_units.add(left, right, text)
-            case ast.Sub():
-                return formula_units.add(left, right, text, -1.0)
-            case ast.Mult():
-                return formula_units.product(left, right, text)
-            case ast.Div():
-                return formula_units.product(left, right, text, -1)
-            case ast.Pow():
-                return formula_units.power(left, right, text)
-        return self._refuse("a part of it is not allowed")
-
-    def _call(self, name: str, given: list[Quantity], text: str) -> Quantity:
+    def _call(self, name: str, given: Sequence[Any]) -> Any:
         wanted = PLAIN[name][0] if name in PLAIN else OVER_TIME.get(name)
         if wanted != len(given):
             self._refuse(f"{name} is no function" if wanted is None else f"{name} takes {counted(wanted, 'argument')}")
         if name in PLAIN:
-            _, function, rule = PLAIN[name]
-            return rule(function, given, text)
-        first = given[0] if name == "lowpass" else formula_units.absolute(given[0])
-        values = np.broadcast_to(np.asarray(first.values, dtype=np.float64), self._time.shape)
+            return PLAIN[name][1](*given)
+        values = np.broadcast_to(np.asarray(given[0], dtype=np.float64), self._time.shape)
         if name == "lowpass":
-            constant = given[1].values
-            if np.ndim(constant) or not float(constant) >= 0.0:
+            if np.ndim(given[1]) or not float(given[1]) >= 0.0:
                 self._refuse("the time constant of lowpass is a number of seconds")
-            filtered = over_rows_with_values(lowpass, self._time, values, float(constant))
-            return replace(first, values=filtered, text=text)
+            return over_rows_with_values(lowpass, self._time, values, float(given[1]))
         if name == "der":
-            return formula_units.per_time(first, over_rows_with_values(derivative, self._time, values), text)
+            return over_rows_with_values(derivative, self._time, values)
         self._note_gaps(values)
-        return formula_units.over_time(first, over_rows_with_values(integral, self._time, values), text)
+        return over_rows_with_values(integral, self._time, values)
 
     def _note_gaps(self, values: Array) -> None:
         """Note missing values between others, across which an integral goes on."""
@@ -187,36 +164,19 @@ class Formula:
         wide = np.flatnonzero(np.diff(good) > 1)
         if wide.size:
             longest = float(np.max(self._time[good[wide + 1]] - self._time[good[wide]]))
-            self.notes.append(
-                Note(
-                    f"{self._name}: {counted(wide.size, 'gap')} without values, at most {longest:.3g} s, are bridged "
-                    "by straight lines"
-                )
-            )
+            gaps = f"{counted(wide.size, 'gap')} without values, at most {longest:.3g} s"
+            self.notes.append(f"{self._name}: {gaps}, are bridged by straight lines")
 
-    def _signal(self, letter: str) -> Quantity:
+    def _signal(self, letter: str) -> Array:
         if letter == "t":
-            return Quantity(self._time, "s", letter)
+            return self._time
         if letter not in self._signals:
             names = ", ".join([*self._signals, "t"])
             raise InputError.at(Path("formula"), f"{letter} stands for no signal; use {names}")
         rows, name = self._signals[letter]
-        unit, values = {**rows.units, **rows.added}.get(name, ""), rows.read(name)
-        if rows is not self._rows:
-            values = np.interp(self._time, rows.read(TIME), values, np.nan, np.nan)
-        if unit and parse(unit) is None:
-            self._unknown[unit] = None
-        return formula_units.signal(values, unit, letter)
+        values = rows.read(name)
+        return values if rows is self._rows else np.interp(self._time, rows.read(TIME), values, np.nan, np.nan)
 
     def _refuse(self, reason: str) -> NoReturn:
-        functions = ", ".join(FUNCTIONS)
-        message = f"{self._text[:LONGEST]}: {reason}; use + - * / **, numbers, the letters of signals and {functions}"
-        raise InputError.at(Path("formula"), message)
-
-
-def _finite(number: float) -> float:
-    """Return a number of a formula; one that no double holds is infinite."""
-    try:
-        return float(number)
-    except OverflowError:
-        return float("inf")
+        cure = f"use + - * / **, numbers, the letters of signals and {', '.join(FUNCTIONS)}"
+        raise InputError.at(Path("formula"), f"{self._text[:LONGEST]}: {reason}; {cure}")

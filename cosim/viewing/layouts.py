@@ -53,6 +53,7 @@ class DerivedSignal(BaseModel):
 
     name: str
     formula: str
+    unit: str = ""
     of: dict[str, SignalPlace] = Field(min_length=1)
 
 

@@ -30,7 +30,7 @@ from cosim.base.messages import Note, printable
 from cosim.base.scratch import process_folder
 from cosim.base.units import factor
 from cosim.storage.cache import cache_folder, load_or_make
-from cosim.storage.csv_source import CSV, LONGEST_LINE, read_heading
+from cosim.storage.csv_source import CSV, read_heading
 from cosim.storage.files import open_bytes, scratch_folder
 from cosim.storage.folders import content_of
 from cosim.storage.parquet_source import PARQUET, UNIT
@@ -57,7 +57,7 @@ SMALL = 4_000_000  # size of a table that is read as a whole [bytes]
 GROUP_VALUES = 1 << 23  # values written at a time
 LEAST_GROUP, MOST_GROUP = FACTOR**3, 4 * FACTOR**3  # rows of a group
 MEMORY = 1 << 28  # of columns kept from files [bytes]
-BLOCK, LAST = 1 << 24, 1 << 16  # of text read at a time, from its begin and from its end [bytes]
+BLOCK = 1 << 24  # of text read at a time [bytes]
 WHOLE = f"^({INTEGER.pattern})$"
 Progress = Callable[[int, int], None] | None
 Batches = Iterator[tuple[list[Array], int]]  # columns, and how much of the file they end at
@@ -169,30 +169,29 @@ class ColumnTypes:
     text: Sequence[str] = ()
     words: frozenset[str] = frozenset()
 
-    def read(self, path: Path, *, ended: bool) -> Results:
+    def read(self, path: Path) -> Results:
         """Return the rows of a table in memory."""
-        return read_results(path, self.units, self.text, ended=ended, words=self.words)
+        return read_results(path, self.units, self.text, words=self.words)
 
 
-def open_rows(path: Path, columns: ColumnTypes, progress: Progress = None, *, ended: bool = False) -> Recording:
+def open_rows(path: Path, columns: ColumnTypes, progress: Progress = None) -> Recording:
     """Return the rows of a table; convert a large one first, unless its conversion is there.
 
     Args:
         columns: What is known of the columns from elsewhere.
         progress: Function of the converted and the whole size.
-        ended: Leave out the last line of a text without a line end.
 
     Raises:
         InputError: The table has faults, or no rows.
     """
     status = path.stat() if path.is_file() else None
     if status is None or status.st_size <= SMALL or not _has_pyarrow():
-        return _in_memory(columns.read(path, ended=ended), path)
-    place = cache_folder() / FOLDER / _key(path, status, columns, ended)
+        return _in_memory(columns.read(path), path)
+    place = cache_folder() / FOLDER / _key(path, status, columns)
     if about := content_of(place / ABOUT):
         os.utime(place)
         return StoredRecording(place, about)
-    return StoredRecording(*_convert(path, status, place, columns, progress, ended))
+    return StoredRecording(*_convert(path, status, place, columns, progress))
 
 
 def notes_on(path: Path) -> list[str]:
@@ -211,7 +210,7 @@ def notes_on(path: Path) -> list[str]:
     )
 
 
-def _key(path: Path, status: os.stat_result, columns: ColumnTypes, ended: bool) -> str:
+def _key(path: Path, status: os.stat_result, columns: ColumnTypes) -> str:
     """Return a key of the content of a file and of its types."""
 
     def digest() -> str:
@@ -221,7 +220,7 @@ def _key(path: Path, status: os.stat_result, columns: ColumnTypes, ended: bool) 
     is_settled = time.time() - max(status.st_mtime, status.st_ctime) > SETTLED
     content = load_or_make(repr((str(path.resolve()), _state(status))), digest) if is_settled else digest()
     types = [sorted(columns.units.items()), sorted(columns.text), sorted(columns.words)]
-    return sha256(json.dumps([VERSION, path.suffix, content, types, ended]).encode()).hexdigest()
+    return sha256(json.dumps([VERSION, path.suffix, content, types]).encode()).hexdigest()
 
 
 def _state(status: os.stat_result) -> tuple[int, ...]:
@@ -253,7 +252,7 @@ def _inexact(results: Results) -> list[str]:
 
 
 def _convert(
-    path: Path, status: os.stat_result, place: Path, columns: ColumnTypes, progress: Progress, ended: bool
+    path: Path, status: os.stat_result, place: Path, columns: ColumnTypes, progress: Progress
 ) -> tuple[Path, Any]:
     """Write the files of a cache; return their folder and description. Faults of a table are those of its reader."""
     import pyarrow
@@ -263,7 +262,7 @@ def _convert(
         draft = folder / place.name
         draft.mkdir()
         try:
-            table = _table_of(path, columns, ended)
+            table = _table_of(path, columns)
             table = replace(table, heads=[(printable(name), printable(unit)) for name, unit in table.heads])
             whole, rounded = _write_texts(draft / f"{TEXTS}.parquet", table)
             places = [*table.numbers, *whole]
@@ -273,7 +272,7 @@ def _convert(
         except (pyarrow.ArrowException, OSError, ValueError) as error:
             if is_full(error):
                 raise
-            results = columns.read(path, ended=ended)  # which tells each fault by its place
+            results = columns.read(path)  # which tells each fault by its place
             if not results.time.size:
                 raise InputError.at(path, "has no row yet; wait for the end of the run, or run it again") from None
             raise InputError.at(path, "cannot be read: {reason}".format(reason=str(error).partition("\n")[0])) from None
@@ -319,16 +318,16 @@ class _Table:
     integers: Collection[int]
 
 
-def _table_of(path: Path, columns: ColumnTypes, ended: bool) -> _Table:
+def _table_of(path: Path, columns: ColumnTypes) -> _Table:
     """Return the columns of a table in any format."""
     source = source_of(path)
     if source is CSV:
-        return _csv_table(path, columns, ended)
+        return _csv_table(path, columns)
     if source is PARQUET:
         return _parquet_table(path, columns)
     from pyarrow import array, string
 
-    results = columns.read(path, ended=False)
+    results = columns.read(path)
     texts, last = results.texts(), len(results.columns) + 1
     values = [results.time, *results.values.T, *texts.values()]
     heads = [(TIME, "s"), *((name, results.units.get(name, "")) for name in (*results.columns, *texts))]
@@ -343,26 +342,19 @@ def _table_of(path: Path, columns: ColumnTypes, ended: bool) -> _Table:
     return _Table(heads, range(last), range(last, len(values)), batches, text_batches, words, inexact)
 
 
-def _csv_table(path: Path, columns: ColumnTypes, ended: bool) -> _Table:
-    from pyarrow import BufferReader, csv, float64, memory_map, string, types
-
-    def content() -> Any:
-        if not ended:
-            return path
-        with memory_map(str(path)) as file:
-            rows = file.read_buffer()
-        return BufferReader(rows.slice(0, _last_line_end(path)))
+def _csv_table(path: Path, columns: ColumnTypes) -> _Table:
+    from pyarrow import csv, float64, string, types
 
     heads, line = read_heading(path, columns.units)
     reading = csv.ReadOptions(block_size=BLOCK, skip_rows=line, column_names=[str(k) for k in range(len(heads))])
-    with csv.open_csv(content(), read_options=reading) as first:
+    with csv.open_csv(path, read_options=reading) as first:
         kinds = first.schema.types
     numbers = [types.is_floating(kind) or types.is_integer(kind) or types.is_null(kind) for kind in kinds]
 
     def read(places: Sequence[int], kind: Any) -> Iterator[Any]:
         names = [str(k) for k in places]
         converting = csv.ConvertOptions(column_types=dict.fromkeys(names, kind), include_columns=names)
-        with csv.open_csv(content(), read_options=reading, convert_options=converting) as reader:
+        with csv.open_csv(path, read_options=reading, convert_options=converting) as reader:
             yield from reader
 
     def batches(places: Sequence[int]) -> Batches:
@@ -375,18 +367,6 @@ def _csv_table(path: Path, columns: ColumnTypes, ended: bool) -> _Table:
     integers = {k for k, kind in enumerate(kinds) if types.is_integer(kind)}
     chosen = _choose(heads, numbers, columns.text)
     return _Table(heads, *chosen, batches, lambda k: (b.columns for b in read(k, string())), words, integers)
-
-
-def _last_line_end(path: Path) -> int:
-    """Return the size of a text down to the end of its last line with an end."""
-    with open_bytes(path) as stream:
-        size = start = stream.seek(0, os.SEEK_END)
-        while start and size - start < LONGEST_LINE:
-            start = max(0, start - LAST)
-            stream.seek(start)
-            if (end := stream.read(LAST).rfind(b"\n")) >= 0:
-                return start + end + 1
-    raise ValueError("the last line is too long")
 
 
 def _parquet_table(path: Path, columns: ColumnTypes) -> _Table:

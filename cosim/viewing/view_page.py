@@ -20,7 +20,7 @@ from cosim.server.answers import Answer, Handler, Request, json_answer
 from cosim.server.served_page import ServedPage
 from cosim.storage.csv_source import cell_text, write_table
 from cosim.storage.files import parse_json
-from cosim.viewing.derivations import Derivations
+from cosim.viewing.derivations import Definition, Derivations
 from cosim.viewing.layouts import Layouts, check_layouts
 from cosim.viewing.pyramid import TIME, Picture
 from cosim.viewing.viewed_runs import ViewedRun
@@ -158,13 +158,14 @@ class ViewPage(ServedPage):
             removed, signal = self._curve(content["remove"])
             self._derivations.remove(self._runs.index(removed), signal)
             return json_answer([])
-        name, text, of = (content.get(key) for key in ("name", "formula", "of"))
-        if not (isinstance(name, str) and name.strip() and isinstance(text, str) and isinstance(of, dict) and of):
+        name, text, of, unit = (content.get(key) for key in ("name", "formula", "of", "unit"))
+        texts = (name, text, unit or "")
+        if not (all(isinstance(each, str) for each in texts) and name.strip() and isinstance(of, dict) and of):
             raise _refused("a name, a formula and its signals")
         curves = {str(letter): self._curve(curve) for letter, curve in of.items()}
         signals = {letter: (self._runs.index(run), each) for letter, (run, each) in curves.items()}
         try:
-            return json_answer(self._derivations.define(name, text, signals))
+            return json_answer(self._derivations.define(name, Definition(text, signals, (unit or "").strip())))
         except OSError:
             lost = next((run.lost for run, _ in curves.values() if not run.check()), "its rows cannot be read")
             raise InputError.at(Path("formula"), f"cannot be read: {lost}") from None

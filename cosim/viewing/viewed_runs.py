@@ -13,9 +13,9 @@ from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.messages import Note
 from cosim.history.entries import Entry, entries
 from cosim.history.selection import Selected, select_groups
-from cosim.storage.folders import manifest_in, record_of, replay_record, status_in, warnings_on
+from cosim.storage.folders import manifest_in, replay_record, run_name, status_in, warnings_on
 from cosim.storage.kinds import LOG, check_given, refuse_folder
-from cosim.storage.results import cut_rows, is_cut_in_line, rows_in
+from cosim.storage.results import rows_in
 from cosim.viewing.pyramid import Recording
 from cosim.viewing.stored_rows import ColumnTypes, notes_on, open_rows
 
@@ -108,17 +108,16 @@ def open_runs(places: Iterable[RunPlace], bar: Bar) -> tuple[list[ViewedRun], li
     runs, notes, faults, named = list[ViewedRun](), list[str](), list[Fault](), list[Fault]()
     for place in places:
         folder = place.file.parent
-        manifest, record = manifest_in(folder), record_of(place.file)
+        manifest = manifest_in(folder)
         units: Any = manifest.get("units") or replay_record(folder).get("units") or {}
         try:
             state = file_state(place.file)
             with bar(f"converting {place.label}") as progress:
-                ended = is_cut_in_line(place.file, record)
                 columns = ColumnTypes(units, manifest.get("beside", ()), frozenset(manifest.get("texts", ())))
-                rows = open_rows(place.file, columns, progress, ended=ended)
+                rows = open_rows(place.file, columns, progress)
             if place.entry is not None:
                 place.entry.check_current()
-            about = (*warnings_on(folder), *cut_rows(place.file, rows.rows, record), *notes_on(place.file))
+            about = (*warnings_on(folder), *notes_on(place.file))
             if rows.rounded:
                 about += (
                     Note(
@@ -163,7 +162,7 @@ def _places_of(text: str, group: Sequence[Selected]) -> list[RunPlace]:
         elif entry is not None and (place := _of_entry(entry, is_named=not selected.by_pattern)) is not None:
             found.append(place)
         elif entry is None and (rows := rows_in(path)) is not None:
-            name = path.resolve().name
+            name = run_name(path)
             found.append(RunPlace(name, name, rows))
         elif not selected.by_pattern:
             refuse_folder(path, WANTED)
@@ -175,7 +174,8 @@ def _places_of(text: str, group: Sequence[Selected]) -> list[RunPlace]:
 
 def _of_entry(entry: Entry, *, is_named: bool) -> RunPlace | None:
     rows = rows_in(entry.folder)
-    return None if rows is None else RunPlace(entry.name, entry.label, rows, is_named, entry)
+    name = entry.of if entry.is_newest else entry.name
+    return None if rows is None else RunPlace(name, entry.label, rows, is_named, entry)
 
 
 def _differing(places: Sequence[RunPlace]) -> list[RunPlace]:

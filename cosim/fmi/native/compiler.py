@@ -19,7 +19,7 @@ from cosim.base.drafts import draft_of
 from cosim.base.extras import install_command
 from cosim.base.scratch import temporary_folder
 from cosim.fmi.native.platforms import PLATFORMS, Platform, this_platform
-from cosim.storage.cache import cache_environment, cache_path, discard_untrusted
+from cosim.storage.cache import cache_environment, cache_path
 
 # The errno of sin and pow is never read.
 OPTIONS = ("-std=c99", "-O3", "-fno-math-errno", "-ffp-contract=off", "-shared")
@@ -161,7 +161,7 @@ def library_of(
     """
     content = hashlib.sha256(repr((sorted(files.items()), main, list(command), *libraries)).encode()).hexdigest()
     stem = cache_path(content, "")
-    for library in _find_cached(stem):
+    for library in stem.parent.glob(f"{stem.name}-*.so"):
         if library == _cache_path(stem, library) and not _missing_exports(library.read_bytes(), exports):
             return library
         library.unlink(missing_ok=True)
@@ -233,12 +233,6 @@ def load_library(source: str, *headers: Path) -> ctypes.CDLL:
     if reason is None:
         raise NoCompiler("no C compiler is found in CC or on PATH")
     raise CompilerFailed(str(reason)) from reason
-
-
-def _find_cached(stem: Path) -> list[Path]:
-    """Return the cached libraries of a source that pass the trust check; delete all others."""
-    paths = list(stem.parent.glob(f"{stem.name}-*.so"))
-    return [path for path in paths if discard_untrusted([path]) and path.exists()]
 
 
 def _keep(library: Path, stem: Path) -> Path:

@@ -65,7 +65,7 @@ class Proof:
 
     def replay_all(self, variants: Mapping[str, Variant], way: Way) -> Replayed:
         """Replay every distinct variant on every set."""
-        horizons = [] if self.problem.table else list(OTHER_HORIZONS.values())
+        horizons = list(OTHER_HORIZONS.values())
         done: dict[int, dict[Part, dict[float, Evidence]]] = {}
         for variant in variants.values():
             if id(variant) not in done:

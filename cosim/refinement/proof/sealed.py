@@ -54,7 +54,7 @@ def _difference(log: Log, other: Log) -> float:
     """Return the largest difference (RMS) of the outputs of two logs, relative to their spread; infinite for others."""
     late, largest = log.time - log.time[0], 0.0
     within = late <= other.time[-1] - other.time[0]
-    if log.table or log.outputs.keys() != other.outputs.keys() or 2 * np.count_nonzero(within) < log.rows:
+    if log.outputs.keys() != other.outputs.keys() or 2 * np.count_nonzero(within) < log.rows:
         return math.inf
     for name, values in log.outputs.items():
         difference = values[within] - np.interp(late[within], other.time - other.time[0], other.outputs[name])

@@ -63,16 +63,6 @@ def per_log_faults(
                 key=True,
             )
         return
-    if subject.static:
-        yield places.fault(
-            ("per_log",),
-            (
-                "parameters per log are not for tables: a model without states reads tables; give it an input that "
-                "tells them apart"
-            ),
-            key=True,
-        )
-        return
     if not names:
         yield places.fault(("per_log",), "names none; name some, or leave the key out", key=True)
     alone = _sealed_alone(places.path.parent, groups, logs)

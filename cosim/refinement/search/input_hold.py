@@ -114,8 +114,6 @@ def late_input(problem: Problem, best: Hypothesis) -> Late | None:
     No candidate takes an input earlier than recorded. The best hypothesis is refitted with each input earlier, by one
     row and by twice as many as long as that is likelier.
     """
-    if problem.table:
-        return None
     late: Late | None = None
     for column, name in enumerate(problem.layout.inputs):
         if not any(np.ptp(data.u[:, column]) for data in problem.logs):

@@ -14,7 +14,7 @@ from cosim.base.text import amount, counted, plain
 from cosim.coupling.algorithms import algorithms
 from cosim.report.html_tables import Badge, Row
 from cosim.simulation.report.recorded import Run, mapping, mappings, number, texts
-from cosim.simulation.report.step_rows import loop_rows, pace_rows, partner_rows, step_rows
+from cosim.simulation.report.step_rows import loop_rows, pace_rows, step_rows
 from cosim.simulation.report.verdicts import CriterionText, has_failed
 from cosim.storage.yaml_file import short
 
@@ -237,7 +237,7 @@ def provenance(run: Run, kinds: Mapping[str, str]) -> list[Row]:
     )
     entries = mapping(manifest.get("fmus")).items()
     fmus = (_fmu_row(name, mapping(fmu), kinds.get(str(name), "")) for name, fmu in entries)
-    return [*fmus, *(fact for fact in facts if fact.value), *loop_rows(run), *pace_rows(run), *partner_rows(run)]
+    return [*fmus, *(fact for fact in facts if fact.value), *loop_rows(run), *pace_rows(run)]
 
 
 def _pairs(facts: Mapping[str, Any], between: str) -> str:

@@ -519,8 +519,8 @@
     place.hidden = !error;
     put(place, error?.message ?? "");
   };
-  async function derive(name, formula, of) {
-    for (const made of await post("derive", { name, formula, of })) takeDerived(made); // also what depends on it
+  async function derive(name, formula, of, unit) {
+    for (const made of await post("derive", { name, formula, of, unit })) takeDerived(made); // also what depends on it
   }
   function takeDerived(made) {
     const run = runs[made.run],
@@ -570,6 +570,7 @@
     );
     one("#ready").replaceChildren(...READY.map((text) => make("option", {}, text)));
     one("#formula").value = curves.length > 1 ? READY[0] : "der(a)";
+    one("#derived-unit").value = "";
     one("#ready").value = one("#formula").value;
     name();
     listDerived();
@@ -588,13 +589,14 @@
     };
     one("#derived-list").replaceChildren(...runs.flatMap((run) => run.formulas).map(entry));
   }
-  function showFormula({ name: label, formula, of }) {
+  function showFormula({ name: label, formula, of, stated_unit: unit }) {
     for (const [letter, [run, signal]] of Object.entries(of).filter(([each]) => LETTERS.includes(each))) {
       one(`#run-${letter}`).value = run;
       one(`#letter-${letter}`).value = signal;
     }
     one("#formula").value = formula;
     one("#derived-name").value = label;
+    one("#derived-unit").value = unit;
     one("#formula").focus();
   }
   async function removeDerived(made) {
@@ -638,7 +640,7 @@
     event.preventDefault();
     try {
       const of = chosen(),
-        [label, formula] = [one("#derived-name").value.trim(), one("#formula").value];
+        [label, formula, unit] = ["#derived-name", "#formula", "#derived-unit"].map((id) => one(id).value.trim());
       if (!Object.keys(of).length) throw new Error("Give at least the signal of one letter.");
       const first = Object.values(of)[0][0],
         sameRun = Object.values(of).every(([run]) => run === first);
@@ -648,7 +650,7 @@
         if (place !== first && !(one("#every-run").checked && sameRun && has)) continue;
         const here = place === first ? of : Object.fromEntries(Object.entries(of).map(([k, [, s]]) => [k, [place, s]]));
         try {
-          await derive(label, formula, here);
+          await derive(label, formula, here, unit);
           added.push([place, label]);
         } catch (error) {
           if (place === first) throw error;
@@ -667,9 +669,10 @@
   const named = ({ run, name: signal, ...more }) => ({ run: runs[run].name, name: signal, ...more });
   function layout() {
     const derived = runs.flatMap((run) =>
-      run.formulas.map(({ name: signal, formula, of }) => ({
+      run.formulas.map(({ name: signal, formula, of, stated_unit: unit }) => ({
         name: signal,
         formula,
+        unit,
         of: Object.fromEntries(Object.entries(of).map(([k, [r, s]]) => [k, { run: runs[r].name, name: s }])),
       })),
     );
@@ -727,9 +730,9 @@
   }
   // Derived signals of a layout, each after those that it depends on, in whatever order the file has them.
   async function deriveAll(formulas, find, missing, wrong) {
-    let waiting = formulas.map(({ name: signal, formula, of }) => {
+    let waiting = formulas.map(({ name: signal, formula, unit, of }) => {
       const here = Object.fromEntries(Object.entries(of).map(([k, c]) => [k, [find(c.run), c.name]]));
-      return { signal, formula, here, run: Object.values(here)[0][0] };
+      return { signal, formula, unit, here, run: Object.values(here)[0][0] };
     });
     const waits = (each) =>
       Object.values(each.here).some(([run, signal]) =>
@@ -740,7 +743,7 @@
       if (Object.values(next.here).some(([run, name]) => run < 0 || !(name in runs[run].units)))
         missing.push(next.signal);
       else
-        await derive(next.signal, next.formula, next.here).catch((error) =>
+        await derive(next.signal, next.formula, next.here, next.unit).catch((error) =>
           wrong.push(`${next.signal} is left out: ${error.message}`),
         );
     }
