@@ -13,8 +13,9 @@ from typing import Any
 from pydantic import ValidationError
 
 from cosim.base.errors import Fault, InputError
+from cosim.loading.refined import NEAREST, REFINED, NoNearest, folder_of, names_refine, refined_file
 from cosim.scenario.pinned import with_files_beside
-from cosim.scenario.scenario import Recording, Scenario, StepControl
+from cosim.scenario.scenario import FmuComponent, Recording, Scenario, StepControl
 from cosim.scenario.signal_units import convert_quantities
 from cosim.storage.artefact import kind_by_keys
 from cosim.storage.folders import SCHEMA_VERSION, other_version
@@ -302,3 +303,28 @@ def from_here(data: Mapping[str, Any]) -> dict[str, Any]:
             for name, c in components.items()
         }
     return scenario
+
+
+def take_nearest(file: ScenarioFile) -> None:
+    """Replace refined FMUs by the nearest, as `--nearest` asks. Failures become faults of the scenario file."""
+    components: dict[str, Any] = dict(file.scenario.components)
+    has_refined = False
+    for name, component in components.items():
+        if not isinstance(component, FmuComponent):
+            continue
+        path = file.resolve(component.fmu)
+        if not folder_of(path) or not (path.name in (*REFINED, *NEAREST) or names_refine(path)):
+            continue
+        has_refined = True
+        try:
+            if component.sha256 is not None:
+                raise NoNearest("a manifest repeats its run as it was; leave --nearest out, or run the scenario")
+            components[name] = component.model_copy(update={"fmu": str(refined_file(path, nearest=True))})
+        except NoNearest as error:
+            file.faults.append(file.fault(("components", name, "fmu"), str(error)))
+    if not has_refined:
+        reason = (
+            "no component uses a result of `cosim refine`, so --nearest has no effect; name the FMU of such a result"
+        )
+        file.faults.append(Fault(file.path, 0, 0, f"{reason}, or leave --nearest out"))
+    file.scenario = file.scenario.model_copy(update={"components": components})
