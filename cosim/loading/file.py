@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
+import linecache
 import os.path
 import re
 import sys
@@ -10,9 +10,8 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
-from importlib.machinery import SourceFileLoader
 from pathlib import Path
-from types import CodeType, ModuleType
+from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidatorFunctionWrapHandler, WrapValidator
@@ -301,13 +300,6 @@ def own_terms(path: Path) -> list[type[Term]]:
     return [dataclass(frozen=True, kw_only=True)(v) for v in own]
 
 
-class _UncachedLoader(SourceFileLoader):
-    """Loader without bytecode cache, because cached code may miss changes within a second."""
-
-    def get_code(self, fullname: str) -> CodeType:
-        return self.source_to_code(self.get_data(self.path), self.path)
-
-
 _skipped: ContextVar[list[Path] | None] = ContextVar("files of Python that are not executed", default=None)
 
 
@@ -341,22 +333,20 @@ def _execute(path: Path) -> tuple[ModelText, ModuleType]:
     """
     if not path.is_file():
         raise InputError.at(path, "no such model file; check the path")
-    source = ModelText(path)
+    source, name = ModelText(path), f"own_model_{path.stem}"
+    try:
+        code = compile(path.read_bytes(), str(path), "exec", dont_inherit=True)
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        raise InputError([source.convert_error(error, "does not load")]) from None
     if (skipped := _skipped.get()) is not None:
-        try:
-            compile(path.read_bytes(), str(path), "exec", dont_inherit=True)
-        except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-            raise InputError([source.convert_error(error, "does not load")]) from None
         skipped.append(path)
         raise NotExecuted(path)
-    name = f"own_model_{path.stem}"
-    spec = importlib.util.spec_from_file_location(name, path, loader=_UncachedLoader(name, str(path)))
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses resolve annotations in sys.modules
+    module = ModuleType(name)
+    module.__file__ = str(path)
+    sys.modules[name] = module  # dataclasses resolve annotations in sys.modules
+    linecache.checkcache(str(path))
     try:
-        spec.loader.exec_module(module)
+        exec(code, vars(module))
     except (Exception, SystemExit) as error:  # A user's file may raise any error.
         raise InputError([source.convert_error(error, "does not load")]) from error
     return source, module
