@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cosim.base.messages import Note
+from cosim.simulation import messages
 from cosim.storage.results import Results
 
 MANY_VALUES = 500_000  # written as text in about one second
@@ -49,9 +50,10 @@ class RowStops:
         if self.told is None:
             self.told = now
             self.tell(
-                Note(
-                    f"the steps have ended; their {rows} rows are being written to "
-                    f"{self.file}{Note('; Ctrl-C now ends that and keeps the rows written by then') * self.can_end}"
+                messages.ROWS_ARE_WRITTEN(
+                    rows=rows,
+                    file=self.file,
+                    end=Note("; Ctrl-C now ends that and keeps the rows written by then") * self.can_end,
                 )
             )
         elif self.can_end and now - self.told > SAME_PRESS:
