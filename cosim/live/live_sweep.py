@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from cosim.live.live_page import LivePage
-from cosim.sweeps.run_chunks import RunResult
 from cosim.sweeps.run_statistics import share_interval
+from cosim.sweeps.runs import RunResult
 from cosim.sweeps.workflow import CriterionLimit, RunsObserver
 
 BINS = 24  # of a histogram

@@ -157,7 +157,7 @@ def remove_earlier(folder: Path, *, read: Iterable[Path] = ()) -> None:
     Args:
         read: Input files, and folders of them, which stay.
     """
-    from cosim.storage.table_source import suffixes  # numpy, which `cosim list` does not need
+    from cosim.storage.table import suffixes  # numpy, which `cosim list` does not need
 
     inputs = {path.resolve() for path in read}
     for artefact in artefacts():
