@@ -323,8 +323,6 @@ def take_nearest(file: ScenarioFile) -> None:
         except NoNearest as error:
             file.faults.append(file.fault(("components", name, "fmu"), str(error)))
     if not has_refined:
-        reason = (
-            "no component uses a result of `cosim refine`, so --nearest has no effect; name the FMU of such a result"
-        )
-        file.faults.append(Fault(file.path, 0, 0, f"{reason}, or leave --nearest out"))
+        reason = "no component uses a result of `cosim refine`, so --nearest has no effect"
+        file.faults.append(Fault(file.path, 0, 0, f"{reason}; name the FMU of such a result, or leave --nearest out"))
     file.scenario = file.scenario.model_copy(update={"components": components})
