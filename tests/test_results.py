@@ -437,7 +437,7 @@ sys.argv = ["cosim", *{words!r}]
 try:
     main()
 finally:
-    heavy = {{"numpy", "scipy", "pydantic", "matplotlib", "ruamel.yaml", "fmpy", "jinja2", "rich"}}
+    heavy = {{"numpy", "scipy", "matplotlib", "ruamel.yaml", "fmpy", "jinja2"}}
     print("imported:", sorted(heavy & sys.modules.keys()))
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
