@@ -290,7 +290,7 @@ def test_the_exports_hold_the_same_numbers(tank: Path, tmp_path: Path) -> None:
         assert np.array_equal(getattr(outcome.first.ss(), name), own)
     assert system.state_labels == ["level"]
     before = (tmp_path / "out" / "linear.mat").read_bytes()
-    linearize(f"{tank}:Tank", tmp_path / "out", at=["level=0.25"])
+    linearize(f"{tank}:Tank", tmp_path / "out", at=["level=0.25"], force=True)
     assert (tmp_path / "out" / "linear.mat").read_bytes() == before  # no time of day in it
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert f"{outcome.first.outputs[0]}: magnitude" in page

@@ -220,16 +220,6 @@ def test_a_faulty_table_is_refused_with_the_place_and_leaves_nothing(tmp_path: P
     assert [p.name for p in tmp_path.rglob("*") if p.is_file()] == ["results.csv"]
 
 
-def test_without_pyarrow_a_table_is_read_as_a_whole_with_a_note(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(stored_rows, "SMALL", 0)
-    monkeypatch.setattr(stored_rows, "_has_pyarrow", lambda: False)
-    _table(tmp_path / "results.csv", 200)
-    assert open_rows(tmp_path / "results.csv", ColumnTypes()).rows == 200
-    assert "pip install" in stored_rows.notes_on(tmp_path / "results.csv")[0]
-
-
 LARGE = [2**53 + 1, 2**63, 2**64 - 1]  # more digits than a double has
 
 

@@ -26,9 +26,9 @@ from cosim.experiment.question import Question, ask, refinement_folder
 from cosim.experiment.rigs import OpenLoop, Rig, Trial
 from cosim.experiment.separation import Separation
 from cosim.logs.log import slowness
+from cosim.storage.csv_source import write_columns
 from cosim.storage.files import FilePath, check_writable, write_text
 from cosim.storage.folders import new_run, remove_earlier
-from cosim.storage.table import write_columns
 
 EXPERIMENTS = 48
 DURATION, SHORTEST, LONGEST = 40.0, 5.0, 600.0  # [s] for a model with a step of 50 ms or less
@@ -98,7 +98,7 @@ def excite(
                 "--limit, a longer --duration or more outputs --measured",
             )
         show_stage("building the FMUs", 0.0)
-        remove_earlier(place, "cosim excite", read=[source] if source else [])
+        remove_earlier(place, read=[source] if source else [])
         _write(place, excitation, seed)
         if report:
             from cosim.experiment.report import page

@@ -126,7 +126,7 @@ def linearize(
             )
         outcome = Outcome(str(model), source.title, tuple(linear), structure(linear[0]), tuple(notes), folder)
         if folder is not None:
-            remove_earlier(folder, "cosim linearize", read=source.files)
+            remove_earlier(folder, read=source.files)
             write(folder, outcome)
             if report:
                 from cosim.linearization.report import page

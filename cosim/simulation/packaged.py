@@ -110,7 +110,7 @@ def lay_out(path: Path, folder: Path, overrides: Sequence[str] = ()) -> tuple[Sc
         within = folder / FOLDER
         inputs = [path, *packaged.files.values()]
         check_writable(within, (SCENARIO, *packaged.files), inputs)
-        remove_earlier(folder, "cosim run", read=inputs)
+        remove_earlier(folder, read=inputs)
         for name, source in packaged.files.items():
             with draft_of(within / name) as draft:
                 shutil.copyfile(source, draft)

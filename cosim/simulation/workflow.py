@@ -22,10 +22,9 @@ from cosim.master.checkpoint import Continuation, Keeping
 from cosim.master.inbox import Change, with_changes
 from cosim.master.observer import InputFunctions, NamedFunctions, Observer, ProgressObserver
 from cosim.master.remote import MODULES, SteppedRun, simulate_apart, simulate_here
-from cosim.scenario.nearest_models import take_nearest
 from cosim.scenario.pinned import sha256
 from cosim.scenario.scenario import Scenario
-from cosim.scenario.scenario_file import ScenarioFile
+from cosim.scenario.scenario_file import ScenarioFile, take_nearest
 from cosim.simulation.criteria import evaluate, missed_tolerance
 from cosim.simulation.manifest import add_changes, check_pinned, manifest, software_versions
 from cosim.simulation.packaged import is_ssp, lay_out
@@ -272,7 +271,7 @@ def _prepare_new(
     check_pinned(file)
     system = build_system(file)
     if not is_package:
-        remove_earlier(place, "cosim run", read=file.files)
+        remove_earlier(place, read=file.files)
     check_writable(place, (rows_file, MANIFEST, "report.html"), file.files)
     system = replace(with_feedthrough(file, system, worker, tell), pace=file.scenario.pace)
     ssp = path if is_package else None

@@ -109,7 +109,7 @@ def sweep(
         check_writable(folder, (TABLE, RECORD, REPORT, DATABASE), inputs)
         client = stack.enter_context(dask_client(address, fault_maker(study.yaml, dask)))
         if not resume:
-            remove_earlier(folder, "cosim sweep", read=inputs)
+            remove_earlier(folder, read=inputs)
         record, count = _read_completed(folder, study.key), 0
         if record is None:
             base = stack.enter_context(Database(folder, study.key))

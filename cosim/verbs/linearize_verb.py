@@ -55,7 +55,7 @@ def command(
         str | None,
         typer.Option("--side", metavar="SIDE", help="Side of a kink whose derivative is used: below or above."),
     ] = None,
-    out: Annotated[Path | None, out_option("results/MODEL-linear")] = None,
+    out: Annotated[Path | None, out_option("a new number in results/MODEL-linear")] = None,
     report: Report = True,
     open_: Open = False,
     force: Force = False,

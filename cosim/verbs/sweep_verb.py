@@ -21,7 +21,7 @@ LINE_INTERVAL = 10.0  # [s] between lines with -v
 def command(
     study: Annotated[Path, typer.Argument(metavar="SWEEP", help="A sweep file: a scenario and the values that vary.")],
     *,
-    out: Annotated[Path | None, out_option("results/NAME of the sweep")] = None,
+    out: Annotated[Path | None, out_option("a new number in results/NAME of the sweep")] = None,
     workers: Annotated[
         int | None, typer.Option(min=1, help="Number of worker processes (default: one per core).")
     ] = None,

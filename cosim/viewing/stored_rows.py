@@ -16,7 +16,6 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from hashlib import file_digest, sha256
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -25,18 +24,16 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.drafts import is_full
 from cosim.base.errors import InputError
-from cosim.base.extras import install_command, optional
-from cosim.base.messages import Note, printable
+from cosim.base.messages import printable
 from cosim.base.scratch import process_folder
 from cosim.base.units import factor
 from cosim.storage.cache import cache_folder, load_or_make
 from cosim.storage.csv_source import CSV, read_heading
 from cosim.storage.files import open_bytes, scratch_folder
 from cosim.storage.folders import content_of
-from cosim.storage.parquet_source import PARQUET, UNIT
+from cosim.storage.parquet_source import PARQUET, heading_of
 from cosim.storage.results import INTEGER, Results, is_rounded, read_results
-from cosim.storage.table_columns import is_time, split_heading
-from cosim.storage.table_source import source_of
+from cosim.storage.table import is_time, source_of
 from cosim.viewing.pyramid import (
     FACTOR,
     TIME,
@@ -135,7 +132,8 @@ class StoredRecording(Recording):
 
     def _file(self, part: str) -> Any:
         if part not in self._files:
-            parquet = optional("pyarrow.parquet", "cosim view")
+            from pyarrow import parquet
+
             self._files[part] = parquet.ParquetFile(self._folder / f"{part}.parquet", memory_map=True)
         return self._files[part]
 
@@ -185,29 +183,13 @@ def open_rows(path: Path, columns: ColumnTypes, progress: Progress = None) -> Re
         InputError: The table has faults, or no rows.
     """
     status = path.stat() if path.is_file() else None
-    if status is None or status.st_size <= SMALL or not _has_pyarrow():
+    if status is None or status.st_size <= SMALL:
         return _in_memory(columns.read(path), path)
     place = cache_folder() / FOLDER / _key(path, status, columns)
     if about := content_of(place / ABOUT):
         os.utime(place)
         return StoredRecording(place, about)
     return StoredRecording(*_convert(path, status, place, columns, progress))
-
-
-def notes_on(path: Path) -> list[str]:
-    """Return notes on rows that are converted each time."""
-    if path.stat().st_size <= SMALL:
-        return []
-    return (
-        []
-        if _has_pyarrow()
-        else [
-            Note(
-                f"{path} is read as a whole each time, because pyarrow is not installed; install it with "
-                f"{install_command('parquet')}"
-            )
-        ]
-    )
 
 
 def _key(path: Path, status: os.stat_result, columns: ColumnTypes) -> str:
@@ -226,10 +208,6 @@ def _key(path: Path, status: os.stat_result, columns: ColumnTypes) -> str:
 def _state(status: os.stat_result) -> tuple[int, ...]:
     """Return numbers that differ after a change of a file; only the system sets the last one."""
     return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns
-
-
-def _has_pyarrow() -> bool:
-    return find_spec("pyarrow") is not None
 
 
 def _in_memory(results: Results, path: Path) -> Recording:
@@ -375,8 +353,7 @@ def _parquet_table(path: Path, columns: ColumnTypes) -> _Table:
     file = parquet.ParquetFile(path)
     heads, numbers, kinds = list[tuple[str, str]](), list[bool](), list[Any]()
     for column in file.schema_arrow:
-        unit = (column.metadata or {}).get(UNIT)
-        heads.append(split_heading(column.name, columns.units) if unit is None else (column.name, unit.decode()))
+        heads.append(heading_of(column, columns.units))
         kind = column.type.value_type if types.is_dictionary(column.type) else column.type
         kinds.append(kind)
         numbers.append(types.is_floating(kind) or types.is_integer(kind) or types.is_boolean(kind))

@@ -159,13 +159,14 @@ class ViewPage(ServedPage):
             self._derivations.remove(self._runs.index(removed), signal)
             return json_answer([])
         name, text, of, unit = (content.get(key) for key in ("name", "formula", "of", "unit"))
-        texts = (name, text, unit or "")
-        if not (all(isinstance(each, str) for each in texts) and name.strip() and isinstance(of, dict) and of):
+        is_named = isinstance(name, str) and name.strip() and isinstance(text, str) and isinstance(unit or "", str)
+        if not (is_named and isinstance(of, dict) and of):
             raise _refused("a name, a formula and its signals")
         curves = {str(letter): self._curve(curve) for letter, curve in of.items()}
         signals = {letter: (self._runs.index(run), each) for letter, (run, each) in curves.items()}
+        definition = Definition(str(text), signals, str(unit or "").strip())
         try:
-            return json_answer(self._derivations.define(name, Definition(text, signals, (unit or "").strip())))
+            return json_answer(self._derivations.define(str(name), definition))
         except OSError:
             lost = next((run.lost for run, _ in curves.values() if not run.check()), "its rows cannot be read")
             raise InputError.at(Path("formula"), f"cannot be read: {lost}") from None

@@ -17,7 +17,7 @@ from cosim.storage.folders import manifest_in, replay_record, run_name, status_i
 from cosim.storage.kinds import LOG, check_given, refuse_folder
 from cosim.storage.results import rows_in
 from cosim.viewing.pyramid import Recording
-from cosim.viewing.stored_rows import ColumnTypes, notes_on, open_rows
+from cosim.viewing.stored_rows import ColumnTypes, open_rows
 
 NO_ROWS = "has no rows to draw{status}; give folders of runs, or tables with time in the first column"
 
@@ -117,7 +117,7 @@ def open_runs(places: Iterable[RunPlace], bar: Bar) -> tuple[list[ViewedRun], li
                 rows = open_rows(place.file, columns, progress)
             if place.entry is not None:
                 place.entry.check_current()
-            about = (*warnings_on(folder), *notes_on(place.file))
+            about = warnings_on(folder)
             if rows.rounded:
                 about += (
                     Note(
