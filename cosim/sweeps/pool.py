@@ -11,7 +11,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -47,7 +47,8 @@ def make_runs_here(job: Job, workers: int | None, requests: Iterable[RunRequest]
         kill = False
     finally:
         end_process(kill=kill)  # With one worker, joblib calls the function in this process.
-        get_reusable_executor().shutdown(kill_workers=kill)
+        if workers != 1:
+            get_reusable_executor(reuse=True).shutdown(kill_workers=kill)
 
 
 def _end_with_caller(caller: int) -> None:
@@ -116,7 +117,7 @@ def dask_cluster(study: Sweep, address: str, place: Callable[[str], Fault]) -> I
             except Exception as error:
                 reason = _one_line(error)
                 raise SweepFailed(
-                    f"a dask worker failed: {reason}; see the log of the worker; the runs that are there are kept, "
+                    f"the dask cluster failed: {reason}; see its logs; the runs that are there are kept, "
                     "--resume goes on with them"
                 ) from None
             yield result
@@ -142,7 +143,8 @@ def dask_cluster(study: Sweep, address: str, place: Callable[[str], Fault]) -> I
         try:
             yield make_runs
         finally:
-            client.unregister_worker_plugin(folder)
+            with suppress(Exception):  # a lost scheduler
+                client.unregister_worker_plugin(folder)
 
 
 def make_run_of_dask(job: Job, request: RunRequest, folder: str, places: Mapping[str, str]) -> RunResult:

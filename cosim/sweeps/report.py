@@ -58,6 +58,7 @@ def page(swept: Swept) -> str:
         "warnings": [*record["warnings"], *_limits_of_conclusions(completed, indices)],
         "tone": "plain",
         "criteria": [],
+        "worst": [],
         "scatters": _scatters(swept, table, values, indices, charts),
         "factors": [_factor(swept, k) for k in range(len(study.factors))],
         "plots": drawing.plots([_band(name, signal_of(table, name, MOST_RUNS), record) for name in names]),

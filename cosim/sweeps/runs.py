@@ -120,7 +120,7 @@ def end_process(*, kill: bool) -> None:
 def make_run(job: Job, request: RunRequest) -> RunResult:
     """Make a run in this process; a failed run reports its reason."""
     try:
-        scenario, system = _assemble(job.scenario, (*job.overrides, *request.overrides))
+        scenario, system = assemble(job.scenario, (*job.overrides, *request.overrides))
     except CosimError as error:
         return _failed(job, request, error)
     stages = []
@@ -161,7 +161,8 @@ def make_run(job: Job, request: RunRequest) -> RunResult:
 
 
 @lru_cache(maxsize=CACHED_SYSTEMS)
-def _assemble(path: Path, overrides: tuple[str, ...]) -> tuple[Scenario, System]:
+def assemble(path: Path, overrides: tuple[str, ...]) -> tuple[Scenario, System]:
+    """Return a scenario and its system; raise InputError for faults."""
     file = ScenarioFile(path, overrides, option="")
     return file.scenario, build_system(file)
 

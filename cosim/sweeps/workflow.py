@@ -26,7 +26,7 @@ from cosim.storage.folders import SCHEMA_VERSION, content_of, new_run, newest_ru
 from cosim.sweeps.pool import MakeRuns, dask_cluster, make_runs_here
 from cosim.sweeps.reading import Sweep, read_sweep
 from cosim.sweeps.run_statistics import share_interval
-from cosim.sweeps.runs import RunResult, make_run, sampled_rows
+from cosim.sweeps.runs import RunResult, assemble, make_run, sampled_rows
 from cosim.sweeps.store import DATABASE, RECORD, TABLE, Database, read_table, write_table
 from cosim.sweeps.sweep_result import Swept, criterion_names
 
@@ -148,11 +148,12 @@ def sweep(
                         progress(len(runs) - len(missing) + made, len(runs))
                 hold_stops()  # The table must still be written.
             except (KeyboardInterrupt, Terminated) as stop:
-                raise _stopped(study, databases, "stopped", "--resume", getattr(stop, "exit_code", 130)) from None
+                cure = "the same command" if part else "--resume"
+                raise _stopped(study, databases, "stopped", cure, getattr(stop, "exit_code", 130)) from None
             except OSError as error:
                 if not is_full(error):
                     raise
-                cure = "make room, and --resume"
+                cure = f"make room, and {'the same command' if part else '--resume'}"
                 raise _stopped(study, databases, "the disk is full", cure, DiskFull.exit_code) from None
             seconds = time.perf_counter() - begin
             record = _record(study, limits, _all_runs(databases))
@@ -211,6 +212,7 @@ def _maker(study: Sweep, workers: int | None, dask: str | None, *, in_process: b
     """Yield the function that makes the runs."""
     address = study.file.dask if dask is None else dask
     if in_process:
+        assemble.cache_clear()  # Files may have changed since an earlier call.
         yield partial(map, partial(make_run, study.job))
     elif address is None:
         yield partial(make_runs_here, study.job, workers)
