@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import os
 import platform
 import subprocess
 import sys
 import zipfile
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +15,10 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from cosim.fmi.native.compiler import compiler
-from tests.blind import fmu_score, fmu_study, harness
+from tests.blind import fmu_score
 from tests.blind.field_rig import Floats, Run
-from tests.blind.fmu_build import FAULTS, PLANTS, WAYS, build, build_slave
+from tests.blind.fmu_build import FAULTS, PLANTS, WAYS, build
 from tests.blind.fmu_rig import FmuRig, place
-from tests.blind.fmu_study import OWN_C, PYTHONFMU, SLAVES, deal, draw
 from tests.blind.fmu_truths import RIGS
 from tests.cases import some
 
@@ -85,27 +82,6 @@ def test_parameters_are_forgotten_when_set_before_initialization(tmp_path: Path)
     assert np.array_equal(simulated(bad, "drive", "co_simulation", start_values=heavy), plain)
 
 
-def test_two_runs_differ(tmp_path: Path) -> None:
-    sound, counts, clock = (fmu(tmp_path, fault) for fault in ("", "counts", "clock"))
-    for way in WAYS:
-        assert np.array_equal(simulated(sound, "drive", way), simulated(sound, "drive", way))
-    assert not np.array_equal(*(simulated(clock, "drive", "co_simulation") for _ in range(2)))
-    folder = fmpy.extract(str(counts), str(tmp_path / "unzipped"))  # a library is loaded once
-    instance = fmpy.instantiate_fmu(folder, fmpy.read_model_description(folder), "CoSimulation")
-    runs = [simulated(Path(folder), "drive", "co_simulation", fmu_instance=instance) for _ in range(2)]
-    instance.freeInstance()
-    assert not np.array_equal(*runs)
-
-
-def test_the_working_directory_decides(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    bad, runs = fmu(tmp_path, "working_directory"), []
-    for name in ("a", "b"):
-        (tmp_path / name).mkdir()
-        monkeypatch.chdir(tmp_path / name)
-        runs.append(simulated(bad, "drive", "co_simulation"))
-    assert np.max(np.abs(runs[0] - runs[1])) > 1e-6
-
-
 @pytest.mark.parametrize("fault", ["own_step", "hidden_own_step"])
 def test_short_steps_are_whole_own_steps(tmp_path: Path, fault: str) -> None:
     def angle(fault: str, step: float) -> float:
@@ -115,38 +91,6 @@ def test_short_steps_are_whole_own_steps(tmp_path: Path, fault: str) -> None:
 
     assert angle(fault, 0.05) == pytest.approx(angle("", 0.05), rel=0.05)
     assert angle(fault, 0.01) > 4.0 * angle("", 0.01)
-
-
-@pytest.mark.thorough
-def test_instances_leak(tmp_path: Path) -> None:
-    code = (
-        "import sys; from pathlib import Path; from tests.test_blind_fmu import resident; "
-        "print(resident(Path(sys.argv[1])))"
-    )
-    grown = {}
-    for fault in ("", "leaks"):
-        done = subprocess.run(
-            [sys.executable, "-c", code, str(fmu(tmp_path, fault))],
-            capture_output=True,
-            text=True,
-            check=True,
-            cwd=ROOT,
-        )
-        grown[fault] = int(done.stdout.split()[-1])
-    assert grown["leaks"] > 16 << 20 > grown[""]
-
-
-def resident(path: Path) -> int:
-    """Return how much a process grows [bytes] by eight runs after the first."""
-
-    def size() -> int:
-        return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGESIZE")
-
-    simulated(path, "drive", "co_simulation", 2)
-    before = size()
-    for _ in range(8):
-        simulated(path, "drive", "co_simulation", 2)
-    return size() - before
 
 
 @pytest.mark.thorough
@@ -267,46 +211,6 @@ def test_inputs_pass_their_effects() -> None:
 # -- studies ------------------------------------------------------------------------------------------------
 
 
-def test_plants_ways_and_versions_come_in_turn() -> None:
-    dealt = [fmu_study.deal(seed) for seed in range(24)]
-    assert len({(d.plant, d.way, d.version) for d in dealt}) == 24
-    kinds = [fmu_study.deal(seed).kind for seed in range(40, 60)]
-    assert [kinds.count(kind) for kind in ("known", "nothing", "outside")] == [12, 5, 3]
-
-
-@pytest.mark.parametrize("kind", ["nothing", pytest.param("known", marks=pytest.mark.thorough)])
-def test_a_study_depends_on_its_seed_only(tmp_path: Path, kind: str) -> None:
-    seed = next(s for s in range(200) if (d := fmu_study.deal(s)).kind == kind and d.plant == "heated_box")
-    told = []
-    for name in ("a", "b"):
-        fmu_study.draw.cache_clear()
-        path, answer = harness.invent(harness.FMU, seed, tmp_path / name)
-        told.append((answer, {f.name: f.read_bytes() for f in path.parent.iterdir() if f.suffix != ".fmu"}))
-    assert told[0] == told[1]
-    study = fmu_study.draw(seed)
-    assert set(study.truth) <= set(study.rig.entries)
-    assert bool(study.truth) == (kind == "known")
-    assert all(cost >= 20.0 for cost in study.costs.values())
-    assert (tmp_path / "a" / "plant.fmu").exists()
-
-
-def test_a_fifth_is_a_fifth_of_the_distance_from_neutral() -> None:
-    entries = RIGS["drive", WAYS[0]].entries
-    shrunk = fmu_study.shrunk
-    assert shrunk(entries["scale_at_motor_w"], {"value": 1.05})["value"] == pytest.approx(1.01)
-    assert shrunk(entries["saturation_at_torque"], {"limit": 1.5})["limit"] == pytest.approx(1.9)
-    lag = shrunk(entries["second_order_lag_at_torque"], {"frequency": 100.0, "damping": 0.5})
-    assert lag == {"frequency": 500.0, "damping": 0.5}
-
-
-def test_a_lag_of_a_sensor_is_one_that_the_integration_resolves() -> None:
-    """A shorter lag would act as the shortest, and the answer would be wrong."""
-    rig = RIGS["dc_motor", "co_simulation"]
-    low, _ = rig.entries["lag_at_angle"].limits
-    assert rig.resolves({"lag_at_angle": {"time": low}, "lag_at_voltage": {"time": 0.1 * low}})
-    assert not rig.resolves({"lag_at_angle": {"time": 0.2 * low}})
-
-
 def test_scores_are_by_size_and_way() -> None:
     found = {"verdict": "effect_found", "effects": [{"name": "delay", "parameters": {}}], "rivals": [], "seconds": 5.0}
     found |= {"sensors": [], "error": {"after": {"y": 1.0}}, "error_true": {"y": 1.0}, "disturbance": "small"}
@@ -322,29 +226,3 @@ def test_scores_are_by_size_and_way() -> None:
 
 
 # -- a second exporter ------------------------------------------------------------------------------------
-
-
-def test_the_tanks_of_pythonfmu_are_those_of_own_c(tmp_path: Path) -> None:
-    own = build(tmp_path / "own.fmu", "tanks", ways=("co_simulation",))
-    other = build_slave(tmp_path / "other.fmu", "tanks")
-    start = {"left.h": 0.5, "pipe.k": 2e-4, "gain_left": 7e-6}
-    names = ["gauge_left", "gauge_right"]
-    tables = [
-        fmpy.simulate_fmu(str(p), stop_time=200.0, output_interval=2.0, start_values=start, output=names)
-        for p in (own, other)
-    ]
-    for name in names:
-        assert np.abs(tables[0][name] - tables[1][name]).max() < 1e-9
-        assert np.ptp(tables[0][name]) > 0.01
-
-
-def test_the_second_exporter_begins_at_a_seed_and_makes_half_of_its_studies() -> None:
-    def exporters(seeds: range) -> list[str]:
-        dealt = [deal(seed) for seed in seeds]
-        plain = [replace(draw_nothing, seed=d.seed, plant=d.plant, way=d.way, version=d.version) for d in dealt]
-        return [s.exporter for s, d in zip(plain, dealt, strict=True) if (d.plant, d.way, d.version) in SLAVES]
-
-    draw_nothing = draw(next(seed for seed in range(40) if deal(seed).kind == "nothing"))
-    assert set(exporters(range(1000))) == {OWN_C}
-    later = exporters(range(5000, 7400))
-    assert 0.3 < later.count(PYTHONFMU) / len(later) < 0.7
