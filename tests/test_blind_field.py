@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 import math
 from collections import Counter
 from pathlib import Path
@@ -14,9 +13,8 @@ import pytest
 
 from cosim.loading.file import load_model
 from cosim.model import Model, Stepper
-from tests.blind import field_score, field_study, harness
-from tests.blind.field_craft import CraftRig
-from tests.blind.field_rig import Entry, Floats, Rig, Run, fly
+from tests.blind import field_score, field_study
+from tests.blind.field_rig import Entry, Rig, Run, fly
 from tests.blind.field_study import (
     DISTURBANCES,
     PLANTS,
@@ -27,7 +25,6 @@ from tests.blind.field_study import (
 )
 from tests.blind.field_visibility import plain
 from tests.blind.field_write import recorded, true_error, write
-from tests.blind.truth_craft import STATES, Craft, Dynamics
 
 FOLDER = Path(field_study.__file__).with_name("plants")
 OWN = [name for name in PLANTS if name != "craft"]
@@ -108,25 +105,6 @@ def test_truth_and_model_file_are_the_same_plant(name: str, effect: str) -> None
         moment = stepper.step(moment, command, rig.step)
 
 
-@pytest.mark.parametrize("effect", ["base", *sorted(set(CraftRig.entries) - set(CraftRig.sensors))])
-def test_the_crafts_equations_on_arrays_are_the_laboratorys(effect: str) -> None:
-    rig = RIGS["craft"]
-    truth = {} if effect == "base" else {effect: typical(rig.entries[effect])}
-    base = {n: value * (1.0 - 0.4 * share) for n, (value, share) in rig.sheet.items()}
-    dynamics = Dynamics(Craft(base=base, effects=truth))
-    dynamics.command, dynamics.disturbance = (6.4, 6.35, 0.12, -0.1), (1e-3, -2e-3, 1e-4)
-    x = np.array([0.1, -0.2, 0.7, 0.3, -0.1, 0.4, 0.01, 0.1, 1.9, 2.1, 0.05, -0.03])
-    whole = np.zeros(len(STATES))
-    places = [STATES.index(name) for name in rig.states]
-    whole[places] = x
-    rate, look = rig.bind(Floats, rig.numbers(base, truth))
-    assert rate(2.0, x.tolist(), dynamics.command, dynamics.disturbance) == pytest.approx(
-        np.array(dynamics.derivative(2.0, whole))[places].tolist(), rel=1e-9, abs=1e-9
-    )
-    outputs = dynamics.outputs(2.0, whole)
-    assert look(2.0, x.tolist(), dynamics.disturbance) == pytest.approx([outputs[o] for o in rig.outputs], rel=1e-9)
-
-
 # -- decks -------------------------------------------------------------------------------------------------
 
 
@@ -139,24 +117,7 @@ def test_two_hundred_seeds_deal_what_is_promised() -> None:
     assert max(numbers.values()) - min(numbers.values()) <= 1
 
 
-# -- sizes -------------------------------------------------------------------------------------------------
-
-
-# -- recorder ----------------------------------------------------------------------------------------------
-
-
 # -- logs --------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.thorough
-def test_the_same_seed_writes_the_same_bytes(tmp_path: Path) -> None:
-    seed = first("outside", "tanks")
-    one, other = draw(seed), draw(seed)
-    assert one == other
-    for study, folder in ((one, "a"), (other, "b")):
-        write(study, tmp_path / folder)
-    for path in sorted((tmp_path / "a").iterdir()):
-        assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes()
 
 
 @pytest.mark.thorough
@@ -238,103 +199,3 @@ def test_known_studies_are_judged_by_what_is_claimed(
     truth: dict[str, Any], verdict: str, names: list[str], more: dict[str, Any], expected: tuple[bool, bool, bool]
 ) -> None:
     assert judged(line("known", truth, verdict, *names, **more)) == expected
-
-
-@pytest.mark.parametrize(
-    ("verdict", "grade", "alarm", "flagged", "misnamed"),
-    [
-        ("no_effect", "", False, False, False),
-        ("unexplained", "nearest", False, True, False),
-        ("unexplained", "part", True, False, True),
-        ("effect_found", "claimed", True, False, True),
-        ("effect_found", "", True, False, True),
-        ("ambiguous", "", True, True, False),
-        ("failed", "", False, False, False),
-    ],
-)
-def test_nothing_and_outside_are_judged_by_names_put_forward(
-    verdict: str, grade: str, alarm: bool, flagged: bool, misnamed: bool
-) -> None:
-    assert field_score.is_false_alarm(line("nothing", {}, verdict, "bob_drag", grade=grade)) is alarm
-    outside = line("outside", {"magnet": {}}, verdict, "bob_drag", grade=grade)
-    assert (field_score.is_flagged(outside), field_score.is_misnamed(outside)) == (flagged, misnamed)
-    assert not field_score.is_misnamed(line("outside", {"bob_drag": {}}, verdict, "bob_drag", grade=grade))
-
-
-def test_the_sealed_ratio_is_of_the_claim_or_else_of_what_is_nearest() -> None:
-    errors = {
-        "error": {"after": {"a": 2.0, "b": 6.0}, "nearest": {"a": 1.0, "b": 2.0}},
-        "error_true": {"a": 1.0, "b": 2.0},
-    }
-    assert field_score.sealed_ratio(line("known", COULOMB, "effect_found", **errors)) == pytest.approx(2.5)
-    assert field_score.sealed_ratio(line("known", COULOMB, "unexplained", **errors)) == pytest.approx(1.0)
-    del errors["error"]["nearest"]
-    assert field_score.sealed_ratio(line("known", COULOMB, "unexplained", **errors)) == pytest.approx(2.5)
-    assert field_score.sealed_ratio(line("known", COULOMB, "failed")) == math.inf
-
-
-def test_the_summary_counts_each_figure_among_its_own_studies() -> None:
-    errors = {"error": {"after": {"a": 2.0}}, "error_true": {"a": 1.0}}
-    claim = [{"name": "cart_coulomb", "parameters": {"level": {"ci95": [0.0, 0.2]}}}]
-    lines = [
-        line("known", COULOMB, "effect_found", **errors) | {"effects": claim},
-        line("known", PAIR, "effect_found", "cart_drag", disturbance="large", **errors),
-        line("known", PAIR, "failed"),
-        line("nothing", {}, "no_effect"),
-        line("nothing", {}, "unexplained", seconds=3.0),
-        line("outside", {"magnet": {}}, "unexplained"),
-    ]
-    found = field_score.summary(lines)
-    assert found["by_effects"] == {
-        "1": {"studies": 1, "right": 1.0, "in_set": 1.0, "wrong": 0.0},
-        "2": {"studies": 2, "right": 0.0, "in_set": 0.0, "wrong": 0.5},
-    }
-    del found["by_effects"]
-    assert found == {
-        "studies": 6,
-        "right": 0.3333,
-        "in_set": 0.3333,
-        "wrong": 0.3333,
-        "false_alarms": 0.0,
-        "no_effect": 0.5,
-        "outside_flagged": 1.0,
-        "outside_misnamed": 0.0,
-        "coverage": 1.0,
-        "coverage_disturbed_small": 1.0,
-        "coverage_disturbed_large": None,
-        "sealed_ratio_median": 2.0,
-        "sealed_ratio_90": None,  # the failed one's is infinite
-        "seconds_median": 1.0,
-        "seconds_95": 3.0,
-    }
-    assert "cart: cart_coulomb" in field_score.table(lines)
-
-
-# -- harness -----------------------------------------------------------------------------------------------
-
-
-@pytest.mark.thorough
-def test_both_halves_are_run_and_the_fields_figures_stand_under_field(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def pretender(study: Path, out: Path) -> None:
-        with (study.parent / "v1.csv").open() as file:
-            channels = csv.DictReader(file).fieldnames or []
-        rmse = {"validation": dict.fromkeys(channels, 1.0)}
-        found = {"verdict": "unexplained", "effects": [], "noise_floor": rmse["validation"], "grade": "nearest"}
-        stages = ("before", "recalibrated", "after", "nearest")
-        (out / "refine.json").write_text(json.dumps(found | {"error": dict.fromkeys(stages, rmse)}))
-
-    monkeypatch.setattr(harness, "command_refiner", lambda *_: pretender)
-    results = tmp_path / "r.jsonl"
-    assert harness.main(["1", "--only", "nothing", "--results", str(results)]) == 0
-    figures = json.loads(capsys.readouterr().out.splitlines()[-1])
-    assert figures["studies"] == figures["field"]["studies"] == 1
-    assert (figures["field"]["no_effect"], figures["field"]["false_alarms"]) == (0.0, 0.0)
-    lines = [json.loads(text) for text in results.read_text().splitlines()]
-    assert [entry.get("half", "laboratory") for entry in lines] == ["laboratory", "field"]
-    assert {"plant", "faults", "disturbance", "grade", "costs", "base", "error_true"} <= lines[1].keys()
-    assert "nearest" in lines[1]["error"]
-    assert set(harness.read(results, lines[1]["revision"], "field")) == {lines[1]["seed"]}
-    assert harness.main(["1", "--half", "field", "--only", "nothing", "--results", str(results)]) == 0
-    assert list(json.loads(capsys.readouterr().out.splitlines()[-1])) == ["field"]

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import platform
-import subprocess
-import sys
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +12,6 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from cosim.fmi.native.compiler import compiler
-from tests.blind import fmu_score
 from tests.blind.field_rig import Floats, Run
 from tests.blind.fmu_build import FAULTS, PLANTS, WAYS, build
 from tests.blind.fmu_rig import FmuRig, place
@@ -25,7 +21,6 @@ from tests.cases import some
 pytestmark = pytest.mark.skipif(
     compiler() is None or platform.system() != "Linux", reason="needs a C compiler and Linux folders"
 )
-ROOT = Path(__file__).resolve().parent.parent
 KINDS = {"model_exchange": "ModelExchange", "co_simulation": "CoSimulation"}
 WITH_TRUTH = [plant for plant in PLANTS if (plant, WAYS[0]) in RIGS]
 
@@ -42,16 +37,6 @@ def simulated(path: Path, plant: str, way: str, count: int = 50, **more: Any) ->
     return np.column_stack([result[n] for n in declared.output_names])
 
 
-@pytest.mark.parametrize("version", [2, pytest.param(3, marks=pytest.mark.thorough)])
-@pytest.mark.parametrize("plant", PLANTS)
-def test_both_ways_of_both_versions_agree_in_fmpy(tmp_path: Path, plant: str, version: int) -> None:
-    path = build(tmp_path / "plant.fmu", plant, version, ways=WAYS)
-    exchange, steps = (simulated(path, plant, way) for way in WAYS)
-    assert exchange.shape == steps.shape == (51, len(PLANTS[plant].outputs))
-    assert np.all(np.ptp(steps, axis=0) > 0.0)
-    assert np.max(np.abs(exchange - steps) / np.ptp(steps, axis=0)) < 1e-3
-
-
 @pytest.mark.parametrize("fault", some(FAULTS, every=3))
 def test_each_fault_is_a_valid_fmu(tmp_path: Path, fault: str) -> None:
     for version in (2, 3):
@@ -60,14 +45,6 @@ def test_each_fault_is_a_valid_fmu(tmp_path: Path, fault: str) -> None:
         assert description.modelExchange
         assert description.coSimulation
         assert bool([v for v in description.modelVariables if v.causality == "parameter"]) == FAULTS[fault].parameters
-
-
-def test_the_binary_names_no_variable_and_no_function_of_the_plant(tmp_path: Path) -> None:
-    with zipfile.ZipFile(build(tmp_path / "a.fmu", "drive")) as archive:
-        (binary,) = [archive.read(n) for n in archive.namelist() if n.endswith(".so")]
-        assert not any(n.endswith(".c") for n in archive.namelist())
-    assert b"fmi2DoStep" in binary
-    assert not any(word in binary for word in (b"rates", b"runge_kutta", b"motor", b"stiffness"))
 
 
 def fmu(tmp_path: Path, fault: str) -> Path:
@@ -91,22 +68,6 @@ def test_short_steps_are_whole_own_steps(tmp_path: Path, fault: str) -> None:
 
     assert angle(fault, 0.05) == pytest.approx(angle("", 0.05), rel=0.05)
     assert angle(fault, 0.01) > 4.0 * angle("", 0.01)
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("fault", ["crashes", "hangs"])
-def test_a_parameter_above_its_limit_ends_the_process(tmp_path: Path, fault: str) -> None:
-    code = (
-        "import sys; from pathlib import Path; from tests.test_blind_fmu import simulated; "
-        "simulated(Path(sys.argv[1]), 'drive', 'co_simulation', 2, start_values={'motor.J': float(sys.argv[2])})"
-    )
-    command = [sys.executable, "-c", code, str(fmu(tmp_path, fault))]
-    assert subprocess.run([*command, "0.0104"], check=False, capture_output=True, cwd=ROOT).returncode == 0
-    if fault == "crashes":
-        assert subprocess.run([*command, "0.0106"], check=False, capture_output=True, cwd=ROOT).returncode < 0
-    else:
-        with pytest.raises(subprocess.TimeoutExpired):
-            subprocess.run([*command, "0.0106"], check=False, capture_output=True, cwd=ROOT, timeout=3)
 
 
 # -- truths -------------------------------------------------------------------------------------------------
@@ -184,45 +145,3 @@ def test_a_truth_agrees_with_dop853(plant: str, truth: dict[str, dict[str, float
         state = done.y[:, -1]
         reading = np.array(look(run.times[row + 1], state.tolist(), quiet))
         assert np.all(np.abs(reading - course.readings[row + 1]) < 0.02 * np.array(list(rig.outputs.values())))
-
-
-def test_inputs_pass_their_effects() -> None:
-    rig = RIGS["drive", WAYS[0]]
-    step = np.where(np.arange(40) < 10, 0.0, 1.0)[:, None]
-    run = Run(rig.step * np.arange(40), step, np.zeros((40, 2)), np.zeros(4))
-
-    def acts(**parameters: float) -> np.ndarray:
-        return rig.acting({k.replace("__", "."): v for k, v in parameters.items()}, run, 4)[:, :, 0]
-
-    assert np.array_equal(acts(), np.repeat(step, 4, axis=1))
-    assert acts(delay__time=2.5 * rig.step)[12].tolist() == pytest.approx([0.0, 0.0, 1.0, 1.0])
-    assert acts(dead_band_at_torque__width=0.3)[-1, 0] == pytest.approx(0.7)
-    assert acts(saturation_at_torque__limit=0.4)[-1, 0] == pytest.approx(0.4)
-    assert acts(play_at_torque__width=0.1)[-1, 0] == pytest.approx(0.9)
-    assert acts(bias_at_torque__value=0.1)[0, 0] == pytest.approx(0.1)
-    ramp = acts(rate_limit_at_torque__rate=1.0 / (2.0 * rig.step))
-    assert ramp[10].tolist() == pytest.approx([1 / 16, 3 / 16, 5 / 16, 7 / 16])
-    lag = acts(lag_at_torque__time=rig.step)
-    assert 1.0 - lag[10].mean() == pytest.approx(1.0 - np.exp(-1.0), rel=1e-6)
-    swings = acts(second_order_lag_at_torque__frequency=100.0, second_order_lag_at_torque__damping=0.3)
-    assert swings.max() == pytest.approx(1.0 + np.exp(-np.pi * 0.3 / np.sqrt(1.0 - 0.09)), abs=0.02)
-
-
-# -- studies ------------------------------------------------------------------------------------------------
-
-
-def test_scores_are_by_size_and_way() -> None:
-    found = {"verdict": "effect_found", "effects": [{"name": "delay", "parameters": {}}], "rivals": [], "seconds": 5.0}
-    found |= {"sensors": [], "error": {"after": {"y": 1.0}}, "error_true": {"y": 1.0}, "disturbance": "small"}
-    lines = [
-        found | {"kind": "known", "truth": {name: {}}, "size": size, "way": way, "plant": "drive", "version": 2}
-        for name, size, way in (("delay", "usual", WAYS[0]), ("lag_at_torque", "fifth", WAYS[1]))
-    ]
-    figures = fmu_score.summary(lines)
-    assert (figures["right"], figures["wrong"], figures["seconds_95"]) == (0.5, 0.5, 5.0)
-    assert figures["by"]["usual"]["right"] == figures["by"][WAYS[0]]["right"] == 1.0
-    assert figures["by"]["fifth, co_simulation"]["wrong"] == 1.0
-    assert "fifth, co_simulation" in fmu_score.table(lines)
-
-
-# -- a second exporter ------------------------------------------------------------------------------------
