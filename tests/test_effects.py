@@ -9,21 +9,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import settings
 
 from cosim.model import Stepper, parameters_of
 from plant.effects import CATALOGUE
 from plant.effects.actuator import (
     ActuatorDelay,
     ActuatorSecondOrder,
-    ServoDeadBand,
-    ServoRateLimit,
 )
-from plant.effects.body import Coriolis, TableTilt
+from plant.effects.body import TableTilt
 from plant.effects.friction import CoulombFriction, YawCoulombFriction
 from plant.effects.sensor_errors import AccelerometerBias, AccelerometerScale, GyroBias
-from plant.effects.thrust import BatterySag
 from plant.hovercraft import DUTY_NOMINAL, Hovercraft
 from tests.independent import COLUMNS, HOLD, Array, Effects, excitation, flown, simulate, to_and_fro
 
@@ -194,45 +190,6 @@ def test_effect_sleeps_at_its_neutral_values_only(kind: Any) -> None:
         assert not kind(**{p.name: p.neutral + 0.01}).dormant
 
 
-@pytest.mark.parametrize("kind", CATALOGUE, ids=lambda kind: kind.name)
-def test_effect_fades_as_it_nears_its_neutral_value(kind: Any) -> None:
-    # continuity: an effect a thousandth as strong changes a thousandth as much. The two that are off at an
-    # infinite value (ωₙ, r) are off at 0 by convention; their limit is the other end.
-    commands = to_and_fro(30)
-    plain = flown(Stepper(Hovercraft()), commands)
-    if kind in (ActuatorSecondOrder, ServoRateLimit):
-        weak = kind(rate=50.0) if kind is ServoRateLimit else kind(natural_frequency=100.0)
-        assert not weak.dormant
-        faded = flown(Stepper(craft_with(weak)), commands)
-        if kind is ServoRateLimit:  # never reached: the fastest tilt is 0.6 rad / τ = 7 rad/s
-            assert largest_difference(faded, plain) == 0.0
-        else:  # a fast servo: e^(−1.4)·(cos 1.43 + 0.98·sin 1.43) = 0.274 of a step is left after 20 ms
-            settled = faded["tilt_right_actual"][1:] - commands[:, 2]
-            assert np.max(np.abs(settled)) < 0.275 * np.max(np.abs(commands[:, 2:]))
-        return
-    full = {p.name: p.neutral + 5e-3 for p in parameters_of(kind) if p.neutral is not None}
-    weak = {p.name: p.neutral + 5e-6 for p in parameters_of(kind) if p.neutral is not None}
-    strong_change, weak_change = (
-        largest_difference(flown(Stepper(craft_with(kind(**values))), commands), plain) for values in (full, weak)
-    )
-    # a thousandth, up to the effect's curvature over this range
-    assert 0 < weak_change < 1.5e-3 * strong_change
-
-
-@property_settings
-@given(st.permutations(sorted(EVERYTHING)), st.integers(0, len(EVERYTHING)))
-def test_order_of_composition_does_not_matter(names: list[str], count: int) -> None:
-    kinds = {kind.name: kind for kind in CATALOGUE}
-    chosen = [kinds[name](**EVERYTHING[name]) for name in names[:count]]
-    one, other = Hovercraft(), Hovercraft()
-    for forward, backward in zip(chosen, reversed(chosen), strict=True):
-        one, other = one.with_effect(forward), other.with_effect(backward)
-    assert one == other
-    commands = excitation(3)
-    a, b = (flown(Stepper(c), commands, MOVING) for c in (one, other))
-    assert all(np.array_equal(a[name], b[name]) for name in COLUMNS)
-
-
 def test_an_effect_replaces_one_of_its_kind() -> None:
     craft = Hovercraft().with_effect(TableTilt(x=0.01)).with_effect(TableTilt(y=0.02))
     assert craft.effects == (TableTilt(y=0.02),)
@@ -266,33 +223,7 @@ def test_dry_friction_slides_the_textbook_distance() -> None:
     assert y["y"][-1] / y["x"][-1] == pytest.approx(-4 / 3, rel=1e-12)
 
 
-@pytest.mark.parametrize("effect", [TableTilt(x=0.03, y=0.02), Coriolis(gain=1.0)])
-def test_accelerometer_feels_contact_only(effect: Any) -> None:
-    start = {"vx": 0.4, "vy": 0.2, "psi_dot": 2.0, "tilt_right": 0.1, "tilt_left": 0.1}
-    stepper = Stepper(craft_with(effect))
-    moment = stepper.start(0.0, start)
-    ax = dict(zip([q.name for q in Hovercraft.outputs], stepper.output(0.0, moment.state, HOVER), strict=True))["ax"]
-    assert ax == pytest.approx((2 * 2.4973 * math.sin(0.1) - 0.25 * 0.4) / 0.705, abs=1e-5)  # T_N of δ_N, 5e-6 N
-    acceleration = stepper.derivative(0.0, moment.state, HOVER)[5]
-    assert abs(acceleration - ax) > 0.2  # though the craft does speed up
-
-
 # Thrust.
-
-
-@property_settings
-@given(st.floats(0.01, 0.9), st.floats(0.5, 60))
-def test_battery_sags_monotonically_towards_its_drop(drop: float, theta: float) -> None:
-    stepper = Stepper(craft_with(BatterySag(drop=drop, time=theta)))
-    state = stepper.start().state
-    times = [0.0, *np.geomspace(0.02, 40 * theta, 60).tolist()]
-    thrust = np.array([stepper.output(t, state, HOVER)[11] for t in times])
-    share = thrust / thrust[0]
-    assert thrust[0] == pytest.approx(2.4973, abs=6e-6)
-    assert np.all(np.diff(share) <= 0.0)
-    assert share[-1] == pytest.approx(1 - drop, rel=1e-13)  # e^−40 = 4e-18 of the drop is left
-    at_theta = stepper.output(theta, state, HOVER)[11] / thrust[0]
-    assert at_theta == pytest.approx(1 - drop * (1 - math.exp(-1)), rel=1e-13)
 
 
 # Actuators.
@@ -306,36 +237,6 @@ def acting(effect: Any, commands: list[tuple[float, ...]], h: float = 0.005) -> 
         shaped, memory = stepper.shape(k * h, h, command, memory)
         out.append(shaped)
     return out
-
-
-TILTS = st.lists(st.tuples(st.floats(-0.8, 0.8), st.floats(-0.8, 0.8)), min_size=1, max_size=30)
-
-
-@property_settings
-@given(TILTS, st.floats(1e-4, 0.3))
-def test_dead_band_is_zero_inside_and_odd(tilts: list[tuple[float, float]], width: float) -> None:
-    commands = [(6.0, 6.5, *pair) for pair in tilts]
-    mirrored = [(6.0, 6.5, -right, -left) for right, left in tilts]
-    effect = ServoDeadBand(width=width)
-    for command, shaped, other in zip(commands, acting(effect, commands), acting(effect, mirrored), strict=True):
-        for a, b, c in zip(command[2:], shaped[2:], other[2:], strict=True):
-            assert b == -c
-            assert b == 0.0 if abs(a) <= width else abs(b) == pytest.approx(abs(a) - width, rel=1e-15)
-            assert a * b >= 0.0
-
-
-@property_settings
-@given(TILTS, st.floats(0.05, 5), st.booleans())
-def test_tilt_never_moves_faster_than_the_rate_limit(
-    tilts: list[tuple[float, float]], rate: float, second_order: bool
-) -> None:
-    effects: list[Any] = [ServoRateLimit(rate=rate)]
-    if second_order:
-        effects.append(ActuatorSecondOrder(natural_frequency=25.0, damping_ratio=0.4))
-    y = flown(Stepper(craft_with(*effects)), [(*HOVER[:2], *pair) for pair in tilts])
-    for name in ("tilt_right_actual", "tilt_left_actual"):
-        # every stage of RK4 is within ±r, so is their mean; rounding of four substeps
-        assert np.max(np.abs(np.diff(y[name]))) <= rate * HOLD * (1 + 1e-12) + 1e-15
 
 
 @pytest.mark.parametrize("zeta", [0.1, 0.3, 0.5, 0.7])
