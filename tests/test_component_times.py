@@ -7,37 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from cosim.isolation.rows import ADVANCE, CALLS, GET, NOTHING, OTHER, PUT, WAITING
+from cosim.isolation.rows import CALLS, NOTHING
 from cosim.isolation.watch import ComponentTimes
 from cosim.simulation.report.time_rows import time_sentence
 from cosim.simulation.workflow import run
 from tests.walker import walker_scenario
 
 WHEEL, ROAD = 0, CALLS
-
-
-def test_times_are_sums_over_readings() -> None:
-    now = [0.0]
-    times = ComponentTimes(["wheel", "road"], 1, lambda: now[0])
-    for rows, doing, seconds in [
-        (0, WHEEL + ADVANCE, 7.0),  # a row of a stopped run, repeated
-        (1, ROAD + ADVANCE, 8.0),
-        (1, ROAD + PUT, 0.5),
-        (2, ROAD + ADVANCE, 0.5),
-        (2, WHEEL + GET, 2.0),
-        (3, WHEEL + OTHER, 1.0),
-        (3, NOTHING, 4.0),
-        (3, WAITING, 30.0),
-    ]:
-        now[0] += seconds
-        times.read(rows, doing)
-    record = times.record()
-    assert record["components"] == {
-        "road": {"share": 0.5625, "set": 0.5, "step": 8.5, "get": 0.0, "other": 0.0},
-        "wheel": {"share": 0.1875, "set": 0.0, "step": 0.0, "get": 2.0, "other": 1.0},
-    }
-    assert [*record["components"]] == ["road", "wheel"]
-    assert (record["rest"], record["waiting"], record["readings"]) == (4.0, 30.0, 6)
 
 
 def test_the_start_of_the_worker_counts_for_nothing() -> None:

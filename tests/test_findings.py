@@ -10,35 +10,27 @@ from __future__ import annotations
 import csv
 import math
 from pathlib import Path
-from statistics import NormalDist
 from typing import Any
 
 import numpy as np
 import pytest
 
 from cosim.estimation.fit import Fit, inverse
-from cosim.estimation.noise_model import noise_range
 from cosim.estimation.posing import NO_SETTINGS, build_problem, coarsen, with_equations_trusted
 from cosim.estimation.problem import Problem, Settings
 from cosim.loading.file import load_model, read_model
 from cosim.logs.log import read_log
 from cosim.model import Model
 from cosim.refinement.decision.evidence import (
-    deviations_by_chance,
-    required_scatters,
     with_sandwich_covariance,
 )
 from cosim.refinement.decision.judgement import (
-    Refusal,
-    _with_certain_parts,
     decide,
     is_at_limit,
 )
-from cosim.refinement.decision.prediction_fit import error_ratios
 from cosim.refinement.decision.trust import attribute
 from cosim.refinement.proof.measure import first_rows
 from cosim.refinement.refinement import Refinement
-from cosim.refinement.search.attribution import Attributor
 from cosim.refinement.search.fits import Search
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis
 from cosim.refinement.study import read_study
@@ -60,22 +52,6 @@ class Push(Gain, RailEffect):
 
     name = "push"
     input = "force"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Rail('''
-LOSS = '''
-
-class Loss(RailEffect):
-    """Dry friction of two surfaces that slide at almost the same speeds."""
-
-    name = "loss"
-    equation = "force -a tanh(v/0.02) - b tanh(v/0.024)"
-    first: float = parameter(0.0, unit="N", bounds=(-50, 50), neutral=0.0, typical=0.5, doc="of one surface")
-    second: float = parameter(0.0, unit="N", bounds=(-50, 50), neutral=0.0, typical=0.5, doc="of the other one")
-
-    def force(self, m, x, v):
-        return -self.first * m.tanh(v / 0.02) - self.second * m.tanh(v / 0.024)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -298,24 +274,6 @@ def test_the_noise_of_the_logs_counts_and_not_what_a_study_states(tmp_path: Path
     assert stated.best.names == ("coulomb",)
 
 
-# -- 5: what a fit brings to neutral ------------------------------------------------------------------
-
-
-def test_a_part_that_lands_at_neutral_is_left_out_and_the_rest_fitted_again(rail: Model, tmp_path: Path) -> None:
-    problem = coarsen(posed(rail, tmp_path, 0, numbers={"soft": 20.0}))
-    attributor = Attributor(ModelSubject.of(rail), problem, parts_of(problem, rail, "late_motor", "soft_motor"))
-    search = attributor.search
-    begin = {"late_motor.time": 0.02, "soft_motor.frequency": 15.0}
-    both = search.hypothesis(parts_of(problem, rail, "late_motor", "soft_motor"), None, promised=begin)
-    assert both.fit.values["late_motor.time"] < 2e-3
-    ((kept, start),) = attributor._reductions([both])
-    assert [c.name for c in kept] == ["soft_motor"]
-    assert start == {"soft_motor.frequency": both.fit.values["soft_motor.frequency"]}
-    rest = search.hypothesis(kept, None, promised=start)
-    assert rest.score < both.score - search.entry  # and is the better one: it costs less
-    assert decide(attributor.run()).best.names == ("soft_motor",)
-
-
 # -- 6: what is physical ---------------------------------------------------------------------------------
 
 
@@ -451,57 +409,3 @@ def test_intervals_hold_the_truth_under_a_disturbance_that_lasts(rail: Model, tm
 def slope_of(model: Model, problem: Problem) -> Fit:
     h = searched(model, problem).hypothesis(parts_of(problem, model, "slope"), None, 12)
     return with_sandwich_covariance(problem, h.fit)
-
-
-# -- 10: more candidates, no more claims ----------------------------------------------------------------------
-
-
-def test_a_candidate_costs_more_the_more_are_on_trial(rail: Model, tmp_path: Path) -> None:
-    problem = coarsen(posed(rail, tmp_path, 0))
-    one = parts_of(problem, rail, "slope")
-    three = parts_of(problem, rail, "stribeck")
-    few, many = searched(rail, problem, 10), searched(rail, problem, 100)
-    assert many.cost(one) - few.cost(one) == pytest.approx(math.log(10.0))
-    assert many.cost((*one, *three)) - few.cost((*one, *three)) == pytest.approx(2.0 * math.log(10.0))
-    # and so does each of its parameters, by what BIC has for one
-    assert few.cost(three) - few.cost(one) == pytest.approx(2.0 * 0.5 * math.log(problem.samples))
-    # what gains as much as one of a few costs is no claim among many
-    gain = 0.5 * (few.cost(one) + many.cost(one))
-    assert few.cost(one) < gain < many.cost(one)
-
-
-# -- 2 and 10, of the rules themselves ------------------------------------------------------------
-
-
-def test_the_least_unknown_input_is_none_however_long_it_lasts() -> None:
-    """What lasts a hundred times as long raises the variance of innovations a hundred times as much."""
-
-    def variances(power: Rows, longest: bool) -> Rows:
-        return np.array([1.0 + (100.0 if longest else 1.0) * math.exp(power[0])])
-
-    found = noise_range(variances, 1)
-    assert found.smallest[0] == pytest.approx(math.log(1e-3 / 100.0), abs=0.5)  # between points of a grid of 4
-    assert found.plain[0] == pytest.approx(math.log(0.04), abs=0.5)
-
-
-def test_a_part_that_halves_the_error_stays_though_none_of_its_parameters_is_certain(tmp_path: Path) -> None:
-    """Two parameters that act almost alike are known together, and neither is known by itself."""
-    text = MODEL.replace("\nclass Rail(", LOSS, 1).replace("(Late, ", "(Loss, Late, ")
-    (tmp_path / "rail.py").write_text(text, encoding="utf-8")
-    model = load_model("rail.py:Rail", tmp_path).model
-    problem = coarsen(posed(model, tmp_path, 30, 31, numbers={"coulomb": 3.0}, push=1.0))
-    search = searched(model, problem)
-    search.tried[()] = search.hypothesis((), None)
-    h = search.hypothesis(parts_of(problem, model, "loss"), None)
-    (part,) = h.candidates
-    dropped: dict[str, Refusal] = {}
-    best = _with_certain_parts(search, h, dropped)
-    assert (best.names, dropped) == (("loss",), {})
-    assert not best.is_away(part, deviations_by_chance(1))
-    assert max(error_ratios(search, best, search.tried[()], to_predictions=True)) < 0.5
-
-
-def test_the_best_of_many_must_gain_more_than_one_alone() -> None:
-    assert required_scatters(3.0, 1) == pytest.approx(3.0)
-    normal = NormalDist()
-    assert normal.cdf(-required_scatters(3.0, 15)) == pytest.approx(normal.cdf(-3.0) / 15)

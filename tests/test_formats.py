@@ -20,10 +20,9 @@ from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.blocks.sources import playback
 from cosim.logs.log import Log, read_log
-from cosim.residuals.replay_signals import Replay
 from cosim.simulation.run_signals import Run
 from cosim.storage.results import Results, read_results
-from cosim.storage.table import Column, read_columns, read_header, source_of
+from cosim.storage.table import read_columns, read_header, source_of
 from plant.hovercraft import INPUTS, OUTPUTS
 from tests.conftest import ROOT
 from tests.full_disk import full_disk
@@ -196,32 +195,7 @@ def test_a_torn_file_is_one_message(tmp_path: Path) -> None:
     assert len(faults_of(torn)) == 1
 
 
-def test_content_tells_the_format_where_the_suffix_does_not(tmp_path: Path) -> None:
-    path = as_parquet(RECORDED, tmp_path / "log.parquet").rename(tmp_path / "log.csv")
-    assert read_log(path, INPUTS, OUTPUTS).rows == 501
-    other = tmp_path / "log.h5x"
-    other.write_bytes(b"\x01\x00\x02" * 100)
-    assert "has none of the formats that are read: CSV (.csv), Parquet (.parquet)" in faults_of(other)[0]
-
-
 # -- verbs --------------------------------------------------------------------------------------------
-
-
-@pytest.mark.thorough
-def test_a_log_in_parquet_is_checked_and_replayed(plant_fmu: Path, tmp_path: Path) -> None:
-    log = as_parquet(RECORDED, tmp_path / "log.parquet")
-    both = [[line.partition(": ")[2] for line in cosim.check(path)] for path in (log, RECORDED)]
-    assert both[0] == both[1]
-    csv = cosim.replay(RECORDED, tmp_path / "csv", plant_fmu, report=False)
-    made = cosim.replay(log, tmp_path / "pq", plant_fmu, report=False, format="parquet")
-    assert sorted(p.name for p in (tmp_path / "pq").iterdir()) == ["replay.json", "residual.parquet", "results.parquet"]
-    assert csv.results.values.tobytes() == made.results.values.tobytes()
-    assert csv.residual is not None
-    assert made.residual is not None
-    assert csv.residual.results.values.tobytes() == made.residual.results.values.tobytes()
-    read = cosim.read(tmp_path / "pq")
-    assert isinstance(read, Replay)
-    assert read.results.columns == made.results.columns
 
 
 def test_a_format_that_is_unknown_is_one_message_before_any_work(project: Path) -> None:
@@ -261,15 +235,6 @@ def test_hdf5_is_read_by_h5py_and_datasets_of_other_tools_become_columns(tmp_pat
     assert (other.columns, other.units) == (("run.level",), {"run.level": "cm"})
 
 
-@pytest.mark.parametrize("suffix", [".mat", ".h5"])
-def test_a_torn_file_of_another_format_is_one_message(tmp_path: Path, suffix: str) -> None:
-    whole = _results(tmp_path, suffix).read_bytes()
-    torn = tmp_path / f"torn{suffix}"
-    for size in (0, 40, len(whole) // 2):
-        torn.write_bytes(whole[:size])
-        assert len(faults_of(torn)) == 1
-
-
 @pytest.mark.parametrize(
     ("columns", "index", "names"),
     [
@@ -294,14 +259,6 @@ def test_the_index_of_a_pandas_table_is_its_time(
     read = read_results(tmp_path / "a.parquet")
     assert (list(read.columns), read.time.tolist()) == (names, TIME.tolist())
     assert [*read_columns(tmp_path / "a.parquet").by_name] == ["time", *names] == read_header(tmp_path / "a.parquet")
-
-
-def test_a_time_that_is_not_the_first_column_is_named_and_does_not_stand_twice(tmp_path: Path) -> None:
-    (tmp_path / "a.csv").write_text("T,time,x\n300,0,1\n301,1,2\n")
-    says = 'the first column is "T"; it must be "time" [s]; time is column 2: move it to the front'
-    assert faults_of(tmp_path / "a.csv") == [f":1:1: {says}"]
-    with pytest.raises(InputError, match=re.escape(says)):
-        read_results(tmp_path / "a.csv")
 
 
 def test_a_library_that_is_missing_is_named_before_a_run(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -343,17 +300,6 @@ def test_a_run_in_another_format_is_read_again(tmp_path: Path, format_: str) -> 
     alone = shutil.copy(rows, tmp_path / f"alone{rows.suffix}")  # a file without its manifest
     assert cosim.read(alone).to_pandas().to_numpy().tobytes() == read.to_pandas().to_numpy().tobytes()
     asked("check", alone)
-
-
-@pytest.mark.parametrize("suffix", ["csv", "mat", "h5"])
-def test_a_signal_and_a_component_called_time_stand_beside_the_time(tmp_path: Path, suffix: str) -> None:
-    if suffix == "h5":
-        pytest.importorskip("h5py")
-    path, time = tmp_path / f"a.{suffix}", np.array([0.0, 0.5, 1.0])
-    columns = [("time", "s", time), ("box.time", "", np.full(3, 7.0)), ("time.x", "m", np.array([1.0, 2.0, 3.0]))]
-    source_of(path).write(path, [Column(*column) for column in columns])
-    read = {column.name: column.values for column in source_of(path).read(path, {"box.time", "time.x"}).columns}
-    assert {name: list(values) for name, values in read.items()} == {name: list(v) for name, _, v in columns}
 
 
 @pytest.mark.parametrize("suffix", ["mat", "h5"])

@@ -14,7 +14,6 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 from urllib.parse import urlencode
 
@@ -24,15 +23,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import cosim
-from cosim.base.errors import SimulationError
-from cosim.live.envelope import MAX_BLOCKS, MIN_BLOCKS, Envelope
+from cosim.live.envelope import Envelope
 from cosim.live.live_page import LivePage
 from cosim.live.live_refine import LiveRefine
 from cosim.live.live_run import LiveRun
 from cosim.live.live_sweep import LiveSweep
-from cosim.refinement.stages import ORDER
-from cosim.sweeps.runs import RunResult
-from cosim.sweeps.workflow import CriterionLimit, sweep
+from cosim.sweeps.workflow import sweep
 from tests.live_pages import slow_scenario
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -108,24 +104,6 @@ def test_groups_of_rows_have_the_least_and_the_largest_of_their_rows(
         assert found.first + found.low.shape[1] * found.size >= wanted
 
 
-def test_the_memory_of_a_run_does_not_grow_with_its_rows_and_a_peak_is_not_lost() -> None:
-    envelope = Envelope(2)
-    assert envelope.limit == MAX_BLOCKS
-    assert Envelope(100_000).limit == MIN_BLOCKS
-    block = np.zeros((50_000, 2))
-    for k in range(20):
-        block[:, 0] = 0.0
-        if k == 7:
-            block[123, 0] = 9.0
-        envelope.add(block)
-    found = envelope.extremes([0], 0, 1 << 60, 600)
-    assert envelope.rows == 1_000_000
-    assert envelope._low.shape == (MAX_BLOCKS, 2)
-    assert 300 <= found.low.shape[1] <= 600
-    (peak,) = np.flatnonzero(found.high[0] == 9.0)
-    assert peak == (7 * 50_000 + 123) // found.size
-
-
 # -- run ----------------------------------------------------------------------------------------------
 
 
@@ -186,18 +164,6 @@ def test_rows_are_read_while_they_appear_and_wrong_requests_are_refused(tmp_path
         page.server.close()
 
 
-def test_a_failed_run_shows_its_reason() -> None:
-    page = LiveRun("x")
-    try:
-        with pytest.raises(SimulationError), page:
-            raise SimulationError("tank", 1.5, "it is empty")
-        state = page.state()
-        assert (state["phase"], state["message"]) == ("failed", "tank at t = 1.5 s: it is empty")
-        assert ask(page, "report.html")[0] == 404
-    finally:
-        page.server.close()
-
-
 def test_a_page_that_is_never_opened_does_not_keep_the_command() -> None:
     page, said = LiveRun("x"), list[str]()
     page.update(phase="running")
@@ -254,54 +220,6 @@ def test_a_sweep_shows_its_runs_and_criteria_so_far(tmp_path: Path) -> None:
         assert (criterion["met"], criterion["of"], criterion["max"]) == (record["met"], 6, 3.0)
         assert [criterion["low"], criterion["high"]] == record["ci95"]
         assert sum(criterion["counts"]) == 6
-    finally:
-        page.server.close()
-
-
-def test_earlier_and_failed_runs_of_a_sweep_are_counted() -> None:
-    page = LiveSweep("s")
-    try:
-        ok = SimpleNamespace(status="ok", values=(1.0, float("nan")), met=(True, False))
-        page.begin("named", 10, [CriterionLimit("peak", 2.0, "m"), CriterionLimit("time", 1.0, "s")], [ok, ok])
-        page.add([ok, RunResult(3, "it is empty", (np.nan,) * 2, (False,) * 2, np.empty((0, 0)))])
-        state = page.state()
-        assert (state["title"], state["done"], state["total"], state["failed"]) == ("named", 4, 10, 1)
-        assert state["failures"] == [{"why": "it is empty", "count": 1}]
-        peak, settled = state["criteria"]
-        assert (peak["met"], peak["of"], peak["undefined"]) == (3, 3, 0)
-        assert (settled["met"], settled["undefined"], settled["counts"]) == (0, 3, [])
-        assert state["rate"] > 0
-        json.dumps(state, allow_nan=False)
-    finally:
-        page.server.close()
-
-
-def test_a_refinement_shows_its_stages_and_the_ranking_so_far() -> None:
-    told: list[tuple[str, float]] = []
-    page = LiveRefine("study", progress=lambda stage, share: told.append((stage, share)))
-    try:
-        assert page.state()["stages"][0]["state"] == "waiting"
-        page("reading the logs", 0.0)
-        page("recalibrating the base model", 0.0)
-        page("trying every effect, sensor and parameter: candidate 2 of 4", 0.5)
-        hypotheses = [
-            SimpleNamespace(names=names, score=score)
-            for names, score in (((), 10.0), (("leak",), 2.0), (("draw", "leak"), 4.0))
-        ]
-        page.ranking(hypotheses)
-        state = page.state()
-        assert [stage["state"] for stage in state["stages"]] == ["done", "done", "now", *["waiting"] * (len(ORDER) - 3)]
-        assert (state["share"], state["done"], state["fitted"]) == (0.5, 2, 3)
-        assert [(row["names"], row["gain"]) for row in state["ranking"]] == [
-            (["leak"], 8.0), (["draw", "leak"], 6.0), ([], 0.0),
-        ]  # fmt: skip
-        assert len(told) == 3
-        page.show_verdict({"sentence": "A leak explains it."}, Path("none.html"))
-        with page:
-            pass
-        state = page.state()
-        assert (state["phase"], state["message"], state["report"]) == ("finished", "A leak explains it.", False)
-        assert {stage["state"] for stage in state["stages"]} == {"done"}
     finally:
         page.server.close()
 

@@ -8,17 +8,11 @@ import signal
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
-import numpy as np
 import pytest
 
-from cosim.live.live_refine import LiveRefine
-from cosim.live.live_sweep import LiveSweep
 from cosim.storage.results import read_results
-from cosim.sweeps.runs import RunResult
-from cosim.sweeps.workflow import CriterionLimit
 from tests.live_pages import live_command, slow_scenario
 
 if TYPE_CHECKING:
@@ -191,35 +185,4 @@ def test_a_run_that_ends_shows_it_and_the_command_ends_with_its_page(browser: Br
         output, errors = process.communicate(timeout=60)
         assert process.returncode == 0, errors
         assert "results:" in output
-    assert faults == []
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_the_pages_of_sweep_and_refinement_show_what_there_is_and_are_accessible(browser: Browser, scheme: str) -> None:
-    axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="no axe").Axe()
-    faults: list[str] = []
-    sweep, refinement = LiveSweep("s"), LiveRefine("r")
-    try:
-        run = SimpleNamespace(status="ok", values=(1.0,), met=(True,))
-        other = SimpleNamespace(status="ok", values=(3.0,), met=(False,))
-        sweep.begin("tanks", 10, [CriterionLimit("peak of level", 2.0, "m")], [])
-        sweep.add([run, run, other, RunResult(3, "it is empty", (np.nan,), (False,), np.empty((0, 0)))])
-        refinement("trying every effect, sensor and parameter: candidate 2 of 4", 0.5)
-        refinement.ranking([SimpleNamespace(names=(), score=9.0), SimpleNamespace(names=("leak",), score=2.0)])
-        for live, words in (
-            (sweep, ("2 of 3", "66.7%", "it is empty", "4 of 10")),
-            (refinement, ("leak", "candidate 2")),
-        ):
-            page = opened(browser, live.server.url, faults, color_scheme=scheme)
-            page.wait_for_selector("html[data-live=running]", state="attached")
-            text = page.locator("body").inner_text()
-            assert [word for word in words if word not in text] == []
-            assert [(v["id"], [n["html"] for n in v["nodes"]][:3]) for v in axe.run(page).response["violations"]] == []
-            page.set_viewport_size({"width": 360, "height": 740})
-            assert page.evaluate("document.documentElement.scrollWidth") <= 360
-            page.close()
-    finally:
-        sweep.server.close()
-        refinement.server.close()
     assert faults == []

@@ -15,8 +15,7 @@ from cosim.logs.finding import Finding
 from cosim.logs.frames import frame_findings
 from cosim.logs.gate import gate
 from cosim.logs.holes import fill_holes
-from cosim.logs.log import Log, _absurd_rows, slowness, stretches, usual_step
-from cosim.logs.planar_motion import axis_findings
+from cosim.logs.log import Log, slowness, stretches, usual_step
 from cosim.logs.spikes import find_spikes, out_of_line
 
 NOISE = 0.01
@@ -55,7 +54,6 @@ def test_a_log_below_ten_seconds_is_short(seconds: float, short: bool) -> None:
     assert ("short" in found) is short
     if short:
         assert found["short"].numbers["duration"] == pytest.approx(seconds)
-        assert "20.0 s and more" in found["short"].sentence.replace("\u00a0", " ")
     slow = moving(300, 1.0)  # rows every second: everything lasts 20 times as long
     assert slow.slowness == 20
     assert "short" not in kinds(slow)
@@ -97,33 +95,32 @@ def test_jitter_is_noted_from_a_hundredth_and_a_warning_from_a_tenth() -> None:
 
 
 @pytest.mark.parametrize(
-    ("ratio", "strict", "severity", "words"),
+    ("ratio", "strict", "severity"),
     [
-        (1.0, False, None, ""),
-        (1.01, False, None, ""),
-        (1.3, False, "note", "no whole number of rows a step"),
-        (1.5, True, "note", "no whole number"),
-        (1.6, False, "warning", "what was commanded between two rows"),
-        (1.6, True, "fault", "log every command"),
-        (0.5, False, "note", ": 2 rows a step"),
-        (0.4, False, "note", "no whole number"),
-        (1 / 49, False, "note", "49 rows a step"),
-        (1 / 51, False, "warning", "fewer would do"),
-        (600.0, False, "fault", 'in ms? Then call it "time [ms]"'),
-        (1900.0, False, "fault", 'in ms? Then call it "time [ms]"'),
-        (2100.0, False, "warning", "what was commanded between"),
-        (6e5, False, "fault", "in us"),
+        (1.0, False, None),
+        (1.01, False, None),
+        (1.3, False, "note"),
+        (1.5, True, "note"),
+        (1.6, False, "warning"),
+        (1.6, True, "fault"),
+        (0.5, False, "note"),
+        (0.4, False, "note"),
+        (1 / 49, False, "note"),
+        (1 / 51, False, "warning"),
+        (600.0, False, "fault"),
+        (1900.0, False, "fault"),
+        (2100.0, False, "warning"),
+        (6e5, False, "fault"),
     ],
 )
-def test_rows_are_as_far_apart_as_the_steps_of_the_model(ratio: float, strict: bool, severity: Any, words: str) -> None:
+def test_rows_are_as_far_apart_as_the_steps_of_the_model(ratio: float, strict: bool, severity: Any) -> None:
     found = kinds(moving(), 0.02 / ratio, strict=strict).get("rate")
     assert (found and found.severity) == severity
-    assert found is None or words in found.sentence.replace("\u00a0", " ")
 
 
 def test_minutes_are_meant_only_where_a_log_seems_to_be_over_in_seconds() -> None:
     rows = moving(400, 0.02 / 60.0)
-    assert "min?" in kinds(rows, 0.02)["rate"].sentence
+    assert kinds(rows, 0.02)["rate"].severity == "fault"
     assert kinds(replace(rows, written={"time": "s"}), 0.02)["rate"].severity == "warning"
     assert kinds(moving(400, 0.04), 2.4)["rate"].severity == "warning"  # of 16 s
 
@@ -151,7 +148,6 @@ def test_inputs_that_move_alike_cannot_be_separated(rho: float, alike: bool) -> 
     assert (found is not None) is alike
     if found:
         assert found.numbers["correlation"] == pytest.approx(rho, abs=1e-3)
-        assert found.sentence.startswith("moves with v" if rho > 0 else "moves against v")
 
 
 def test_excitation_is_rms_bandwidth_and_share_at_the_ends() -> None:
@@ -172,13 +168,6 @@ def test_excitation_is_rms_bandwidth_and_share_at_the_ends() -> None:
 
 def with_output(values: Array, **more: Any) -> Log:
     return replace(moving(values.size, **more), outputs={"y": values})
-
-
-def test_missing_cells_are_a_share_and_a_time_apart() -> None:
-    y = moving().outputs["y"].copy()
-    y[np.arange(1500) % 5 != 0] = np.nan
-    assert kinds(with_output(y))["missing"].numbers == {"share": 0.2, "every": pytest.approx(0.1)}
-    assert "missing" not in kinds(moving())
 
 
 @pytest.mark.parametrize(("every", "kind"), [(1, None), (2, "held"), (5, "held")])
@@ -224,9 +213,6 @@ def test_where_an_input_has_jumped_an_output_may_answer() -> None:
         assert np.argmax(out_of_line(log, y)) == 700
     slow = replace(with_output(y), inputs={"u": np.sin(0.01 * np.arange(1500))})
     assert find_spikes(slow)["y"].tolist() == [700]
-
-
-# -- noise ------------------------------------------------------------------------------------------
 
 
 # -- lost rows --------------------------------------------------------------------------------------
@@ -291,19 +277,6 @@ def test_a_clock_of_two_spacings_keeps_the_time_of_its_rows() -> None:
     assert (np.diff(log.grid) >= 1).all()
 
 
-def test_marks_of_a_logger_are_far_beyond_the_rest() -> None:
-    for values, rows in (
-        ([1.0] * 9 + [3.4e38], [9]),
-        ([1.0] * 9 + [0.9e9], []),  # a column that mostly rests may jump
-        ([1.0] * 9 + [-1.1e9], [9]),
-        ([1e5] * 9 + [0.9e11], []),
-        ([1e5] * 9 + [1.1e11], [9]),
-        ([1e28] * 9 + [2e30], [9]),
-        ([math.nan] * 4, []),
-    ):
-        assert _absurd_rows(np.array(values)).tolist() == rows
-
-
 # -- frames -----------------------------------------------------------------------------------------
 
 
@@ -338,14 +311,6 @@ def test_a_rate_is_the_slope_of_its_angle(scale: float, kind: str | None, channe
         assert found[kind].numbers["slope"] == pytest.approx(1 / scale, rel=0.02)
 
 
-def test_a_bias_of_the_rate_is_noted_with_its_sign() -> None:
-    (drift,) = frame_findings(turning(bias=0.05))
-    assert drift.kind == "drift"
-    assert drift.numbers["drift"] == pytest.approx(-0.05, rel=0.03)
-    assert drift.sentence.startswith("is 2.9")
-    assert list(frame_findings(turning(bias=1e-5))) == []
-
-
 def test_angles_that_no_one_turns_are_taken_for_degrees() -> None:
     t = 0.02 * np.arange(1000)
     for size, told in ((6.2, False), (6.4, True)):
@@ -359,17 +324,3 @@ def test_angles_that_no_one_turns_are_taken_for_degrees() -> None:
     (found,) = frame_findings(jumpy)
     assert (found.kind, found.numbers) == ("jumps", {"count": 1.0, "first": pytest.approx(5.0)})
     assert list(frame_findings(replace(jumpy, outputs={"psi": np.where(t >= 5.0, 3.1, 0.0)}))) == []
-
-
-def test_a_body_that_moves_where_its_mirror_image_points_is_mirrored() -> None:
-    t = 0.02 * np.arange(2000)
-    heading = 0.8 * np.sin(0.3 * t) + 0.3
-    x, y = np.cumsum(np.cos(heading)) * 0.02, np.cumsum(np.sin(heading)) * 0.02
-    frame: Any = type("Frame", (), {"x": "x", "y": "y", "heading": "psi"})()
-
-    def found(sign: float, rows: int = 2000) -> int:
-        outputs = {"x": x[:rows], "y": sign * y[:rows], "psi": heading[:rows]}
-        return len(list(axis_findings(log_of(t[:rows], {}, outputs), frame)))
-
-    assert (found(1.0), found(-1.0)) == (0, 1)
-    assert (found(-1.0, 191), found(-1.0, 190)) == (1, 0)  # every 10th row: 20 places, 19
