@@ -166,8 +166,6 @@ def read_model(path: Path, readers: tuple[Path, ...] = ()) -> LoadedModel:
     kind = kind_by_keys(yaml.root)
     refuse_other(path, kind, MODEL)
     content, faults = yaml.partly(ModelFile, "model")
-    if content is None:
-        raise InputError(faults)
     try:
         model = _named_model(yaml, content)
     except InputError as error:

@@ -134,8 +134,6 @@ def read_craft(yaml: YamlFile) -> CraftUnderTest:
         InputError: Every fault of the file and its logs.
     """
     content, faults = yaml.partly(CraftFile, "rest")
-    if content is None:
-        raise InputError(faults)
     if content.rest is None and content.distance is None:
         faults.append(yaml.fault((), messages.NEITHER_REST_NOR_DISTANCE(), key=True))
     try:
