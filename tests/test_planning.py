@@ -15,9 +15,8 @@ from cosim.authoring.matching import match_ports, similarity
 from cosim.authoring.parts import RequestedTimes, component_name, times_of
 from cosim.base.errors import Fault, InputError, SimulationError
 from cosim.blocks.component import Signal
-from cosim.scenario.diagnosis import LONGEST, Diagnosis
-from cosim.scenario.pinned import sha256, with_files_beside
 from cosim.scenario.scenario import Criterion, Scenario
+from cosim.scenario.scenario_file import LONGEST, Diagnosis, sha256, with_files_beside
 from cosim.scenario.start_values import Misfit, convert_value, settable, with_elements
 from cosim.simulation.coupling import CouplingError, _largest, differences
 from cosim.simulation.criteria import evaluate, sentence

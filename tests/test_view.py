@@ -205,7 +205,7 @@ def test_a_changed_table_is_converted_again_and_drafts_and_old_conversions_are_r
     [
         ("time,x\n0,1\n1,2\n0.5,3\n", "results.csv:4"),
         ("time,x\n0,1\n1\n", "results.csv:3"),
-        ("time,x\n0,1\n,2\n", "no time"),
+        ("time,x\n0,1\n,2\n", "results.csv:3"),
         ("time,x\n", "has no row yet"),
         ("x,y\n0,1\n", "time"),
         ("time;x\n0;1\n", "semicolons"),

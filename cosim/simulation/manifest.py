@@ -17,9 +17,8 @@ from cosim.base.times import first_point
 from cosim.base.units import is_as_known
 from cosim.base.version import __version__
 from cosim.master.inbox import Change
-from cosim.scenario.pinned import key_of, sha256
 from cosim.scenario.scenario import FmuComponent, Scenario, resolve_defaults
-from cosim.scenario.scenario_file import ScenarioFile
+from cosim.scenario.scenario_file import ScenarioFile, key_of, sha256
 from cosim.storage.folders import COMMAND, SCHEMA_VERSION
 from cosim.system.system import System
 

@@ -15,8 +15,7 @@ from cosim.base.drafts import draft_of
 from cosim.base.errors import Fault, InputError
 from cosim.base.scratch import temporary_folder
 from cosim.blocks.coupling import Jacobi
-from cosim.scenario.pinned import SYSTEM
-from cosim.scenario.scenario_file import ROUNDING, ScenarioFile
+from cosim.scenario.scenario_file import ROUNDING, SYSTEM, ScenarioFile
 from cosim.ssp.elements import Element
 from cosim.ssp.flatten import read
 from cosim.ssp.levels import Flat

@@ -22,9 +22,8 @@ from cosim.master.checkpoint import Continuation, Keeping
 from cosim.master.inbox import Change, with_changes
 from cosim.master.observer import InputFunctions, NamedFunctions, Observer, ProgressObserver
 from cosim.master.remote import MODULES, SteppedRun, simulate_apart, simulate_here
-from cosim.scenario.pinned import sha256
 from cosim.scenario.scenario import Scenario
-from cosim.scenario.scenario_file import ScenarioFile, take_nearest
+from cosim.scenario.scenario_file import ScenarioFile, sha256, take_nearest
 from cosim.simulation.criteria import evaluate, missed_tolerance
 from cosim.simulation.manifest import add_changes, check_pinned, manifest, software_versions
 from cosim.simulation.packaged import is_ssp, lay_out

@@ -28,6 +28,7 @@ from cosim.base.errors import Fault, InputError
 from cosim.base.suggestions import closest as closest
 from cosim.base.suggestions import did_you_mean as did_you_mean
 from cosim.base.units import allowed_quantity, has_unit, read_quantity
+from cosim.storage.files import open_bytes
 from cosim.storage.yaml_nodes import Location, NotYaml, document_of
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
@@ -228,14 +229,16 @@ def wrong_value(name: str, value: Any, reason: str) -> str:
 def _text(path: Path) -> str:
     """Return a file's text; raise InputError if unreadable."""
     try:
-        if not path.is_file():
-            raise InputError.at(path, "is no file" if path.exists() else "no such file")
-        if (size := path.stat().st_size) > MOST_BYTES:
-            limit = f"more than the {MOST_BYTES / 1e6:.0f} MB that are read; make it shorter"
-            raise InputError.at(path, f"has {size / 1e6:.0f} MB, {limit}")
-        return path.read_text(encoding="utf-8")
+        with open_bytes(path) as stream:
+            content = stream.read(MOST_BYTES + 1)
+        if len(content) > MOST_BYTES:
+            limit = f"the {MOST_BYTES / 1e6:.0f} MB that are read; make it shorter"
+            raise InputError.at(path, f"has {path.stat().st_size / 1e6:.0f} MB, more than {limit}")
+        return content.decode()
     except UnicodeDecodeError:
         raise InputError.at(path, "is not UTF-8 text; save it as UTF-8") from None
+    except FileNotFoundError:
+        raise InputError.at(path, "no such file") from None
     except OSError as error:
         raise InputError.at(path, f"cannot be read: {error.strerror}") from None
     except ValueError:  # an impossible file name

@@ -12,6 +12,7 @@ import json
 import re
 from contextlib import suppress
 from functools import cached_property, lru_cache
+from importlib import import_module
 from typing import Any, ClassVar
 
 from ruamel.yaml import YAML
@@ -68,11 +69,11 @@ def _compose(text: str) -> Any:
 def _libyaml() -> Any:
     """Return PyYAML's C parser with ruamel.yaml's scalar types, None if absent."""
     try:
-        from yaml import CLoader
-    except ImportError:
+        loader: Any = import_module("yaml").CLoader
+    except (ImportError, AttributeError):
         return None
 
-    class Parser(CLoader):
+    class Parser(loader):  # type: ignore[misc]
         """Parser that counts the nesting, which would overflow the stack in libyaml."""
 
         yaml_implicit_resolvers: ClassVar[Any] = {
@@ -186,9 +187,10 @@ def _constructor() -> Any:
 
 def _pairs(node: Any) -> dict[str, tuple[Any, Any]]:
     """Return key → (key node, value node) of a mapping with its merged keys, which replace the node's value."""
-    if isinstance(node.value, dict):
-        return node.value
-    entries, node.value = node.value, None
+    entries = node.value
+    if isinstance(entries, dict):
+        return entries
+    node.value = None
     if entries is None:
         raise _fault(node, "merges itself; take the merge out")
     own: dict[str, tuple[Any, Any]] = {}
@@ -205,8 +207,8 @@ def _pairs(node: Any) -> dict[str, tuple[Any, Any]]:
             raise _fault(key, f'duplicate key "{name[:60]}"; keep one')
         else:
             own[name] = key, value
-    node.value = {**merged, **own}
-    return node.value
+    node.value = pairs = {**merged, **own}
+    return pairs
 
 
 def _place_of(node: Any) -> Place:
