@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -19,11 +18,9 @@ from cosim.linearization.kinks import RATE, Kink, KinkSlopes
 from cosim.linearization.linear_model import Linear
 from cosim.linearization.result import Outcome
 from cosim.linearization.system_structure import Pole, poles
-from cosim.report.chart_data import Abscissa
-from cosim.report.drawing import Charts
+from cosim.report.charts import Abscissa, Charts, Plot
 from cosim.report.html_tables import Badge
 from cosim.report.panels import Panel, Trace
-from cosim.report.svg import Plot, make_axis
 from cosim.report.template import render
 
 TEMPLATE = Path(__file__).with_name("templates") / "linearize.html.j2"
@@ -117,7 +114,6 @@ def pole_map(every: Sequence[Pole], charts: Charts) -> Plot:
     reach = max(float(np.abs(imag).max()), 0.1 * float(np.abs(real).max()), 1e-3)
     low, high = min(float(real.min()), 0.0), max(float(real.max()), 0.0)
     margin = 0.06 * (high - low or reach)
-    axes = make_axis(low - margin, high + margin, 6), make_axis(-1.15 * reach, 1.15 * reach, 5)
     panel = Panel("Imaginary part of the poles", "rad/s", [Trace("imaginary part", imag, "s0 crosses", x=real)])
     also = {
         "real part [1/s]": real,
@@ -125,9 +121,8 @@ def pole_map(every: Sequence[Pole], charts: Charts) -> Plot:
         "ζ": np.array([p.damping_ratio for p in inward]),
         "times": np.array([p.count for p in inward], float),
     }
-    plot = charts.points(panel, axes, ("real part", "1/s"), also)
-    values = ", ".join(f"{p.value:.4g}" for p in every)
-    return replace(plot, uprights=(0.0,), limit_label="imaginary axis", summary=f"Poles at {values}.")
+    ends, shown = (low - margin, high + margin), {"uprights": (0.0,), "limit": "imaginary axis"}
+    return charts.points(panel, ends, ("real part", "1/s"), also, reach=(-1.15 * reach, 1.15 * reach), **shown)
 
 
 def _bode(linear: Linear) -> list[tuple[str, Panel, Panel]]:
@@ -159,8 +154,7 @@ def _draw(pairs: Sequence[tuple[Panel, Panel]], omega: Array, charts: Charts) ->
     """Draw the magnitude and the phase of each Bode plot over a common frequency axis."""
     if not pairs:
         return []
-    curves = sum(len(size.traces) + len(phase.traces) for size, phase in pairs)
-    drawing = charts.over(omega, curves, Abscissa(("frequency", "rad/s"), log=True))
+    drawing = charts.over(omega, Abscissa(("frequency", "rad/s"), log=True))
     return [tuple(drawing.plots(pair)) for pair in pairs]
 
 
@@ -171,4 +165,4 @@ def _along(outcome: Outcome, charts: Charts) -> Plot | None:
     time = np.array([m.point.time for m in outcome.linear])
     real = np.array([sorted(poles(m.A).real) for m in outcome.linear]).reshape(len(time), -1)
     traces = [Trace(f"{j + 1}", real[:, j], f"s{j % 6}") for j in range(real.shape[1])]
-    return charts.over(time, len(traces)).plots([Panel("Real parts of the poles", "1/s", traces)])[0]
+    return charts.over(time).plots([Panel("Real parts of the poles", "1/s", traces)])[0]

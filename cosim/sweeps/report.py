@@ -11,10 +11,9 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.text import append_unit, counted, display, percent, plain, written
 from cosim.base.version import __version__
-from cosim.report.drawing import Charts
+from cosim.report.charts import Charts, Plot
 from cosim.report.html_tables import Badge
 from cosim.report.panels import Band, Panel, Trace
-from cosim.report.svg import TICKS_UP, Plot, make_axis
 from cosim.report.template import render
 from cosim.storage.kinds import shell_path
 from cosim.sweeps import messages
@@ -40,7 +39,7 @@ def page(swept: Swept) -> str:
     table, _ = read_table(swept.folder / TABLE)
     record, charts = swept.record, Charts()
     names = swept.sweep.job.signals[:MOST_BANDS]
-    drawing = charts.over(np.array(record["times"], float), 5 * len(names))
+    drawing = charts.over(np.array(record["times"], float))
     failed, runs = record["failed"], record["runs"]
     indices = _sensitivities(swept, table)
     failures = Badge(f"{failed} aborted", "bad") if failed else Badge("all completed")
@@ -181,7 +180,7 @@ def _short(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def _scatters(swept: Swept, table: Any, indices: Sequence[Sensitivity], charts: Charts) -> list[tuple[Plot, str]]:
+def _scatters(swept: Swept, table: Any, indices: Sequence[Sensitivity], charts: Charts) -> list[Plot]:
     """Draw criteria over their most important factors, criteria that every run meets only if there are no others."""
     ranked = {s.outcome: s.factors for s in indices}
     numbers = [f.name for f in swept.sweep.factors if f.name != "seed" and are_numbers(swept.sweep.columns[f.name])]
@@ -193,11 +192,8 @@ def _scatters(swept: Swept, table: Any, indices: Sequence[Sensitivity], charts: 
     return [plot for plot in drawn if plot is not None]
 
 
-def _scatter(swept: Swept, table: Any, c: Mapping[str, Any], name: str, charts: Charts) -> tuple[Plot, str] | None:
-    """Draw a criterion over a varying factor.
-
-    Returns the plot and the label of its axis, None for a constant factor or fewer than two values.
-    """
+def _scatter(swept: Swept, table: Any, c: Mapping[str, Any], name: str, charts: Charts) -> Plot | None:
+    """Draw a criterion over a varying factor; return None for a constant factor or fewer than two values."""
     values, runs = _values_of(table, c["name"]), np.array(table.column("run").to_pylist(), int)
     good = np.flatnonzero(np.isfinite(values))
     good = good[:: max(1, -(-good.size // MOST_POINTS))]
@@ -209,11 +205,11 @@ def _scatter(swept: Swept, table: Any, c: Mapping[str, Any], name: str, charts: 
     order, y, limit = np.argsort(x, kind="stable"), values[good] * factor, c["max"] * factor
     low, high = min(float(y.min()), limit), max(float(y.max()), limit)
     room, edge = 0.06 * (high - low) or 1.0, 0.04 * float(np.ptp(x))
-    axes = make_axis(float(x.min()) - edge, float(x.max()) + edge, 6), make_axis(low - room, high + room, TICKS_UP)
+    ends, reach = (float(x.min()) - edge, float(x.max()) + edge), (low - room, high + room)
     trace = Trace(c["name"], y[order], "s0 dots", x=x[order])
     panel = Panel(f"{c['name']} over {name}", unit or "1", [trace], None, (limit,), "limit")
     also = {"run": runs[good][order].astype(float)}
-    return charts.points(panel, axes, (name, x_unit or "1"), also), f"{name} [{x_unit or '1'}]"
+    return charts.points(panel, ends, (name, x_unit or "1"), also, reach=reach)
 
 
 def _spread(c: Mapping[str, Any], values: Array) -> Mapping[str, Any]:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from cosim.base.text import counted
 from cosim.base.version import __version__
-from cosim.report.drawing import Charts
+from cosim.report.charts import Charts
 from cosim.report.html_tables import Badge
 from cosim.report.template import render
 from plant.identification.craft import CraftOutcome
@@ -38,7 +38,7 @@ def page(outcome: CraftOutcome) -> str:
                     "name": r.test,
                     "title": TITLES[r.test],
                     "notes": r.notes,
-                    "plots": [(plot_of(f, charts), f.x_label) for f in r.figures],
+                    "plots": [plot_of(f, charts) for f in r.figures],
                 }
                 for r in outcome.results
             ],

@@ -39,7 +39,6 @@ from cosim.refinement.report.plots import (
     Pairs,
     Run,
     against_signal,
-    axis_label,
     over_time,
     rows_shown,
     runs,
@@ -53,7 +52,7 @@ from cosim.refinement.report.rankings import (
     ranking_tables,
 )
 from cosim.refinement.report.table_plots import table_parts
-from cosim.report.drawing import Charts
+from cosim.report.charts import Charts
 from cosim.report.html_tables import Badge, Row
 from cosim.report.template import render
 from cosim.residuals.windows import SKIPPED
@@ -240,7 +239,6 @@ def _term(s: EffectComparison, charts: Charts) -> Mapping[str, Any]:
         "title": s.effect or s.where,
         "sentence": _term_sentence(s),
         "against": against_signal(s, charts),
-        "label": axis_label(s),
         "time": over_time(s, charts),
     }
 

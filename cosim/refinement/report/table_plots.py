@@ -17,11 +17,9 @@ from cosim.refinement.proof.measure import Evidence
 from cosim.refinement.record import Part
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.error_tables import error_size, units
-from cosim.report.chart_data import Abscissa
-from cosim.report.drawing import Charts
+from cosim.report.charts import Abscissa, Charts, Plot
 from cosim.report.html_tables import Grid
 from cosim.report.panels import Panel, Trace
-from cosim.report.svg import Plot
 from cosim.residuals.residual_statistics import rmse
 
 INPUTS = 4  # at most, as x axes of a residual
@@ -31,19 +29,11 @@ COLUMNS = {"before": "Before", "recalibrated": "Recalibrated", "after": "Refined
 
 
 @dataclass(frozen=True)
-class LabelledPlot:
-    """A plot with the label of its x axis."""
-
-    plot: Plot
-    label: str
-
-
-@dataclass(frozen=True)
 class TablePlots:
     """Plots of a table: title, and outputs over the inputs."""
 
     title: str
-    plots: tuple[LabelledPlot, ...]
+    plots: tuple[Plot, ...]
 
 
 def table_parts(r: Refinement, charts: Charts) -> Mapping[str, Any]:
@@ -76,7 +66,7 @@ def draw_tables(r: Refinement, charts: Charts) -> list[TablePlots]:
     return tables
 
 
-def _plots(r: Refinement, charts: Charts, of: Mapping[str, Evidence], name: str) -> list[LabelledPlot]:
+def _plots(r: Refinement, charts: Charts, of: Mapping[str, Evidence], name: str) -> list[Plot]:
     """Draw an output and its residual over the inputs.
 
     The output is drawn over the first varying input, the residual over each.
@@ -90,7 +80,7 @@ def _plots(r: Refinement, charts: Charts, of: Mapping[str, Evidence], name: str)
     varied = [q for q in r.study.subject.inputs if np.ptp(log.inputs[q.name]) > 0.0][:INPUTS]
     unit, times = display(log.units[name])
     fine, scale = finer(log.units[name], max(rmse(e) for _, e in errors.values()))
-    plots: list[LabelledPlot] = []
+    plots: list[Plot] = []
     for q in varied or r.study.subject.inputs[:1]:
         axis, alone = (q.name, *_unit_and_values(log, q)), len(varied) < 2
         if not plots:
@@ -114,7 +104,7 @@ def _unit_and_values(log: Log, q: Quantity) -> tuple[str, Array]:
 
 def _draw_over_input(
     charts: Charts, title: str, unit: str, axis: Axis, traces: Sequence[tuple[str, str, Array]], alone: bool
-) -> LabelledPlot:
+) -> Plot:
     """Draw rows over an input: dots, or lines for a single varying input."""
     name, axis_unit, values_over = axis
     order = np.argsort(values_over, kind="stable")
@@ -125,5 +115,5 @@ def _draw_over_input(
     ]
     low, high = float(places.min()), float(places.max())
     room = 0.03 * (high - low) or 0.1 * abs(high) or 1.0
-    drawing = charts.over(places, len(panel), Abscissa((name, axis_unit), (low - room, high + room)))
-    return LabelledPlot(drawing.plots([Panel(title, unit or "1", panel)])[0], f"{name} [{axis_unit}]")
+    drawing = charts.over(places, Abscissa((name, axis_unit), (low - room, high + room)))
+    return drawing.plots([Panel(title, unit or "1", panel)])[0]

@@ -9,9 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, Field, FiniteFloat, ValidationError
 
 from cosim.base.errors import Fault, InputError, refuse
-from cosim.base.messages import Message
 from cosim.storage.files import open_bytes, parse_json, write_json
-from cosim.viewing import messages
 
 SCHEMA_VERSION = 1
 LONGEST = 80  # characters of a name
@@ -55,6 +53,7 @@ class DerivedSignal(BaseModel):
 
     name: str
     formula: str
+    unit: str = ""
     of: dict[str, SignalPlace] = Field(min_length=1)
 
 
@@ -87,7 +86,7 @@ def check_layouts(file: Path, content: Any) -> dict[str, Any]:
         InputError: The content is no file of layouts; it lists the faults by their places.
     """
     if not isinstance(content, dict) or content.get("schema_version") != SCHEMA_VERSION:
-        raise InputError.at(file, messages.WRONG_LAYOUTS())
+        raise InputError.at(file, "is no file of layouts of `cosim view`; name another one as --layout")
     try:
         LayoutFile.model_validate(content)
     except ValidationError as error:
@@ -107,12 +106,13 @@ WORDS = {
 }
 
 
-def _message(fault: Any) -> Message:
+def _message(fault: Any) -> str:
     """Return a message on a part of a file that is not as it should be."""
     reason = fault["msg"]
     for theirs, ours in WORDS.items():
         reason = reason.replace(theirs, ours)
-    return messages.WRONG_LAYOUT(place=".".join(str(part) for part in fault["loc"] if part != "[key]"), reason=reason)
+    place = ".".join(str(part) for part in fault["loc"] if part != "[key]")
+    return f"{place}: {reason}; correct it, or save this layout again in the page"
 
 
 class Layouts:
@@ -140,7 +140,7 @@ class Layouts:
     def put(self, name: Any, layout: Any) -> dict[str, Any]:
         """Save a layout under a name, or remove it if it is None; return all."""
         if not isinstance(name, str):
-            raise InputError.at(self.file, messages.WRONG_REQUEST(reason="a layout has a name"))
+            raise InputError.at(self.file, "the request is not understood: a layout has a name")
         if layout is not None:
             check_layouts(self.file, {"schema_version": SCHEMA_VERSION, "layouts": {name: layout}})
         with self._lock:
@@ -151,5 +151,8 @@ class Layouts:
                 self.file.parent.mkdir(parents=True, exist_ok=True)
                 write_json(self.file, {"schema_version": SCHEMA_VERSION, "layouts": layouts})
             except OSError as error:
-                raise InputError.at(self.file, messages.NOT_WRITTEN(reason=error.strerror)) from None
+                raise InputError.at(
+                    self.file,
+                    f"cannot be written: {error.strerror}; download the layout, or name another file as --layout",
+                ) from None
         return layouts
