@@ -19,7 +19,7 @@ from cosim.base.arrays import Array, Rows
 from cosim.storage.results import is_rounded
 
 FACTOR, LEVELS = 16, 3
-GROUP = FACTOR**LEVELS  # rows whose columns stand together in a file
+GROUP: int = FACTOR**LEVELS  # rows whose columns stand together in a file
 SIZES = [GROUP // FACTOR**level for level in range(LEVELS + 1)]  # blocks of a group, by level
 BLOCKS = 4  # least number of blocks in a pixel column, so that an edge is wrong by a quarter of a column at most
 MAX_ROWS = 2  # rows for each pixel column that are drawn as they are

@@ -15,7 +15,7 @@ from starlette.background import BackgroundTask
 from starlette.requests import Request
 from starlette.responses import FileResponse, Response
 
-from cosim.base.arrays import Array
+from cosim.base.arrays import Array, Rows
 from cosim.base.errors import InputError
 from cosim.base.scratch import process_folder
 from cosim.base.version import __version__
@@ -181,7 +181,7 @@ class Viewer:
             content = None
         begin, end, curves = _number(content, "from"), _number(content, "to"), self._curves(content, texts=True)
         several = len({id(run) for run, _ in curves}) > 1
-        heads, columns, places = list[str](), list[Array | list[str]](), list[tuple[Array, Array]]()
+        heads, columns, places = list[str](), list[Array | list[str]](), list[tuple[Array, Rows]]()
         cells = 0
         for run, name in curves:
             first, stop = run.rows.locate(begin), run.rows.locate(end, "right")
@@ -285,7 +285,7 @@ def _binary(parts: Sequence[Array]) -> Response:
     return Response(body, media_type="application/octet-stream")
 
 
-def _joined_rows(places: Sequence[tuple[Array, Array]], columns: Sequence[Array | list[str]]) -> Iterator[list[Any]]:
+def _joined_rows(places: Sequence[tuple[Array, Rows]], columns: Sequence[Array | list[str]]) -> Iterator[list[Any]]:
     """Yield a row for each time of any column; rows of one time stay several."""
     if not places:
         return

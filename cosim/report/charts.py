@@ -240,7 +240,8 @@ def pack(columns: Sequence[tuple[Array, int]]) -> str:
         last = np.maximum.accumulate(np.where(good, np.arange(values.size), -1))
         filled = np.where(last >= 0, values[np.maximum(last, 0)], 0.0) if values.size else values
         scaled = filled * 10.0**decimals if decimals >= 0 else filled / 10.0**-decimals
-        steps: NDArray[np.int64] = np.diff(np.rint(scaled).astype(np.int64), prepend=np.int64(0))
+        whole: NDArray[np.int64] = np.rint(scaled).astype(np.int64)
+        steps = whole - np.append(np.int64(0), whole[:-1])
         zigzag = ((steps << 1) ^ (steps >> 63)).astype("<i8")
         parts.append(zigzag.view(np.uint8).reshape(-1, 8)[:, :BYTES].T.tobytes())
         parts.append(b"" if good.all() else good.astype(np.uint8).tobytes())
