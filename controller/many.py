@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from controller import messages
 from controller.design_model import Matrix, measurement_matrix
 from controller.gains import Settings
 from controller.kalman import discrete_model
@@ -78,7 +77,7 @@ class ManyLoops:
     def advance(self, t: float, h: float) -> None:
         """Process one sample, eqs 5.37-5.41 and 6.1; P in Joseph form as in filterpy."""
         if np.any(np.abs(h - self.sample) > 1e-6 * self.sample):
-            raise ValueError(messages.OTHER_STEP(step=h, sample=self.sample[0]))
+            raise ValueError(f"step of {h} s; the controller is sampled at {self.sample[0]} s (parameter sample_time)")
         F, H = self.F, self.H
         P = F @ self.P @ _transpose(F) + self.V
         S = H @ P @ _transpose(H) + self.W

@@ -375,7 +375,7 @@ def scenario(draw: Callable[[Any], Any], folder: Path) -> Iterator[list[str]]:
     path.write_bytes(written(draw, SCENARIO))
     yield ["check", path.name]
     if short(path):
-        yield ["run", path.name, "--out", "out", "--no-report"]
+        yield ["run", path.name, "--out", "out", "--force", "--no-report"]
 
 
 def manifest(draw: Callable[[Any], Any], folder: Path) -> Iterator[list[str]]:
@@ -384,7 +384,7 @@ def manifest(draw: Callable[[Any], Any], folder: Path) -> Iterator[list[str]]:
     path.write_bytes(written(draw, content))
     yield ["check", path.name]
     if short(path):
-        yield ["run", path.name, "--out", "out", "--no-report"]
+        yield ["run", path.name, "--out", "out", "--force", "--no-report"]
 
 
 def study(draw: Callable[[Any], Any], folder: Path) -> Iterator[list[str]]:
@@ -439,7 +439,7 @@ def replay(draw: Callable[[Any], Any], folder: Path) -> Iterator[list[str]]:
     )
     options = [f"--start={start}"] if draw(st.booleans()) else []
     options += ["--column=battery=phi"] if draw(st.booleans()) else []
-    yield ["replay", path.name, "--plant", "plant.fmu", "--out", "out", *options]
+    yield ["replay", path.name, "--plant", "plant.fmu", "--out", "out", "--force", *options]
 
 
 def description(draw: Callable[[Any], Any], folder: Path) -> Iterator[list[str]]:
@@ -462,7 +462,7 @@ def description(draw: Callable[[Any], Any], folder: Path) -> Iterator[list[str]]
         "connections": [{"from": "r.x", "to": "m.u"}],
     }  # fmt: skip
     (folder / "with.yaml").write_text(json.dumps(content))
-    yield ["run", "with.yaml", "--out", "out", "--no-report"]
+    yield ["run", "with.yaml", "--out", "out", "--force", "--no-report"]
 
 
 def structure(draw: Callable[[Any], Any], folder: Path) -> Iterator[list[str]]:
@@ -482,7 +482,7 @@ def structure(draw: Callable[[Any], Any], folder: Path) -> Iterator[list[str]]:
             (folder / each).write_bytes(data)
     yield ["check", path.name, "--no-load"]
     short_run = ("--no-report", "--in-process", "--set", "step=0.02", "--set", "duration=0.04")
-    yield ["run", path.name, "--out", "out", *short_run]
+    yield ["run", path.name, "--out", "out", "--force", *short_run]
 
 
 def setting(draw: Callable[[Any], Any], folder: Path) -> Iterator[list[str]]:
@@ -495,7 +495,7 @@ def setting(draw: Callable[[Any], Any], folder: Path) -> Iterator[list[str]]:
         text = f"{'.'.join(map(str, where))}={value if draw(st.booleans()) else json.dumps(value)}"
         options.append((mangled(draw, text) if draw(st.booleans()) else text).replace("\0", "").replace("\ud7ff", ""))
     if short(path, options):
-        yield ["run", path.name, "--out", "out", "--no-report", *(a for o in options for a in ("--set", o))]
+        yield ["run", path.name, "--out", "out", "--force", "--no-report", *(a for o in options for a in ("--set", o))]
 
 
 KINDS = {

@@ -12,14 +12,12 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-import cosim
 from cosim.base.errors import InputError
 from cosim.base.version import __version__
 from cosim.calibration import report
 from cosim.calibration.fit_study import _beside
 from cosim.history import entries as listing
 from cosim.pages import runs as page_runs
-from cosim.pages import tables
 from cosim.simulation import run_files
 from cosim.storage.kinds import MANIFEST, kind_of
 from cosim.storage.results import read_results
@@ -99,50 +97,6 @@ def test_a_list_leaves_out_results_that_go_while_it_reads(root: Path, monkeypatc
     assert [entry.name for entry in listing.entries()] == ["one", "three"]
 
 
-@pytest.mark.parametrize(
-    ("length", "says"),
-    [
-        (len(ROWS), []),
-        (len(ROWS) - 1, ["within a line: 2 of the 3 rows"]),
-        (len(ROWS) - 3, ["within a line: 2 of the 3 rows"]),
-        (ROWS.index("1.0") + 3, ["within a line: 2 of the 3 rows"]),  # a cell less than the header has
-        (ROWS.index("1.0"), ["has 2 of the 3 rows"]),
-        (ROWS.index("0.25") + 3, ["within a line: 1 of the 3 rows"]),
-    ],
-)
-def test_rows_that_were_cut_are_told(root: Path, length: int, says: list[str]) -> None:
-    (root / "two" / "results.csv").write_text(ROWS[:length])
-    for words in (("compare", "one", "two", "--no-report", "--force", "--out", "out"), ("view", "two", "--prepare")):
-        told_lines = [line for line in _invoke(*words).stderr.splitlines() if line.startswith("warning")]
-        assert len(told_lines) == len(says)
-        assert all(part in line for part, line in zip(says, told_lines, strict=True))
-
-
-def test_a_large_table_that_ends_within_a_line_is_converted_without_this_line(
-    root: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pytest.importorskip("pyarrow")
-    monkeypatch.setattr(tables, "SMALL", 0)
-    file = root / "two" / "results.csv"
-    for length, rows in ((len(ROWS), 3), (len(ROWS) - 3, 2), (ROWS.index("1.0") + 2, 2)):
-        file.write_text(ROWS[:length])
-        (run,) = json.loads(_invoke("view", "two", "--prepare", "--json").stdout)["runs"]
-        assert run["rows"] == rows
-
-
-@pytest.mark.parametrize("length", [len(ROWS) - 3, ROWS.index("1.0") + 2])
-def test_rows_that_end_within_a_line_are_read_without_this_line(root: Path, length: int) -> None:
-    (root / "two" / "results.csv").write_text(ROWS[:length])
-    with pytest.warns(UserWarning, match="2 of the 3 rows"):
-        assert cosim.read(root / "two").results["a.x"].tolist() == [0.0, 0.25]
-
-
-def test_a_log_that_ends_without_a_line_end_keeps_its_last_row(tmp_path: Path) -> None:
-    (tmp_path / "log.csv").write_text(ROWS[:-1])
-    with pytest.warns(UserWarning, match="no line end"):
-        assert len(cosim.read(tmp_path / "log.csv").results.time) == 3
-
-
 def _outcomes() -> dict[str, str]:
     return {row["name"]: row["outcome"] for row in json.loads(_invoke("list", "--json").stdout)["results"]}
 
@@ -154,23 +108,10 @@ def test_rows_that_are_gone_are_listed_as_gone(root: Path) -> None:
     assert _outcomes() == {"one": "ok", "two": "ok", "three": "rows are gone"}
 
 
-def test_the_report_of_a_cut_run_says_so(root: Path) -> None:
-    ref = {"block": "reference", "signals": {"x": {"start": 1.0}}}
-    scenario = {"name": "ref", "duration": 1.0, "step": 0.1, "components": {"ref": ref}}
-    cosim.run(scenario, root / "ref", in_process=True)
-    page = (root / "ref" / "report.html").read_bytes()
-    assert _invoke("report", "results/ref").stderr == ""
-    assert (root / "ref" / "report.html").read_bytes() == page
-    rows = (root / "ref" / "results.csv").read_text()
-    (root / "ref" / "results.csv").write_text(rows[:-3])
-    assert "10 of the 11 rows" in _invoke("report", "results/ref").stderr
-    assert "10 of the 11 rows" in (root / "ref" / "report.html").read_text()
-
-
 @pytest.mark.parametrize(
     ("record", "says"),
     [
-        ({"criteria": "all"}, 'criteria is "all", not a list of criteria; criteria is not used'),
+        ({"criteria": "all"}, 'criteria is "all", not a list; criteria is not used'),
         ({"criteria": [{"of": "a.x", "met": "no"}]}, 'criteria[0].met is "no", not true or false'),
         ({"scenario": ["two"]}, 'scenario is ["two"], not a mapping'),
         ({"scenario": {"name": "two", "components": {"a": 3}}}, "scenario.components.a is 3, not a mapping"),
@@ -207,9 +148,9 @@ def test_a_run_says_how_many_rows_it_wrote(tmp_path: Path, monkeypatch: pytest.M
         "name: s\nduration: 1\nstep: 0.1\ncomponents:\n  ref: {block: reference, signals: {x: {start: 1}}}\n"
     )
     told("run", "s.yaml", "--in-process", "--no-report")
-    file = Path("results/s/manifest.json")
+    file = Path("results/s/0001/manifest.json")
     record = json.loads(file.read_text())
-    assert record["rows"] == read_results(Path("results/s/results.csv")).time.size == 11
+    assert record["rows"] == read_results(Path("results/s/0001/results.csv")).time.size == 11
     del record["schema_version"]
     file.write_text(json.dumps(record))
     assert kind_of(file) == MANIFEST

@@ -19,7 +19,7 @@ from cosim.base.errors import InputError, SimulationError
 from cosim.base.times import first_point
 from cosim.blocks.description import read_description
 from cosim.isolation.rows import Progress
-from cosim.master.inbox import MOST_STEPS, Change, Control, FileChannel, Inbox, MemoryChannel
+from cosim.master.inbox import MOST_STEPS, Change, Channel, Control, Inbox
 from cosim.master.observer import ObservedRun, Observer
 from tests.deeds import deeds_fmu, deeds_scenario
 from tests.typed import typed_fmu
@@ -151,11 +151,11 @@ def test_an_input_within_an_algebraic_loop_is_connected(tmp_path: Path) -> None:
     fmu = typed_fmu(tmp_path)
     loop = SimpleNamespace(transfers=(SimpleNamespace(name="a.r_in"),))
     system: Any = SimpleNamespace(held=(), stages=(), loops=(loop,), fmus={"a": (fmu, read_description(fmu))})
-    control = Control(system, channel := MemoryChannel())
+    control = Control(system, channel := Channel(tmp_path, Progress()))
     assert "a.r_in" not in {v.name for v in control.variables}
     with pytest.raises(InputError, match=r"a\.r_in"):
         control.set({"a.gain": 1, "a.r_in": 1})
-    assert channel.receive() == []
+    assert not channel.receive()
 
 
 def test_a_pause_holds_the_run_and_no_time_limit_counts_it(tmp_path: Path) -> None:
@@ -200,8 +200,8 @@ def test_changes_before_a_crash_are_in_the_manifest(tmp_path: Path) -> None:
     assert manifest["changes"] == [{"at": 0.0, "set": {"good.u0": 2.0}}]
 
 
-def test_slow_steps_are_looked_at_one_by_one_and_fast_ones_seldom() -> None:
-    inbox = Inbox(MemoryChannel())
+def test_slow_steps_are_looked_at_one_by_one_and_fast_ones_seldom(tmp_path: Path) -> None:
+    inbox = Inbox(Channel(tmp_path, Progress()))
     assert inbox.next_look(1) == 1
     time.sleep(0.03)
     assert inbox.next_look(2) == 2  # a step takes longer than the time between looks
@@ -216,12 +216,9 @@ def test_slow_steps_are_looked_at_one_by_one_and_fast_ones_seldom() -> None:
     assert inbox.next_look(late) == late
 
 
-@pytest.mark.parametrize("kind", ["memory", "file"])
-def test_a_channel_hands_on_each_value_once_in_order(tmp_path: Path, kind: str) -> None:
+def test_a_channel_hands_on_each_value_once_in_order(tmp_path: Path) -> None:
     counters = Progress()
-    here = MemoryChannel() if kind == "memory" else FileChannel(tmp_path, counters)
-    there = here if kind == "memory" else FileChannel(tmp_path, counters)
-    inbox = Inbox(there)
+    here, inbox = Channel(tmp_path, counters), Inbox(Channel(tmp_path, counters))
     events = {"a": {"x": 1, "y": 2}}
     assert inbox.take(3, events) is events
     here.send({"a": {"x": 5}})

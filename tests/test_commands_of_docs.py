@@ -19,7 +19,6 @@ import pytest
 
 import cosim
 from tests.conftest import ROOT
-from tests.decay import decay_fmu
 from tests.logs import write_log
 from tests.motor import motor_file, motor_log
 from tests.native import NEEDS_COMPILER
@@ -33,7 +32,7 @@ DOCUMENTS = {
 }
 
 EXECUTED = (
-    *("docs/fit.md", "docs/hosts.md", "docs/logs.md", "docs/native.md", "docs/probing.md", "docs/related.md"),
+    *("docs/fit.md", "docs/hosts.md", "docs/logs.md", "docs/native.md", "docs/probing.md"),
     *("docs/ssp.md", "docs/sweep.md", "docs/times.md", "examples/clocks/README.md"),
 )
 # document → what runs its commands as they stand, or with shorter times
@@ -54,13 +53,11 @@ LONG = "a whole study takes minutes to hours"
 # document → reason why its commands are parsed only, and the tests that run the same verbs and options
 PARSED: Mapping[str, tuple[str, str]] = {
     "docs/live.md": ("a page is open until its reader closes it", "tests/test_live_browser.py"),
-    "docs/real_time.md": ("a run at the pace of the clock, with partners", "tests/test_live_values.py"),
+    "docs/real_time.md": ("a run at the pace of the clock", "tests/test_pace.py"),
     "docs/refine_fmu.md": (YOURS, "tests/test_refine_fmu.py"),
-    "docs/remote.md": ("a server runs until it is ended", "tests/test_remote.py"),
     "docs/resume.md": ("a run that is stopped in its middle", "tests/test_resume.py"),
     "docs/verbs.md": ("the craft is linearized elsewhere, results are listed below", "tests/test_linearize.py"),
     "docs/view.md": ("a page is open until its reader closes it; the conversion is run below", "tests/test_view.py"),
-    "examples/remote/README.md": ("a server beside a run", "tests/test_remote.py"),
     **{
         f"examples/{name}/README.md": (LONG, f"tests/{test}.py")
         for name, test in {
@@ -71,7 +68,6 @@ PARSED: Mapping[str, tuple[str, str]] = {
             "drive": "test_drive",
             "incubator": "test_measured_fmus",
             "pendulum": "test_examples_data",
-            "propeller": "test_examples_data",
             "silverbox": "test_examples_data",
             "tclab": "test_examples_data",
             "ur10e": "test_examples_data",
@@ -282,7 +278,6 @@ SHORT = {
 LONGER = [pytest.mark.thorough]
 PREPARED = [
     ("docs/logs.md", _of_the_craft, LONGER),
-    ("docs/related.md", lambda folder: decay_fmu(folder / "BouncingBall.fmu"), ()),
     ("docs/times.md", lambda folder: None, ()),
     ("examples/clocks/README.md", _clocks, [NEEDS_COMPILER]),
     ("docs/ssp.md", lambda folder: None, [NEEDS_COMPILER]),
@@ -331,4 +326,4 @@ def test_the_commands_about_results_run_as_shown(tmp_path: Path, monkeypatch: py
         verb, *arguments = shlex.split(line, comments=True)
         if verb in {"list", "open", "compare", "gc"} or "--prepare" in arguments:
             told(verb, *arguments)
-    assert {"comparison.json", "report.html"} <= {path.name for path in tmp_path.glob("results/*/*")}
+    assert {"comparison.json", "report.html"} <= {path.name for path in tmp_path.glob("results/*/*/*")}

@@ -187,7 +187,7 @@ def test_nothing_serious_hinders_who_uses_keys_or_sees_little_in_the_page_of_a_c
 
 def test_compare_exits_5_beyond_the_tolerance_alone_and_leaves_a_page(tmp_path: Path) -> None:
     a, b = two_runs(tmp_path)
-    out = ["--out", tmp_path / "c"]
+    out = ["--out", tmp_path / "c", "--force"]
     told("compare", a, b, *out)
     page = (tmp_path / "c" / "report.html").read_text()
     assert "typed.r_out, b − a" in page
@@ -204,7 +204,7 @@ def test_compare_takes_csvs_of_other_tools(tmp_path: Path) -> None:
     for name, last in (("a", 1.0), ("b", 1.1)):
         (tmp_path / f"{name}.csv").write_text(f"time,x [m]\n0,0\n1,{last}\n")
     told("compare", tmp_path / "a.csv", tmp_path / "b.csv", "--tol", "0.11", "--out", tmp_path / "c")
-    told("compare", tmp_path / "a.csv", tmp_path / "b.csv", "--tol", "0.09", "--out", tmp_path / "c", code=5)
+    told("compare", tmp_path / "a.csv", tmp_path / "b.csv", "--tol", "0.09", "--out", tmp_path / "d", code=5)
 
 
 def test_what_is_no_run_is_told_by_compare_and_report(tmp_path: Path) -> None:
@@ -308,22 +308,11 @@ def test_a_torn_manifest_is_a_warning_of_a_comparison(tmp_path: Path, count: int
         folder.mkdir()
         (folder / "results.csv").write_text("time,a.x\n0,0\n1,1\n")
         (folder / "manifest.json").write_text('{"units": {"a.x": "m"}}')
-    words = ["compare", *map(str, folders), "--out", str(tmp_path / "out"), "--no-report"]
+    words = ["compare", *map(str, folders), "--out", str(tmp_path / "out"), "--no-report", "--force"]
     assert "damaged" not in CliRunner().invoke(app, words).stderr
     (folders[1] / "manifest.json").write_text('{"units": {"a.x": "')
     said = CliRunner().invoke(app, words).stderr
     assert said.count("damaged") == said.count(f"{folders[1] / 'manifest.json'} is damaged") == 1
-
-
-def test_a_comparison_is_written_over_by_one_of_the_same_runs_alone(tmp_path: Path) -> None:
-    for name in "abc":
-        (tmp_path / f"{name}.csv").write_text("time,x\n0,0\n1,1\n")
-    a, b, c = (tmp_path / f"{name}.csv" for name in "abc")
-    out = ("--out", tmp_path / "out", "--no-report")
-    for _ in range(2):
-        told("compare", a, b, *out)
-    assert "contains results of `cosim compare` from" in told("compare", a, c, *out, code=2)
-    told("compare", a, c, *out, "--force")
 
 
 def test_without_a_tolerance_the_same_is_what_is_equal_and_nothing_is_beyond() -> None:

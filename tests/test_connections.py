@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
 import math
 from pathlib import Path
@@ -15,8 +16,8 @@ from scipy.integrate import solve_ivp
 import cosim
 from cosim.estimation.fit import Slopes
 from cosim.estimation.problem import Scored
+from cosim.fmi.native.compiler import load_library
 from cosim.logs.log import read_log
-from cosim.model.symbolic.languages import Python
 from cosim.probing.places import probe_places
 from cosim.probing.ratio_trials import _factor
 from cosim.refinement.decision import constancy as module
@@ -26,7 +27,7 @@ from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.subject.candidates import Candidate, Kind
 from cosim.subject.fmu_subject import FmuSubject
 from cosim.terms.language import RatioFactor
-from cosim.terms.term_printing import print_terms
+from cosim.terms.term_printing import term_code
 from tests.blind.fmu_build import build
 from tests.logs import write_log
 from tests.test_refine_fmu import write_study
@@ -91,10 +92,12 @@ def test_a_force_in_a_shaft_turns_both_ends_by_their_own_inertias(folder: Path, 
     torque = []
     for values in ({}, {inertia: 1.5 * value}):
         model = FmuSubject.of_fmu(structure, logs).model.with_values(values)
-        functions: dict[str, Any] = {"math": math}
-        exec(print_terms(model, ["coulomb_at_motor_w_against_load_w"], Python()).source, functions)
-        rates = [0.0] * len(structure.states)
-        functions["added_rates"](0.0, [0.0, 1.0, 0.0, 0.0], [0.0], [0.5, 0.1, STEP], rates)
+        code = term_code(model, ["coulomb_at_motor_w_against_load_w"], [q.name for q in structure.states])
+        export = "void call(const double *x, const double *p, double *out) { added_rates(0.0, x, x, p, out); }"
+        arrays = [np.array(a) for a in ([0.0, 1.0, 0.0, 0.0], [0.5, 0.1, STEP], [0.0] * len(structure.states))]
+        library = load_library(f"#include <math.h>\n{code.source}\n{export}")
+        library.call(*(a.ctypes.data_as(ctypes.c_void_p) for a in arrays))
+        rates = arrays[-1]
         torque.append((values.get("motor_J", MOTOR) * rates[1], values.get("load_J", LOAD) * rates[3]))
     assert torque[0] == pytest.approx((-0.5 * MOTOR, 0.5 * MOTOR))
     assert torque[1][1] == pytest.approx(-torque[1][0])
@@ -169,7 +172,7 @@ def test_a_base_parameter_that_all_rivals_share_is_not_claimed_if_it_varies(monk
     h = Hypothesis((stiffness, bias), cast(Any, SimpleNamespace()), -50.0)
     claims = Claims("ambiguous", h, ("b + k", "d + k"), certain=(stiffness,), grade="part")
     tested = {"k": Constancy("k", 0.85, 0.95, 1e-4)}
-    search = cast(Any, SimpleNamespace(problem=SimpleNamespace(table=False)))
+    search = cast(Any, SimpleNamespace(problem=None))
     monkeypatch.setattr(module, "varying_parameters", lambda *_: tested)
     checked = check_constancy(search, cast(Any, None), claims)
     assert (checked.name, checked.grade, checked.claimed_candidates) == ("ambiguous", "nearest", ())

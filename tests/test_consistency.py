@@ -14,19 +14,19 @@ import pytest
 from numpy.typing import NDArray
 from typer.testing import CliRunner
 
-from controller.extended import STATES
-from controller.monte_carlo import CASES, MANOEUVRE, FlightCase, references, squares_of
-from cosim.base.errors import InputError
-from cosim.estimators.consistency import (
+from controller.consistency import (
     Consistency,
     ConsistencyRow,
     by_case,
+    consistency,
     consistency_of,
     headline,
     independent_times,
 )
-from cosim.estimators.report import page
-from cosim.estimators.workflow import consistency
+from controller.consistency_page import page
+from controller.extended import STATES
+from controller.monte_carlo import CASES, MANOEUVRE, FlightCase, references, squares_of
+from cosim.base.errors import InputError
 from cosim.model import Stepper
 from cosim.verbs.cli import app
 from plant.hovercraft import Hovercraft

@@ -26,12 +26,9 @@ from controller.synthesis import Q_THESIS, R_THESIS, integral_gain, numbers_of, 
 from controller.time_variant import SMALL, TimeVariantLaw, held_over
 from controller.time_variant_settings import OF_CRAFT, TimeVariantSettings
 from controller.variants import PredictiveSettings, integral_settings, placed_settings
-from cosim.base.errors import InputError
 from cosim.fmi.fmu_build import build
 from cosim.model import Stepper
 from cosim.model.symbolic.linearize import linearize
-from cosim.scenario.controller_design import designed_values
-from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.workflow import run
 from cosim.sweeps.store import TABLE, read_table
 from cosim.sweeps.workflow import sweep
@@ -381,21 +378,12 @@ def test_its_craft_is_that_of_the_numbers_it_is_given() -> None:
         TimeVariantSettings(thrust_slope=1000.0, thrust_nominal=20.0, duty_nominal=1.0, duty_min=0.5)
 
 
-def test_an_estimator_in_a_design_is_left_aside_by_the_law_with_its_own(flown: Path) -> None:
-    file = ScenarioFile(Path("regulate.yaml"), ["components.controller.fmu=../build/controller-ltv-mpc.fmu"])
-    assert file.scenario.design is not None
-    found = designed_values(file)["controller"]
-    assert file.faults == []
-    assert "estimator" not in found
-    assert found["thrust_nominal"] == 2.4973
-
-
-def test_a_sweep_makes_its_runs_through_the_fmu_and_varies_its_design(flown: Path) -> None:
+def test_a_sweep_makes_its_runs_through_the_fmu(flown: Path) -> None:
     Path("sweep.yaml").write_text(
         "scenario: regulate.yaml\nset: {duration: 0.1, criteria: {}, noise: off,"
         " components.controller.fmu: ../build/controller-ltv-mpc.fmu,"
         " components.controller.start.psi_hat_start: 0, components.plant.start.psi_start: 0}\n"
-        "signals: [controller.tilt_right]\nvary:\n  design.R: {values: [[1, 1], [400, 400]]}\n"
+        "signals: [controller.tilt_right]\nvary:\n  controller.weight_tilt: {values: [1, 400]}\n"
     )
     swept = sweep(Path("sweep.yaml"), flown / "out", in_process=True, report=False)
     assert swept.record["way"] == "fmus"
@@ -454,23 +442,15 @@ def test_an_fmu_commands_as_its_loop_does(fmus: dict[str, Path], name: str, of: 
     assert got == want
 
 
-def test_the_fmus_are_sound_and_say_which_law_they_are(fmus: dict[str, Path]) -> None:
+def test_the_fmus_are_sound(fmus: dict[str, Path]) -> None:
     from fmpy.validation import validate_fmu
-
-    from cosim.fmi.sampled import law_of
 
     for path in fmus.values():
         assert validate_fmu(str(path)) == []
-    assert {name: law_of(path) for name, path in fmus.items()} == {
-        "pole": "poles",
-        "lqi": "integral",
-        "mpc": "predictive",
-        "ltv-mpc": "time_variant",
-    }
 
 
 @pytest.mark.thorough
-def test_one_line_swaps_the_controller_and_the_design_follows(flown: Path) -> None:
+def test_one_line_swaps_the_controller(flown: Path) -> None:
     for name in RECIPES:
         swap = [f"components.controller.fmu=../build/controller-{name}.fmu", "criteria={}", "duration=4"]
         outcome = run("regulate.yaml", flown / name, swap, report=False, in_process=True)
@@ -479,60 +459,6 @@ def test_one_line_swaps_the_controller_and_the_design_follows(flown: Path) -> No
     again = run("regulate.yaml", flown / "again", swap, report=False, in_process=True)
     first, second = ((folder / "results.csv").read_bytes() for folder in (outcome.folder, again.folder))
     assert first == second  # the predictive one: same seed, same bytes
-
-
-def test_each_law_is_designed_for_a_refined_craft(flown: Path) -> None:
-    Path("model.yaml").write_text("parameters: {mass: 0.9, ixx: 0.012, izz: 0.02}\n", encoding="utf-8")
-    for name in RECIPES:
-        swap = f"components.controller.fmu=../build/controller-{name}.fmu"
-        found = []
-        for design in ("{}", "{model: model.yaml}"):
-            file = ScenarioFile(Path("regulate.yaml"), [swap, f"design={design}"])
-            found.append(designed_values(file)["controller"])
-            assert file.faults == []
-        assert (found[1]["mass"], found[1]["izz"]) == (0.9, 0.02)
-        changed = "k_1_4" if name in ("pole", "lqi") else "ixx"
-        assert found[1][changed] != found[0].get(changed)
-
-
-@pytest.mark.parametrize(
-    ("name", "design", "words"),
-    [
-        ("pole", "{poles: [1, -4, -11, -4, -5]}", "poles: 1 rad/s is not stable"),
-        ("pole", "{poles: [-2, -4, -11, -4+1j, -5]}", "poles: -4+1j needs -4-1j"),
-        ("pole", "{poles: [-2, -4, -11, fast, -5]}", "'fast' is no number"),
-        ("pole", "{poles: [-2, -4]}", "poles"),
-        ("lqi", "{Q_integral: [0, 1]}", "Q_integral"),
-        ("mpc", "{duty_limits: [6.5, 7]}", "no duty of 6.5 to 7 % holds the craft, which hovers at 6.38763 %"),
-        ("mpc", "{Q: [0, 1, 1, 1, 0]}", "no position is left to itself"),
-        ("mpc", "{R: [1, 2]}", "one weight for both"),
-        ("ltv-mpc", "{duty_limits: [6.5, 7]}", "no duty of 6.5 to 7 % holds the craft, which hovers at 6.38763 %"),
-        ("ltv-mpc", "{horizon: 0.01}", "horizon: 0.01 lies outside [0.1, 20] s"),
-        ("ltv-mpc", "{R: [1, 2]}", "one weight for both"),
-        ("ltv-mpc", "{thrust_nominal: 30}", "at 6.38763 % has 378.9 gf at no duty; take numbers that give -10000 to 0"),
-    ],
-)
-def test_a_design_that_cannot_be_is_a_fault_of_the_scenario(flown: Path, name: str, design: str, words: str) -> None:
-    text = Path("regulate.yaml").read_text(encoding="utf-8").replace("controller.fmu", f"controller-{name}.fmu")
-    start, end = text.index("design:"), text.index("components:")
-    Path("faulty.yaml").write_text(f"{text[:start]}design: {design}\n\n{text[end:]}", encoding="utf-8")
-    with pytest.raises(InputError) as refusal:
-        run("faulty.yaml", flown / "never", report=False)
-    (fault,) = refusal.value.faults
-    assert words in str(fault)
-    assert refusal.value.exit_code == 2
-    assert fault.line == 9
-    assert not (flown / "never").exists()
-
-
-def test_start_values_that_leave_no_solution_are_a_fault_at_their_place(flown: Path) -> None:
-    text = Path("regulate.yaml").read_text(encoding="utf-8").replace("controller.fmu", "controller-mpc.fmu")
-    Path("faulty.yaml").write_text(text.replace("tilt_max: 12 deg", "duty_min: 6.5"), encoding="utf-8")
-    with pytest.raises(InputError) as refusal:
-        run("faulty.yaml", flown / "never", report=False)
-    (fault,) = refusal.value.faults
-    assert "no duty of 6.5 to 7 % holds the craft" in str(fault)
-    assert "duty_min" in text.replace("tilt_max: 12 deg", "duty_min: 6.5").splitlines()[fault.line - 1]
 
 
 def test_a_report_says_why_an_integral_without_fixes_leaves_an_error(flown: Path) -> None:

@@ -162,7 +162,7 @@ def test_the_halves_of_a_single_log_widen_its_intervals_as_two_logs_do(monkeypat
     monkeypatch.setattr(evidence, "halve_log", lambda problem: SimpleNamespace(logs=[0, 1]))
     monkeypatch.setattr(evidence, "with_sandwich_covariance", lambda problem, f: replace(f, scattered=np.eye(1) * 0.01))
     monkeypatch.setattr(evidence, "fit_without", lambda search, problem, h, log: halves[log])
-    search = SimpleNamespace(problem=SimpleNamespace(logs=[0], table=False))
+    search = SimpleNamespace(problem=SimpleNamespace(logs=[0]))
     widened = evidence.with_intervals(search, Hypothesis((), both, 0.0))
     assert widened.fit.sigma("force") == pytest.approx(0.3, rel=0.01)
 

@@ -21,7 +21,6 @@ import pytest
 
 from cosim.loading.file import load_model
 from cosim.model import SCALAR, Model
-from cosim.refinement.workflow import refine
 
 ROOT = Path(__file__).resolve().parent.parent
 EXAMPLES = ROOT / "examples"
@@ -270,61 +269,3 @@ def test_the_silverbox_needs_its_cubic_spring_on_the_arrow(tmp_path: Path) -> No
     cubic = {"frequency": 429.25, "damping": 41.74, "input_gain.gain": 1.0502, "cubic_spring.coefficient": 3.970}
     assert 0.0135 < rmse(linear, log, {}, interpolated=True) < 0.0150
     assert rmse(model.with_values(cubic), log, {}, interpolated=True) < 0.0012
-
-
-def test_a_constant_thrust_coefficient_is_off_by_twenty_grams_and_one_linear_in_speed_by_three(tmp_path: Path) -> None:
-    table = columns(logs_of("propeller", tmp_path).parent / "static.csv")
-    n, thrust = table["speed"] / 5000.0, table["thrust"]
-    assert len(n) == 16
-
-    def left_out(basis: np.ndarray) -> float:
-        keep = ~np.eye(len(n), dtype=bool)
-        missed = [basis[k] @ np.linalg.lstsq(basis[keep[k]], thrust[keep[k]])[0] - thrust[k] for k in range(len(n))]
-        return float(np.sqrt(np.mean(np.square(missed)))) / 0.00980665
-
-    assert left_out(np.column_stack([n**2])) == pytest.approx(19.6, abs=0.05)
-    assert left_out(np.column_stack([n**2, n**3])) == pytest.approx(3.1, abs=0.05)
-
-
-@pytest.mark.thorough
-def test_the_propeller_is_named_its_reynolds_number_and_predicts_rows_left_out_to_three_and_a_half_grams(
-    tmp_path: Path,
-) -> None:
-    r = refine(logs_of("propeller", tmp_path), tmp_path / "out").record
-    names = {e["name"] for e in r["effects"]} | set(r["rivals"])
-    assert r["verdict"] in {"effect_found", "ambiguous"}, r["sentence"]
-    assert names <= {"reynolds_number", "power_law"}  # two writings of one effect
-    assert r["error"]["left_out"]["recalibrated"]["thrust"] / 0.00980665 == pytest.approx(19.6, abs=0.05)
-    assert r["error"]["left_out"]["after"]["thrust"] / 0.00980665 <= 3.5
-
-
-def test_the_pendulum_comes_to_rest_by_dry_friction(tmp_path: Path) -> None:
-    folder, model = logs_of("pendulum", tmp_path).parent, model_of("pendulum")
-    log = columns(folder / "v2.csv")
-    start = {"angle": float(log["angle"][0])}
-    viscous = model.with_values({"length": 0.15315, "viscous": 0.0592})
-    dry = model.with_values({"length": 0.15311, "viscous": 0.0224, "coulomb_friction.level": 0.138})
-    assert rmse(viscous, log, start) > 0.02
-    assert rmse(dry, log, start) < 0.006
-
-
-def test_the_heaters_need_exchange_of_heat_and_a_lag_of_the_sensors(tmp_path: Path) -> None:
-    folder, model = logs_of("tclab", tmp_path).parent, model_of("tclab")
-    log = columns(folder / "v1.csv")
-    assert np.isnan(log["temperature_1"]).sum() == 2 * np.isfinite(log["temperature_1"]).sum()
-    apart = model.with_values({"loss": 0.0097, "power_1": 0.5805, "power_2": 0.4053})
-    both = {"sensor_lag.time": 13.2, "heat_exchange.conductance": 0.00351}
-    coupled = model.with_values({"loss": 0.00993, "power_1": 0.6699, "power_2": 0.3564, **both})
-    assert np.all(rmse(coupled, log, {}) < 0.65 * rmse(apart, log, {}))
-
-
-def test_the_actuator_needs_a_delay_and_an_asymmetric_flow(tmp_path: Path) -> None:
-    folder, script = logs_of("actuator", tmp_path).parent, _loaded(EXAMPLES / "actuator" / "least_squares.py")
-    yardstick = sys.modules["yardstick"]
-    sealed = [yardstick.read_log(script.RIG, folder / "v1.csv")]
-    assert len(sealed[0].time) == 512
-    # fitted by least squares to the estimation logs
-    base = {**script.GIVEN, "gain": -6.923, "stiffness": 5.831, "damping": 1.220}
-    both = {"gain": -13.23, "stiffness": 7.402, "damping": 1.075, "asymmetry.ratio": 0.3485, "valve_delay.time": 0.3936}
-    assert yardstick.rms(script.RIG, sealed, base)[0] == pytest.approx(0.972, abs=0.002)
-    assert yardstick.rms(script.RIG, sealed, {**base, **both})[0] == pytest.approx(0.645, abs=0.002)

@@ -284,8 +284,9 @@ def test_the_framework_alone_serves_foreign_fmus_beside_files_of_the_users_names
         json.loads(cosim("schema", kind))
     help_text = cosim("--help")
     assert "identify" not in help_text
+    assert "consistency" not in help_text
     # what needs the example says what to name instead
-    for arguments in (("build",), ("replay", "log.csv"), ("consistency",)):
+    for arguments in (("build",), ("replay", "log.csv")):
         assert 'no model "base" is installed; name a' in cosim(*arguments, code=2)
     (rooms / "study.yaml").write_text("model: base\nlogs: {estimation: [log.csv]}\n")
     assert "study.yaml:1:8: " in cosim("check", "study.yaml", code=2)

@@ -2,7 +2,7 @@
 
 More of these is shown elsewhere: 1 in test_candidates and test_refine_stands, 4 in test_refine_conditions, 6 and 9 in
 test_refine_report and test_verdict_sentences (every refine of the tests is held against tests/verdicts.py), 7 in
-test_sealed and test_nearest, 8 in test_per_log, test_between_rows, test_excite_ranges, test_rates and test_static.
+test_sealed and test_nearest, 8 in test_per_log, test_between_rows, test_excite_ranges and test_rates.
 """
 
 from __future__ import annotations

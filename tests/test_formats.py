@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import json
 import math
 import re
 import shutil
@@ -95,7 +94,7 @@ def test_cells_read_at_once_are_those_read_one_by_one(tmp_path: Path, monkeypatc
             monkeypatch.setattr(csv_source, "_plain_numbers", way)
             faults = Faults(path)
             tables.append(read_table(faults, choose, "", ""))
-            results.append([read_results(path, ended=ended) for ended in (False, True)])
+            results.append([read_results(path)])
             faults.raise_any()
         with csv_source._open(path) as stream:
             used += plain(csv_source._Cells(stream, faults)) is not None
@@ -160,7 +159,7 @@ def test_units_of_a_column_are_in_its_metadata_or_its_name(tmp_path: Path) -> No
     assert playback("r", stated).functions[0](1.0) == pytest.approx(math.radians(1.0))
 
 
-@pytest.mark.parametrize("suffix", [".parquet", ".mat", ".h5", ".mcap"])
+@pytest.mark.parametrize("suffix", [".parquet", ".mat", ".h5"])
 def test_rows_of_every_kind_come_back_as_from_csv(tmp_path: Path, suffix: str) -> None:
     values: Array = np.column_stack(
         (TIME**3 / 3.0, [0.0, 1.0, -2.0, 3.0, 4.0], [np.nan, 1e-300, -0.0, 5e-324, 1.7e308])
@@ -263,7 +262,7 @@ def test_a_run_in_parquet_is_read_compared_and_reported(project: Path) -> None:
     scenario = str(project / "scenarios" / "regulate.yaml")
     csv, other = str(project / "csv"), project / "pq"
     for arguments in (["--out", csv], ["--out", str(other)], ["--out", str(other), "--format", "parquet"]):
-        ran = CliRunner().invoke(app, ["run", scenario, *arguments, "--no-report"])
+        ran = CliRunner().invoke(app, ["run", scenario, *arguments, "--no-report", "--force"])
         assert ran.exit_code == 0, ran.output
     assert "results.parquet" in ran.output
     assert [p.name for p in other.glob("results.*")] == ["results.parquet"]  # none of an earlier run
@@ -355,23 +354,7 @@ def test_hdf5_is_read_by_h5py_and_datasets_of_other_tools_become_columns(tmp_pat
     assert (other.columns, other.units) == (("run.level",), {"run.level": "cm"})
 
 
-def test_mcap_is_read_by_its_own_library(tmp_path: Path) -> None:
-    reader = pytest.importorskip("mcap.reader")
-    with _results(tmp_path, ".mcap").open("rb") as stream:
-        messages = list(reader.make_reader(stream).iter_messages())
-    schema, channel, message = messages[1]
-    assert (channel.topic, channel.message_encoding, message.log_time) == ("/tank", "json", 500_000_000)
-    assert json.loads(message.data) == {"time": 0.5, "level": 0.25, "a[1]": 1.0}
-    assert json.loads(schema.data)["properties"]["level"]["unit"] == "m"
-
-
-def test_mcap_has_no_times_before_zero(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="MCAP counts from 0"):
-        Results(TIME - 1.0, ("a.x",), TIME.reshape(-1, 1)).write(tmp_path / "r.mcap")
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize("suffix", [".mat", ".h5", ".mcap"])
+@pytest.mark.parametrize("suffix", [".mat", ".h5"])
 def test_a_torn_file_of_another_format_is_one_message(tmp_path: Path, suffix: str) -> None:
     whole = _results(tmp_path, suffix).read_bytes()
     torn = tmp_path / f"torn{suffix}"
@@ -432,7 +415,7 @@ def test_a_time_that_is_not_the_first_column_is_named_and_does_not_stand_twice(t
         read_results(tmp_path / "a.csv")
 
 
-@pytest.mark.parametrize(("library", "format_"), [("h5py", "hdf5"), ("mcap", "mcap"), ("pyarrow", "parquet")])
+@pytest.mark.parametrize(("library", "format_"), [("h5py", "hdf5"), ("pyarrow", "parquet")])
 def test_a_library_that_is_missing_is_named_before_a_run(
     project: Path, monkeypatch: pytest.MonkeyPatch, library: str, format_: str
 ) -> None:
@@ -468,7 +451,7 @@ def test_rows_that_fit_on_a_full_disk_are_written_in_each_format(tmp_path: Path,
     assert [path.name for path in tmp_path.iterdir()] == [file.name]
 
 
-@pytest.mark.parametrize("format_", ["mat", "hdf5", "mcap"])
+@pytest.mark.parametrize("format_", ["mat", "hdf5"])
 def test_a_run_in_another_format_is_read_again(tmp_path: Path, format_: str) -> None:
     (tmp_path / "s.yaml").write_text(
         "name: s\nduration: 1\nstep: 0.1\ncomponents:\n  ref:\n    block: reference\n"
@@ -486,10 +469,10 @@ def test_a_run_in_another_format_is_read_again(tmp_path: Path, format_: str) -> 
     asked("check", alone)
 
 
-@pytest.mark.parametrize("suffix", ["csv", "mcap", "mat", "h5"])
+@pytest.mark.parametrize("suffix", ["csv", "mat", "h5"])
 def test_a_signal_and_a_component_called_time_stand_beside_the_time(tmp_path: Path, suffix: str) -> None:
-    if suffix in {"mcap", "h5"}:
-        pytest.importorskip({"mcap": "mcap", "h5": "h5py"}[suffix])
+    if suffix == "h5":
+        pytest.importorskip("h5py")
     path, time = tmp_path / f"a.{suffix}", np.array([0.0, 0.5, 1.0])
     columns = [("time", "s", time), ("box.time", "", np.full(3, 7.0)), ("time.x", "m", np.array([1.0, 2.0, 3.0]))]
     source_of(path).write(path, [SourceColumn(*column) for column in columns])
@@ -510,29 +493,3 @@ def test_a_temperature_is_no_time_and_its_unit_and_large_numbers_are_kept(tmp_pa
     time, *others = source_of(path).frame(path).columns
     assert (time.name, time.unit, list(time.values)) == ("time", "ms", [0.0, 100.0])
     assert {c.name: list(c.values) for c in others} == {"T": [300.0, 301.0], "n": [2.0**64, 1.0]}
-
-
-@pytest.mark.parametrize(
-    ("messages", "found"),
-    [
-        ([(0, {"a": {"b": 1.0}, "c": [2.0, 3.0]})], {"x.a.b": [1.0], "x.c[0]": [2.0], "x.c[1]": [3.0]}),
-        ([(0, {"a": 1.0}), (0, {"a": 2.0})], "two messages of /x have the time 0.0 s"),
-        ([(0, [1.0])], "a message of /x is no object"),
-    ],
-)
-def test_messages_of_another_tool_lose_nothing(tmp_path: Path, messages: list[tuple[int, Any]], found: Any) -> None:
-    writer = pytest.importorskip("mcap.writer")
-    path = tmp_path / "a.mcap"
-    with path.open("wb") as stream:
-        file = writer.Writer(stream)
-        file.start()
-        schema = file.register_schema(name="x", encoding="jsonschema", data=b"{}")
-        channel = file.register_channel("/x", "json", schema)
-        for stamp, content in messages:
-            file.add_message(channel, stamp, json.dumps(content).encode(), stamp)
-        file.finish()
-    if isinstance(found, str):
-        with pytest.raises(InputError, match=found):
-            source_of(path).frame(path)
-    else:
-        assert {c.name: list(c.values) for c in source_of(path).frame(path).columns[1:]} == found

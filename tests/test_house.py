@@ -48,9 +48,7 @@ def test_the_verbs_take_paths_as_they_are_written(tmp_path: Path, monkeypatch: p
     monkeypatch.chdir(tmp_path)
     simulated(Path("v1.csv"), 1)
     (plant,) = cosim.build("built", f"{EXAMPLE / 'drive.py'}:Drive")
-    (carried,) = cosim.check(str(plant))
-    assert cosim.check([plant]) == [carried]
-    assert 'experiment "smoke test"' in carried
+    assert cosim.check(str(plant)) == cosim.check([plant]) == []
     cosim.replay("v1.csv", "replayed", "built/plant.fmu")
     Path("run.yaml").write_text(
         "name: drive\nduration: 1\nstep: 0.01\ncomponents: {drive: {fmu: built/plant.fmu, start: {force: 20}}}\n"

@@ -229,7 +229,7 @@ def test_a_model_file_is_none_that_is_checked_as_a_study(keys: set[str], kind: s
 
 
 def test_every_command_that_takes_a_file_is_tried() -> None:
-    without = {"bench", "consistency", "gc", "list", "open", "schema", "serve"}
+    without = {"bench", "consistency", "gc", "list", "open", "schema"}
     commands = {c.name or c.callback.__name__.replace("_", "-") for c in app.registered_commands if c.callback}
     assert {text.split()[0] for text in READ} == commands - without
 
@@ -285,7 +285,7 @@ def test_rows_are_those_of_a_run_where_its_manifest_lies_beside_them(shelf: Path
         ("{block: reference, step: 0.2, signals: {x: {}}}", 'unknown key "step": fmu takes it, reference does not'),
         ("{block: playback, file: log.csv, rate: 2}", 'unknown key "rate": fix takes it, playback does not'),
         ("{block: reference, signals: {x: {stat: 1}}}", 'did you mean "start"? (known here: unit, start, changes)'),
-        ("{fmu: x.fmu, stepp: 1}", 'did you mean "step"? (known here: fmu, at, process, start'),
+        ("{fmu: x.fmu, stepp: 1}", 'did you mean "step"? (known here: fmu, process, start'),
     ],
 )
 def test_a_key_of_another_kind_of_component_is_told_with_what_takes_it(

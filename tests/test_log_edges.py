@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from cosim.base.arrays import Array
-from cosim.base.messages import Message
 from cosim.logs.channel_noise import noise_level, surprise
 from cosim.logs.finding import Finding
 from cosim.logs.frames import frame_findings
@@ -20,7 +19,6 @@ from cosim.logs.holes import fill_holes
 from cosim.logs.log import Log, _absurd_rows, _unwrap, slowness, stretches, usual_step
 from cosim.logs.planar_motion import axis_findings
 from cosim.logs.spikes import _neighbours_agree, find_spikes, out_of_line
-from cosim.logs.static_table import table_findings
 
 NOISE = 0.01
 
@@ -428,43 +426,11 @@ def test_a_body_that_moves_where_its_mirror_image_points_is_mirrored() -> None:
     assert (found(-1.0, 191), found(-1.0, 190)) == (1, 0)  # every 10th row: 20 places, 19
 
 
-# -- tables -----------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("rows", "severity"), [(1, "fault"), (2, "warning"), (7, "warning"), (8, None)])
-def test_a_table_of_few_rows_says_little(rows: int, severity: str | None) -> None:
-    k = np.arange(12.0)
-    y = np.where(k < rows, k * k, np.nan)
-    log = replace(log_of(k, {"u": np.sin(k)}, {"y": y}), table=True)
-    found = {f.kind: f for f in table_findings(log)}
-    assert (("short" in found and found["short"].severity) or None) == severity
-    assert "short" not in found or found["short"].numbers == {"rows": rows}
-    assert ("missing" in found) is True
-    assert found["missing"].numbers == {"share": rows / 12}
-
-
-def test_columns_of_a_table_that_stand_still_or_go_together_are_named() -> None:
-    k = np.arange(12.0)
-    u = np.sin(k)
-    for v, kind in ((2.0 * u + 0.1 * np.cos(k), "alike"), (np.cos(k), None), (5.0 + 2e-9 * u, "constant")):
-        log = replace(log_of(k, {"u": u, "v": v}, {"y": k}), table=True)
-        assert [f.kind for f in table_findings(log) if f.channel in "uv"] == ([kind] if kind else [])
-    for sign, word in ((1.0, "with"), (-1.0, "against")):
-        log = replace(log_of(k, {"u": u, "v": sign * u}, {"y": k}), table=True)
-        (found,) = (f for f in table_findings(log) if f.kind == "alike")
-        assert f"goes {word} v" in found.sentence
-    still = replace(log_of(k, {"u": 0.0 * k + 3.0}, {"y": 0.0 * k + 2.0}), table=True)
-    assert [(f.kind, f.channel) for f in gate(still)] == [("no_excitation", ""), ("constant", "y"), ("constant", "u")]
-    assert [f.kind for f in gate(replace(still, written={"time": "s"})) if f.channel == "time"] == ["time"]
-
-
 def test_a_fault_of_a_log_has_the_cell_of_its_column() -> None:
     log = replace(moving(), header=3, cells={"y": 7})
-    faults = gate_faults(
-        log, [Finding("fault", "sign", "y", Message("is wrong")), Finding("warning", "x", "y", Message("is not"))]
-    )
+    faults = gate_faults(log, [Finding("fault", "sign", "y", "is wrong"), Finding("warning", "x", "y", "is not")])
     assert [(f.line, f.column, f.message) for f in faults] == [(3, 7, "y: is wrong")]
-    assert gate_faults(log, [Finding("fault", "rate", "", Message("is slow"))])[0].column == 1
+    assert gate_faults(log, [Finding("fault", "rate", "", "is slow")])[0].column == 1
 
 
 @pytest.mark.parametrize(("seconds", "told"), [(3.6, False), (4.6, True)])

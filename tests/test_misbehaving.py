@@ -30,8 +30,7 @@ from cosim.residuals.remote_drive import DriveApart
 from cosim.residuals.workflow import replay
 from cosim.simulation.coupling import coupling_error
 from cosim.simulation.workflow import run
-from cosim.storage.folder_lock import LOCK_FILE
-from cosim.storage.started import STARTED
+from cosim.storage.folders import STARTED
 from cosim.storage.table import read_columns
 from cosim.verbs.check_verb import check as check_files
 from tests.cases import some
@@ -350,7 +349,7 @@ def test_no_worker_outlives_a_caller_that_is_killed_nor_does_what_it_unpacked(tm
     process.kill()
     process.communicate()
     waited_for(lambda: not any(map(runs, [worker, *grandchildren])))
-    assert {p.name for p in (tmp_path / "out").iterdir()} <= {LOCK_FILE, STARTED}
+    assert {p.name for p in (tmp_path / "out").iterdir()} <= {STARTED}
     assert not [p for p in workers_left() if (p / LOCK).exists() and str(worker) in p.name]
 
 
@@ -393,8 +392,8 @@ def test_a_folder_that_is_being_made_is_not_swept(tmp_path: Path, monkeypatch: p
 
 @pytest.mark.thorough
 @pytest.mark.skipif(not LINUX, reason="the shell's limit of file sizes")
-@pytest.mark.parametrize("kilobytes", [200, 400])  # less than the rows while they are made; less than they print as
-def test_a_full_disk_keeps_the_rows_that_fit_and_says_how_many(tmp_path: Path, kilobytes: int) -> None:
+@pytest.mark.parametrize("kilobytes", [100, 400])  # less than the rows while they are made; less than they print as
+def test_a_full_disk_ends_a_run_before_its_first_row_or_keeps_the_rows_that_fit(tmp_path: Path, kilobytes: int) -> None:
     path = deeds_scenario(tmp_path, "none", "none", duration=500.0)
     command = " ".join(map(str, [*COMMAND, path, "--out", tmp_path / "out"]))
     # bash counts in 1024 bytes
@@ -406,10 +405,13 @@ def test_a_full_disk_keeps_the_rows_that_fit_and_says_how_many(tmp_path: Path, k
         check=False,
     )
     assert done.returncode == 4
+    assert done.stderr.count("\n") == 1
+    if kilobytes < 200:
+        assert not (tmp_path / "out" / "results.csv").exists()
+        return
     kept = rows_in(tmp_path / "out")
     assert 1000 < kept < 5001
     assert f"{kept} of 5001 rows" in done.stderr
-    assert done.stderr.count("\n") == 1
     assert (tmp_path / "out" / "manifest.json").exists()
 
 
@@ -421,9 +423,10 @@ def test_a_disk_too_full_for_the_manifest_leaves_all_rows_and_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("cosim.simulation.workflow.write_json", no_room)
-    with pytest.raises(DiskFull, match=r"11 of 11 rows are in results.csv, there is no report and no manifest$"):
+    with pytest.raises(DiskFull, match=r"11 of 11 rows are in results.csv"):
         run(deeds_scenario(tmp_path, "none", "none"), tmp_path / "out", in_process=True)
     assert rows_in(tmp_path / "out") == 11
+    assert json.loads((tmp_path / "out" / "manifest.json").read_text())["status"] == "interrupted"
 
 
 def test_no_room_to_unpack_is_the_disk_and_not_the_fmu(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

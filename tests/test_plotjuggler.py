@@ -1,16 +1,12 @@
 """Results in the formats that PlotJuggler loads, read by the rules of its loaders (source of 2026-04, ddcbd05b).
 
 Its loader of CSV splits each line by itself, and takes the type of a column from its first filled cell. Its loader of
-Parquet takes columns by their Arrow type. Its loader of MCAP finds schemas, channels and statistics by the offsets of
-the summary, and takes the numbers of JSON messages, at the time of their publication.
+Parquet takes columns by their Arrow type.
 """
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -80,46 +76,3 @@ def test_parquet_has_the_arrow_types_that_it_takes_as_numbers_and_texts(tmp_path
     assert len(file.schema_arrow) == file.metadata.num_columns  # It takes fields of Arrow by the number of columns.
     assert {name for name, kind in kinds.items() if kind in numbers} == {"time", *NUMBERS, "tank.id"}
     assert {name for name, kind in kinds.items() if kind in {"string", "large_string", "binary"}} == {"tank.word"}
-
-
-def _numbers_in(prefix: str, value: Any) -> Iterator[tuple[str, float]]:
-    """`NlohmannParser::parseMessageImpl`: paths of the numbers in a message; texts and nulls are left out."""
-    if isinstance(value, dict):
-        for key, each in value.items():
-            yield from _numbers_in(f"{prefix}/{key}", each)
-    elif isinstance(value, (bool, int, float)):
-        yield prefix, float(value)
-
-
-def test_mcap_has_a_summary_with_offsets_and_numbers_in_json(tmp_path: Path, results: Results) -> None:
-    pytest.importorskip("mcap")
-    from mcap.opcode import Opcode
-    from mcap.records import Channel, Chunk, Footer, Message, Schema, Statistics, SummaryOffset
-    from mcap.stream_reader import StreamReader, breakup_chunk
-
-    path = tmp_path / "results.mcap"
-    results.write(path)
-    with path.open("rb") as stream:
-        records = [*StreamReader(stream, emit_chunks=True).records]
-    (footer,) = (record for record in records if isinstance(record, Footer))
-    assert 0 < footer.summary_start < footer.summary_offset_start
-    groups = {record.group_opcode for record in records if isinstance(record, SummaryOffset)}
-    assert groups >= {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS}
-    inner = [part for record in records if isinstance(record, Chunk) for part in breakup_chunk(record)]
-    summary = records[max(k for k, record in enumerate(records) if isinstance(record, Chunk)) + 1 :]
-    schemas = {record.id: record for record in summary if isinstance(record, Schema)}
-    channels = {record.id: record for record in summary if isinstance(record, Channel)}
-    (statistics,) = (record for record in summary if isinstance(record, Statistics))
-    assert {schemas[c.schema_id].encoding for c in channels.values()} == {"jsonschema"}
-    assert {c.message_encoding for c in channels.values()} == {"json"}
-    series: dict[str, list[tuple[float, float]]] = {}
-    messages = [record for record in (*records, *inner) if isinstance(record, Message)]
-    assert statistics.message_count == len(messages) == 2 * ROWS
-    for message in messages:
-        for name, value in _numbers_in(channels[message.channel_id].topic, json.loads(message.data)):
-            series.setdefault(name, []).append((message.publish_time * 1e-9, value))
-    assert {*series} == {"/tank/time", "/tank/level", "/tank/id", "/valve/time", "/valve/on"}
-    for name, values in NUMBERS.items():
-        found = series[f"/{name.replace('.', '/')}"]
-        assert [value for _, value in found] == values
-        np.testing.assert_allclose([t for t, _ in found], results.time, atol=1e-9)

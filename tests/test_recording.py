@@ -98,10 +98,10 @@ def test_a_finished_run_is_extended_with_and_without_all_rows(tmp_path: Path) ->
         assert (each / "results.csv").read_bytes() == (longer / "results.csv").read_bytes()
 
 
-@pytest.mark.parametrize("format_", ["csv", "parquet", "mat", "hdf5", "mcap"])
+@pytest.mark.parametrize("format_", ["csv", "parquet", "mat", "hdf5"])
 @pytest.mark.parametrize("in_process", [True, False])
 def test_every_format_has_the_part(tmp_path: Path, format_: str, in_process: bool) -> None:
-    for library in {"parquet": ["pyarrow"], "hdf5": ["h5py"], "mcap": ["mcap"]}.get(format_, []):
+    for library in {"parquet": ["pyarrow"], "hdf5": ["h5py"]}.get(format_, []):
         pytest.importorskip(library)
     if in_process and format_ != "csv":
         pytest.skip("rows are written in one place")

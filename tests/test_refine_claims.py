@@ -103,7 +103,7 @@ def test_a_term_that_does_not_lead_on_every_log_is_not_named() -> None:
     best = fitted(FRICTION)
     for is_stable in (True, False):
         claims = judged(attribution(best), Leftover((term,), best.fit, 30.0, 8.0, is_stable=is_stable))
-        assert (claims.term is not None, claims.residual["signals"]) == (is_stable, ["vx"] if is_stable else [])
+        assert (claims.term is not None, claims.misfit["signals"]) == (is_stable, ["vx"] if is_stable else [])
 
 
 @pytest.mark.parametrize(
@@ -295,7 +295,7 @@ def test_beside_an_unknown_input_fits_to_predictions_show_whether_the_error_is_h
     monkeypatch.setattr(judgement, "error_ratios", lambda *fits, to_predictions: ratios[to_predictions])
     search = cast(
         Search,
-        SimpleNamespace(subject=CRAFT, problem=SimpleNamespace(logs=[1, 2], table=False, own=(), values=CRAFT.values)),
+        SimpleNamespace(subject=CRAFT, problem=SimpleNamespace(logs=[1, 2], own=(), values=CRAFT.values)),
     )
     assert judgement._error_ratios(search, fitted(FRICTION), fitted(), (noise,)) == expected
 
@@ -475,7 +475,7 @@ def test_a_part_on_which_filter_and_predictions_disagree_is_not_claimed(
     monkeypatch.setattr(agreement, "with_intervals", lambda search, h: h)
     monkeypatch.setattr(judgement, "_halves_error", lambda search, h, c: c.name in halving)
     a = attribution(best, ratios=(ratio,))
-    problem = SimpleNamespace(logs=[1, 2], table=False, own=(), values=CRAFT.values)
+    problem = SimpleNamespace(logs=[1, 2], own=(), values=CRAFT.values)
     search = cast(Search, SimpleNamespace(subject=CRAFT, problem=problem, on_trial=1))
     after = compare_with_predictions(search, a, Claims("effect_found", best, grade="claimed"))
     names = after.claimed.names if after.claimed else None
@@ -493,7 +493,7 @@ def test_intervals_of_a_part_include_the_value_of_predictions(
     refit = replace(best.fit, values={n: v + 0.02 for n, v in best.fit.values.items()})
     monkeypatch.setattr(agreement, "fit_to_predictions", lambda *arguments: refit)
     monkeypatch.setattr(agreement, "_predicts_better", lambda search, h: False)
-    problem = SimpleNamespace(logs=[1, 2], table=False, own=(), values=CRAFT.values)
+    problem = SimpleNamespace(logs=[1, 2], own=(), values=CRAFT.values)
     search = cast(Search, SimpleNamespace(subject=CRAFT, problem=problem, on_trial=1))
     after = compare_with_predictions(search, attribution(best), Claims("effect_found", best, grade=grade)).claimed
     assert after is not None

@@ -300,6 +300,21 @@ def test_faults_of_a_study_of_an_fmu(folder: Path) -> None:
         read_study(write_study(folder, folder / "motor.fmu", [folder / "e1.csv"]))
     with pytest.raises(InputError, match="per_log"):
         build_problem_of_per_log(folder, fmu)
+    with pytest.raises(InputError) as removed:
+        read_study(write_study(folder, fmu, [folder / "e1.csv"], delivery="ssp"))
+    assert [fault.line for fault in removed.value.faults] == [1]
+
+
+def test_a_study_of_an_fmu_without_a_c_compiler_is_refused_before_the_work(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fmu = build(folder / "model_exchange2.fmu", "dc_motor")
+    monkeypatch.setenv("CC", "no-such-compiler")
+    monkeypatch.setattr("cosim.fmi.native.compiler.can_cross", lambda: False)
+    with pytest.raises(InputError, match=r"fmu-cosim\[refine\]") as refused:
+        cosim.refine(write_study(folder, fmu, [folder / "e1.csv"]), folder / "refused")
+    assert [fault.file for fault in refused.value.faults] == [fmu]
+    assert not (folder / "refused").exists()
 
 
 def test_check_says_what_refine_can_find_and_what_not(folder: Path) -> None:

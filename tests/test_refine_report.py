@@ -397,10 +397,9 @@ def test_a_page_without_a_claim_leads_to_the_nearest_model_and_draws_it(cart: Re
 
 def test_a_claim_without_a_fit_to_predictions_is_said_to_have_none(cart: Refinement) -> None:
     assert context(cart)["uncompared"] == ""
-    table = SimpleNamespace(table=True)
-    said = _uncompared_text(replace(cart, problem=table))
-    assert said.endswith("fit to predictions of held-out logs, because a table has no predictions over time.")
-    assert _uncompared_text(replace(unclaimed(cart), problem=table)) == ""
+    own = SimpleNamespace(own=("drag",))
+    assert _uncompared_text(replace(cart, problem=own))
+    assert _uncompared_text(replace(unclaimed(cart), problem=own)) == ""
 
 
 def test_a_noise_floor_with_an_unknown_input_is_not_called_sensor_noise(cart: Refinement) -> None:
@@ -626,13 +625,13 @@ def test_the_deficient_equation_is_that_whose_noise_is_worth_most_not_that_of_th
         return judge(a, Leftover((), None, 0.0, 8.0), ModelSubject.of(Hovercraft()), forced, moves, still=False)
 
     small = judged(vx=0.018, vy=0.01)
-    assert (small.name, small.residual["equation"]) == ("no_effect", "vy")
-    assert [q["inflated"] for q in small.residual["process_noise"].values()] == [False, True, True]
+    assert (small.name, small.misfit["equation"]) == ("no_effect", "vy")
+    assert [q["inflated"] for q in small.misfit["process_noise"].values()] == [False, True, True]
     sizes = "Its size: 2\u00a0% of the derivative of vx and 1\u00a0% of the derivative of vy."
     assert sentence(small, CRAFT) == f"{DISTURBED} {sizes}"
     # where a disturbance is no small one, it is the equation that it moves most
     large = judged(vx=0.3, vy=0.03)
-    assert (large.name, large.claimed, large.residual["equation"]) == ("unexplained", None, "vx")
+    assert (large.name, large.claimed, large.misfit["equation"]) == ("unexplained", None, "vx")
     assert sentence(large, CRAFT) == "The remaining error shows no stable pattern."
 
 

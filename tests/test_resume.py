@@ -16,7 +16,7 @@ import pytest
 import cosim
 from cosim.base.arrays import Array
 from cosim.base.errors import CosimError, InputError, Interrupted, SimulationError
-from cosim.base.messages import code_of
+from cosim.base.messages import Note
 from cosim.base.version import __version__
 from cosim.master import replay
 from cosim.master.observer import ObservedRun, Observer
@@ -245,7 +245,7 @@ def test_an_fmu_whose_state_holds_the_end_is_replayed_in_a_longer_run(version: s
     run(short, until=0.7, report=False, tell=told.append)
     run(short, until=0.8, report=False, tell=told.append)
     check_equal(short, longer)
-    assert [code_of(text) for text in told] == ["N-SIM-088", "N-SIM-070"] * 2
+    assert [*map(type, told)] == [Note] * 4
     assert all("bound" in text and "free" not in text for text in told)
 
 
@@ -258,28 +258,21 @@ def test_an_fmu_of_a_stopped_run_whose_state_holds_the_end_is_replayed_beyond_it
 
 
 @pytest.mark.parametrize("checkpoint", ["10 min", "null"])
-def test_a_longer_run_that_fails_leaves_the_finished_run_as_it_was(checkpoint: str, tmp_path: Path) -> None:
+def test_a_longer_run_that_fails_keeps_the_rows_of_the_finished_one(checkpoint: str, tmp_path: Path) -> None:
     scenario = bound_scenario(tmp_path, "2")
     settings = ["components.free.start.limit=0.6", f"checkpoint={checkpoint}"]
     folder = run(scenario, tmp_path / "out", settings).folder
-    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-    told: list[str] = []
+    before = (folder / "results.csv").read_bytes()
     with pytest.raises(SimulationError, match=r"free at t = 0\.6 s") as failed:
-        run(folder, until=0.8, report=False, tell=told.append)
-    left = failed.value.left
-    assert left == folder / "runs" / "0001"
-    assert code_of(told[-1]) == "N-SIM-089"
-    rows = (left / "results.csv").read_bytes()
-    assert rows.startswith(before[folder / "results.csv"])
+        run(folder, until=0.8, report=False)
+    assert failed.value.left == folder
+    rows = (folder / "results.csv").read_bytes()
+    assert rows.startswith(before)
     assert len(rows.splitlines()) == 62
-    assert json.loads((left / "manifest.json").read_text())["status"].startswith("failed: free")
-    shutil.rmtree(folder / "runs")
-    assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
-    run(folder, until=0.6, report=False)  # It goes on to a time within the limit.
+    assert json.loads((folder / "manifest.json").read_text())["status"].startswith("failed: free")
     with pytest.raises(SimulationError):
         run(folder, until=0.7, report=False)  # without a new row
-    assert not (folder / "runs").exists()
-    assert json.loads((folder / "manifest.json").read_text())["rows"] == 61
+    assert (folder / "results.csv").read_bytes() == rows
 
 
 # -- bad input ------------------------------------------------------------------------------------
@@ -337,59 +330,54 @@ def removed_all(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("damage", "code"),
+    "damage",
     [
-        (changed_version, "E-SIM-063"),
-        (other_format, "E-SIM-063"),
-        (half_written, "E-SIM-064"),
-        (changed_row, "E-SIM-065"),
-        (changed_fmu, "E-SIM-001"),
-        (removed_rows, "E-SIM-065"),
-        (cut_rows, "E-SIM-065"),
-        (damaged_record, "E-SIM-064"),
-        (edited_record, "E-SIM-064"),
-        (removed_all, "E-SIM-060"),
+        changed_version,
+        other_format,
+        half_written,
+        changed_row,
+        changed_fmu,
+        removed_rows,
+        cut_rows,
+        damaged_record,
+        edited_record,
+        removed_all,
     ],
 )
 @pytest.mark.parametrize("options", [{"resume": True}, {"until": 2.0}])
 def test_a_folder_that_does_not_belong_together_is_refused_and_left_alone(
-    in_c: Walk, tmp_path: Path, damage: Callable[[Path], None], code: str, options: dict[str, Any]
+    in_c: Walk, tmp_path: Path, damage: Callable[[Path], None], options: dict[str, Any]
 ) -> None:
     part = shutil.copytree(in_c[2], tmp_path / "part")
     damage(part)
     before = {path: path.read_bytes() for path in part.rglob("*") if path.is_file()}
     with pytest.raises(InputError) as refused:
         run(part, report=False, **options)
-    assert refused.value.code == code
     assert refused.value.exit_code == 2
     assert before == {path: path.read_bytes() for path in part.rglob("*") if path.is_file()}
 
 
-@pytest.mark.parametrize(
-    ("options", "code"),
-    [({"resume": True}, "E-SIM-061"), ({"until": 1.0}, "E-SIM-062"), ({"until": 0.5}, "E-SIM-062")],
-)
-def test_a_finished_run_has_nothing_to_resume(in_c: Walk, options: dict[str, Any], code: str) -> None:
+@pytest.mark.parametrize("options", [{"resume": True}, {"until": 1.0}, {"until": 0.5}])
+def test_a_finished_run_has_nothing_to_resume(in_c: Walk, options: dict[str, Any]) -> None:
     with pytest.raises(InputError) as refused:
         run(in_c[1], report=False, **options)
-    assert refused.value.code == code
+    assert refused.value.exit_code == 2
 
 
 def test_an_end_between_two_communication_points_is_refused(in_c: Walk) -> None:
     for folder, end, ends in ((in_c[1], 1.0049, r"give 1\.01 s"), (in_c[2], 1.0049, r"give 1 s or 1\.01 s")):
         with pytest.raises(InputError, match=rf"--until 1\.0049 s .* {ends}$") as refused:
             run(folder, until=end, report=False)
-        assert (refused.value.code, refused.value.exit_code) == ("E-SIM-078", 2)
+        assert refused.value.exit_code == 2
 
 
 def test_a_run_that_goes_on_takes_no_other_settings(in_c: Walk, tmp_path: Path) -> None:
     for options in ({"out": tmp_path / "other"}, {"seed": 3}, {"set": {"noise": False}}):
         with pytest.raises(InputError) as refused:
             cosim.run(in_c[1], until=2.0, **options)  # type: ignore[arg-type]
-        assert refused.value.code == "E-SIM-068"
-    with pytest.raises(InputError) as refused:
+        assert refused.value.exit_code == 2
+    with pytest.raises(InputError):
         run(tmp_path / "none", resume=True)
-    assert refused.value.code == "E-SIM-074"
 
 
 def test_a_state_that_an_fmu_does_not_restore_ends_the_run_with_its_rows_kept(in_c: Walk, tmp_path: Path) -> None:
@@ -403,7 +391,7 @@ def test_a_state_that_an_fmu_does_not_restore_ends_the_run_with_its_rows_kept(in
     rows = (part / "results.csv").read_bytes()
     with pytest.raises(SimulationError) as failed:
         run(part, resume=True, report=False)
-    assert (failed.value.code, failed.value.component, failed.value.exit_code) == ("E-MAS-002", "saving", 4)
+    assert (failed.value.component, failed.value.exit_code) == ("saving", 4)
     assert (part / "results.csv").read_bytes() == rows
 
 
@@ -417,7 +405,7 @@ def test_an_fmu_that_does_not_repeat_itself_is_found(in_c: Walk, tmp_path: Path)
     (part / "results.csv").write_text("\n".join(rows) + "\n")
     with pytest.raises(SimulationError) as failed:
         run(part, resume=True, report=False)
-    assert (failed.value.code, failed.value.component) == ("E-MAS-060", "other")
+    assert failed.value.component == "other"
     assert failed.value.time == pytest.approx(0.08)
 
 

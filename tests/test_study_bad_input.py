@@ -166,3 +166,15 @@ def test_a_key_that_nobody_knows_and_a_log_that_is_not_there_hide_no_other_fault
     lines = told(tmp_path, tanks, study)
     assert [line.split(":")[1:3] for line in lines] == [["2", "28"], ["3", "1"], ["4", "13"], ["5", "14"]]
     assert lines[0].endswith("none.csv: no such file beside the study; its logs are named from there")
+
+
+def test_a_model_without_states_is_refused_at_its_line(tmp_path: Path) -> None:
+    model = (
+        "from cosim.model import Equations, Model, Quantity\n\n\nclass Valve(Model):\n"
+        '    base_states, inputs, outputs = (), (Quantity("u", "1", "u"),), (Quantity("y", "1", "y"),)\n\n'
+        "    def equations(self, m):\n        return Equations(lambda t, x, u: (), lambda t, x, u: (u[0],))\n"
+    )
+    log = "time,u,y\n" + "".join(f"{0.1 * k},{k},{k}\n" for k in range(200))
+    files = {"valve.py": model, "a.csv": log}
+    (said,) = told(tmp_path, files, "model: valve.py:Valve\nlogs:\n  estimation: [a.csv]\n")
+    assert said.startswith("study.yaml:1:")

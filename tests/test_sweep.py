@@ -26,11 +26,8 @@ from cosim.base.errors import InputError, SweepFailed, SweepStopped
 from cosim.fmi.fmu_build import build
 from cosim.fmi.native.compiler import compiler
 from cosim.loading.file import load_model
-from cosim.scenario.controller_design import designed_values
-from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.workflow import run
 from cosim.sweeps import twins
-from cosim.sweeps.batch import Batch
 from cosim.sweeps.reading import read_sweep
 from cosim.sweeps.run_chunks import RunResult, make_runs
 from cosim.sweeps.run_statistics import sensitivity, share_interval
@@ -232,9 +229,8 @@ def test_a_sweep_of_which_no_run_ends_is_a_failure(tanks: Callable[..., Path]) -
     text = (path.parent / "tanks.yaml").read_text()
     (path.parent / "tanks.yaml").write_text(text.replace("factor: 0.01,", "factor: 1.0e+308, offset: 1.0e+308,"))
     for _ in range(2):  # the second time from sweep.json
-        with pytest.raises(SweepFailed, match="all 2 runs failed; run 0: ") as failed:
-            sweep(path, path.parent / "out", in_process=True, report=False)
-        assert failed.value.code == "E-BLK-035"  # that of run 0
+        with pytest.raises(SweepFailed, match="all 2 runs failed; run 0: "):
+            sweep(path, path.parent / "out", in_process=True, report=False, resume=True)
 
 
 @pytest.mark.parametrize(
@@ -288,12 +284,14 @@ def test_a_sweep_that_was_killed_is_gone_on_with_and_its_table_is_that_of_one_th
     kept = runs_in(folder)
     assert 8 <= kept < 40, "it was killed on its way"
     assert not (folder / TABLE).exists()
-    after = sweep(path, folder, in_process=True, report=False)
+    with pytest.raises(InputError):
+        sweep(path, folder, in_process=True, report=False)
+    after = sweep(path, folder, in_process=True, report=False, resume=True)
     assert after.made == 40 - kept
     whole = sweep(path, path.parent / "whole", in_process=True, report=False)
     assert whole.made == 40
     assert (folder / TABLE).read_bytes() == (path.parent / "whole" / TABLE).read_bytes()
-    assert sweep(path, folder, in_process=True, report=False).made == 0
+    assert sweep(path, folder, in_process=True, report=False, resume=True).made == 0
 
 
 def runs_in(folder: Path) -> int:
@@ -313,8 +311,9 @@ def test_the_runs_of_another_sweep_are_not_gone_on_with(tanks: Callable[..., Pat
     path = tanks(VARY.replace("runs: 40", "runs: 2"))
     sweep(path, path.parent / "out", in_process=True, report=False)
     tanks(VARY.replace("runs: 40", "runs: 3"))
-    with pytest.raises(InputError, match=r"holds another sweep.*--force"):
-        sweep(path, path.parent / "out", in_process=True, report=False)
+    for resume in (False, True):
+        with pytest.raises(InputError):
+            sweep(path, path.parent / "out", in_process=True, report=False, resume=resume)
     assert sweep(path, path.parent / "out", in_process=True, report=False, force=True).made == 6
 
 
@@ -427,44 +426,6 @@ def test_a_sensitivity_names_what_an_outcome_depends_on(saltelli: bool) -> None:
     assert bool(found.total) is saltelli
 
 
-def test_a_list_of_the_scenario_varies_as_a_whole_or_by_one_of_its_entries(
-    tmp_path: Path, plant_fmu: Path, controller_fmu: Path
-) -> None:
-    (tmp_path / "plant.fmu").symlink_to(plant_fmu)
-    (tmp_path / "controller.fmu").symlink_to(controller_fmu)
-    (tmp_path / "craft.yaml").write_text((ROOT / "scenarios" / "regulate.yaml").read_text().replace("../build/", ""))
-    (tmp_path / "sweep.yaml").write_text(
-        "scenario: craft.yaml\nruns: 1\nsignals: [controller.tilt_right]\nset: {duration: 0.1, criteria: {},"
-        " components.controller.start.x_hat_start: 0.1, components.controller.start.psi_hat_start: 0.1}\nvary:\n"
-        "  design.R: {values: [[1, 1], [2, 2.0]]}\n"
-        "  design.Q.2: {uniform: [0.1, 0.2]}\n"
-    )
-    study = read_sweep(tmp_path / "sweep.yaml")
-    runs = [study.request_run(k) for k in range(study.count)]
-    assert runs[1].overrides[0] == "design.R=[2, 2.0]"
-    craft = tmp_path / "craft.yaml"
-    designed = [designed_values(ScenarioFile(craft, run.overrides))["controller"]["k_1_3"] for run in runs]
-    assert designed[0] == pytest.approx(designed[1] * 2**0.5)
-    swept = sweep(tmp_path / "sweep.yaml", tmp_path / "out", in_process=True, report=False)
-    table, _ = read_table(swept.folder / TABLE)
-    assert table.column("design.R").to_pylist() == ["[1, 1]", "[2, 2.0]"]
-    first = [tilts[0] for tilts in table.column("controller.tilt_right").to_pylist()]
-    assert abs(first[0]) > abs(first[1])
-    (tmp_path / "sweep.yaml").write_text(
-        "scenario: craft.yaml\nset: {duration: 0.1}\nvary:\n  design.R: {values: [[1, 1], [1], [1, [2]], [1, 0]]}\n"
-    )
-    assert faults_of(tmp_path / "sweep.yaml") == [
-        "4:36 vary.design.R.values.2 is a list: a value that is a list holds numbers, true or false, or text"
-    ]
-    (tmp_path / "sweep.yaml").write_text(
-        "scenario: craft.yaml\nset: {duration: 0.1}\nvary:\n  design.R: {values: [[1, 1], [1], [1, 0]]}\n"
-        "  plant.mass: {values: [[1]]}\n"
-    )
-    told = faults_of(tmp_path / "sweep.yaml")
-    assert [fault.split(" ")[0] for fault in told] == ["4:31", "4:36", "5:25"]
-    assert "it should have at least 2 entries, not 1" in told[0]
-
-
 def test_two_entries_that_lead_to_one_value_are_a_fault_that_names_both_lines(tanks: Callable[..., Path]) -> None:
     told = faults_of(
         tanks(
@@ -502,58 +463,14 @@ def test_the_whole_may_be_set_where_a_part_varies_and_not_the_part_before_the_wh
     assert "the later entry replaces the earlier one; set the whole first" in told
 
 
-def test_a_start_value_that_contradicts_the_design_is_told_as_a_run_tells_it(craft: Path) -> None:
-    sweep_file = craft.parent / "sweep.yaml"
-    head = "scenario: craft.yaml\nset: {duration: 0.1, criteria: {}}\nruns: 2\nvary:\n"
-    sweep_file.write_text(
-        f"{head}  controller.lag: {{values: [0.0884, 0.1]}}\n  controller.mass: {{uniform: [2, 3]}}\n"
-    )
-    lag, mass = read_sweep(sweep_file).warnings
-    assert "sweep.yaml:5: lag is 0.1 in components.controller.start and 0.0884 in design" in lag
-    assert "sweep.yaml:6: mass is 2.01 in components.controller.start and 0.705 in design" in mass
-    estimators = "  design.estimator: {values: [lagged]}\n  controller.estimator: {values: [lagged]}\n"
-    sweep_file.write_text(head + estimators)
-    assert any(
-        t.startswith('6:3 controller.estimator and "design.estimator" of line 5 both give one start value')
-        for t in faults_of(sweep_file)
-    )
-
-
 def test_the_least_that_is_drawn_of_a_path_is_tried_before_anything_runs(craft: Path) -> None:
     sweep_file = craft.parent / "sweep.yaml"
-    sweep_file.write_text("scenario: craft.yaml\nruns: 100\nvary:\n  design.R.0: {normal: [1, 0.4]}\n")
-    (told,) = faults_of(sweep_file)
-    assert told.startswith("4:24 design.R.0 would be -")
-    assert told.endswith("cut it by within: [low, high]")
-
-
-def test_runs_of_many_designs_are_made_at_once_and_are_those_of_their_scenarios(
-    craft: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (craft.parent / "sweep.yaml").write_text(
-        "scenario: craft.yaml\nruns: 3\nset: {duration: 0.1, criteria: {}}\nvary:\n"
-        "  design.R.0: {uniform: [1, 2]}\n"
-        "  design.estimator: {values: [appendix_f, lagged]}\n"
-        "  plant.mass: {uniform: [0.65, 0.75]}\n"
-        "  noise: {values: [off, on]}\n"
+    sweep_file.write_text(
+        "scenario: craft.yaml\nruns: 100\nvary:\n  connections.0.noise.variance: {normal: [1, 0.4]}\n"
     )
-    study = read_sweep(craft.parent / "sweep.yaml")
-    sizes = []
-    run_batch = Batch.run
-
-    def counted(self: Batch, starts: Any, *rest: Any) -> Any:
-        sizes.append(len(starts))
-        return run_batch(self, starts, *rest)
-
-    monkeypatch.setattr(Batch, "run", counted)
-    job, asked = replace(study.job, whole=True), [study.request_run(k) for k in range(study.count)]
-    on_arrays = make_runs(job, asked, "arrays")
-    assert sizes == [6, 6]  # with noise and without: two systems, whatever is designed
-    assert {m.through for m in on_arrays} == {"arrays"}
-    chosen = [0, 3, 6, 9]
-    alone = make_runs(job, [asked[k] for k in chosen], "fmus")  # each by its own scenario
-    assert apart([on_arrays[k] for k in chosen], alone) < 1e-12
-    assert len({m.signals.tobytes() for m in on_arrays}) == study.count
+    (told,) = faults_of(sweep_file)
+    assert told.startswith("4:42 connections.0.noise.variance would be -")
+    assert told.endswith("cut it by within: [low, high]")
 
 
 # -- what is refused ---------------------------------------------------------------------------------
@@ -707,10 +624,10 @@ def test_a_sweep_on_a_full_disk_keeps_its_runs_and_goes_on_when_there_is_room(
     with full_disk(10_000), pytest.raises(OSError, match="space"):  # before the first run
         sweep(path, out, in_process=True, report=False)
     with full_disk(500_000), pytest.raises(SweepStopped) as stopped:
-        sweep(path, out, in_process=True, report=False)
+        sweep(path, out, in_process=True, report=False, resume=True)
     assert stopped.value.exit_code == 4
     with Database(out, read_sweep(path).key) as base:
         kept = len(base.numbers())
     assert 0 < kept < 1100
-    swept = sweep(path, out, in_process=True, report=False)
+    swept = sweep(path, out, in_process=True, report=False, resume=True)
     assert (swept.made, swept.record["runs"], swept.record["failed"]) == (1100 - kept, 1100, 0)

@@ -10,7 +10,6 @@ import pytest
 
 import cosim
 from cosim.base.errors import InputError
-from cosim.base.messages import Message
 from cosim.base.units import SYMBOLS, UnitAssumption, assume_si, coherent, factor, parse
 from cosim.blocks.component import Signal
 from cosim.blocks.sources import playback
@@ -292,7 +291,7 @@ def test_a_fault_of_a_column_stands_at_its_cell_behind_columns_that_are_not_read
     rows = "".join(f"{k},A,{k % 7},{k % 5}\n" for k in range(60))
     (tmp_path / "a.csv").write_text(f"time,mode,inflow,level\n{rows}")
     log = read_log(tmp_path / "a.csv", *NO_UNIT)
-    (fault,) = gate_faults(log, [Finding("fault", "sign", "level", Message("is wrong"))])
+    (fault,) = gate_faults(log, [Finding("fault", "sign", "level", "is wrong")])
     assert (fault.line, fault.column) == (1, 4)
 
 

@@ -127,7 +127,7 @@ def open_question() -> dict[str, Any]:
     h, experiment = fitted("mass", "coulomb_friction"), "both duties varied"
     names = ["coulomb_friction", "quadratic_drag"]
     certain = [c for c in h.candidates if c.name == "mass"]
-    sentence = rivals_text(names, experiment, claim_text(h, certain, ModelSubject.of(CRAFT)), ModelSubject.of(CRAFT))
+    sentence = rivals_text(names, experiment, claim_text(h, certain, ModelSubject.of(CRAFT)))
     shared = [e.model_dump(mode="json") for e in effects(ModelSubject.of(CRAFT), h, (), certain)]
     ranked = [{"names": [n], "why": "a rival: fits best, by little", "score_gain": 200.0} for n in names]
     ranked.append({"names": ["lag"], "why": "no gain", "score_gain": -1.0})
@@ -208,7 +208,7 @@ ACTS = {"equation": "vx", "signals": ["x_world"], "share": 0.3, "terms": []}
     [
         *(make()["sentence"] for make in MADE.values()),
         no_effect_text(MANY, dict.fromkeys(MANY, 0.01)),
-        rivals_text(MANY, "both duties varied", "", ModelSubject.of(CRAFT)),
+        rivals_text(MANY, "both duties varied", ""),
         unexplained_text(ACTS, MANY),
         doubt_text(Doubt("unsteady", names=tuple(MANY)), {}),
         nearest_text(MANY, fitted=True),

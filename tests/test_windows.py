@@ -16,7 +16,6 @@ from scipy import stats
 
 from cosim.base.arrays import Array
 from cosim.base.correlation import correlation_at_lags
-from cosim.base.messages import Message
 from cosim.base.text import join_names
 from cosim.base.units import read_quantity
 from cosim.logs.finding import Finding
@@ -390,7 +389,7 @@ def test_the_verdict_is_the_first_that_applies() -> None:
 
 def test_the_cause_is_a_delay_of_more_than_a_row_or_a_command_that_stands_out() -> None:
     def late(name: str, by: float, error: float = 0.001) -> Finding:
-        return Finding("warning", "delay", name, Message(f"trails by {by} s"), {"delay": by, "error": error})
+        return Finding("warning", "delay", name, f"trails by {by} s", {"delay": by, "error": error})
 
     far = channel("y", 5.0), channel("x", 4.0)
     assert "No command stands out" in said(*far)
@@ -416,7 +415,7 @@ def test_words_for_whiteness_inputs_and_the_log() -> None:
     assert input_words(channel()) == "no command moves"
     assert input_words(channel(inputs=(follows(1.5),))) == "none (u comes closest, 1.5 times the band)"
     assert input_words(channel(inputs=(follows(3.0),))) == "u, 3.0 times the band"
-    warning, note = (Finding(s, "k", "y", Message("is")) for s in ("warning", "note"))  # type: ignore[arg-type]
+    warning, note = (Finding(s, "k", "y", "is") for s in ("warning", "note"))  # type: ignore[arg-type]
     assert quality([note]) == "Clock, units, signs and channels of the log are in order."
     assert quality([warning, note, warning]).startswith("2 warnings about the log")
     names = ([], ["a"], ["a", "b"], ["a", "b", "c"], ["a", "b", "c", "d", "e"])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import io
 import os
-import pickle
 import queue
 import shutil
 import signal
@@ -26,7 +25,7 @@ from cosim.blocks.message_log import MessageLog
 from cosim.isolation import process, worker
 from cosim.isolation.limits import BYTES, Limits, read_limits
 from cosim.isolation.memory import resident
-from cosim.isolation.process import Worker, _Output
+from cosim.isolation.process import Remote, Worker
 from cosim.isolation.rows import (
     ADVANCE,
     CALLS,
@@ -39,7 +38,7 @@ from cosim.isolation.rows import (
     read_table,
 )
 from cosim.isolation.watch import Watch
-from cosim.isolation.worker import _pickled_error, _registered_folders, _restore, share_log
+from cosim.isolation.worker import share_log
 
 
 def test_a_table_in_a_file_is_read_back_as_far_as_asked_for(tmp_path: Path) -> None:
@@ -127,26 +126,11 @@ def test_what_a_process_holds_is_asked_of_ps_on_other_systems(monkeypatch: pytes
     assert resident(2**22 + 1) == 0
 
 
-def test_what_is_printed_is_passed_on_up_to_a_bound_and_its_end_is_kept(capsys: pytest.CaptureFixture[str]) -> None:
-    def printed(content: bytes) -> _Output:
-        reading, writing = os.pipe()
-        found = _Output(os.fdopen(reading, "rb"))
-        with os.fdopen(writing, "wb") as stream:
-            stream.write(content)
-        found.join()
-        return found
-
-    assert printed(b"one\n two \n\n").last_line() == "two"
-    assert capsys.readouterr().err == "one\n two \n\n"
-    assert printed(b"").last_line() == ""
-    long = printed(b"x" * process.MOST_OUTPUT + b"y" * process.LAST_OUTPUT)
-    assert long.last == b"y" * process.LAST_OUTPUT
+def test_what_is_printed_is_passed_on_up_to_a_bound(capsys: pytest.CaptureFixture[str]) -> None:
+    with Worker() as own:
+        own.call(exec, f"import os, sys; sys.stderr.write('x' * {process.MOST_OUTPUT}); sys.stderr.write('y' * 100)")
     told = capsys.readouterr().err
-    assert told.count("x") == process.MOST_OUTPUT
-    assert "y" not in told
-    assert told.endswith("(the FMUs print more, which is left out)\n")
-    printed(b"x" * (process.MOST_OUTPUT - 1))
-    assert "left out" not in capsys.readouterr().err
+    assert (told.count("x"), told.count("yy")) == (process.MOST_OUTPUT, 0)
 
 
 def test_the_last_words_of_an_fmu_are_one_line_of_511_bytes() -> None:
@@ -162,33 +146,11 @@ def test_the_last_words_of_an_fmu_are_one_line_of_511_bytes() -> None:
         del worker.progress
 
 
-def test_an_error_is_sent_as_itself_and_where_it_cannot_be_as_its_words() -> None:
-    class Local(Exception):
-        pass
-
-    own: Any = pickle.loads(_pickled_error(SimulationError("a", 1.5, "why"), "place"))
-    assert own[0] is None
-    assert (str(own[1]), getattr(own[1], "__notes__", [])) == ("a at t = 1.5 s: why", [])
-    foreign = pickle.loads(_pickled_error(KeyError("k"), "place"))[1]
-    assert isinstance(foreign, KeyError)
-    assert foreign.__notes__ == ["in a worker:\nplace"]
-    plain = pickle.loads(_pickled_error(Local("x"), "place"))[1]
-    assert (type(plain), str(plain), plain.__notes__) == (RuntimeError, "Local: x", ["in a worker:\nplace"])
-
-
 def test_the_environment_is_as_the_caller_has_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("PYTHONPATH", "changed")
-    _restore("PYTHONPATH", "before")
-    assert os.environ["PYTHONPATH"] == "before"
-    _restore("PYTHONPATH", None)
-    _restore("PYTHONPATH", None)
-    assert "PYTHONPATH" not in os.environ
-
-
-def test_folders_to_take_along_are_read_as_they_were_written(tmp_path: Path) -> None:
-    assert _registered_folders(tmp_path) == []
-    (tmp_path / worker.ALONG).write_text("/a b\0/c\0")
-    assert _registered_folders(tmp_path) == [Path("/a b"), Path("/c")]
+    for value in ("before", None):
+        monkeypatch.delenv("PYTHONPATH") if value is None else monkeypatch.setenv("PYTHONPATH", value)
+        with Worker() as own:
+            assert own.call(os.getenv, "PYTHONPATH") == value
 
 
 # -- folders ----------------------------------------------------------------------------------------
@@ -265,7 +227,27 @@ def test_an_error_of_a_job_is_raised_here_and_the_process_goes_on() -> None:
         with pytest.raises(ValueError, match="invalid literal") as error:
             own.call(int, "x")
         assert [note.startswith("in a worker:\nTraceback") for note in error.value.__notes__] == [True]
+        with pytest.raises(RuntimeError, match=r"^Local: x"):  # a class that this process cannot import
+            own.call(exec, "class Local(Exception): pass\nraise Local('x')")
         assert own.call(os.getpid) == pid
+
+
+def test_an_object_there_is_made_once_called_by_name_and_made_again_after_a_crash() -> None:
+    with Worker() as own:
+        one, other = Remote(own, list, "ab"), Remote(own, list, "xyz")
+        assert not one.is_made
+        one.call("append", "c")
+        assert (one.call("__len__"), other.call("__len__"), own.starts) == (3, 3, 1)
+        assert one.call("copy") == ["a", "b", "c"]
+        with pytest.raises(ValueError, match="not in list"):
+            one.call("remove", "z")
+        with pytest.raises(Crashed):
+            own.call(os._exit, 1)
+        assert not one.is_made
+        assert one.call("copy") == ["a", "b"]
+        one.free("clear")
+        assert not one.is_made
+        assert one.call("copy") == ["a", "b"]
 
 
 def test_an_argument_that_cannot_be_sent_is_answered_and_the_process_goes_on() -> None:

@@ -76,6 +76,18 @@ class Message(str):
         return Message(f"{prefix}{self}", self.code, self.fields)
 
 
+class Note(str):
+    """A message that is no warning; -q omits it."""
+
+
+class CheckWarning(str):
+    """A warning about loops, processes or hidden code, which `cosim check` shows."""
+
+
+class CheckNote(CheckWarning, Note):
+    """A note of this kind."""
+
+
 @dataclass(frozen=True)
 class Template:
     """A message with fields in braces, as for `str.format`."""
@@ -101,8 +113,8 @@ def code_of(text: object) -> str:
 
 
 def with_severity(text: str) -> str:
-    """Return a warning or a note with its severity in front, by its code; without code it is a warning."""
-    return with_prefix("note: " if code_of(text).startswith("N-") else "warning: ", text)
+    """Return a warning or a note with its severity in front."""
+    return f"{'note' if isinstance(text, Note) else 'warning'}: {text}"
 
 
 def join(separator: str, texts: Iterable[str]) -> Message:
@@ -113,46 +125,10 @@ def join(separator: str, texts: Iterable[str]) -> Message:
 
 
 def with_prefix(prefix: str, text: str) -> str:
-    """Return a text behind a prefix; a message keeps its code."""
-    return text.after(prefix) if isinstance(text, Message) else f"{prefix}{text}"
+    """Return a text behind a prefix; a note or warning keeps its kind."""
+    if isinstance(text, Message):
+        return text.after(prefix)
+    return type(text)(f"{prefix}{text}")
 
 
 # -- messages of this room ------------------------------------------------------------------------
-PYTHON_FILE = Template("E-BAS-001", "{file} is Python, which is not executed here")
-END_BY_SIGNAL = Template("E-BAS-002", "ended by {signal}")
-INTERRUPTION = Template("E-BAS-003", "interrupted from the keyboard")
-NO_LIBRARY = Template("E-BAS-004", "needs {library}, which is not installed: {command}")
-NO_MODEL = Template("E-BAS-005", 'no model "{name}" is installed; {cure}')
-REPEATED_NAME = Template("E-BAS-006", '"{name}" is registered by {owners}; uninstall one of them')
-BROKEN_OBJECT = Template("W-BAS-007", "{owner}: {place} cannot be loaded: {reason}")
-WRONG_ARGUMENT = Template("E-BAS-008", "is {value}; give {wanted}")
-WRONG_TIME = Template("E-BAS-009", "is {value}; {error}")
-WRONG_SETTINGS = Template("E-BAS-010", "{value}: give {wanted}")
-WRONG_KEY = Template("E-BAS-011", "{key} is a key; a key is text")
-WRONG_TYPE = Template(
-    "E-BAS-012", "{value} is of type {type}; it is a number, text, true or false, a list or a mapping"
-)
-DEEP_VALUE = Template("E-BAS-013", "it is nested more than {limit} levels deep; write it flatter")
-LARGE_NUMBER = Template("E-BAS-014", "{value} is no finite number; give one below {limit:g}")
-NUL_CHARACTER = Template("E-BAS-015", "{value} holds a NUL character; leave it out")
-HALF_CHARACTER = Template(
-    "E-BAS-016",
-    "{value} contains half a character (one half of a surrogate pair), which UTF-8 cannot hold; write the whole "
-    "character",
-)
-LONG_TEXT = Template("E-BAS-017", "is text of {length} characters; give at most {limit}")
-BLANK_NAME = Template("E-BAS-018", "is blank; give the name of a file or folder")
-LONG_NAME = Template("E-BAS-019", "is {name}, longer than the name of a file can be ({limit} bytes)")
-UNKNOWN_UNIT = Template("E-BAS-020", 'unknown unit "{name}"')
-UNKNOWN_UNIT_TAKEN = Template(
-    "W-BAS-021", 'has no unit in {owner}, and "{unit}" is no unit known here: its numbers are taken as they are'
-)
-AMBIGUOUS_UNIT_TAKEN = Template(
-    "W-BAS-022",
-    'has no unit in {owner}, and "{unit}" may be gram or standard gravity: its numbers are taken as they are;'
-    " write kg, or m/s2",
-)
-SI_UNIT_TAKEN = Template(
-    "W-BAS-023",
-    "has no unit in {owner}: it is taken as {wanted}, so {unit} are converted; {cure} if it is in {unit} itself",
-)

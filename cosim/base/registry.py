@@ -15,7 +15,6 @@ from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, v
 from pathlib import Path
 from typing import Any
 
-from cosim.base import messages
 from cosim.base.errors import InputError
 
 MODELS, PAGES, TWINS, VERBS = "cosim.models", "cosim.pages", "cosim.twins", "cosim.verbs"  # entry point groups
@@ -39,12 +38,11 @@ class ModelEntry:
         recipe: Place of the function from parameter values to the recipe of its FMU.
         built: File name → place of a recipe, for the FMUs of `cosim build` without a model.
         beside: File name → place of a recipe, for FMUs built along with each model of this class.
-        native: Name → place of the maker of a native FMU, apart from the model's own.
+        native: Name → place of the maker of a native FMU, apart from the model's own. It takes the designed start
+            values of `NAME.fmu`, if any.
         rig: Place of the class for playing its experiments.
-        design: Place of the designer of its controller, for `design:` of a scenario.
-        cases: Place of its estimators and of the true models for judging them.
-        estimators: Place of a function from (case, runs, steps, random numbers) to the normalised errors and
-            innovations of an estimator.
+        design: Place of a function from (YAML file, model) to the designed start values of FMUs in `beside`, by file
+            name, and warnings: `cosim build --design`. "" for a model without controller.
     """
 
     name: str
@@ -55,8 +53,6 @@ class ModelEntry:
     native: Mapping[str, str] = field(default_factory=dict)
     rig: str = ""
     design: str = ""
-    cases: str = ""
-    estimators: str = ""
 
 
 @dataclass(frozen=True)
@@ -102,7 +98,7 @@ def model_entry(name: str = BASE) -> ModelEntry:
     """Return a model by name; raise InputError if unknown."""
     entry = load(MODELS, name) if name in names(MODELS) else None
     if not isinstance(entry, ModelEntry):
-        raise InputError.at(Path("model"), messages.NO_MODEL(name=name, cure=_cure_without_base()))
+        raise InputError.at(Path("model"), f'no model "{name}" is installed; {_cure_without_base()}')
     return entry
 
 
@@ -166,7 +162,7 @@ def load(group: str, name: str) -> Any:
     points = _points_of_group(group)[name]
     if len(points) > 1:
         owners = " and ".join(sorted(map(_owner, points)))
-        raise InputError.at(Path(group), messages.REPEATED_NAME(name=name, owners=owners))
+        raise InputError.at(Path(group), f'"{name}" is registered by {owners}; uninstall one of them')
     return _object_of(points[0])
 
 
@@ -180,7 +176,7 @@ def attempt(name: str, place: str) -> Any:
     try:
         return resolve(place)
     except Exception as error:  # Foreign packages may raise any error when imported.
-        warnings.warn(messages.BROKEN_OBJECT(owner=name, place=place, reason=error), ExtensionWarning, stacklevel=2)
+        warnings.warn(f"{name}: {place} cannot be loaded: {error}", ExtensionWarning, stacklevel=2)
         return None
 
 
@@ -210,7 +206,7 @@ def _object_of(point: EntryPoint) -> Any:
         return point.load()
     except Exception as error:  # Foreign packages may raise any error when imported.
         place = f"the entry point {point.group}:{point.name}"
-        message = messages.BROKEN_OBJECT(owner=_owner(point), place=place, reason=error)
+        message = f"{_owner(point)}: {place} cannot be loaded: {error}"
         warnings.warn(message, ExtensionWarning, stacklevel=2)
         return None
 

@@ -17,7 +17,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, ParamSpec, TypeVar
 
-from cosim.base import messages
 from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.units import allowed_quantity, has_unit, read_quantity
 
@@ -52,7 +51,7 @@ def normalize_settings(values: Given | None, name: str = "set") -> Given:
         return dict(values)
     if isinstance(values, Sequence) and all(isinstance(v, str) for v in values):
         return tuple(values)
-    raise InputError.at(Path(name), messages.WRONG_SETTINGS(value=_represent(values), wanted=SETTINGS))
+    raise InputError.at(Path(name), f"{_represent(values)}: give {SETTINGS}")
 
 
 def texts(values: Given | None, name: str = "set") -> Sequence[str]:
@@ -64,7 +63,7 @@ def texts(values: Given | None, name: str = "set") -> Sequence[str]:
 def plain(value: Any, depth: int = 0) -> Any:
     """Return a value as JSON types; raise ValueError if impossible."""
     if depth > DEEPEST:
-        raise ValueError(messages.DEEP_VALUE(limit=DEEPEST))
+        raise ValueError(f"it is nested more than {DEEPEST} levels deep; write it flatter")
     value = _of_python(value)
     match value:
         case None | bool():
@@ -77,11 +76,14 @@ def plain(value: Any, depth: int = 0) -> Any:
             return _file(value)
         case Mapping():
             if wrong := [key for key in value if not isinstance(key, str)]:
-                raise ValueError(messages.WRONG_KEY(key=_represent(wrong[0])))
+                raise ValueError(f"{_represent(wrong[0])} is a key; a key is text")
             return {_text(key): plain(each, depth + 1) for key, each in value.items()}
         case list() | tuple():
             return [plain(each, depth + 1) for each in value]
-    raise ValueError(messages.WRONG_TYPE(value=_represent(value), type=type(value).__name__))
+    raise ValueError(
+        f"{_represent(value)} is of type {type(value).__name__}; it is a number, text, true or false, a list or "
+        "a mapping"
+    )
 
 
 # -- accepted values of arguments ---------------------------------------------------------------------
@@ -122,7 +124,7 @@ def _argument(kinds: Sequence[str], value: Any) -> Any:
         if KINDS[kind].accepts(value):
             return KINDS[kind].convert(value)
     wanted = " or ".join(dict.fromkeys(filter(None, (KINDS[kind].description for kind in kinds))))
-    raise ValueError(messages.WRONG_ARGUMENT(value=_represent(value), wanted=wanted))
+    raise ValueError(f"is {_represent(value)}; give {wanted}")
 
 
 def _of_python(value: Any) -> Any:
@@ -139,7 +141,7 @@ def _of_python(value: Any) -> Any:
 
 def _number(value: float) -> float:
     if not abs(value) < LARGEST:
-        raise ValueError(messages.LARGE_NUMBER(value=_represent(value), limit=LARGEST))
+        raise ValueError(f"{_represent(value)} is no finite number; give one below {LARGEST:g}")
     return value
 
 
@@ -147,7 +149,7 @@ def _finite(value: float, lowest: float = -math.inf, *, above: bool = False) -> 
     number = float(_number(value))
     if number < lowest or (above and number == lowest):
         wanted = f"a number above {lowest:g}" if above else f"a number from {lowest:g} on"
-        raise ValueError(messages.WRONG_ARGUMENT(value=_represent(value), wanted=wanted))
+        raise ValueError(f"is {_represent(value)}; give {wanted}")
     return number
 
 
@@ -159,26 +161,29 @@ def _seconds(value: Any, lowest: float = -math.inf) -> float:
                 raise ValueError(allowed_quantity("s"))
             value = read_quantity(value, "s")
         except ValueError as error:
-            raise ValueError(messages.WRONG_TIME.around(error, value=_represent(value))) from None
+            raise ValueError(f"is {_represent(value)}; {error}") from None
     return _finite(value, lowest, above=math.isfinite(lowest))
 
 
 def _integer(value: int, lowest: int | None = None) -> int:
     if not -(2**63) <= value < 2**63 or (lowest is not None and value < lowest):
         wanted = "a whole number" if lowest is None else f"a whole number from {lowest} on"
-        raise ValueError(messages.WRONG_ARGUMENT(value=_represent(value), wanted=f"{wanted} of at most 18 digits"))
+        raise ValueError(f"is {_represent(value)}; give {f'{wanted} of at most 18 digits'}")
     return value
 
 
 def _text(value: str) -> str:
     if "\0" in value:
-        raise ValueError(messages.NUL_CHARACTER(value=_represent(value)))
+        raise ValueError(f"{_represent(value)} holds a NUL character; leave it out")
     try:
         value.encode()
     except UnicodeEncodeError:
-        raise ValueError(messages.HALF_CHARACTER(value=_represent(value))) from None
+        raise ValueError(
+            f"{_represent(value)} contains half a character (one half of a surrogate pair), which UTF-8 cannot "
+            "hold; write the whole character"
+        ) from None
     if len(value) > MOST_TEXT:
-        raise ValueError(messages.LONG_TEXT(length=len(value), limit=MOST_TEXT))
+        raise ValueError(f"is text of {len(value)} characters; give at most {MOST_TEXT}")
     return value
 
 
@@ -186,11 +191,11 @@ def _file(value: Any) -> Any:
     name = os.fspath(value)
     if not isinstance(name, str):
         wanted = "the name of a file or folder as text or a Path"
-        raise ValueError(messages.WRONG_ARGUMENT(value=_represent(value), wanted=wanted))
+        raise ValueError(f"is {_represent(value)}; give {wanted}")
     if not _text(name).strip():
-        raise ValueError(messages.BLANK_NAME())
+        raise ValueError("is blank; give the name of a file or folder")
     if len(name.encode()) > LONGEST_PATH or any(len(part.encode()) > LONGEST_NAME for part in re.split(r"[/\\]", name)):
-        raise ValueError(messages.LONG_NAME(name=_represent(name), limit=LONGEST_NAME))
+        raise ValueError(f"is {_represent(name)}, longer than the name of a file can be ({LONGEST_NAME} bytes)")
     return name if isinstance(value, str) else Path(name)
 
 

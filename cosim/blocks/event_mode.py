@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import SimulationError, Terminated
-from cosim.blocks import messages
 from cosim.blocks.clocks import PERIODIC, Clock, Timer, Timing, read_clocks
 from cosim.blocks.component import Row, Signal
 from cosim.blocks.description import Way, takes_any_step
@@ -457,7 +456,7 @@ class EventFmu(FmuBlock):
         """Return an interval; raise SimulationError if invalid."""
         if math.isfinite(interval) and (interval > 0.0 or (interval == 0.0 and clock.kind not in PERIODIC)):
             return interval
-        message = messages.BAD_INTERVAL(interval=interval)
+        message = f"its interval is {interval:g} s; a periodic clock needs one above 0, another clock one of 0 or more"
         raise SimulationError(f"{self.name}.{clock.name}", self.instance.time, message)
 
     # -- checkpoints ----------------------------------------------------------------------------------

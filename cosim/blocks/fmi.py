@@ -14,7 +14,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from cosim.blocks import messages
+from cosim.base.messages import Note
 from cosim.blocks.component import EarlyEnd
 from cosim.blocks.description import Way
 
@@ -230,7 +230,7 @@ class CoSimulation3(Calls):
 
 def end_of(name: str, reached: float) -> EarlyEnd:
     """Return the error of an ended FMI 3.0 simulation."""
-    return EarlyEnd(name, reached, messages.END_BY_FMU(), readable=True)
+    return EarlyEnd(name, reached, Note("the FMU ended the simulation"), readable=True)
 
 
 def _route(name: str, listen: Listen) -> Logger:

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import FmuError
-from cosim.blocks import messages
 from cosim.blocks.compiling import permission
 from cosim.blocks.component import ADVANCE, GET, PUT, Row, in_turn
 from cosim.blocks.description import (
@@ -120,7 +119,9 @@ class FmuBlock:
     def _make_calls(self, way: Way | None) -> Calls:
         kind = CALLS.get((self.description.fmiVersion[0], way or ways(self.description)[0]))
         if kind is None:
-            raise FmuError(messages.SCHEDULED_ONLY(file=self.path))
+            raise FmuError(
+                f"{self.path} is for scheduled execution, which a scenario runs (components: {{name: {{fmu: FILE}}}})"
+            )
         return kind(self.name, self.description)
 
     def _make_ports(self, recorded: frozenset[str]) -> Ports:
@@ -191,10 +192,14 @@ class FmuBlock:
         warnings = []
         if slips := slips_of(self.description):
             more = f" (and {len(slips) - 1} more)" if len(slips) > 1 else ""
-            warnings.append(messages.SCHEMA_VIOLATION(file=self.path.name, violation=slips[0], more=more))
+            warnings.append(
+                f"{self.path.name} breaks a rule of the FMI standard: {slips[0]}{more}; it is used nevertheless"
+            )
         if types := {v.type for v in self.description.modelVariables} - self._ports.kinds.keys() - self.clock_types:
-            warnings.append(messages.UNSUPPORTED_TYPES(types=", ".join(sorted(types))))
-        return tuple(warning.after(f"{self.name}: ") for warning in warnings)
+            warnings.append(
+                f"variables of type {', '.join(sorted(types))} are not supported: they are neither set nor recorded"
+            )
+        return tuple(f"{self.name}: {warning}" for warning in warnings)
 
     @property
     def calls(self) -> Calls:

@@ -11,10 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.drafts import is_full
-from cosim.base.errors import DiskFull, FmuError, SimulationError, Terminated
-from cosim.base.messages import Message, join
+from cosim.base.errors import CallFailed, DiskFull, FmuError, Terminated
 from cosim.base.scratch import process_folder
-from cosim.blocks import messages
 from cosim.blocks.compiling import compile_library
 from cosim.blocks.component import EarlyEnd
 from cosim.blocks.description import C_CODE, library_of, no_library, platform_of, platforms_among
@@ -85,7 +83,7 @@ class Instance:
             if self.by_pythonfmu and not self._logging:
                 self.calls.limit_logging()
         except Exception as error:  # FMPy raises bare Exceptions; the FMU's own message says more.
-            reason = join("; ", (self.last_words() or str(error), *hidden))
+            reason = "; ".join((self.last_words() or str(error), *hidden))
             raise FmuError(self._load_fault(reason)) from None
         finally:
             os.chdir(previous)  # FMPy changes to the FMU's folder.
@@ -110,9 +108,9 @@ class Instance:
         except Exception as error:  # FMPy raises bare Exceptions.
             raise FmuError(load_error(library, error, hidden=hidden)) from None
 
-    def _load_fault(self, reason: str) -> Message:
+    def _load_fault(self, reason: str) -> str:
         """Return the message of an FMU that does not load; a reason with a code of its own keeps that code."""
-        return messages.NOT_LOADED.around(reason, file=self.path)
+        return f"{self.path} does not load: {reason}"
 
     def _unpack(self) -> Path:
         if self.place is not None:
@@ -123,7 +121,9 @@ class Instance:
             unpack(self.path, folder)
         except Exception as error:  # FMPy raises bare Exceptions, zipfile its own.
             if is_full(error):
-                full = messages.NO_SPACE_TO_UNPACK(file=self.path.name)
+                full = (
+                    f"the disk is full: no room to unpack {self.path.name} in the folder for temporary files (TMPDIR)"
+                )
                 raise DiskFull(self.name, self.time, full) from None
             raise FmuError(self._load_fault(str(error))) from None
         return folder
@@ -283,12 +283,16 @@ class Instance:
             SimulationError: The call failed.
         """
         if status == WARNING:
-            self.remember(messages.CALL_WARNING(function=function))
+            self.remember(f"{function} returned Warning")
             return
         if status == DISCARD and function == self.step_name and (reached := self.calls.end_time(self.time)) is not None:
             words = self.last_words()
-            end = messages.END_BY_DISCARD_WITH_REASON if words else messages.END_BY_DISCARD
-            raise EarlyEnd(self.name, reached, end(function=function, reason=words), readable=True)
+            raise EarlyEnd(
+                self.name,
+                reached,
+                f"{function} returned Discard: the FMU ended the simulation early{words and f': {words}'}",
+                readable=True,
+            )
         self._fail(function, status)
 
     def _fail(self, function: str, status: int) -> None:
@@ -298,5 +302,5 @@ class Instance:
         words, name = self.last_words(), STATUS[status] if 0 <= status < len(STATUS) else status
         if "KeyboardInterrupt" in words:  # Ctrl-C arrived while the FMU's Python code ran.
             raise KeyboardInterrupt
-        failure = messages.CALL_FAILED_WITH_REASON if words else messages.CALL_FAILED
-        raise SimulationError(self.name, self.time, failure(function=function, status=name, reason=words))
+        because = f": {words}" if words else ""
+        raise CallFailed(self.name, self.time, f"{function} returned {name}{because}")

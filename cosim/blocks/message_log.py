@@ -6,8 +6,6 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-from cosim.blocks import messages
-
 KEPT_FIRST, KEPT_LAST = 50, 50  # messages
 
 
@@ -28,7 +26,10 @@ class MessageLog:
         """Yield the messages, with a note in place of those between."""
         yield from self.first
         if self.omitted:
-            yield str(messages.MESSAGES_LEFT_OUT(count=self.omitted, first=len(self.first), last=len(self.last)))
+            yield str(
+                f"{self.omitted:,} messages are left out here: the first {len(self.first)} and the last "
+                f"{len(self.last)} are recorded"
+            )
         yield from self.last
 
     def __getitem__(self, k: int) -> str:

@@ -25,7 +25,6 @@ ARTEFACTS = (
         files=("fit.json", "fitted.ssv", "fitted.fmu", "report.html"),
         folder="the folder of a fit",
         folder_step="its report.html opens in a browser, its fitted.ssv holds the values",
-        sources=("fmu",),
         reader="cosim.calibration.fitted:read_fitted",
     ),
 )

@@ -10,7 +10,6 @@ import numpy as np
 
 from cosim.base.arrays import Array, Flags
 from cosim.base.errors import InputError, SimulationError
-from cosim.calibration import messages
 from cosim.calibration.identifiability import Choice, Combination, find_combination, screen
 from cosim.calibration.intervals import Covariance, covariance
 from cosim.calibration.likelihood import Jacobian, Likelihood, Point
@@ -18,6 +17,10 @@ from cosim.calibration.simulations import Logs, SetDrive, Unknown
 from cosim.calibration.vary import Parameter
 from cosim.logs.channel_noise import noise_level
 from cosim.residuals.windows import free_run, horizons, self_started
+
+NOTHING_IDENTIFIABLE = (
+    "no parameter is identifiable from these logs: {reasons}; name parameters as --vary, or log other inputs"
+)
 
 DRIFTS = 5.0  # error of free runs over that of windows, after the fit, from which free runs are useless
 STAYS = 0.2  # effect of a start value in the last quarter relative to its largest, from which it does not fade
@@ -75,7 +78,7 @@ class Estimate:
             self.screened, kept = screen(likelihood, point)
             if not any(c.estimated for c in self.screened):
                 shown = [f"{c.name}: {c.reason}" for c in self.screened[:NAMED_REASONS]]
-                raise InputError.at(Path("--vary"), messages.NOTHING_IDENTIFIABLE(reasons="; ".join(shown)))
+                raise InputError.at(Path("--vary"), NOTHING_IDENTIFIABLE.format(reasons="; ".join(shown)))
             likelihood, point = likelihood.restricted(kept, point)
             self.likelihood = likelihood
         self._check_count(likelihood, point)
@@ -124,7 +127,10 @@ class Estimate:
     def _check_count(self, likelihood: Likelihood, point: Point) -> None:
         rows, count = int(point.residuals.counts.sum()), len(likelihood.unknowns)
         if rows <= count:
-            raise InputError.at(self.logs.drives[0].log.path, messages.TOO_FEW_VALUES(rows=rows, count=count))
+            raise InputError.at(
+                self.logs.drives[0].log.path,
+                f"{rows} measured values cannot determine {count} unknowns; name fewer parameters or more logs",
+            )
 
     def _fit(self, likelihood: Likelihood, point: Point) -> Jacobian:
         """Move to the largest likelihood; return central differences there."""
@@ -163,7 +169,7 @@ class Estimate:
             return likelihood, point, slopes
         if not any(u.log is None and act for u, act in zip(likelihood.unknowns, acts, strict=True)):
             shown = "; ".join(f"{name}: no effect on any measured output" for name in idle)
-            raise InputError.at(Path("--vary"), messages.NOTHING_IDENTIFIABLE(reasons=shown))
+            raise InputError.at(Path("--vary"), NOTHING_IDENTIFIABLE.format(reasons=shown))
         self.idle, self.held = tuple(idle), {**self.held, **idle}
         return self._keep(acts, likelihood, point, slopes)
 

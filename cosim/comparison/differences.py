@@ -11,12 +11,11 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
-from cosim.base.messages import Message, join
 from cosim.base.text import amount, counted
 from cosim.base.times import rounding
 from cosim.base.units import Conversion, conversion, definition_of
 from cosim.blocks.component import Signal
-from cosim.comparison import messages, signals
+from cosim.comparison import signals
 from cosim.comparison.intermediate_rows import rows_at_jumps, rows_between, surroundings
 from cosim.comparison.signals import Difference, Tolerance, format_share, format_size
 from cosim.simulation.run_files import RecordedRun
@@ -50,7 +49,7 @@ class Compared:
     time: Array
     values: dict[str, tuple[Array, Array]]
     aligned: bool
-    shorter: Message
+    shorter: str
     tolerance: float | None
     absolute: float
 
@@ -79,17 +78,19 @@ class Compared:
         return not self.reasons
 
     @property
-    def reasons(self) -> list[Message]:
+    def reasons(self) -> list[str]:
         """Return the reasons why b does not match a, as phrases; empty for a match."""
         different = self.beyond if self.judged else [d for d in self.differences if d.largest]
         count = sum(d.alike for d in different)
-        template = messages.SIGNALS_BEYOND if self.judged else messages.SIGNALS_DIFFER
-        reasons = [template(count=counted(count, "signal"), verb=_differ(count))] if count else []
-        reasons += [messages.NOT_COMPARABLE(name=d.name, note=d.note) for d in different if not d.alike]
+        verb = "beyond the tolerance" if self.judged else _differ(count)
+        reasons = [f"{counted(count, 'signal')} {verb}"] if count else []
+        reasons += [f"{d.name} is {d.note}" for d in different if not d.alike]
         if missing := len(self.only_a):
             names = ", ".join(self.only_a[:MAX_LISTED]) + (", …" if missing > MAX_LISTED else "")
             subject = {"count": counted(missing, "signal"), "path": self.a.path, "verb": _are(missing)}
-            reasons.append(messages.SIGNALS_MISSING(**subject, other=self.b.path, names=names))
+            reasons.append(
+                "{count} of {path} {verb} missing in {other}: {names}".format(**subject, other=self.b.path, names=names)
+            )
         return reasons + ([self.shorter] if self.shorter else [])
 
     def __repr__(self) -> str:
@@ -185,12 +186,12 @@ def compare_runs(a: RecordedRun, b: RecordedRun, tolerance: float | None = None,
     common = [name for name in _names(a) if name in in_both]
     if not common:
         names = [", ".join(_names(r)[:5]) or "none" for r in (a, b)]
-        raise InputError.at(b.path, messages.NO_COMMON_SIGNAL(other=a.path, own=names[1], theirs=names[0]))
+        raise InputError.at(b.path, f"shares no signal with {a.path}: it has {names[1]}; that has {names[0]}")
     rows, aligned = signals.common_rows(a, b)
     time = a.results.time[rows]
     if not time.size:
         spans = [f"{t[0]:g} … {t[-1]:g} s" if t.size else "no rows" for t in (a.results.time, b.results.time)]
-        raise InputError.at(b.path, messages.NO_COMMON_TIME(other=a.path, own=spans[1], theirs=spans[0]))
+        raise InputError.at(b.path, f"shares no time with {a.path}: it has {spans[1]}, that {spans[0]}")
     overlap = _Overlap(a, b, rows, aligned, Tolerance(tolerance, absolute))
     differences = tuple(overlap.difference(name) for name in common)
     only_a, only_b = (tuple(name for name in _names(r) if name not in in_both) for r in (a, b))
@@ -336,7 +337,7 @@ def describe_largest(d: Difference) -> str:
     return f"most {d.name}, by {amount(d.largest, d.unit)} at {d.at:.6g} s ({format_share(d)} of its range)"
 
 
-def _describe_ends(a: RecordedRun, b: RecordedRun) -> Message:
+def _describe_ends(a: RecordedRun, b: RecordedRun) -> str:
     """Return a phrase on the shorter run; "" if both runs cover the same time."""
     step = float(np.max(np.diff(a.results.time))) if a.results.time.size > 1 else 0.0
     parts = []
@@ -345,5 +346,5 @@ def _describe_ends(a: RecordedRun, b: RecordedRun) -> Message:
         if abs(at[0] - at[1]) > rounding(max(map(abs, at)), 1e3 * step):
             first, second = (a, b) if at[0] < at[1] else (b, a)
             ends = {"path": first.path, "time": min(at), "other": second.path, "later": max(at)}
-            parts.append(messages.OTHER_END(verb=verb, **ends))
-    return join("; ", parts)
+            parts.append("{path} {verb} at {time:.6g} s, {other} at {later:.6g} s".format(verb=verb, **ends))
+    return "; ".join(parts)

@@ -6,16 +6,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 from cosim.base.errors import InputError
-from cosim.comparison import messages
 from cosim.simulation.run_files import read_ran
 from cosim.storage.files import FilePath, check_writable
-from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import refuse_links, warnings_on
+from cosim.storage.folders import newest_run, warnings_on
 from cosim.storage.kinds import check_given
 from cosim.storage.results import rows_in
 
 
-@folder_locks()
 def report_of(folder: FilePath, *, figures: bool = False, tell: Callable[..., None] = lambda *warnings: None) -> Path:
     """Write an earlier run's report.html again.
 
@@ -27,20 +24,26 @@ def report_of(folder: FilePath, *, figures: bool = False, tell: Callable[..., No
     Raises:
         InputError: The folder has no run, or a run without rows.
     """
-    path = Path(folder)
+    path = newest_run(Path(folder))
     if not path.is_dir():
         check_given(path, "a folder that a run left")
-        raise InputError.at(path, messages.FILE_FOR_FOLDER())
+        raise InputError.at(path, "is a file; give the folder with the results of `cosim run`")
     if not (path / "manifest.json").is_file():
         verbs = {"refine.json": "refine", "fit.json": "fit", "replay.json": "replay", "comparison.json": "compare"}
         verb = next((v for name, v in verbs.items() if (path / name).is_file()), None)
-        raise InputError.at(path, messages.FOLDER_OF_OTHER_VERB(verb=verb) if verb else messages.NO_MANIFEST())
+        raise InputError.at(
+            path,
+            f"holds no manifest.json; it is of `cosim {verb}`, which writes its page itself"
+            if verb
+            else "has no manifest.json; give the folder with the results of `cosim run`",
+        )
     run = read_ran(path)
     if not isinstance(run.manifest.get("scenario"), dict):
-        raise InputError.at(path / "manifest.json", messages.NO_SCENARIO())
+        raise InputError.at(
+            path / "manifest.json", "is no manifest of a run: there is no scenario in it, or it is torn; run it again"
+        )
     if not run.results.time.size:
-        raise InputError.at(rows_in(path) or path, messages.NO_ROWS())
-    refuse_links(path)
+        raise InputError.at(rows_in(path) or path, "has no rows: the run stopped before its first; run it again")
     check_writable(path, ("report.html",))
     from cosim.simulation.report import write_figures, write_report
 

@@ -12,7 +12,6 @@ import numpy as np
 
 from cosim.base.arrays import Array, Rows
 from cosim.base.errors import Fault, InputError, refuse
-from cosim.base.messages import Message
 from cosim.base.text import counted
 from cosim.comparison.differences import (
     Compared,
@@ -107,9 +106,9 @@ class ComparedRuns:
         return all(c.same for c in self.comparisons)
 
     @property
-    def reasons(self) -> list[Message]:
+    def reasons(self) -> list[str]:
         """Return the reasons why runs do not match the baseline, as phrases."""
-        return [reason.after(f"{c.b.name}: ") for c in self.comparisons for reason in c.reasons]
+        return [f"{c.b.name}: {reason}" for c in self.comparisons for reason in c.reasons]
 
     @property
     def ranking(self) -> list[str]:

@@ -14,7 +14,6 @@ from cosim.base.arrays import far_beyond
 from cosim.base.errors import InputError
 from cosim.base.text import counted, written
 from cosim.base.version import __version__
-from cosim.comparison import messages
 from cosim.comparison.criterion_cells import criterion_cell, tone_of
 from cosim.comparison.differences import Compared, compare_runs, criteria_of, sentence
 from cosim.comparison.several import ComparedRuns, RunSource, compare_several
@@ -24,9 +23,8 @@ from cosim.comparison.signals import Difference, format_share, format_size
 from cosim.report.charts import Charts
 from cosim.report.template import render
 from cosim.simulation.run_files import RecordedRun
-from cosim.storage.files import FilePath, check_writable, named_path, write_json, write_text
-from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import check_overwritable, folder_named, keep_earlier
+from cosim.storage.files import FilePath, check_writable, write_json, write_text
+from cosim.storage.folders import new_run, remove_earlier
 
 TEMPLATE = Path(__file__).with_name("templates") / "comparison.html.j2"
 MAX_PLOTTED = 24  # signals with the largest differences
@@ -34,7 +32,6 @@ FILES = ("comparison.json", "report.html")
 LONGEST_NAME, NUMBERED = 80, "run "  # characters of the name of a folder; the beginning of the name of a numbered run
 
 
-@folder_locks()
 @far_beyond
 def compare(
     a: RecordedRun,
@@ -54,11 +51,11 @@ def compare(
         tolerance: Share of each signal's range in a.
         absolute: Size in the signal's unit, added to the share.
         write: Whether to write files.
-        force: Whether to overwrite the files of another command.
+        force: Whether `folder` may have files.
         shorts: Short names of both runs, for the name of the default folder.
 
     Returns:
-        The comparison and its folder.
+        The comparison and its folder, the current one without files.
 
     Raises:
         InputError: The runs have no common signal or time.
@@ -66,15 +63,14 @@ def compare(
     _check_tolerance(a.path, tolerance, absolute)
     comparison = compare_runs(a, b, tolerance, absolute)
     names, paths = shorts or (a.name, b.name), [a.path, b.path]
-    place = folder_named(_name_of(names, paths)) if folder is None else named_path(folder)
-    if write:
-        _prepare(place, paths, force=force, numbered=folder is None and _is_numbered(names))
+    if not write:
+        return comparison, Path()
+    with new_run(folder, _name_of(names, paths), "cosim compare", force=force) as place:
         page = partial(render, TEMPLATE, context(comparison)) if report else None
-        _write(place, comparison.as_json(), page)
+        _write(place, comparison.as_json(), page, paths)
     return comparison, place
 
 
-@folder_locks()
 @far_beyond
 def compare_all(
     sources: Sequence[RunSource],
@@ -94,10 +90,10 @@ def compare_all(
         tolerance: Share of each signal's range in the baseline.
         absolute: Size in the signal's unit, added to the share.
         write: Whether to write files.
-        force: Whether to overwrite the files of another command.
+        force: Whether `folder` may have files.
 
     Returns:
-        The comparison and its folder.
+        The comparison and its folder, the current one without files.
 
     Raises:
         InputError: Runs cannot be read, or have no common signal or time.
@@ -107,16 +103,12 @@ def compare_all(
     comparison = compare_several(sources, baseline, tolerance, absolute)
     paths = [base.path, *(s.path for k, s in enumerate(sources) if k != baseline)]
     names = [base.short, *(s.short for k, s in enumerate(sources) if k != baseline)]
-    place = folder_named(_name_of(names, paths)) if folder is None else named_path(folder)
-    if write:
-        _prepare(place, paths, force=force, numbered=folder is None and _is_numbered(names))
+    if not write:
+        return comparison, Path()
+    with new_run(folder, _name_of(names, paths), "cosim compare", force=force) as place:
         options = _options(tolerance, absolute)
-        page = (
-            partial(several_page, comparison, _tolerance(tolerance, absolute, "the baseline"), options)
-            if report
-            else None
-        )
-        _write(place, comparison.as_json(), page)
+        page = partial(several_page, comparison, _tolerance(tolerance, absolute, "the baseline"), options)
+        _write(place, comparison.as_json(), page if report else None, paths)
     return comparison, place
 
 
@@ -130,35 +122,17 @@ def _name_of(names: Sequence[str], paths: Sequence[Path]) -> str:
     return f"{names[0]} and {len(names) - 1} others {digest[:8]}"
 
 
-def _is_numbered(names: Sequence[str]) -> bool:
-    """Return whether the name of a comparison has the number of a run."""
-    return any(name.startswith(NUMBERED) and name.removeprefix(NUMBERED).isdecimal() for name in names)
-
-
 def _check_tolerance(path: Path, tolerance: float | None, absolute: float) -> None:
     for name, value in (("--tol", tolerance), ("--abs", absolute)):
         if value is not None and not (math.isfinite(value) and value >= 0):
-            raise InputError.at(path, messages.NEGATIVE_TOLERANCE(option=name, value=value))
+            raise InputError.at(path, f"{name} {value:g}: give a number that is not negative")
 
 
-def _prepare(place: Path, paths: Sequence[Path], *, force: bool, numbered: bool) -> None:
-    """Check that a folder may take a comparison; move an earlier one to `runs`.
-
-    Args:
-        paths: Folders and tables that are compared; they stay where they are.
-        numbered: Whether the folder is named by numbers, whose paths change when a newest run moves to `runs`.
-    """
-    read = [p / "manifest.json" if p.is_dir() else p for p in paths]
-    others = ", ".join(str(path) for path in paths[1:])
-    compared = () if numbered else (str(paths[0]), others)
-    check_overwritable(place, "cosim compare", *compared, force=force)
-    check_writable(place, FILES, read)
-    keep_earlier(place, "cosim compare", read=paths)
-
-
-def _write(place: Path, content: Mapping[str, Any], page: Callable[[], str] | None) -> None:
+def _write(place: Path, content: Mapping[str, Any], page: Callable[[], str] | None, compared: Sequence[Path]) -> None:
+    """Write comparison.json and report.html; what is compared stays where it is."""
+    check_writable(place, FILES, compared)
+    remove_earlier(place, "cosim compare", read=compared)
     write_json(place / "comparison.json", content)
-    (place / "report.html").unlink(missing_ok=True)
     if page is not None:
         write_text(place / "report.html", page())
 

@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 from graphlib import CycleError, TopologicalSorter
 from typing import NamedTuple
 
+from cosim.base.messages import CheckWarning
 from cosim.blocks.component import Component
-from cosim.coupling import messages
 from cosim.coupling.strong_components import Edge, order_with_loops
 
 Input = tuple[str, str]  # component, input
@@ -34,6 +34,10 @@ class Plan(NamedTuple):
     immediate: tuple[bool, ...]
     notes: tuple[str, ...] = ()
     loops: tuple[tuple[str, ...], ...] = ()
+
+
+class Assumption(CheckWarning):
+    """A warning that a component is taken to have no direct feedthrough."""
 
 
 class AlgebraicLoop(Exception):
@@ -113,7 +117,11 @@ def _open_cycle(
     assumed = min(unknown, key=[*components].index)
     removed = {(c, name) for c, name in direct if c == assumed and components[c].depends_on(name) is None}
     is_stated = getattr(components[assumed], "feedthrough", None) is not None
-    return removed, "" if is_stated else messages.ASSUMED_WITHOUT_FEEDTHROUGH(component=assumed)
+    return removed, "" if is_stated else Assumption(
+        f"{assumed} does not declare which outputs depend directly on its inputs; cosim assumes that none does, "
+        f"so {assumed} steps first. feedthrough: [...] of {assumed} names the inputs that an output follows at "
+        "once, [] for none; order: [...] states the order instead"
+    )
 
 
 def _find_connected(edges: Sequence[Edge], component: str) -> set[str]:

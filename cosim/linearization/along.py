@@ -11,11 +11,11 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError, SimulationError
+from cosim.base.messages import Note
 from cosim.base.scratch import temporary_folder
 from cosim.base.text import as_yaml
 from cosim.base.times import rounding, roundings
 from cosim.base.units import read_quantity
-from cosim.linearization import messages
 from cosim.linearization.linear_model import Point
 from cosim.linearization.linear_sources import EquationSource, LinearizableSystem
 from cosim.linearization.point import AT, LinearizationTimes
@@ -66,9 +66,7 @@ class Along:
         else:
             states = self._columns(source.states)
             if names := ", ".join(np.array(source.states)[np.isnan(states).all(axis=0)]):
-                message = messages.STATES_NOT_RECORDED(
-                    component=self._name, scenario=self._moment.scenario, names=names
-                )
+                message = f"{self._name} of {self._moment.scenario} records no {names}"
                 raise InputError.at(AT, message)
         return [Point(float(self._results.time[k]), states[k], inputs[k]) for k in self._rows]
 
@@ -89,13 +87,25 @@ class Along:
         if not name and len(fitting) == 1:
             return fitting[0]
         if not name and fitting:
-            raise InputError.at(AT, messages.SEVERAL_COMPONENTS(names=", ".join(fitting)))
+            raise InputError.at(
+                AT, f"several components fit the model: {', '.join(fitting)}; choose one as --component NAME"
+            )
         absent = missing.get(name, signals)
         names = f"{', '.join(absent[:MAX_NAMES])}{', …' if len(absent) > MAX_NAMES else ''}"
         fields = {"model": source.title, "missing": names}
         if name:
-            raise InputError.at(AT, messages.COMPONENT_MISFIT(component=name, **fields))
-        raise InputError.at(AT, messages.NO_COMPONENT_FITS(scenario=self._moment.scenario, **fields))
+            raise InputError.at(
+                AT,
+                "{component} lacks inputs and outputs of {model} ({missing}); name another component".format(
+                    component=name, **fields
+                ),
+            )
+        raise InputError.at(
+            AT,
+            (
+                "no component of {scenario} has the inputs and outputs of {model} ({missing}); name another scenario"
+            ).format(scenario=self._moment.scenario, **fields),
+        )
 
     def _columns(self, names: Sequence[str]) -> Array:
         """Return signals of the component as columns, NaN for a signal without a record."""
@@ -112,7 +122,7 @@ class Along:
         step = float(np.min(np.diff(points), initial=1.0))
         rows = np.searchsorted(points, times + roundings(times, step), side="right") - 1
         if (np.abs(points[rows] - times) > roundings(times, 1e3 * step)).any():
-            self.notes.append(messages.EARLIER_POINT())
+            self.notes.append(Note("a time between two communication points is moved to the earlier of the two"))
         return [int(k) for k in rows]
 
     def _simulated_states(self, source: EquationSource, inputs: Array) -> Array:
@@ -131,7 +141,7 @@ class Along:
                 states.append(np.array(moment.state, float))
                 outputs.append(source.evaluate(float(time[k]), states[k], inputs[k])[1])
             except (ArithmeticError, ValueError) as error:
-                message = messages.NO_VALUE_AT_POINT(reason=error)
+                message = f"the equations have no value there: {error}"
                 raise SimulationError(source.name, float(time[k]), message) from None
         self._compare(source, np.array(outputs))
         return np.array(states)
@@ -145,27 +155,27 @@ class Along:
         if difference[worst] > MAX_OUTPUT_DIFFERENCE * span[worst]:
             output = source.outputs[worst]
             size = f"{difference[worst]:.3g} {source.units.get(output, '')}".rstrip()
-            self.notes.append(messages.OTHER_MODEL(component=self._name, output=output, size=size))
+            self.notes.append(f"{self._name} is not this model: driven alike, {output} differs by up to {size}")
 
 
 def _check(moment: LinearizationTimes, component: str) -> None:
     """Check the requested times and the component's name against the scenario, before the scenario is run."""
     if not moment.scenario.is_file():
-        raise InputError.at(moment.scenario, messages.NO_SCENARIO())
+        raise InputError.at(moment.scenario, "no such scenario; check its path")
     if is_ssp(moment.scenario):
         return
     scenario = ScenarioFile(moment.scenario).scenario
     _check_times(moment, scenario.start_time, scenario.start_time + scenario.duration)
     if component and component not in scenario.components:
         names = ", ".join(scenario.components)
-        message = messages.UNKNOWN_COMPONENT(scenario=moment.scenario, name=component, names=names)
+        message = f'{moment.scenario} has no component "{component}" ({names})'
         raise InputError.at(Path("--component"), message)
 
 
 def _check_times(moment: LinearizationTimes, first: float, last: float) -> None:
     for time in moment.times.tolist():
         if not first - rounding(first) <= time <= last + rounding(last):
-            message = messages.TIME_OUTSIDE(time=time, scenario=moment.scenario, first=first, last=last)
+            message = f"{time:g} s is not within {moment.scenario}, which runs from {first:g} to {last:g} s"
             raise InputError.at(AT, message)
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import Fault, FmuError, InputError, SimulationError, refuse
+from cosim.base.messages import Note
 from cosim.blocks.compiling import permission, with_permission
 from cosim.blocks.derivatives import (
     DifferentiableFmu,
@@ -29,7 +30,6 @@ from cosim.isolation import worker as here
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import OTHER
 from cosim.isolation.watch import Watch, fmi_calls
-from cosim.linearization import messages
 from cosim.linearization.kinks import Kink, kinks_at
 from cosim.linearization.linear_model import Linear, Point
 from cosim.linearization.linear_sources import LinearizableSystem
@@ -83,7 +83,9 @@ def differentiate(
     except SimulationError as error:
         if not directional or "DirectionalDerivative" not in str(error):
             raise
-        note = messages.SLOPES_WITHDRAWN(step=step, reason=error.reason.partition(":")[0])
+        note = (
+            f"finite differences of step {step:g} replace the FMU's own derivatives: {error.reason.partition(':')[0]}"
+        )
     repeated = differentiate(path, description, start, points, step, False)
     return [each._replace(notes=[note, *each.notes]) for each in repeated]
 
@@ -95,7 +97,7 @@ def _differentiate(block: DifferentiableFmu, point: Point, step: float, directio
     moved = np.abs(after - point.states) > 1e-9 * (1.0 + np.abs(point.states))
     if moved.any():
         states = ", ".join(f"{name} = {v:.6g}" for name, v, m in zip(names, after, moved, strict=True) if m)
-        notes.append(messages.STATES_MOVED(states=states))
+        notes.append(Note(f"an event of the FMU at this point has moved its states: {states}"))
     z, inputs = np.concatenate([after, point.inputs]), scalars(reals(block.description, "input"))
     kinks = kinks_at(lambda z: block.rates(z[:n], z[n:]), z, names, inputs, outputs)
     block.rates(after, point.inputs)
@@ -125,7 +127,10 @@ def _check_slopes(
     deviates = np.abs(slopes - differences).max(axis=1, initial=0.0) > MAX_SLOPE_DEVIATION * np.maximum(size, 1e-9)
     if not deviates.any():
         return slopes, []
-    note = messages.SLOPES_REPLACED(step=step, rows=", ".join(compress(rows, deviates)))
+    note = (
+        f"differences of step {step:g} are taken for {', '.join(compress(rows, deviates))}: the FMU's own "
+        "slopes of these differ"
+    )
     return np.where(deviates[:, None], differences, slopes), [note]
 
 
@@ -192,9 +197,20 @@ def check_differentiable(path: Path, description: Any) -> None:
         InputError: They are not; the message names alternatives.
     """
     if "model-exchange" not in ways(description):
-        raise InputError.at(path, messages.CO_SIMULATION_ONLY())
+        raise InputError.at(
+            path,
+            (
+                "is for co-simulation only, and hides its states and derivatives; give the model's own file "
+                "(model.yaml, file.py:Class or base), or an FMU for model exchange; `cosim build --native` makes "
+                "one of any model here"
+            ),
+        )
     if len(states_of(description)) != len(description.derivatives):
-        raise InputError.at(path, messages.DERIVATIVES_WITHOUT_STATES(), FmuError.exit_code)
+        raise InputError.at(
+            path,
+            ("declares derivatives without their states; its modelDescription.xml needs the attribute `derivative`"),
+            FmuError.exit_code,
+        )
 
 
 def typed_values(path: Path, description: Any, values: Mapping[str, Any]) -> dict[str, Any]:
@@ -209,11 +225,14 @@ def typed_values(path: Path, description: Any, values: Mapping[str, Any]) -> dic
         variable = variables.get(name)
         if variable is None:
             cure = did_you_mean(name, [n for n, v in variables.items() if settable(v)])
-            faults.append(messages.UNKNOWN_VARIABLE(name=name, cure=cure))
+            faults.append(f'has no variable "{name}"{cure}')
         elif not settable(variable):
-            faults.append(messages.NOT_SETTABLE(name=name, kind=kind_of(variable)))
+            faults.append(
+                f"{name} is {kind_of(variable)} without a start value, so it cannot be set; name a parameter, a "
+                "state or an input"
+            )
         elif isinstance(fitting := convert_value(description, variable, value), Misfit):
-            faults.append(messages.UNSUITABLE_START(name=name, value=value, reason=fitting.reason))
+            faults.append(f"{name} is {value!r}; {fitting.reason}")
         else:
             converted[name] = fitting
     refuse(Fault(path, 0, 0, fault) for fault in faults)

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.linearization import messages
 from cosim.linearization.kinks import Kink
 
 MIN_COUPLING = 1e-9  # smallest entry of a matrix that couples, relative to its largest entry
@@ -83,7 +82,10 @@ def residualize(linear: Linear, fast: Sequence[str]) -> Linear:
     z = [linear.states.index(n) for n in fast]
     own = linear.A[np.ix_(z, z)]
     if np.linalg.matrix_rank(own) < len(z):
-        raise ValueError(messages.NO_STEADY_STATE(names=", ".join(fast)))
+        raise ValueError(
+            f"{', '.join(fast)} cannot be residualized: they do not settle while the other states are constant "
+            "(their block of A is singular); leave out states that only integrate"
+        )
     to_states, to_inputs, to_rates = (np.linalg.solve(own, part[z]) for part in (linear.A, linear.B, linear.rates))
     eliminated = replace(
         linear,

@@ -12,7 +12,7 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import SimulationError
-from cosim.linearization import messages
+from cosim.base.messages import Note
 from cosim.linearization.kinks import STEP, Kink, kinks_at
 from cosim.linearization.linear_model import Linear, Point
 from cosim.linearization.set_parameters import with_parameters
@@ -102,12 +102,21 @@ class EquationSource(LinearizableSystem):
             slopes = self._linearizer(tuple(point.states), tuple(point.inputs), point.time)
             rates, values = self.evaluate(point.time, point.states, point.inputs)
         except (ArithmeticError, ValueError) as error:
-            raise SimulationError(self.name, point.time, messages.NO_VALUE_AT_POINT(reason=error)) from None
+            raise SimulationError(self.name, point.time, f"the equations have no value there: {error}") from None
         matrices = slopes.A, slopes.B, slopes.C, slopes.D
         if not all(np.isfinite(m).all() for m in (*matrices, rates, values)):
-            raise SimulationError(self.name, point.time, messages.NOT_FINITE_AT_POINT())
+            raise SimulationError(
+                self.name,
+                point.time,
+                (
+                    "the derivatives, the outputs or their slopes are not finite at this point; choose another "
+                    "operating point"
+                ),
+            )
         shaping = overrides(self.model.awake, "shape", Effect)
-        shaped = [messages.INPUTS_SHAPED(effect=e.name, equation=e.equation) for e in shaping]
+        shaped = [
+            Note(f"{e.name} ({e.equation}) acts on the inputs before they get here and is left out") for e in shaping
+        ]
         kinks, notes = self._kinks(point)
         names, remarks = (self.states, self.inputs, self.outputs), ((*shaped, *notes), tuple(kinks))
         return Linear(*matrices, *names, point, rates, values, self.units, EXACT, *remarks)
@@ -123,7 +132,7 @@ class EquationSource(LinearizableSystem):
         try:
             return kinks_at(rates, z, self.states, self.inputs, self.outputs), []
         except (ArithmeticError, ValueError):  # the equations are undefined on one side
-            return [], [messages.ONE_SIDED()]
+            return [], [Note("the equations end at this point: to one side of it they have no value")]
 
 
 def settle(source: LinearizableSystem, point: Point, fast: Sequence[str]) -> Point:
@@ -151,4 +160,7 @@ def settle(source: LinearizableSystem, point: Point, fast: Sequence[str]) -> Poi
         if not np.isfinite(states).all():
             break
         point = replace(point, states=states)
-    raise ValueError(messages.NO_EQUILIBRIUM(names=", ".join(fast)))
+    raise ValueError(
+        f"{', '.join(fast)} cannot be residualized: no values were found at which they are at rest while the "
+        "other states are constant; name other states, or another operating point"
+    )

@@ -12,7 +12,6 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import Fault, refuse
 from cosim.base.units import read_quantity
-from cosim.linearization import messages
 from cosim.linearization.linear_model import Point
 from cosim.linearization.linear_sources import LinearizableSystem
 from cosim.storage.yaml_file import did_you_mean, short
@@ -55,18 +54,21 @@ def read_at(texts: Sequence[str]) -> Where:
             try:
                 moments.append(LinearizationTimes(Path(head), _times(tail)))
             except ValueError as error:
-                faults.append(messages.INVALID_TIMES(text=short(text), reason=error))
+                faults.append(f"{short(text)}: {error}")
             continue
         for part in text.split(","):
             name, _, value = (piece.strip() for piece in part.partition("="))
             if not (name and value):
-                faults.append(messages.AT_WITHOUT_VALUE(text=short(text)))
+                faults.append(
+                    f"{short(text)} is neither NAME=VALUE of a state or input, such as level=0.5, nor "
+                    "SCENARIO.yaml@TIME"
+                )
                 break
             if name in values:
-                faults.append(messages.REPEATED_VALUE(name=name, first=short(values[name]), second=short(value)))
+                faults.append(f"{name} is given twice, {short(values[name])} and {short(value)}; give it once")
             values.setdefault(name, value)
     if len(moments) > 1:
-        faults.append(messages.SEVERAL_SCENARIOS(count=len(moments)))
+        faults.append(f"{len(moments)} scenarios are named; name one")
     refuse(Fault(AT, 0, 0, fault) for fault in faults)
     return Where(values, moments[0] if moments else None)
 
@@ -100,12 +102,16 @@ def move(source: LinearizableSystem, point: Point, values: Mapping[str, str]) ->
     for name, text in values.items():
         if name not in (names := (*source.states, *source.inputs)):
             cure = did_you_mean(name, names)
-            faults.append(messages.UNKNOWN_SIGNAL(model=source.title, name=name, cure=cure, **lists))
+            faults.append(
+                '{model} has no state or input "{name}"{cure} (states: {states}; inputs: {inputs})'.format(
+                    model=source.title, name=name, cure=cure, **lists
+                )
+            )
             continue
         try:
             value = read_quantity(text, source.units.get(name, ""))
         except ValueError as error:
-            faults.append(messages.INVALID_VALUE(name=name, value=short(text), reason=error))
+            faults.append(f"{name}={short(text)}: {error}")
             continue
         if name in source.states:
             states[source.states.index(name)] = value

@@ -8,7 +8,6 @@ from typing import Any
 
 from cosim.base.errors import Fault, refuse
 from cosim.base.units import read_quantity
-from cosim.linearization import messages
 from cosim.model.model import Model
 from cosim.storage.yaml_file import did_you_mean, short
 
@@ -26,19 +25,19 @@ def with_parameters(model: Model, texts: Sequence[str]) -> Model:
         name, sign, value = (part.strip() for part in text.partition("="))
         declared = model.declared.get(name)
         if not sign or not name:
-            faults.append(messages.NOT_NAME_VALUE(text=short(text)))
+            faults.append(f"{short(text)} is not NAME=VALUE; for example mass=2")
         elif declared is None:
             cure = did_you_mean(name, model.declared)
-            faults.append(messages.UNKNOWN_PARAMETER(model=model.title, name=name, cure=cure))
+            faults.append(f'{model.title} has no parameter "{name}"{cure}')
         else:
             try:
                 is_switch = isinstance(declared.default, bool)
                 values[name] = SWITCH.get(value, short(value)) if is_switch else read_quantity(value, declared.unit)
             except ValueError as error:
-                faults.append(messages.INVALID_VALUE(name=name, value=short(value), reason=error))
+                faults.append(f"{name}={short(value)}: {error}")
                 continue
             if fault := declared.fault(values[name]):
                 effect, dot, _ = name.rpartition(".")
-                faults.append(messages.UNSUITABLE_PARAMETER(owner=effect + dot, fault=fault))
+                faults.append(f"{effect + dot}{fault}; correct this value")
     refuse(Fault(Path("--set"), 0, 0, fault) for fault in faults)
     return model.with_values(values)

@@ -12,10 +12,10 @@ import numpy as np
 
 from cosim.authoring.single import start_pairs
 from cosim.base.errors import Fault, InputError, refuse
+from cosim.base.messages import Note
 from cosim.base.registry import BASE, is_model
 from cosim.base.settings import Given, Positive, texts
 from cosim.blocks.compiling import compiling
-from cosim.linearization import messages
 from cosim.linearization.along import Along
 from cosim.linearization.fmu_source import MODULES, ExchangeSource, typed_values
 from cosim.linearization.kinks import OUTPUT, RATE, SIDES, STEPS_OFF_KINK, Kink
@@ -30,8 +30,7 @@ from cosim.linearization.write import FILES, write
 from cosim.loading.file import LoadedModel, load_model, named_model
 from cosim.loading.refined import names_refine, refined_file
 from cosim.storage.files import FilePath, check_writable, named_path, write_text
-from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import check_overwritable, keep_earlier
+from cosim.storage.folders import new_run, remove_earlier
 from cosim.storage.kinds import CODE, FMU, MODEL, check_given, kind_of
 from cosim.storage.yaml_file import did_you_mean
 
@@ -52,7 +51,6 @@ class Selection:
     fast: Sequence[str] = ()
 
 
-@folder_locks()
 def linearize(
     model: FilePath,
     out: FilePath | None = None,
@@ -67,7 +65,7 @@ def linearize(
     step: Positive | None = None,
     side: str | None = None,
     report: bool = True,
-    force: bool = True,
+    force: bool = False,
     compile: bool = False,
 ) -> Outcome:
     """Linearize a model or an FMU about an operating point.
@@ -85,7 +83,7 @@ def linearize(
         step: Step of central differences, which replace the directional derivatives of an FMU.
         side: Side of a kink whose derivative is used, "below" or "above". Without it a kink is refused.
         report: Write report.html.
-        force: Overwrite results of another model or command in `out`.
+        force: Write into `out` even if it is not empty.
         compile: Compile and execute the sources of an FMU that has no library for this machine.
 
     Returns:
@@ -98,7 +96,7 @@ def linearize(
     """
     if side is not None and side not in SIDES:
         cure = did_you_mean(side, tuple(SIDES))
-        raise InputError.at(Path("--side"), messages.UNKNOWN_SIDE(side=side, cure=cure))
+        raise InputError.at(Path("--side"), f'"{side}" is not a side of a kink; give below or above{cure}')
     values = texts(set)
     where, folder = read_at(texts(at, "at")), None if out is None else named_path(out)
     selection = Selection(states, inputs, outputs, residualize)
@@ -107,7 +105,7 @@ def linearize(
         source = _source(stack, Path(model), values, step)
         selection = _complete(source, selection)
         if folder is not None:
-            check_overwritable(folder, "cosim linearize", str(model), force=force)
+            stack.enter_context(new_run(folder, "", "cosim linearize", force=force))
             check_writable(folder, (*FILES, "report.html"), source.files)
         notes: list[str] = []
         if where.moment is None:
@@ -118,30 +116,37 @@ def linearize(
             points, notes = along.points(source), along.notes
         points = [move(source, point, where.values) for point in points]
         linear = _linear(source, points, selection, side)
-    notes += _notes(linear, notes)
-    if side is not None and not any(each.kinks for each in linear):
-        notes.append(messages.SIDE_WITHOUT_EFFECT(side=side))
-    outcome = Outcome(str(model), source.title, tuple(linear), structure(linear[0]), tuple(notes), folder)
-    if folder is not None:
-        keep_earlier(folder, "cosim linearize", read=source.files)
-        write(folder, outcome)
-        if report:
-            from cosim.linearization.report import page
+        notes += _notes(linear, notes)
+        if side is not None and not any(each.kinks for each in linear):
+            notes.append(
+                Note(
+                    f"--side {side} has no effect: the chosen states, inputs and outputs have the same slopes on both "
+                    "sides here"
+                )
+            )
+        outcome = Outcome(str(model), source.title, tuple(linear), structure(linear[0]), tuple(notes), folder)
+        if folder is not None:
+            remove_earlier(folder, "cosim linearize", read=source.files)
+            write(folder, outcome)
+            if report:
+                from cosim.linearization.report import page
 
-            write_text(folder / "report.html", page(outcome))
-    return outcome
+                write_text(folder / "report.html", page(outcome))
+        return outcome
 
 
 def _notes(linear: Sequence[Linear], notes: Sequence[str]) -> list[str]:
     """Return further notes: idle inputs, slopes at kinks, notes of the models."""
     effects = np.max([np.abs(np.vstack([m.B, m.D])).max(axis=0, initial=0.0) for m in linear], axis=0)
     more: list[str] = [
-        messages.IDLE_INPUT(name=n) for n, effect in zip(linear[0].inputs, effects, strict=True) if effect == 0.0
+        Note(f"{n} moves nothing at this point: a dead band or a stop, perhaps")
+        for n, effect in zip(linear[0].inputs, effects, strict=True)
+        if effect == 0.0
     ]
-    kinks = [messages.SIDE_OF_KINK(kink=k.description, side=k.side) for each in linear for k in each.kinks]
+    kinks = [Note(f"{k.description}; the slopes here are those {k.side}") for each in linear for k in each.kinks]
     more += kinks[:MAX_KINK_NOTES]
     if len(kinks) > MAX_KINK_NOTES:
-        more.append(messages.MORE_KINKS(count=len(kinks) - MAX_KINK_NOTES))
+        more.append(Note(f"{len(kinks) - MAX_KINK_NOTES} kinks more; linear.json has all"))
     own = dict.fromkeys(n for each in linear for n in each.notes) if linear[0].notes else ()
     return [*more, *(n for n in own if n not in (*notes, *more))]
 
@@ -155,7 +160,7 @@ def _source(stack: ExitStack, path: Path, values: Sequence[str], step: float | N
         if kind_of(path) == FMU:
             return _fmu(stack, path, values, step)
     if step is not None:
-        raise InputError.at(Path("--step"), messages.STEP_OF_EQUATIONS())
+        raise InputError.at(Path("--step"), "is of FMUs only: equations are differentiated exactly; leave it out")
     if is_model(text):
         loaded = LoadedModel(named_model(text), text)
     else:
@@ -168,7 +173,7 @@ def _fmu(stack: ExitStack, path: Path, values: Sequence[str], step: float | None
     from cosim.isolation.process import Worker
 
     if step is not None and not 0.0 < step < 1.0:
-        raise InputError.at(Path("--step"), messages.STEP_SIZE(step=step))
+        raise InputError.at(Path("--step"), f"{step:g} is not between 0 and 1; give a small number, such as 1e-5")
     (description,) = read_fmus([path])
     start = typed_values(path, description, start_pairs(path, values, description))
     worker = stack.enter_context(Worker(*MODULES))
@@ -189,7 +194,9 @@ def _complete(source: LinearizableSystem, selection: Selection) -> Selection:
         ("residualize", "state", selection.fast, source.states),
     ):
         faults += [Fault(Path(f"--{option}"), 0, 0, text) for text in _name_faults(source.title, kind, chosen, names)]
-    both = [messages.SELECTED_AND_ELIMINATED(name=n) for n in selection.fast if n in selection.states]
+    both = [
+        f"{n} is also selected by --states; name it in one of the two" for n in selection.fast if n in selection.states
+    ]
     faults += [Fault(Path("--residualize"), 0, 0, text) for text in both]
     refuse(faults)
     states = selection.states or [n for n in source.states if n not in selection.fast]
@@ -199,9 +206,9 @@ def _complete(source: LinearizableSystem, selection: Selection) -> Selection:
 def _name_faults(model: str, kind: str, chosen: Sequence[str], names: Sequence[str]) -> Iterator[str]:
     for name, count in Counter(chosen).items():
         if name not in names:
-            yield messages.UNKNOWN_NAME(model=model, kind=kind, name=name, cure=did_you_mean(name, names))
+            yield f'{model} has no {kind} "{name}"{did_you_mean(name, names)}'
         if count > 1:
-            yield messages.REPEATED_NAME(name=name)
+            yield f"{name} is named twice; name it once"
 
 
 def _linear(
@@ -219,7 +226,13 @@ def _linear(
     except ValueError as error:
         raise InputError.at(Path("--residualize"), str(error)) from None
     if names := dict.fromkeys(n for each in reduced for n in missing_states(each, selection.states)):
-        raise InputError.at(Path("--states"), messages.STATES_MISSING(names=", ".join(names)))
+        raise InputError.at(
+            Path("--states"),
+            (
+                f"the selected states depend on {', '.join(names)}; add them, or, if they settle at once, name them "
+                "as --residualize"
+            ),
+        )
     return [select(each, selection.states, selection.inputs, selection.outputs) for each in reduced]
 
 
@@ -230,7 +243,18 @@ def _check_smooth(linear: Sequence[Linear], selection: Selection) -> None:
         InputError: Every kink.
     """
     kinks = dict.fromkeys(kink for each in linear for kink in _kinks(each, selection))
-    refuse(Fault(AT, 0, 0, messages.NO_DERIVATIVE(kink=kink.description)) for kink in kinks)
+    refuse(
+        Fault(
+            AT,
+            0,
+            0,
+            (
+                f"{kink.description}; there is no derivative: choose --side below or --side above, or give a point "
+                "next to it"
+            ),
+        )
+        for kink in kinks
+    )
 
 
 def _one_sided(source: LinearizableSystem, linear: Sequence[Linear], selection: Selection, sign: float) -> list[Linear]:

@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from shutil import copyfile
 
 from cosim.base.drafts import draft_of
-from cosim.base.registry import is_model, model_entry, resolve
+from cosim.base.errors import InputError
+from cosim.base.registry import entry_of, is_model, models, resolve
 from cosim.base.scratch import temporary_folder
 from cosim.base.settings import ModelName
+from cosim.fmi.ports import Value
 from cosim.loading.file import meant_model
-from cosim.loading.own_experiment import carry_experiment
 from cosim.loading.substep import with_substep
+from cosim.model.model import Model
 from cosim.storage.files import FilePath, check_folder, named_path
-from cosim.storage.folder_lock import folder_locks
+from cosim.storage.yaml_file import YamlFile
 
 PLANT = "plant.fmu"
 
 
-@folder_locks()
 def build(
     folder: FilePath,
     model: ModelName | None = None,
@@ -28,6 +29,8 @@ def build(
     native: bool = False,
     fmi: int = 2,
     platforms: Sequence[str] = (),
+    design: FilePath | None = None,
+    tell: Callable[[str], None] = lambda text: None,
 ) -> list[Path]:
     """Build the FMUs of a model.
 
@@ -39,6 +42,8 @@ def build(
         native: Build compiled FMUs, which need no Python.
         fmi: FMI version of native FMUs, 2 or 3.
         platforms: Platforms of native FMUs; none means this machine.
+        design: File of weights and numbers, by which start values of the model's controllers are designed.
+        tell: Function that shows a warning of the design.
 
     Returns:
         Paths of the FMUs.
@@ -53,20 +58,43 @@ def build(
     if native:
         from cosim.loading.build_native import build_native
 
-        return [fmu.path for fmu in build_native(folder, model, nearest=nearest, fmi=fmi, platforms=platforms)]
+        natives = build_native(folder, model, nearest=nearest, fmi=fmi, platforms=platforms, design=design, tell=tell)
+        return [fmu.path for fmu in natives]
 
     loaded, _ = with_substep(meant_model(model, nearest=nearest))
-    if model is None and not nearest:
-        recipes = {name: resolve(recipe)() for name, recipe in model_entry().built.items()}
+    starts = designed_starts(design, loaded.model, tell)
+    entry = entry_of(type(loaded.model))
+    beside = entry.beside if entry is not None and is_model(loaded.source) else {}
+    if entry is not None and entry.built and model in (None, entry.name):
+        recipes = {name: resolve(recipe)() for name, recipe in entry.built.items()}
     else:
-        recipes = {PLANT: loaded.recipe()}
-        if is_model(loaded.source):
-            recipes |= {name: resolve(recipe)() for name, recipe in model_entry(loaded.source).beside.items()}
+        recipes = {PLANT: loaded.recipe(), **{name: resolve(recipe)() for name, recipe in beside.items()}}
+    for name, values in starts.items():
+        recipes[name] = resolve(entry.beside[name])().with_starts(values)  # type: ignore[union-attr]
     with temporary_folder("build") as drafts:
         for name, recipe in recipes.items():
             draft = build_fmu(recipe, drafts / name)
-            if name == PLANT:
-                carry_experiment(draft, loaded.model)
             with draft_of(folder / name) as target:
                 copyfile(draft, target)
     return [folder / name for name in recipes]
+
+
+def designed_starts(
+    design: FilePath | None, model: Model, tell: Callable[[str], None]
+) -> Mapping[str, Mapping[str, Value]]:
+    """Return the start values that a design file gives to controllers, by file of an FMU; none without a file.
+
+    Raises:
+        InputError: Every fault of the file, or a model without a controller to design.
+    """
+    if design is None:
+        return {}
+    entry = entry_of(type(model))
+    if entry is None or not entry.design:
+        names = ", ".join(sorted(e.name for e in models().values() if e.design)) or "none is installed"
+        reason = f"{model.title} has no controller to design. Models with a controller: {names}"
+        raise InputError.at(Path("--design"), reason)
+    starts, warnings = resolve(entry.design)(YamlFile(named_path(design)), model)
+    for warning in warnings:
+        tell(warning)
+    return dict(starts)

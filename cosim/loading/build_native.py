@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,14 +12,13 @@ from cosim.base.drafts import draft_of
 from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.registry import is_model, model_entry, resolve
 from cosim.base.scratch import temporary_folder
-from cosim.loading import messages
+from cosim.fmi.ports import Value
+from cosim.loading.build import designed_starts
 from cosim.loading.file import LoadedModel, meant_model
-from cosim.loading.own_experiment import carry_experiment
 from cosim.loading.source import ModelText
 from cosim.loading.substep import with_substep
 from cosim.model.model import Model
 from cosim.storage.files import FilePath, check_folder, named_path
-from cosim.storage.folder_lock import folder_locks
 from cosim.storage.yaml_file import did_you_mean
 
 if TYPE_CHECKING:
@@ -42,9 +41,15 @@ class NativeFmu:
         return f"built {self.path} for {', '.join(places)}"
 
 
-@folder_locks()
 def build_native(
-    folder: FilePath, model: str | None = None, *, nearest: bool = False, fmi: int = 2, platforms: Sequence[str] = ()
+    folder: FilePath,
+    model: str | None = None,
+    *,
+    nearest: bool = False,
+    fmi: int = 2,
+    platforms: Sequence[str] = (),
+    design: FilePath | None = None,
+    tell: Callable[[str], None] = lambda text: None,
 ) -> list[NativeFmu]:
     """Build the native FMUs of a model in `folder`.
 
@@ -52,6 +57,7 @@ def build_native(
         model: `base` (default), a model.yaml, file.py:Class or a refine.
         fmi: FMI version, 2 or 3.
         platforms: Platform names; by default this machine's.
+        design, tell: As in `cosim.loading.build.build`.
 
     Raises:
         InputError: The build is impossible; nothing is written.
@@ -63,14 +69,14 @@ def build_native(
     check_folder(folder)
     _check_platforms(platforms)
     if fmi not in SUFFIX:
-        raise InputError.at(Path("--fmi"), messages.FMI_VERSION(version=fmi, versions=" or ".join(map(str, SUFFIX))))
+        raise InputError.at(Path("--fmi"), f"is {fmi}; it is {' or '.join(map(str, SUFFIX))}")
     _check_compiler(platforms)
     loaded, _ = with_substep(meant_model(model, nearest=nearest))
-    natives = [(f"{name}{SUFFIX[fmi]}", native) for name, native in _natives(loaded)]
+    starts = designed_starts(design, loaded.model, tell)
+    natives = [(f"{name}{SUFFIX[fmi]}", native) for name, native in _natives(loaded, starts)]
     with temporary_folder("build") as drafts:  # all archives, or none after a failure
         try:
             built = {file: build_fmu(native, drafts / file, fmi, platforms) for file, native in natives}
-            carry_experiment(built[natives[0][0]].path, loaded.model)
         except CompilerFailed as error:
             raise _compiler_error(error) from None
         for file, one in built.items():
@@ -106,8 +112,10 @@ def class_fmu(loaded: LoadedModel, path: Path) -> Path:
 _of_class: WeakKeyDictionary[type[Model], dict[tuple[str, float | None, str | None], Native]] = WeakKeyDictionary()
 
 
-def _natives(loaded: LoadedModel) -> Iterator[tuple[str, Native]]:
-    """Yield the plant and further native FMUs of a registered model."""
+def _natives(
+    loaded: LoadedModel, starts: Mapping[str, Mapping[str, Value]] | None = None
+) -> Iterator[tuple[str, Native]]:
+    """Yield the plant and further native FMUs of a registered model, with designed start values by file."""
     from cosim.fmi.native.package import native_model
     from cosim.fmi.native.printing import UnprintableModel
 
@@ -120,7 +128,7 @@ def _natives(loaded: LoadedModel) -> Iterator[tuple[str, Native]]:
     except (UnprintableModel, TypeError, AttributeError) as error:
         raise InputError([_unprintable(loaded, error)]) from error
     for name, recipe in model_entry(loaded.source).native.items() if is_model(loaded.source) else ():
-        yield name, resolve(recipe)()
+        yield name, resolve(recipe)((starts or {}).get(f"{name}.fmu"))
 
 
 def _unprintable(loaded: LoadedModel, error: Exception) -> Fault:
@@ -130,17 +138,17 @@ def _unprintable(loaded: LoadedModel, error: Exception) -> Fault:
     file = loaded.source.rpartition(":")[0]
     cure = "let its equations take functions and branches from m, or build it without --native"
     if not file:
-        return Fault(Path(loaded.source), 0, 0, messages.NOT_PRINTABLE(error=error, cure=cure))
+        return Fault(Path(loaded.source), 0, 0, f"cannot be printed as C: {error}; {cure}")
     source = ModelText(Path(file))
     if isinstance(error, UnprintableModel):
         owner = error.owner or type(loaded.model)
         hook = error.hook if error.owner else "equations"
-        return source.fault(owner, hook, messages.NOT_PRINTABLE(error=error, cure=error.cure or cure))
+        return source.fault(owner, hook, f"cannot be printed as C: {error}; {error.cure or cure}")
     return source.convert_error(error, "cannot be printed as C")
 
 
 def _compiler_error(error: Exception) -> InputError:
-    return InputError.at(Path("--native"), messages.COMPILER_FAILED.around(error))
+    return InputError.at(Path("--native"), f"the compiler {error}; mend the compiler, or name another in CC")
 
 
 def _check_platforms(platforms: Sequence[str]) -> None:
@@ -148,7 +156,7 @@ def _check_platforms(platforms: Sequence[str]) -> None:
 
     names = ", ".join(PLATFORMS)
     unknown = [name for name in platforms if name not in PLATFORMS]
-    texts = [messages.UNKNOWN_PLATFORM(name=n, cure=did_you_mean(n, PLATFORMS), names=names) for n in unknown]
+    texts = [f'no platform "{n}"{did_you_mean(n, PLATFORMS)} (known: {names})' for n in unknown]
     refuse(Fault(Path("--platforms"), 0, 0, text) for text in texts)
 
 

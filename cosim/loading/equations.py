@@ -8,7 +8,6 @@ from dataclasses import replace
 from typing import Any
 
 from cosim.base.errors import Fault
-from cosim.loading import messages
 from cosim.loading.source import ModelText
 from cosim.model.integrate import Stepper
 from cosim.model.model import Effect, Equations, Model, overrides
@@ -61,11 +60,13 @@ def _start_faults(model: Model, source: ModelText) -> list[Fault]:
         if isinstance(values, Fault):
             faults.append(values)
         elif not isinstance(values, dict):
-            faults.append(source.fault(type(model), hook, messages.NO_DICTIONARY(hook=hook, value=values)))
+            faults.append(
+                source.fault(type(model), hook, f"`{hook}` gives {values!r}; return a dictionary of values by name")
+            )
         else:
             for name in values.keys() - set(names):
                 cure = did_you_mean(str(name), names)
-                message = messages.START_OF_STRANGER(hook=hook, name=name, cure=cure, names=", ".join(names))
+                message = f'`{hook}` gives a value for "{name}"{cure} (allowed: {", ".join(names)})'
                 faults.append(source.fault(type(model), hook, message))
     return faults
 
@@ -90,13 +91,22 @@ def _time_faults(s: SymbolicModel, source: ModelText) -> list[Fault]:
     """Return the fault of time-dependent outputs without states."""
     import sympy
 
-    if not s.model.static:
+    if s.model.base_states:
         return []
     values = s.model.equations(SymbolNamespace()).output(s.time, s.state, s.command)
     if all(s.time not in sympy.sympify(value).free_symbols for value in values):
         return []
     kind = type(s.model)
-    return [source.fault(kind, "equations", messages.TIME_WITHOUT_STATES(model=kind.__name__))]
+    return [
+        source.fault(
+            kind,
+            "equations",
+            (
+                f"{kind.__name__} has no states, so each row of its tables is independent of the others; let no output "
+                "depend on time"
+            ),
+        )
+    ]
 
 
 Objection = Callable[[Any], str]  # why a value is unsuitable, "" if it is suitable
@@ -110,7 +120,7 @@ def _body_faults(
     if isinstance(body, Fault):
         return [body]
     if not isinstance(body, Equations):
-        message = messages.NO_EQUATIONS_RETURNED(kind=type(body).__name__)
+        message = f"`equations` gives {type(body).__name__}; return Equations(derivative, output)"
         return [source.fault(type(model), "equations", message)]
     faults: list[Fault] = []
     for function, quantities in (("derivative", model.states), ("output", model.outputs)):
@@ -126,13 +136,17 @@ def _body_faults(
 def _value_faults(function: str, values: Any, names: list[str], objection: Objection) -> Iterator[str]:
     fields = {"function": function, "names": ", ".join(names)}
     if not isinstance(values, (tuple, list)):
-        yield messages.NO_TUPLE(kind=type(values).__name__, count=len(names), **fields)
+        yield "`{function}` gives one {kind}; return a tuple of {count}: {names}".format(
+            kind=type(values).__name__, count=len(names), **fields
+        )
     elif len(values) != len(names):
-        yield messages.NUMBER_OF_VALUES(count=len(values), expected=len(names), **fields)
+        yield "`{function}` gives {count} values; return {expected}: {names}".format(
+            count=len(values), expected=len(names), **fields
+        )
     else:
         for name, value in zip(names, values, strict=True):
             if text := objection(value):
-                yield messages.UNSUITABLE_RESULT(function=function, text=text, name=name)
+                yield f"`{function}` gives {text} for {name}"
 
 
 def _number_objection(value: Any) -> str:
@@ -187,7 +201,7 @@ def _shaping_faults(model: Model, source: ModelText) -> list[Fault]:
         if isinstance(result, Fault):
             faults.append(result)
         elif not isinstance(result, tuple) or tuple(map(_length, result)) != counts:
-            message = messages.RESULT_OF_SHAPE(owner=effect.name, commands=counts[0], memory=counts[1])
+            message = f"`shape` of {effect.name} returns two tuples: {counts[0]} commands and {counts[1]} of memory"
             faults.append(source.fault(type(effect), "shape", message))
     return faults
 
@@ -214,8 +228,10 @@ def _sensor_faults(model: Model, source: ModelText) -> list[Fault]:
         elif list(readings) != list(kind.affected()):
             names = ", ".join(map(str, readings)) or "nothing"
             fields = {"hook": hook, "owner": kind.name, "names": names, "outputs": ", ".join(kind.affected())}
-            faults.append(source.fault(kind, hook, messages.OUTPUTS_OF_READINGS(**fields)))
+            faults.append(
+                source.fault(kind, hook, "`{hook}` of {owner} reads {names}; it is of {outputs}".format(**fields))
+            )
         elif text := next(filter(None, map(_symbol_objection, readings.values())), ""):
-            message = messages.UNSUITABLE_READING(hook=hook, owner=kind.name, text=text)
+            message = f"`{hook}` of {kind.name} gives {text} for a reading; return a number"
             faults.append(source.fault(kind, hook, message))
     return faults

@@ -21,7 +21,6 @@ from cosim.base.errors import Fault, InputError, NotExecuted, refuse
 from cosim.base.registry import BASE, is_model, model_entry, resolve
 from cosim.base.registry import MODELS as MODEL_GROUP
 from cosim.base.registry import names as registered_names
-from cosim.loading import messages
 from cosim.loading.declared import make_model
 from cosim.loading.refined import NoNearest, names_refine, refined_file
 from cosim.loading.source import ModelText
@@ -129,31 +128,31 @@ def load_model(text: str, folder: Path, named_in: YamlFile | None = None) -> Loa
     """Load a model named in a command or study.
 
     Args:
-        text: `base`, path of a model.yaml, or `file.py:Class`.
+        text: Registered name, path of a model.yaml, or `file.py:Class`.
         folder: Folder of relative paths.
         named_in: Study that names the model; a missing file is a fault of its key `model`.
 
     Raises:
         InputError: Every fault of the model.
     """
-    if text == BASE:
+    if text == BASE or is_model(text):
         try:
-            return LoadedModel(named_model(BASE), model_entry(BASE).name)
+            return LoadedModel(named_model(text), model_entry(text).name)
         except InputError as error:
             faults = [named_in.fault(("model",), f.message) for f in error.faults] if named_in else error.faults
             raise InputError(faults) from None
     file, own, _ = text.rpartition(":") if ".py:" in text else (text, "", "")
     path = folder / file
     if named_in and not path.is_file():
-        raise InputError([named_in.fault(("model",), messages.NO_SUCH_MODEL(name=text, allowed=ALLOWED))])
+        raise InputError([named_in.fault(("model",), f"no such model: {text}; {ALLOWED}")])
     if own:
         return LoadedModel(own_model(text, folder), _absolute(text, folder))
     if path.suffix == ".py":
         kind = (ModelText(path).classes or ["Class"])[-1]
-        message = messages.NO_CLASS_NAMED(name=text, kind=kind, allowed=ALLOWED)
+        message = f"names no class: write {text}:{kind}; {ALLOWED}"
         raise InputError([named_in.fault(("model",), message) if named_in else Fault(path, 0, 0, message)])
     if not path.exists():
-        raise InputError.at(path, messages.NO_SUCH_FILE(allowed=ALLOWED))
+        raise InputError.at(path, f"no such file; {ALLOWED}")
     return read_model(path)
 
 
@@ -205,14 +204,14 @@ def _read_common_parameters(
     path = refined_file(path) if names_refine(path) else path
     at = ("parameters_from",)
     if not path.is_file():
-        raise InputError([yaml.fault(at, messages.NO_PARAMETERS_FILE(name=name))])
+        raise InputError([yaml.fault(at, f"no such model file: {name}; name a model.yaml or the folder of a refine")])
     if path.resolve() in readers:
-        raise InputError([yaml.fault(at, messages.PARAMETERS_IN_CIRCLE(name=name))])
+        raise InputError([yaml.fault(at, f"{name} takes its parameters from here itself; leave one of them out")])
     common = {n: v for n, v in read_model(path, readers).parameters.items() if n in model.declared}
     if not common:
-        raise InputError([yaml.fault(at, messages.NO_COMMON_PARAMETER(name=name, model=model.title))])
+        raise InputError([yaml.fault(at, f"{name} holds no parameter that {model.title} has; leave it out")])
     texts = [fault for n, v in common.items() if (fault := model.declared[n].fault(v))]
-    refuse(yaml.fault(at, messages.UNSUITABLE_FOREIGN_VALUE(name=name, fault=text)) for text in texts)
+    refuse(yaml.fault(at, f"{name}: {text}; correct it there, or write it under parameters") for text in texts)
     return common
 
 
@@ -221,7 +220,18 @@ def _refuse_study(yaml: YamlFile) -> None:
     if "logs" in yaml.root:
         name = str(yaml.root.get("model", BASE))
         model = name if name == BASE else yaml.path.parent / name
-        raise InputError([yaml.fault(("logs",), messages.STUDY_FOR_MODEL(model=model), key=True)])
+        raise InputError(
+            [
+                yaml.fault(
+                    ("logs",),
+                    (
+                        f"this is a study, not a model: give its model, {model}, or, to `cosim excite`, the folder "
+                        "that `cosim refine` left"
+                    ),
+                    key=True,
+                )
+            ]
+        )
 
 
 def _named_model(yaml: YamlFile, content: ModelFile) -> Model:
@@ -233,11 +243,11 @@ def _named_model(yaml: YamlFile, content: ModelFile) -> Model:
     allowed = f"a model is {', '.join(names)}"
     if not re.fullmatch(r".+\.py:\w+", content.model):
         cure = did_you_mean(content.model, registered)
-        message = messages.UNKNOWN_MODEL(name=content.model, cure=cure, allowed=allowed)
+        message = f'no model "{content.model}"{cure}; {allowed}'
         raise InputError([yaml.fault(("model",), message)])
     file = yaml.path.parent / content.model.rpartition(":")[0]
     if not file.is_file():
-        raise InputError([yaml.fault(("model",), messages.NO_CLASS_FILE(file=file, allowed=allowed))])
+        raise InputError([yaml.fault(("model",), f"no such file: {file}; {allowed}")])
     return own_model(content.model, yaml.path.parent)
 
 
@@ -260,11 +270,11 @@ def _value_faults(yaml: YamlFile, content: ModelFile, model: Model) -> Iterator[
         for name, value in values.items():
             if name not in declared:
                 fields = {"model": content.model, "kind": section[:-1], "name": name}
-                message = messages.UNKNOWN_NAME(cure=did_you_mean(name, declared), **fields)
+                message = '{model} has no {kind} "{name}"{cure}'.format(cure=did_you_mean(name, declared), **fields)
                 yield yaml.fault((section, name), message, key=True)
             elif fault := declared[name].fault(value):
                 effect, dot, _ = name.rpartition(".")
-                yield yaml.fault((section, name), messages.UNSUITABLE_VALUE(owner=effect + dot, fault=fault))
+                yield yaml.fault((section, name), f"{effect + dot}{fault}; correct this value")
 
 
 def _absolute(text: str, folder: Path) -> str:
@@ -292,7 +302,7 @@ def own_model(text: str, folder: Path) -> Model:
     if not (isinstance(kind, type) and issubclass(kind, Model)):
         names = _model_classes(module)
         classes = f" (models here: {', '.join(names)})" if names else ""
-        message = messages.UNKNOWN_CLASS(name=name, cure=did_you_mean(name, names), classes=classes, allowed=SUBCLASS)
+        message = f'has no model class "{name}"{did_you_mean(name, names)}{classes}; {SUBCLASS}'
         raise InputError.at(source.path, message)
     return make_model(kind, source)
 
@@ -305,10 +315,10 @@ def only_model(path: Path) -> Model:
         if kind.__module__ == module.__name__:  # without imported classes
             kinds.setdefault(kind, name)
     if not kinds:
-        raise InputError.at(path, messages.NO_MODEL_CLASS(allowed=SUBCLASS))
+        raise InputError.at(path, f"has no model class; {SUBCLASS}")
     if len(kinds) > 1:
         choice = " or ".join(f"{path}:{name}" for name in kinds.values())
-        raise InputError.at(path, messages.SEVERAL_CLASSES(count=len(kinds), choice=choice))
+        raise InputError.at(path, f"has {len(kinds)} models; write {choice}")
     return make_model(next(iter(kinds)), source)
 
 
@@ -322,7 +332,9 @@ def own_terms(path: Path) -> list[type[Term]]:
     terms = [v for v in vars(module).values() if isinstance(v, type) and issubclass(v, Term)]
     own = [v for v in terms if v.__module__ == module.__name__]
     if not own:
-        raise InputError.at(path, messages.NO_TERM_CLASS())
+        raise InputError.at(
+            path, "holds no term; a term is a subclass of cosim.terms.Force, InputTerm or RateTerm with a kind"
+        )
     return [dataclass(frozen=True, kw_only=True)(v) for v in own]
 
 
@@ -365,7 +377,7 @@ def _execute(path: Path) -> tuple[ModelText, ModuleType]:
         NotExecuted: Execution is disabled by `without_execution`.
     """
     if not path.is_file():
-        raise InputError.at(path, messages.NO_MODEL_FILE())
+        raise InputError.at(path, "no such model file; check the path")
     source = ModelText(path)
     if (skipped := _skipped.get()) is not None:
         try:
@@ -418,7 +430,10 @@ def meant_model(model: str | None, *, nearest: bool) -> LoadedModel:
     A refine folder means its refined model, or with `nearest` its nearest model.
     """
     if model is None and nearest:
-        raise InputError.at(Path("--nearest"), messages.NEAREST_WITHOUT_MODEL())
+        raise InputError.at(
+            Path("--nearest"),
+            ("has no effect without a model; give the folder of a `cosim refine` as --model, or leave --nearest out"),
+        )
     if model is None:
         return load_model(BASE, Path())
     try:

@@ -32,4 +32,4 @@ def check_model_class(path: Path, checking: Checking) -> list[str]:
 
 def substep_notes(loaded: LoadedModel, logs: Sequence[Any] = ()) -> list[str]:
     """Return notes on a chosen substep; raise InputError if none is suitable."""
-    return [note.after("note: ") for note in with_substep(loaded, logs)[1]]
+    return [f"note: {note}" for note in with_substep(loaded, logs)[1]]

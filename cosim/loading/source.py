@@ -7,7 +7,6 @@ import traceback
 from pathlib import Path
 
 from cosim.base.errors import Fault, InputError
-from cosim.loading import messages
 from cosim.model.namespaces import Namespace
 
 FUNCTIONS = ", ".join(f"m.{name}" for name in vars(Namespace) if not name.startswith("_"))
@@ -39,7 +38,10 @@ class ModelText:
         """Raise InputError for imports from `plant`, a former name."""
         if self._former:
             names = dict.fromkeys(alias.name for node in self._former for alias in node.names)
-            message = messages.FORMER_IMPORT(names=", ".join(names))
+            message = (
+                "`plant` is not a part of the modelling language any more; write `from cosim.model import "
+                f"{', '.join(names)}` in place of `from plant.…`"
+            )
             raise InputError([Fault(self.path, *_start(self._former[0]), message)])
 
     def fault(self, owner: type, attribute: str, message: str) -> Fault:
@@ -54,10 +56,23 @@ class ModelText:
         text = " ".join((error.msg if isinstance(error, SyntaxError) else str(error)).split())
         fields = {"doing": doing, "error": f"{type(error).__name__}: {text}".removesuffix(": ")}
         if isinstance(error, TypeError) and TRUTH_TEST in text:
-            return Fault(self.path, line, column, messages.TRUTH_OF_SYMBOL(**fields))
+            return Fault(
+                self.path,
+                line,
+                column,
+                (
+                    "{doing}: {error}; no `if`, `max`, `min` or `and` on a number: m.where(condition, then, "
+                    "otherwise) works on symbols too"
+                ).format(**fields),
+            )
         if isinstance(error, (TypeError, AttributeError)) and any(words in text for words in FOREIGN):
-            return Fault(self.path, line, column, messages.FOREIGN_FUNCTION(functions=FUNCTIONS, **fields))
-        return Fault(self.path, line, column, messages.EXCEPTION(**fields))
+            return Fault(
+                self.path,
+                line,
+                column,
+                "{doing}: {error}; functions come from m, which has {functions}".format(functions=FUNCTIONS, **fields),
+            )
+        return Fault(self.path, line, column, "{doing}: {error}".format(**fields))
 
     def _raised_at(self, error: BaseException) -> tuple[int, int]:
         if isinstance(error, SyntaxError) and error.filename == str(self.path):

@@ -22,10 +22,9 @@ from numpy.typing import NDArray
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.base.linear_algebra import eigenvalues
-from cosim.base.messages import Message
+from cosim.base.messages import Note
 from cosim.base.registry import is_model
 from cosim.base.text import amount, plain
-from cosim.loading import messages
 from cosim.loading.file import LoadedModel
 from cosim.loading.own_run import RunLog, command_rows, moments
 from cosim.loading.source import ModelText
@@ -64,7 +63,7 @@ class StateMode:
         return f"{self.state} has a fast mode ({speed}, {self.place})"
 
 
-def with_substep(loaded: LoadedModel, logs: Sequence[RunLog] = ()) -> tuple[LoadedModel, list[Message]]:
+def with_substep(loaded: LoadedModel, logs: Sequence[RunLog] = ()) -> tuple[LoadedModel, list[str]]:
     """Return the model with an integrator and a substep that suit its fastest mode, and notes.
 
     Modes are computed at the start and along the model's run on each log. Registered models keep their settings.
@@ -73,7 +72,7 @@ def with_substep(loaded: LoadedModel, logs: Sequence[RunLog] = ()) -> tuple[Load
         InputError: The stated substep is unstable, or a mode too fast for RK4 does not decay within a row.
     """
     model = loaded.model
-    if model.static or is_model(loaded.source):
+    if not model.base_states or is_model(loaded.source):
         return loaded, []
     if model.integrator == STIFF and _is_stated(model):
         return loaded, []
@@ -93,22 +92,29 @@ def _refuse_growth(loaded: LoadedModel, modes: Sequence[tuple[StateMode, float]]
     for mode, h in sorted(modes, key=lambda pair: -pair[0].speed * pair[1]):
         if _grows(mode.eigenvalue * h):
             lengths = {"substep": _ms(loaded.model.substep), "step": _ms(h), "longest": _ms(MAX_DEFAULT / mode.speed)}
-            raise _error(loaded, "substep", messages.UNSTABLE_SUBSTEP(mode=mode, **lengths))
+            raise _error(
+                loaded,
+                "substep",
+                (
+                    "substep is {substep}, unstable for this model: {mode}, and RK4 in steps of {step} lets it "
+                    "grow; state at most {longest}, or leave substep out: then it follows the model"
+                ).format(mode=mode, **lengths),
+            )
 
 
-def _choose(loaded: LoadedModel, fastest: _Fastest, mode: StateMode) -> tuple[LoadedModel, list[Message]]:
+def _choose(loaded: LoadedModel, fastest: _Fastest, mode: StateMode) -> tuple[LoadedModel, list[str]]:
     """Return the model with integrator and substep for its fastest mode."""
     model = loaded.model
     count = math.ceil(model.rate * mode.speed / MAX_CHOSEN) if math.isfinite(mode.speed) else math.inf
     too_fast = model.integrator == AUTO and count > MOST_SUBSTEPS
     if model.integrator == STIFF or (too_fast and fastest.die_within_a_row()):
         substep = fastest.stiff_substep()
-        note = messages.IMPLICIT_METHOD(substep=_ms(substep), mode=mode)
+        note = Note(f"integrated by the implicit method, in substeps of {_ms(substep)}, not by RK4: {mode}")
         return replace(loaded, model=model.with_substep(substep, STIFF)), [note]
     if count > MOST_SUBSTEPS:
         raise _error(loaded, "", _stiff(model, mode))
     substep = model.rate / count
-    note = messages.SHORTER_SUBSTEP(substep=_ms(substep), default=_ms(Model.substep), mode=mode)
+    note = Note(f"integrated in substeps of {_ms(substep)}, not of the default {_ms(Model.substep)}: {mode}")
     return replace(loaded, model=model.with_substep(substep, model.chosen_integrator)), [note]
 
 
@@ -205,15 +211,22 @@ def _accurate(model: Model, mode: StateMode) -> float:
     return min(model.substep, MAX_CHOSEN / mode.speed) if mode.speed > 0.0 else model.substep
 
 
-def _stiff(model: Model, mode: StateMode) -> Message:
+def _stiff(model: Model, mode: StateMode) -> str:
     """Return the message on a mode too fast for the model's rate."""
     name = type(model).__name__
     if mode.eigenvalue.real > 0.0:
-        return messages.GROWING_MODE(model=name, mode=mode)
+        return f"{name} runs away: {mode} that grows; check its parameters, start values and the units of the log"
     fields = {"model": name, "mode": mode, "most": MOST_SUBSTEPS, "rate": _ms(model.rate)}
     if model.integrator == RK4 and mode.eigenvalue.real * model.rate <= -DEAD:
-        return messages.STIFF_MODEL_WITH_RK4(**fields)
-    return messages.STIFF_MODEL(state=mode.state, longest=_ms(MAX_DEFAULT / mode.speed), **fields)
+        return (
+            "{model} is stiff: {mode}, for which RK4 takes more than {most} substeps in a rate of {rate}; state "
+            "integrator = 'stiff', or leave it out"
+        ).format(**fields)
+    return (
+        "{model} is stiff: {mode}, for which RK4 takes more than {most} substeps in a rate of {rate}; let "
+        "{state} follow the rest at once, as an algebraic equation, or state a substep of at most {longest} and "
+        "take the time that it costs"
+    ).format(state=mode.state, longest=_ms(MAX_DEFAULT / mode.speed), **fields)
 
 
 def _ms(seconds: float) -> str:

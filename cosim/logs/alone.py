@@ -9,9 +9,9 @@ from types import MappingProxyType
 
 import numpy as np
 
+from cosim.base.messages import Note
 from cosim.base.text import counted
 from cosim.base.units import assume_si, parse
-from cosim.logs import messages
 from cosim.logs.finding import Finding
 from cosim.logs.gate import gate, refuse_faults
 from cosim.logs.log import Log, LogReader
@@ -40,13 +40,13 @@ class _AloneReader(LogReader):
     def __init__(self, path: Path, columns: Mapping[str, str]) -> None:
         self.unknown: dict[str, str] = {}  # column → unit unknown to the framework
         self.text: list[str] = []
-        super().__init__(path, {}, {}, True, columns)
+        super().__init__(path, {}, {}, columns, True)
 
     def _column(self, heading: Heading) -> Column | None:
         if heading.cell > 1:
             heading = replace(heading, name=self.renamings.get(heading.name, heading.name))
             if not heading.name:
-                self.faults.note(heading.line, heading.cell, messages.UNNAMED_COLUMN())
+                self.faults.note(heading.line, heading.cell, "the column has no name; name it or delete it")
                 return None
             unit = assume_si(heading.unit).unit if heading.unit else ""
             self.outputs[heading.name] = self.signals[heading.name] = self.units[heading.name] = unit
@@ -57,7 +57,7 @@ class _AloneReader(LogReader):
     def _check_header(self) -> None:
         """Note a fault if the log has no column besides time."""
         if not self.outputs:
-            self.faults.note(self.table.header, 1, messages.ONLY_TIME())
+            self.faults.note(self.table.header, 1, "holds no column beside the time; a log holds what was measured")
 
     def _check_values(self) -> None:
         for name, column in list(self.table.columns.items()):
@@ -79,8 +79,15 @@ class _AloneReader(LogReader):
         """Yield notes on text columns and unknown units."""
         for name, unit in self.unknown.items():
             if name in log.outputs:
-                yield Finding("warning", "undeclared", name, messages.UNKNOWN_UNIT(unit=unit))
+                yield Finding(
+                    "warning", "undeclared", name, f'"{unit}" is no unit known here: its numbers are taken as they are'
+                )
         if count := len(self.text):
-            message = messages.TEXT_COLUMNS(count=counted(count, "column"), names=", ".join(self.text))
+            message = f"{counted(count, 'column')} of text not read: {', '.join(self.text)}"
             yield Finding("note", "unread", "", message, {"columns": count})
-        yield Finding("note", "alone", "", messages.NO_MODEL())
+        yield Finding(
+            "note",
+            "alone",
+            "",
+            Note("checked without a model: --model FILE:CLASS holds names, units and signs against one"),
+        )

@@ -19,8 +19,8 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import Interrupted, SimulationError
+from cosim.base.messages import Note
 from cosim.isolation.rows import GET, NOTHING, exact_line
-from cosim.master import messages
 from cosim.master.inbox import Change
 from cosim.master.replay import Replay, SteppedSystem, is_same
 from cosim.storage.state_file import pack, sync, unpack, write_durable
@@ -135,7 +135,7 @@ class Keeper:
         self.asked[0] = 0
         if self.ending[0]:
             self.save(master, k)
-            raise Interrupted("the run", float(master.time[k]), messages.STOPPED_AFTER_CHECKPOINT())
+            raise Interrupted("the run", float(master.time[k]), Note("stopped after a checkpoint"))
         if self.interval is not None and time.monotonic() - self._last >= 0.5 * self.interval:
             self.save(master, k)
 
@@ -189,7 +189,14 @@ class Keeper:
         """Raise SimulationError if repeated steps give other rows."""
         start = self.start
         if start is not None and master.reruns and not is_same(master.table[: start.count], start.values):
-            raise SimulationError("the run", float(master.time[start.count - 1]), messages.NOT_REPEATED())
+            raise SimulationError(
+                "the run",
+                float(master.time[start.count - 1]),
+                (
+                    "its outputs differ from the recorded ones when its recorded inputs are replayed, so the run "
+                    "cannot go on; run the scenario again from its start"
+                ),
+            )
 
     def _tick(self, interval: float) -> None:
         while not self._over.wait(interval):
@@ -208,7 +215,14 @@ def go_on(master: SteppedSystem, start: Continuation) -> float:
     state: Mapping[str, Any] = {} if start.state is None else unpack(start.state)
     states: Mapping[str, Any] = state.get("components", {})
     if not is_same(master.row[:], start.values[0]):
-        raise SimulationError("the run", float(master.time[0]), messages.OTHER_BEGINNING())
+        raise SimulationError(
+            "the run",
+            float(master.time[0]),
+            (
+                "the components begin with other values than in the run that was to go on; run the scenario again "
+                "from its start"
+            ),
+        )
     master.table[: start.count] = start.values
     last = start.count - 1
     names = {c.name for c in master.components if states.get(c.name) is None}
@@ -222,7 +236,7 @@ def go_on(master: SteppedSystem, start: Continuation) -> float:
             if component.name not in names:
                 _restore(master, component, states[component.name], last)
     except (ValueError, LookupError, TypeError, AttributeError, OverflowError) as error:  # a state of another system
-        reason = messages.UNUSABLE_STATE(reason=error)
+        reason = f"the checkpoint has no state of these components ({error}); run the scenario again from its start"
         raise SimulationError("the run", float(master.time[last]), reason) from None
     master.view[:] = start.values[last]
     if start.exact:
@@ -242,4 +256,11 @@ def _restore(master: SteppedSystem, component: Any, state: Any, last: int) -> No
     master.announce(component, GET)
     component.get()
     if not is_same(master.row[outputs], master.table[last][outputs]):
-        raise SimulationError(component.name, float(master.time[last]), messages.STATE_NOT_RESTORED())
+        raise SimulationError(
+            component.name,
+            float(master.time[last]),
+            (
+                "its outputs differ after a saved state is restored; use an FMU that restores its state, or one "
+                "that does not declare that it can"
+            ),
+        )

@@ -15,7 +15,6 @@ from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.sources import SourceBlock
 from cosim.isolation.rows import GET
-from cosim.master import messages
 from cosim.master.copying import copy_values
 from cosim.master.initialization import is_settled
 from cosim.master.master import Master, Round
@@ -80,5 +79,12 @@ class Halved(Master):
             self.announce(part, GET)
             part.get()
             if not is_settled(before, self.row):
-                raise SimulationError(part.name, t, messages.STATE_NOT_RESTORED())
+                raise SimulationError(
+                    part.name,
+                    t,
+                    (
+                        "its outputs differ after a saved state is restored; use an FMU that restores its state, or "
+                        "one that does not declare that it can"
+                    ),
+                )
         ctypes.memmove(self.row, row, len(row))

@@ -15,10 +15,9 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.errors import SimulationError
+from cosim.base.errors import NotFinite, SimulationError
 from cosim.blocks.component import Component, EarlyEnd
 from cosim.isolation.rows import CALLS, GET, OTHER, PUT
-from cosim.master import messages
 from cosim.master.copying import Copies, copy_values
 from cosim.master.loops import MOST_DIFFERENCES, SHIFT, LoopSolver, is_lost
 from cosim.master.root_finding import NotDefined, RootFinding
@@ -70,7 +69,14 @@ class Initialization:
             raise self._not_settled(self.system.columns[solved[0]], 1)
 
     def _not_settled(self, name: str, count: int) -> SimulationError:
-        return SimulationError(name, self.system.start, messages.NOT_SETTLED(count=count))
+        return NotFinite(
+            name,
+            self.system.start,
+            (
+                f"it still changes after {count} exchanges of initialization: an algebraic loop that exchanging "
+                "values does not settle; an FMU without direct feedthrough in the loop breaks it"
+            ),
+        )
 
     def _settle(self) -> list[int]:
         """Exchange values until they settle; solve for them if their changes do not shrink.

@@ -8,7 +8,6 @@ from typing import Any
 
 from cosim.base.arrays import Array
 from cosim.base.errors import Fault, refuse
-from cosim.master import messages
 from cosim.master.inbox import Control, targets_of
 from cosim.master.observer import ObservedRun, Observer
 from cosim.system.system import System
@@ -30,7 +29,9 @@ class InputFunctions(Observer):
         targets = targets_of(system)
         reasons = [targets.objection(name) for name in self._functions]
         reasons += [
-            messages.NO_FUNCTION(name=n, value=type(f).__name__) for n, f in self._functions.items() if not callable(f)
+            f"{n} is of type {type(f).__name__}; give a function of time and signals"
+            for n, f in self._functions.items()
+            if not callable(f)
         ]
         refuse([Fault(Path("inputs"), 0, 0, reason) for reason in reasons if reason])
 

@@ -30,7 +30,6 @@ from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.model_exchange import AT_ONCE, CLOSE, MOST_EVENTS, ULPS, ModelExchange2
 from cosim.blocks.sources import SourceBlock
 from cosim.isolation.rows import ADVANCE, CALLS, GET, OTHER, PUT
-from cosim.master import messages
 from cosim.master.copying import Copies, Copying, copy_values, doubles
 from cosim.master.initialization import EXACT_SWEEPS, is_settled
 from cosim.master.loops import LoopSolver
@@ -391,7 +390,11 @@ class Instants:
     def _note_leads(self) -> None:
         for part in self.flexible:
             if part.lead:
-                note = messages.AHEAD_OF_EVENT(component=part.component.name, lead=part.lead, count=part.late)
+                note = (
+                    f"{part.component.name} was up to {part.lead:.3g} s ahead of an event of another FMU, "
+                    f"because both may return early from a step and it cannot go back: it got {part.late} such "
+                    "events that much later. A shorter step of the scenario shortens this"
+                )
                 self.master.notes.append(note)
 
     # -- checkpoints -------------------------------------------------------------------------------
@@ -536,7 +539,14 @@ class Instants:
             if is_quiet and settled and list(master.beside) == beside:
                 return
         name = self._changed(before) or joined[-1].component.name
-        raise SimulationError(name, t, messages.EVENT_NOT_SETTLED(count=MOST_SWEEPS))
+        raise SimulationError(
+            name,
+            t,
+            (
+                f"it still changes after {MOST_SWEEPS} exchanges of values at one event: an algebraic loop between "
+                "FMUs in event mode that exchanging values does not settle"
+            ),
+        )
 
     def _propagate(self, k: int) -> None:
         """Copy all values, also through model exchange."""
@@ -576,7 +586,10 @@ class Instants:
         for name in names:
             timer = part.component.timers.get(name)
             if timer is not None and timer.interval is not None and timer.next <= t + self.close:
-                message = messages.CLOCK_TOO_FAST(interval=timer.interval, step=self.h)
+                message = (
+                    f"the clock ticks every {timer.interval:g} s, but its FMU takes only steps of {self.h:g} s; "
+                    "shorten the step of the scenario"
+                )
                 raise SimulationError(f"{part.component.name}.{name}", t, message)
 
     def _trigger(self, owner: str, clock: str, t: float, here: Sequence[Part], joined: list[Part]) -> None:
@@ -613,7 +626,7 @@ class Instants:
         self._times.append(t)
         if len(self._times) == self._times.maxlen and t - self._times[0] <= AT_ONCE * self.h:
             names = ", ".join(sorted({part.component.name for part in self.events if part.component.asks}))
-            message = messages.EVENTS_CROWD(count=len(self._times), span=AT_ONCE * self.h)
+            message = f"{len(self._times)} events within {AT_ONCE * self.h:.2g} s, so that time stands still"
             raise SimulationError(names or "the run", t, message)
 
     def _changed(self, before: bytes) -> str:
@@ -625,4 +638,11 @@ class Instants:
     def _raise_restless(self, t: float, before: bytes, asked: Sequence[Part]) -> None:
         name = self._changed(before) or asked[0].component.name
         names = ", ".join(part.component.name for part in asked)
-        raise SimulationError(name, t, messages.EVENTS_WITHOUT_END(count=MOST_EVENTS, names=names))
+        raise SimulationError(
+            name,
+            t,
+            (
+                f"it still changes after {MOST_EVENTS} updates of discrete states at one time; these FMUs ask for "
+                f"another one: {names}"
+            ),
+        )

@@ -19,15 +19,13 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.errors import SimulationError
-from cosim.base.messages import code_of
+from cosim.base.errors import NotFinite, SimulationError
+from cosim.base.messages import Note
 from cosim.base.times import first_point
 from cosim.blocks.component import EarlyEnd
 from cosim.blocks.fmu import FmuBlock
-from cosim.blocks.messages import VALUE_NOT_FINITE
 from cosim.coupling.strong_components import torn
 from cosim.isolation.rows import ADVANCE, CALLS, GET, OTHER, PUT
-from cosim.master import messages
 from cosim.master.copying import Copying, copy_values
 from cosim.master.delayed_loop import DelayedLoop
 from cosim.master.root_finding import NotDefined, Outcome, RootFinding
@@ -35,6 +33,15 @@ from cosim.scenario.scenario import LoopSettings
 from cosim.system.schedule import Loop
 from cosim.system.system import System
 from cosim.system.wiring import Transfer
+
+OPEN_SETTLES = (
+    "order: [...] or algorithm: jacobi leaves it open, with values of the step before, which settle (the loop "
+    "gain is {gain:.3g})"
+)
+OPEN_GROWS = (
+    "order: [...] or algorithm: jacobi is no cure: with values of the step before, they grow (the loop gain is "
+    "{gain:.3g}). The loop needs an FMU that saves and restores its state, or one without direct feedthrough"
+)
 
 SHIFT = 1e-5  # displacement of an input for differences, relative to its magnitude
 PROBES = (1e-3, -1e-3, 0.5, -0.5)  # displacements that show whether an output depends on an input
@@ -198,12 +205,17 @@ class LoopSolver:
         try:
             self._solved_step(t, h)
         except SimulationError as error:
-            if code_of(error) != VALUE_NOT_FINITE.code or not self._delayed.last:
+            if not isinstance(error, NotFinite) or not self._delayed.last:
                 raise
-            message = messages.OPEN_LOOP.around(error.reason, left_open=self._last_residual(self._delayed))
+            message = f"{error.reason}. {self._last_residual(self._delayed)}"
             raise SimulationError(error.component, error.time, message) from None
         if self._delayed.note(t + h, assumed, self._row_values(self._delayed.places)):
-            grown = messages.LOOP_GROWS(loop=self.name, reason=self._delayed.reason, **self._delayed.last)
+            grown = (
+                "{loop} is not solved ({reason}) and grows without bound: {signal} is {value:.3g} in the last "
+                "step, and the loop returns {residual:+.3g} more, a residual that doubles in equal times. It "
+                "needs an FMU that saves and restores its state, or one without direct feedthrough; a shorter "
+                "step if the growth is of motion; order: [...] runs it without this judgement"
+            ).format(loop=self.name, reason=self._delayed.reason, **self._delayed.last)
             raise SimulationError("algebraic loop", t + h, grown)
 
     def _solved_step(self, t: float, h: float) -> None:
@@ -226,7 +238,12 @@ class LoopSolver:
 
     def _last_residual(self, delayed: DelayedLoop) -> str:
         """Return a sentence with the last residual."""
-        return messages.LAST_RESIDUAL(loop=self.name, reason=delayed.reason, **delayed.last)
+        return Note(
+            (
+                "{loop} is an algebraic loop that is not solved: {reason}; at t = {time:.6g} s {signal} was "
+                "{value:.3g} and the loop returned {residual:+.3g} more"
+            ).format(loop=self.name, reason=delayed.reason, **delayed.last)
+        )
 
     def record(self) -> dict[str, Any]:
         """Return the entry of the loop in the manifest."""
@@ -256,14 +273,28 @@ class LoopSolver:
             return []
         relative = self._delayed.record()["relative"]
         fields = self._delayed.worst | {"median": relative["median"], "last": relative["last"]}
-        return [messages.LOOP_DELAYED(loop=self.name, reason=self._delayed.reason, **fields)]
+        return [
+            (
+                "the algebraic loop {loop} is not solved: {reason}. Each step has the inputs of its start; at its "
+                "end the loop returns others, by {median:.2g} of the signal at half of the points and {last:.2g} at "
+                "the last; the largest residual is {residual:+.3g} of {signal} at t = {time:.6g} s. A shorter step "
+                "makes a residual of motion smaller"
+            ).format(loop=self.name, reason=self._delayed.reason, **fields)
+        ]
 
     def _rough_solutions(self) -> list[str]:
         if not self._rough:
             return []
         t, residual, value, signal = self._rough[0]
         fields = {"count": len(self._rough), "time": t, "residual": abs(residual), "value": value, "signal": signal}
-        return [messages.ROUGH_SOLUTION(loop=self.name, tolerance=self.settings.tolerance, **fields)]
+        return [
+            (
+                "the algebraic loop {loop} is solved less exactly than to {tolerance:g} of its signals at {count} "
+                "points: first at t = {time:.6g} s, where {signal} is {value:.3g} and the loop returns "
+                "{residual:.2g} more or less, which no iteration makes smaller. A nominal value of this input in "
+                "its FMU states the size that counts"
+            ).format(loop=self.name, tolerance=self.settings.tolerance, **fields)
+        ]
 
     @property
     def method(self) -> str:
@@ -299,14 +330,30 @@ class LoopSolver:
         fields = {"signal": self.back[worst].name, "value": float(outcome.z[worst])}
         fields |= {"residual": float(outcome.residual[worst]), "loop": self.name, "count": outcome.iterations}
         gave_up = outcome.iterations < self.settings.iterations  # because no step leads nearer
-        fields |= {"more": "" if gave_up else messages.MORE_ITERATIONS(count=5 * self.settings.iterations)}
+        fields |= {
+            "more": ""
+            if gave_up
+            else Note(f", or more iterations (loops: {{iterations: {5 * self.settings.iterations}}})")
+        }
         least = ROUNDED * max(abs(outcome.z[worst]), self._roots.scale[worst])
         if abs(outcome.residual[worst]) <= least and self.settings.tolerance < PROPOSED:
-            fields["more"] = messages.LARGER_TOLERANCE(tolerance=PROPOSED)
+            fields["more"] = Note(
+                f", or a larger tolerance: this residual is rounding (loops: {{tolerance: {PROPOSED:g}}})"
+            )
         if self._has_unit_gain(z):
-            message = messages.NO_UNIQUE_SOLUTION(signals=signals, **fields)
+            message = (
+                "{loop} has no solution, or no unique one: its gain is 1, so that the loop returns "
+                "{residual:+.3g} more than {signal}, whatever its value. Signals of the loop: {signals}. No "
+                "start value, tolerance, order or algorithm is a cure; change its equations (a parameter of an "
+                "FMU), or put an FMU without direct feedthrough into it"
+            ).format(signals=signals, **fields)
         else:
-            message = messages.LOOP_NOT_SOLVED(signals=signals, tolerance=self.settings.tolerance, **fields)
+            message = (
+                "{loop} does not converge: after {count} iterations {signal} is {value:.6g}, and the loop "
+                "returns {residual:+.3g} more (relative tolerance {tolerance:g}). Signals of the loop: "
+                "{signals}. If it has a solution, start values near it help{more}; order: [...] or algorithm: "
+                "jacobi do not solve it"
+            ).format(signals=signals, tolerance=self.settings.tolerance, **fields)
         raise SimulationError("algebraic loop", t, message)
 
     def _has_unit_gain(self, z: Array) -> bool:
@@ -485,26 +532,37 @@ class LoopSolver:
         can_repeat = isinstance(member.component, FmuBlock) and member.component.instance.rolls_back
         member.repeats = can_repeat and bool(missing.any() or is_silent)
         if not (is_declared or reacts.any() or member.reacts.any()):
-            member.late, self._is_warned = messages.LATE_UNDECLARED(component=member.component.name), True
+            member.late, self._is_warned = (
+                Note(f"{member.component.name} answers no input without a step, and none is declared to act"),
+                True,
+            )
             return [self._silent(member)]
         if can_repeat or not (missing.any() or is_silent):
             return []
         if is_silent:
-            member.late = messages.LATE_WITHOUT_STATE(component=member.component.name)
+            member.late = Note(f"{member.component.name} answers only after a step and cannot save its state")
             return []
         raise self._late(member, missing, gain)
 
     def _silent(self, member: Member) -> str:
         """Return the warning of a component without declared dependencies that answers no input."""
         inputs = ", ".join(self._columns[k].partition(".")[2] for k in member.inputs)
-        return messages.UNDECLARED_AND_SILENT(component=member.component.name, loop=self.name, inputs=inputs)
+        return (
+            f"{member.component.name}: no output in the algebraic loop {self.name} follows an input without a "
+            "step, and none is declared to; its outputs are those after a step with the inputs of the step's "
+            f"start. If a step shows feedthrough, state it (components.{member.component.name}.feedthrough: "
+            f"[{inputs}])"
+        )
 
     def _late(self, member: Member, missing: Any, gain: float) -> SimulationError:
         """Return the error of a component whose outputs follow inputs only after a step, which cannot be repeated."""
         j, k = (int(each[0]) for each in np.nonzero(missing))
         ends = {"output": self._columns[member.outputs[j]], "input": self._columns[member.inputs[k]]}
-        cure = (messages.OPEN_SETTLES if gain < 1.0 else messages.OPEN_GROWS)(gain=gain)
-        message = messages.NO_WAY_BACK(loop=self.name, cure=cure, **ends)
+        cure = (OPEN_SETTLES if gain < 1.0 else OPEN_GROWS).format(gain=gain)
+        message = (
+            "{output} follows {input} only after a step, which cannot be repeated, because the FMU saves no "
+            "state; so the algebraic loop {loop} cannot be solved. {cure}"
+        ).format(loop=self.name, cure=cure, **ends)
         return SimulationError(member.component.name, self.start, message)
 
 

@@ -19,15 +19,13 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.errors import SimulationError, Terminated, stop_error
-from cosim.base.messages import code_of
+from cosim.base.errors import CallFailed, NotFinite, SimulationError, Terminated, stop_error
+from cosim.base.messages import Note
 from cosim.blocks.component import EarlyEnd, without_step
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
-from cosim.blocks.messages import CALL_FAILED, CALL_FAILED_WITH_REASON, VALUE_NOT_FINITE
 from cosim.blocks.stepping import NEVER, NotCompiled
 from cosim.isolation.rows import CALLS, GET, OTHER, Rows
-from cosim.master import messages
 from cosim.master.c_loop import CompiledSteps, LoopData, prepare_steps
 from cosim.master.checkpoint import Keeper
 from cosim.master.copying import Copying, Noisy, Plain, Through, copy_values, doubles
@@ -119,10 +117,7 @@ class Master:
         self.controlled: ControlledSteps | None = None
         self.notes: list[str] = []
         self.events, self.inbox = sorted(system.events), inbox
-        pace = None if system.real_time is None else system.real_time.pace
-        self.partners = None if inbox is None else inbox.partners
-        self._sends = self.partners.send if self.partners is not None and self.partners.sends else None
-        self.pacer = None if pace is None else Pacer(pace, steps, h, rows.doing, progress)
+        self.pacer = None if system.pace is None else Pacer(system.pace, steps, h, rows.doing, progress)
         for stage in system.stages:
             if isinstance(stage.component, FmuBlock):
                 points = [k for k, changes in system.events.items() if stage.component.name in changes]
@@ -252,7 +247,7 @@ class Master:
 
         With several FMUs, the others would have no state at that time.
         """
-        self.notes.append(messages.ENDED_EARLY(component=end.component, time=end.reached, reason=end.reason))
+        self.notes.append(Note(f"{end.component} ended the simulation at t = {end.reached:.6g} s: {end.reason}"))
         alone = len(self.system.fmus) == 1
         k = self.done
         if not (0 < k <= self.steps and end.readable and alone and end.reached > self.time[k - 1]):
@@ -272,12 +267,10 @@ class Master:
         initialization.
         """
         loop = next((loop for loop in self.system.opened if error.component.partition(".")[0] in loop.members), None)
-        codes = [VALUE_NOT_FINITE.code, messages.NOT_SETTLED.code]
-        codes += [] if self.done else [CALL_FAILED.code, CALL_FAILED_WITH_REASON.code]
-        if loop is None or code_of(error) not in codes:
+        kinds = NotFinite if self.done else (NotFinite, CallFailed)
+        if loop is None or not isinstance(error, kinds):
             return error
-        message = messages.OPEN_LOOP.around(error.reason, left_open=loop.left_open)
-        return SimulationError(error.component, error.time, message)
+        return SimulationError(error.component, error.time, f"{error.reason}. {loop.left_open}")
 
     # -- parts --------------------------------------------------------------------------------
 
@@ -321,7 +314,7 @@ class Master:
 
     def _next_call(self, k: int) -> int:
         """Return the next communication point, from k on, that needs Python in the C loop, or `NEVER`."""
-        if self.beside or self.pacer is not None or self._sends is not None:
+        if self.beside or self.pacer is not None:
             return k
         place = bisect.bisect_left(self.events, k)
         points = self.events[place : place + 1]
@@ -338,8 +331,6 @@ class Master:
             calls.append(self._apply_events)
         if self.beside:
             calls.append(self._record_exact)
-        if (send := self._sends) is not None:
-            calls.append(lambda k: send(k, self.row))
         if progress is not None:
             every = PROGRESS_EVERY if self.inbox is None else 1
             calls.append(lambda k: progress(k) if k and k % every == 0 else None)
@@ -419,9 +410,6 @@ class Master:
         time, table = self.time[: self.done], self.table[: self.done]
         of_loops = [note for solver in self.solvers for note in solver.notes()]
         notes = [*self.notes, *of_loops, *(() if self.pacer is None else self.pacer.notes(self.system.start))]
-        if self.partners is not None:
-            self.partners.finish(max(0, self.done - 1))
-            notes += self.partners.notes()
         results = results_of(self.system, time, table, beside, notes, self.loop, details=self.details())
         return results if self.instants is None else self.instants.record.add_to(results)
 
@@ -432,8 +420,6 @@ class Master:
             details["steps"] = self.controlled.record()
         if self.pacer is not None:
             details["pacing"] = self.pacer.record(self.system.start)
-        if self.partners is not None:
-            details["partners"] = self.partners.record()
         return details
 
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 
 from cosim.base.arrays import Array
 from cosim.base.errors import SimulationError
-from cosim.master import messages
 from cosim.master.inbox import Control
 
 MAX_CHARACTERS = 500  # of an error message
@@ -112,5 +111,5 @@ class Feed:
         except Exception as error:  # A user's observer may raise any error.
             now = float(self._time[max(0, min(self._delivered, len(self._time)) - 1)])
             reason = " ".join(str(error).split())[:MAX_CHARACTERS]
-            message = messages.OBSERVER_FAILED(error=type(error).__name__, reason=reason)
+            message = f"{type(error).__name__}: {reason}"
             self.failure = self.failure or SimulationError(f"the observer {type(observer).__name__}", now, message)

@@ -24,7 +24,6 @@ from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.stepping import NEVER, Loop, NotCompiled, Slot, StopReason
 from cosim.blocks.stepping import Transfer as CTransfer
 from cosim.isolation.rows import CALLS, OTHER
-from cosim.master import messages
 from cosim.master.copying import Copying, doubles
 from cosim.master.inbox import Inbox
 from cosim.system.schedule import Stage
@@ -230,7 +229,14 @@ class Replay:
 
 def difference(part: Replayed, time: float) -> SimulationError:
     """Return the error of a component that gives other outputs than recorded."""
-    return SimulationError(part.stage.component.name, time, messages.NOT_REPEATED())
+    return SimulationError(
+        part.stage.component.name,
+        time,
+        (
+            "its outputs differ from the recorded ones when its recorded inputs are replayed, so the run cannot go "
+            "on; run the scenario again from its start"
+        ),
+    )
 
 
 class CompiledReplay:

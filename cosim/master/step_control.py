@@ -30,7 +30,6 @@ from cosim.base.arrays import Array
 from cosim.base.errors import SimulationError
 from cosim.blocks.fmu import FmuBlock
 from cosim.isolation.rows import Rows
-from cosim.master import messages
 from cosim.master.copying import Copying, Noisy, Plain, Through, copy_values
 from cosim.master.extrapolation import Polynomial
 from cosim.master.initialization import is_settled
@@ -95,9 +94,17 @@ class StepCount:
         fields = {"signal": name, "time": t, "error": error * control.tolerance, "count": self.missed or self.failed}
         fields |= {"worst": self.worst * control.tolerance}
         if self.missed:
-            return messages.TOLERANCE_NOT_MET(step=control.shortest, tolerance=control.tolerance, **fields)
+            return (
+                "the error of {count} steps is above the tolerance {tolerance:g} although min allows no shorter "
+                "ones, {step:g} s: first at t = {time:.6g} s, {error:.2g} of {signal}; the largest is "
+                "{worst:.2g}. Give a shorter min or a larger tolerance"
+            ).format(step=control.shortest, tolerance=control.tolerance, **fields)
         limits = {"step": control.longest, "tolerance": control.tolerance}
-        return messages.TOLERANCE_EXCEEDED(estimator=control.estimator, **limits, **fields)
+        return (
+            "the error of {count} steps turned out above the tolerance {tolerance:g}; estimator: {estimator} "
+            "does not repeat steps: first at t = {time:.6g} s, {error:.2g} of {signal}; the largest is "
+            "{worst:.2g}. Give a max below {step:g} s or a larger tolerance"
+        ).format(estimator=control.estimator, **limits, **fields)
 
     def record(self, control: Control, p: int) -> dict[str, Any]:
         """Return the entry of the manifest."""
@@ -208,9 +215,19 @@ class ControlledSteps:
             names = ", ".join(self.master.system.columns[k] for k in small[:MOST_NAMED])
             share = float(np.max(allowed[small] / self.largest[small]))
             fields = {"tolerance": control.tolerance, "share": share, "count": small.size}
-            notes.append(messages.SMALL_SIGNALS(names=names, **fields))
+            notes.append(
+                (
+                    "{count} signals stay so far below their nominal value, 1 if the FMU states none, that a step "
+                    "within the tolerance {tolerance:g} may err by up to {share:.2g} times the signal: {names}. "
+                    "State their nominal values in the FMUs, or give a smaller tolerance"
+                ).format(names=names, **fields)
+            )
         if self.control.estimator == "residual" and not self.sources:
-            notes.append(messages.NOTHING_JUDGED(step=self.control.longest))
+            notes.append(
+                "no input is extrapolated, so that estimator: residual judges nothing and steps grow to "
+                f"{self.control.longest:g} s whatever their error; give one step: of that length, or FMUs that "
+                "save and restore their state (estimator: halving)"
+            )
 
     def record(self) -> dict[str, Any]:
         """Return the entry of the manifest."""
@@ -247,7 +264,7 @@ class ControlledSteps:
         """Judge a step by the values at its end, and choose the next one."""
         expected = self.past(reached)
         judged = self._bonds(expected) if self.control.estimator == "energy" else self._judge(self.sources, expected)
-        self._count_exchange()
+        self.count.made += 1
         is_shortest = reached - t <= self.control.shortest * (1.0 + ROUNDING)
         self.count.accept(t, reached - t, *judged, final=is_shortest)
         self._choose(reached - t, judged[0])
@@ -332,11 +349,7 @@ class ControlledSteps:
             step(t, until - t)
             if late is not None:
                 late(k)
-        self._count_exchange()
-
-    def _count_exchange(self) -> None:
         self.count.made += 1
-        self.master.rows.steps[0] = self.count.made
 
     def _step_others(self, k: int, end: float) -> None:
         """Step the components that step only at rows."""
@@ -369,5 +382,12 @@ class ControlledSteps:
         for fmu in self.fmus:
             fmu.get()
             if not is_settled(before, self.master.row):
-                raise SimulationError(fmu.name, t, messages.STATE_NOT_RESTORED())
+                raise SimulationError(
+                    fmu.name,
+                    t,
+                    (
+                        "its outputs differ after a saved state is restored; use an FMU that restores its state, or "
+                        "one that does not declare that it can"
+                    ),
+                )
         ctypes.memmove(self.master.row, row, len(row))

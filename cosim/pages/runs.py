@@ -11,13 +11,14 @@ from typing import Any
 
 from cosim.base.drafts import is_full
 from cosim.base.errors import Fault, InputError, refuse
+from cosim.base.messages import Note
 from cosim.history.entries import Entry, entries
 from cosim.history.selection import Selected, select_groups
 from cosim.pages.rows import Recording
 from cosim.pages.tables import ColumnTypes, Progress, open_rows
-from cosim.storage.folders import manifest_in, record_of, replay_record, status_in, warnings_on
+from cosim.storage.folders import manifest_in, replay_record, run_name, status_in, warnings_on
 from cosim.storage.kinds import LOG, check_given, refuse_folder
-from cosim.storage.results import cut_rows, is_cut_in_line, rows_in
+from cosim.storage.results import rows_in
 
 NO_ROWS = "has no rows to draw{status}; give folders of runs, or tables with time in the first column"
 MAX_RUNS = 20  # shown without names
@@ -68,21 +69,20 @@ class ViewedRun:
 
     def _open(self, progress: Progress) -> Recording:
         folder, begin = self.place.file.parent, time.monotonic()
-        manifest, record = manifest_in(folder), record_of(self.place.file)
+        manifest = manifest_in(folder)
         units: Any = manifest.get("units") or replay_record(folder).get("units") or {}
-        ended = is_cut_in_line(self.place.file, record) or self._due > 0.0
         columns = ColumnTypes(units, manifest.get("beside", ()), frozenset(manifest.get("texts", ())))
-        rows = open_rows(self.place.file, columns, progress, ended=ended)
+        rows = open_rows(self.place.file, columns, progress)
         if self.place.entry is not None and not self._due:
             self.place.entry.check_current()
-        self.notes = [*warnings_on(folder), *cut_rows(self.place.file, rows.rows, record)]
+        self.notes = [*warnings_on(folder)]
         for names, text in (
             (rows.rounded, "drawn as the nearest double; the cursor shows all digits"),
             (rows.inexact, "read as the nearest double"),
         ):
             if names:
                 some = ", ".join(names[:MAX_NAMES])
-                self.notes.append(f"{self.place.label}: integers of {some} above 2^53 are {text}")
+                self.notes.append(Note(f"{self.place.label}: integers of {some} above 2^53 are {text}"))
         self._due = time.monotonic() + max(LOOK, SHARE * (time.monotonic() - begin))
         return rows
 
@@ -131,7 +131,7 @@ def find_runs(texts: Sequence[str], results: Path) -> tuple[list[RunPlace], list
         if not found:
             raise InputError.at(results, "holds no results with rows; run a scenario first, or name folders and tables")
         if len(found) > MAX_RUNS:
-            notes.append(f"the newest {MAX_RUNS} of {len(found)} results are shown; name the others")
+            notes.append(Note(f"the newest {MAX_RUNS} of {len(found)} results are shown; name the others"))
         return _differing(found[-MAX_RUNS:]), notes
     found, faults = list[RunPlace](), list[Fault]()
     for text, group in zip(texts, select_groups(texts, results), strict=True):
@@ -182,7 +182,7 @@ def _places_of(text: str, group: Sequence[Selected]) -> list[RunPlace]:
         elif entry is not None and (place := _of_entry(entry, is_named=not selected.by_pattern)) is not None:
             found.append(place)
         elif entry is None and (rows := rows_in(path)) is not None:
-            name = path.resolve().name
+            name = run_name(path)
             found.append(RunPlace(name, name, rows))
         elif not selected.by_pattern:
             refuse_folder(path, WANTED)
@@ -194,7 +194,8 @@ def _places_of(text: str, group: Sequence[Selected]) -> list[RunPlace]:
 
 def _of_entry(entry: Entry, *, is_named: bool) -> RunPlace | None:
     rows = rows_in(entry.folder)
-    return None if rows is None else RunPlace(entry.name, entry.label, rows, is_named, entry)
+    name = entry.of if entry.is_newest else entry.name
+    return None if rows is None else RunPlace(name, entry.label, rows, is_named, entry)
 
 
 def _differing(places: Sequence[RunPlace]) -> list[RunPlace]:

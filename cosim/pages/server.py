@@ -36,7 +36,7 @@ from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from cosim.base.errors import CosimError, InputError
-from cosim.base.messages import printable_json
+from cosim.base.messages import Note, printable_json
 from cosim.base.scratch import process_folder
 from cosim.storage.files import parse_json
 
@@ -203,7 +203,7 @@ class ServedPage:
         since = time.monotonic()
         try:
             if self.streams or (first and not self.opened):
-                say("the page stays until it is closed in the browser; Ctrl-C ends it")
+                say(Note("the page stays until it is closed in the browser; Ctrl-C ends it"))
             while self.streams or time.monotonic() - since < (reload if self.opened else first):
                 if self.streams:  # Without a page, a reload has its full time.
                     since = time.monotonic()
@@ -271,7 +271,7 @@ def _refused(request: Request, error: Exception) -> Response:
     if isinstance(error, HTTPException):
         return Json({"error": str(error.detail).lower()}, error.status_code)
     if isinstance(error, CosimError):
-        return Json({"error": str(error)}, 400)
+        return Json({"error": str(error), "kind": type(error).__name__}, 400)
     return Json({"error": f"{type(error).__name__}: {error}"}, 500)
 
 

@@ -28,7 +28,7 @@ from cosim.base.scratch import process_folder
 from cosim.base.units import factor
 from cosim.pages.rows import TIME, Recording, Store
 from cosim.storage.cache import cache_folder, load_or_make
-from cosim.storage.csv_source import CSV, LONGEST_LINE, read_heading
+from cosim.storage.csv_source import CSV, read_heading
 from cosim.storage.files import open_bytes, scratch_folder
 from cosim.storage.folders import content_of
 from cosim.storage.parquet_source import PARQUET, UNIT
@@ -42,7 +42,7 @@ DRAFT = "draft-"  # prefix of a conversion that is being written
 SETTLED = 2.0  # [s] without a change, after which size and times of a file stand for its content
 SMALL = 4_000_000  # size of a table that is read as a whole [bytes]
 ROWS = 1 << 16  # of a Parquet file, read at a time
-BLOCK, LAST = 1 << 24, 1 << 16  # of text read at a time, from its begin and from its end [bytes]
+BLOCK = 1 << 24  # of text read at a time [bytes]
 WHOLE = f"^({INTEGER.pattern})$"
 Progress = Callable[[int, int], None] | None
 
@@ -61,33 +61,32 @@ class ColumnTypes:
     text: Sequence[str] = ()
     words: frozenset[str] = frozenset()
 
-    def read(self, path: Path, *, ended: bool) -> Results:
+    def read(self, path: Path) -> Results:
         """Return the rows of a table in memory; raise InputError without rows."""
-        results = read_results(path, self.units, self.text, ended=ended, words=self.words)
+        results = read_results(path, self.units, self.text, words=self.words)
         if not results.time.size:
             raise InputError.at(path, "has no row yet; wait for the end of the run, or run it again")
         return results
 
 
-def open_rows(path: Path, columns: ColumnTypes, progress: Progress = None, *, ended: bool = False) -> Recording:
+def open_rows(path: Path, columns: ColumnTypes, progress: Progress = None) -> Recording:
     """Return the rows of a table; convert a large one first, unless its conversion is there.
 
     Args:
         columns: What is known of the columns from elsewhere.
         progress: Function of the converted and the whole size.
-        ended: Leave out the last line of a text without a line end.
 
     Raises:
         InputError: The table has faults, or no rows.
     """
     status = path.stat() if path.is_file() else None
     if status is None or status.st_size <= SMALL:
-        return _in_memory(columns.read(path, ended=ended))
-    place = cache_folder() / FOLDER / _key(path, status, columns, ended)
+        return _in_memory(columns.read(path))
+    place = cache_folder() / FOLDER / _key(path, status, columns)
     if content_of(place / ABOUT):
         os.utime(place)
     else:
-        place = _convert(path, status, place, columns, progress, ended)
+        place = _convert(path, status, place, columns, progress)
     about: Any = content_of(place / ABOUT)
     store = Store(place, about["units"], int(about["rows"]))
     store.rounded, store.inexact = about["rounded"], about["inexact"]
@@ -99,7 +98,7 @@ def open_rows(path: Path, columns: ColumnTypes, progress: Progress = None, *, en
     return store
 
 
-def _key(path: Path, status: os.stat_result, columns: ColumnTypes, ended: bool) -> str:
+def _key(path: Path, status: os.stat_result, columns: ColumnTypes) -> str:
     """Return a key of the content of a file and of its types."""
 
     def digest() -> str:
@@ -109,7 +108,7 @@ def _key(path: Path, status: os.stat_result, columns: ColumnTypes, ended: bool) 
     is_settled = time.time() - max(status.st_mtime, status.st_ctime) > SETTLED
     content = load_or_make(repr((str(path.resolve()), _state(status))), digest) if is_settled else digest()
     types = [sorted(columns.units.items()), sorted(columns.text), sorted(columns.words)]
-    return sha256(json.dumps([VERSION, path.suffix, content, types, ended]).encode()).hexdigest()
+    return sha256(json.dumps([VERSION, path.suffix, content, types]).encode()).hexdigest()
 
 
 def _state(status: os.stat_result) -> tuple[int, ...]:
@@ -148,9 +147,7 @@ class _Table:
     batches: Callable[[Sequence[int], Sequence[int]], Iterator[tuple[list[Any], list[Any], int]]]
 
 
-def _convert(
-    path: Path, status: os.stat_result, place: Path, columns: ColumnTypes, progress: Progress, ended: bool
-) -> Path:
+def _convert(path: Path, status: os.stat_result, place: Path, columns: ColumnTypes, progress: Progress) -> Path:
     """Write the files of a cache; return their folder. Faults of a table are those of its reader."""
     place.parent.mkdir(mode=0o700, exist_ok=True)
     for each in place.parent.iterdir():  # conversions that nobody has looked at for long
@@ -161,11 +158,11 @@ def _convert(
         draft = folder / place.name
         draft.mkdir()
         try:
-            about = _write(draft, path, _table_of(path, columns, ended), columns, progress)
+            about = _write(draft, path, _table_of(path, columns), columns, progress)
         except (pa.ArrowException, OSError, ValueError) as error:
             if is_full(error):
                 raise
-            columns.read(path, ended=ended)  # which tells each fault by its place
+            columns.read(path)  # which tells each fault by its place
             raise InputError.at(path, f"cannot be read: {str(error).partition(chr(10))[0]}") from None
         (draft / ABOUT).write_text(json.dumps(about), encoding="utf-8")
         if _state(path.stat()) != _state(status):  # no longer the content of its key
@@ -228,14 +225,14 @@ def _write(draft: Path, path: Path, table: _Table, columns: ColumnTypes, progres
     }
 
 
-def _table_of(path: Path, columns: ColumnTypes, ended: bool) -> _Table:
+def _table_of(path: Path, columns: ColumnTypes) -> _Table:
     """Return the columns of a table in any format."""
     source = source_of(path)
     if source is CSV:
-        return _csv_table(path, columns, ended)
+        return _csv_table(path, columns)
     if source is PARQUET:
         return _parquet_table(path, columns)
-    results = columns.read(path, ended=False)
+    results = columns.read(path)
     texts, size = results.texts(), path.stat().st_size
     values = [results.time, *results.values.T, *(pa.array(each, pa.string()) for each in texts.values())]
     heads = [(TIME, "s"), *((name, results.units.get(name, "")) for name in (*results.columns, *texts))]
@@ -244,23 +241,16 @@ def _table_of(path: Path, columns: ColumnTypes, ended: bool) -> _Table:
     return _Table(heads, numbers, whole, lambda n, t: iter([([values[k] for k in n], [values[k] for k in t], size)]))
 
 
-def _csv_table(path: Path, columns: ColumnTypes, ended: bool) -> _Table:
-    def content() -> Any:
-        if not ended:
-            return path
-        with pa.memory_map(str(path)) as file:
-            rows = file.read_buffer()
-        return pa.BufferReader(rows.slice(0, _last_line_end(path)))
-
+def _csv_table(path: Path, columns: ColumnTypes) -> _Table:
     heads, line = read_heading(path, columns.units)
     reading = csv.ReadOptions(block_size=BLOCK, skip_rows=line, column_names=[str(k) for k in range(len(heads))])
-    with csv.open_csv(content(), read_options=reading) as first:
+    with csv.open_csv(path, read_options=reading) as first:
         kinds = first.schema.types
 
     def batches(numbers: Sequence[int], texts: Sequence[int]) -> Iterator[tuple[list[Any], list[Any], int]]:
         types = dict.fromkeys(map(str, numbers), pa.float64()) | dict.fromkeys(map(str, texts), pa.string())
         converting = csv.ConvertOptions(column_types=types, include_columns=list(types))
-        with csv.open_csv(content(), read_options=reading, convert_options=converting) as reader:
+        with csv.open_csv(path, read_options=reading, convert_options=converting) as reader:
             for number, batch in enumerate(reader, 1):
                 parts = batch.columns
                 yield _doubles(parts[: len(numbers)]), parts[len(numbers) :], number * BLOCK
@@ -302,15 +292,3 @@ def _doubles(columns: Sequence[Any]) -> list[Array]:
 
 def _integers(kinds: Sequence[Any]) -> set[int]:
     return {k for k, kind in enumerate(kinds) if pa.types.is_integer(kind)}
-
-
-def _last_line_end(path: Path) -> int:
-    """Return the size of a text down to the end of its last line with an end."""
-    with open_bytes(path) as stream:
-        size = start = stream.seek(0, os.SEEK_END)
-        while start and size - start < LONGEST_LINE:
-            start = max(0, start - LAST)
-            stream.seek(start)
-            if (end := stream.read(LAST).rfind(b"\n")) >= 0:
-                return start + end + 1
-    raise ValueError("the last line is too long")

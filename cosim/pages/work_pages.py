@@ -17,6 +17,7 @@ from starlette.responses import Response
 
 from cosim.base.arrays import Array
 from cosim.base.errors import CosimError, InputError, Interrupted, Signalled, SweepStopped, Terminated
+from cosim.base.messages import Note
 from cosim.base.scratch import process_folder
 from cosim.base.version import __version__
 from cosim.master.inbox import Control
@@ -79,7 +80,7 @@ class WorkPage(ServedPage):
             self.report = left / "report.html"
         message = str(error) if isinstance(error, CosimError) else type(error).__name__
         if isinstance(error, (Interrupted, Signalled)):
-            message = f"stopped at t = {error.time:.6g} s; the rows so far are kept"
+            message = Note(f"stopped at t = {error.time:.6g} s; the rows so far are kept")
         self.update(phase="stopped" if is_stop else "failed", message=message)
 
     def update(self, **state: Any) -> None:

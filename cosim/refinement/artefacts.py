@@ -28,14 +28,11 @@ ARTEFACTS = (
             "plant.fmu",
             "nearest.yaml",
             "nearest.fmu",
-            "plant.ssp",
-            "nearest.ssp",
             "report.html",
         ),
         folder="the folder of a refine",
         folder_step="`cosim build --model {file}` builds its model, `cosim excite {file}` seeks the experiment "
         "that decides",
-        sources=("study",),
         reader="cosim.refinement.refined_result:read_refined",
     ),
 )

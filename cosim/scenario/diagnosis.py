@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from cosim.base.errors import Fault, InputError, refuse
-from cosim.base.messages import Message, code_of
-from cosim.scenario import messages
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.storage.yaml_file import MOST_FAULTS
 
@@ -23,10 +21,10 @@ class Diagnosis:
     def note(self, where: Place, message: str, exit_code: int = 2) -> None:
         """Note a fault at a place of the scenario; raise InputError at the limit of faults."""
         if len(message) > LONGEST:
-            message = Message(f"{message[: LONGEST - 1]}…", code_of(message))
+            message = f"{message[: LONGEST - 1]}…"
         self.faults.append(self.file.fault(where, message, exit_code=exit_code))
         if len(self.faults) >= MOST_FAULTS:
-            raise InputError([*self.faults, Fault(self.file.path, 0, 0, messages.FIRST_FAULTS(limit=MOST_FAULTS))])
+            raise InputError([*self.faults, Fault(self.file.path, 0, 0, f"the first {MOST_FAULTS} faults are shown")])
 
     def raise_any(self) -> None:
         """Raise InputError if any fault was noted."""

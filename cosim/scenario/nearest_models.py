@@ -7,34 +7,32 @@ from typing import Any
 
 from cosim.base.errors import Fault
 from cosim.loading.refined import NEAREST, REFINED, NoNearest, folder_of, names_refine, refined_file
-from cosim.scenario import messages
 from cosim.scenario.scenario import FmuComponent
 from cosim.scenario.scenario_file import ScenarioFile
 
 
 def take_nearest(file: ScenarioFile) -> None:
-    """Replace refined FMUs and the design's model by the nearest. Failures become faults of the scenario file."""
+    """Replace refined FMUs by the nearest. Failures become faults of the scenario file."""
     components: dict[str, Any] = dict(file.scenario.components)
     has_refined = False
     for name, component in components.items():
-        if not isinstance(component, FmuComponent) or component.at:
+        if not isinstance(component, FmuComponent):
             continue
         if (path := _refined_path(file, component.fmu)) is None:
             continue
         has_refined = True
         try:
             if component.sha256 is not None:
-                raise NoNearest(messages.NEAREST_OF_MANIFEST())
+                raise NoNearest("a manifest repeats its run as it was; leave --nearest out, or run the scenario")
             components[name] = component.model_copy(update={"fmu": str(refined_file(path, nearest=True))})
         except NoNearest as error:
             file.faults.append(file.fault(("components", name, "fmu"), str(error)))
-    design = file.scenario.design
-    if design is not None and design.model is not None and _refined_path(file, design.model) is not None:
-        has_refined = True
-        design = design.model_copy(update={"nearest": True})
     if not has_refined:
-        file.faults.append(Fault(file.path, 0, 0, messages.NO_REFINED_MODEL()))
-    file.scenario = file.scenario.model_copy(update={"components": components, "design": design})
+        reason = (
+            "no component uses a result of `cosim refine`, so --nearest has no effect; name the FMU of such a result"
+        )
+        file.faults.append(Fault(file.path, 0, 0, f"{reason}, or leave --nearest out"))
+    file.scenario = file.scenario.model_copy(update={"components": components})
 
 
 def _refined_path(file: ScenarioFile, name: str) -> Path | None:

@@ -36,7 +36,7 @@ def with_files_beside(scenario: Scenario, folder: Path) -> Scenario:
         pinned, named = getattr(component, "sha256", None), getattr(component, key, None)
         file = PureWindowsPath(named or "").name  # file name from a path of any operating system
         substitute = next((each for each in (file, f"{SYSTEM}/{file}") if (folder / each).is_file()), "")
-        if pinned is None or not named or not substitute or getattr(component, "at", None):
+        if pinned is None or not named or not substitute:
             continue
         original = folder / named
         if not original.is_file() or (sha256(original) != pinned and sha256(folder / substitute) == pinned):

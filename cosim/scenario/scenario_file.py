@@ -13,18 +13,17 @@ from typing import Any
 from pydantic import ValidationError
 
 from cosim.base.errors import Fault, InputError
-from cosim.base.messages import Template
 from cosim.base.registry import BASE, is_model
-from cosim.scenario import messages
 from cosim.scenario.pinned import with_files_beside
 from cosim.scenario.scenario import Recording, Scenario, StepControl
 from cosim.scenario.signal_units import convert_quantities
-from cosim.storage import messages as storage_messages
 from cosim.storage.artefact import kind_by_keys
 from cosim.storage.folders import SCHEMA_VERSION, other_version
 from cosim.storage.kinds import MANIFEST, SCENARIO, check_form, refuse_other
 from cosim.storage.yaml_file import Origin, YamlFile, did_you_mean, location_in, short
 from cosim.storage.yaml_nodes import Document, Location, NotYaml
+
+STEP_NOT_A_DIVISOR = "step is {step:g} s; use a whole divisor of duration {duration:g} s, {divisor:.6g} s for one"
 
 MOST_STEPS = 2e7
 ROUNDING = 1e-9  # relative tolerance for a whole number of steps
@@ -67,7 +66,10 @@ class ScenarioFile:
         self.faults: list[Fault] = []
         self.warnings: list[str] = []  # about valid parts of the scenario
         if self.manifest is not None and "schema_version" not in self.manifest:
-            self.warnings.append(storage_messages.NO_VERSION(file=path, known=SCHEMA_VERSION))
+            self.warnings.append(
+                f"{path} is a manifest without schema_version, as after an edit; it is read as one of version "
+                f"{SCHEMA_VERSION}"
+            )
         self.warnings += other_version(path, self.manifest or {})
         convert_quantities(data, self.resolve, lambda at, message: self.faults.append(self.fault(at, message)))
         rest = Salvage(data)
@@ -117,15 +119,23 @@ class ScenarioFile:
             return faults
         count = s.duration / s.step
         if not count <= MOST_STEPS:
-            return [self.fault(("step",), messages.MANY_STEPS(step=s.step, count=count, limit=MOST_STEPS))]
+            return [
+                self.fault(
+                    ("step",),
+                    (
+                        f"step is {s.step:g} s, which makes {count:.3g} steps, and a run may have {MOST_STEPS:g}; give "
+                        "a longer step or a shorter duration"
+                    ),
+                )
+            ]
         if abs(count - round(count)) <= ROUNDING * max(1.0, count) and round(count) >= 1:
             return []
         divisor, overrides = s.duration / max(1, math.ceil(count)), self.yaml.overrides
         if s.control is not None:
             where = ("step", "max" if s.control.rows is None else "rows")
-            return [self.fault(where, messages.STEP_NOT_A_DIVISOR(step=s.step, duration=s.duration, divisor=divisor))]
+            return [self.fault(where, STEP_NOT_A_DIVISOR.format(step=s.step, duration=s.duration, divisor=divisor))]
         key = "duration" if ("duration",) in overrides and ("step",) not in overrides else "step"
-        return [self.fault((key,), messages.STEP_NOT_A_DIVISOR(step=s.step, duration=s.duration, divisor=divisor))]
+        return [self.fault((key,), STEP_NOT_A_DIVISOR.format(step=s.step, duration=s.duration, divisor=divisor))]
 
     def _record_faults(self) -> list[Fault]:
         """Return the fault of a rate of recording that is no whole number of steps, or longer than the run."""
@@ -134,29 +144,52 @@ class ScenarioFile:
             return []
         every, steps = s.record.every, s.record.every / s.step
         if every > s.duration * (1.0 + ROUNDING):
-            message = messages.EVERY_TOO_LONG(every=every, duration=s.duration)
+            message = f"{every:g} s is longer than the run, {s.duration:g} s; use a shorter time"
             return [self.fault(("record", "every"), message)]
         if abs(steps - round(steps)) <= ROUNDING * steps and round(steps) >= 1:
             return []
         near = [n * s.step for n in (math.floor(steps), math.ceil(steps)) if n]
         values = " or ".join(f"{value:.6g} s" for value in near)
-        return [self.fault(("record", "every"), messages.EVERY_NO_MULTIPLE(every=every, step=s.step, near=values))]
+        return [
+            self.fault(
+                ("record", "every"),
+                f"{every:g} s is no whole number of steps of {s.step:g} s; use for example {values}",
+            )
+        ]
 
     def _control_faults(self, control: StepControl) -> list[Fault]:
         """Return the faults of contradicting keys of `step`."""
         faults, rows = [], control.max if control.rows is None else control.rows
         if not control.min <= control.max <= rows * (1.0 + ROUNDING):
             where = ("step", "min" if control.min > control.max else "max")
-            message = messages.CONTROL_OUT_OF_ORDER(min=control.min, max=control.max, rows=rows)
+            message = (
+                f"min is {control.min:g} s, max {control.max:g} s and rows {rows:g} s; min is at most max, and "
+                "max at most rows"
+            )
             faults.append(self.fault(where, message))
         resolution = TICKS * math.ulp(abs(self.scenario.start_time) + self.scenario.duration)
         if control.min < resolution:
-            message = messages.MIN_BELOW_RESOLUTION(min=control.min, resolution=resolution)
+            message = (
+                f"min is {control.min:g} s, too short for floating-point times of this run; give at least "
+                f"{resolution:.2g} s"
+            )
             faults.append(self.fault(("step", "min"), message))
         if control.bonds and control.estimator not in (None, "energy"):
-            faults.append(self.fault(("step", "bonds"), messages.BONDS_WITHOUT_ENERGY(estimator=control.estimator)))
+            faults.append(
+                self.fault(
+                    ("step", "bonds"),
+                    (
+                        f"bonds belong to estimator: energy, which this is not ({control.estimator}); leave one of "
+                        "them out"
+                    ),
+                )
+            )
         if control.estimator == "energy" and not control.bonds:
-            faults.append(self.fault(("step", "estimator"), messages.ENERGY_WITHOUT_BONDS()))
+            faults.append(
+                self.fault(
+                    ("step", "estimator"), "estimator: energy needs bonds: [{effort: a.force, flow: b.velocity}]"
+                )
+            )
         return faults
 
     def _criteria_faults(self) -> list[Fault]:
@@ -164,13 +197,16 @@ class ScenarioFile:
         for kind, k, criterion in self.scenario.goals:
             where: tuple[str | int, ...] = ("criteria", kind, *(() if k is None else (k,)))
             if (kind == "settling_time") != (criterion.band is not None):
-                template = messages.NO_BAND if kind == "settling_time" else messages.NEEDLESS_BAND
-                faults.append(self.fault(where, template(kind=kind)))
+                cure = "needs a band; add the allowed distance from its target"
+                faults.append(self.fault(where, f"{kind} {'takes no band; leave it out' if criterion.band else cure}"))
             start, duration = criterion.after, self.scenario.duration
             end = duration if criterion.until is None else criterion.until
             is_inside = self.stands_in or (start < end <= duration and end - start >= self.scenario.step)
             if start < 0 or not is_inside:
-                message = messages.INTERVAL_OUTSIDE(kind=kind, start=start, end=end, duration=duration)
+                message = (
+                    f"{kind} looks from {start:g} s to {end:g} s of {duration:g} s; choose times within the run, "
+                    "a step or more apart"
+                )
                 faults.append(self.fault(where, message))
         return faults
 
@@ -244,11 +280,11 @@ def _override(path: Path, data: dict[str, Any], text: str, subject: str) -> Loca
     """
     target, sign, value = text.partition("=")
 
-    def refusal(template: Template, **fields: Any) -> InputError:
-        return InputError.at(path, template(override=subject or short(target), **fields))
+    def refusal(reason: str) -> InputError:
+        return InputError.at(path, f"{subject or short(target)} {reason}")
 
     if not sign or not target.strip():
-        raise refusal(messages.OVERRIDE_WITHOUT_VALUE)
+        raise refusal("is not path=value; for example --set noise=off")
     node: Any = data
     keys = keys_of(target.strip())
     at: list[str | int] = []
@@ -263,8 +299,10 @@ def _override(path: Path, data: dict[str, Any], text: str, subject: str) -> Loca
         node = node.setdefault(index, {}) if isinstance(node, dict) else node[index]
     if keys[0] == "components" and isinstance(components := data.get("components"), dict):
         some, hint = ", ".join(map(short, islice(components, 20))), did_you_mean(keys[1], components)
-        raise refusal(messages.OVERRIDE_OF_NO_COMPONENT, name=short(keys[1]), hint=hint, components=some)
-    raise refusal(messages.OVERRIDE_OF_NOTHING, path=short(target))
+        raise refusal(
+            f'is for component "{short(keys[1])}", which is not in the scenario{hint} (its components: {some})'
+        )
+    raise refusal(f"leads nowhere: there is no {short(target)} in the scenario")
 
 
 NAMED = {"components": (1,)}  # depths at which a path must name an existing key
@@ -281,7 +319,7 @@ def keys_of(target: str) -> list[str]:
     return keys
 
 
-FILES = {"components": ("fmu", "file"), "design": ("model",)}  # keys of file names, by section
+FILES = ("fmu", "file")  # keys of file names of a component
 
 
 def _from_here(keys: Sequence[str], value: Any) -> Any:
@@ -289,13 +327,14 @@ def _from_here(keys: Sequence[str], value: Any) -> Any:
 
     Relative names start at the current folder, where the user typed them.
     """
-    file_keys = FILES.get(keys[0], ())
-    inner = keys[2:] if keys[0] == "components" else keys[1:]
+    inner = keys[2:]
+    if keys[0] != "components":
+        return value
     if isinstance(value, dict) and not inner and value.get("at"):
         return value  # Its file is that of a server.
     if isinstance(value, dict) and not inner:
-        return {key: _absolute(v) if key in file_keys else v for key, v in value.items()}
-    return _absolute(value) if len(inner) == 1 and inner[0] in file_keys else value
+        return {key: _absolute(v) if key in FILES else v for key, v in value.items()}
+    return _absolute(value) if len(inner) == 1 and inner[0] in FILES else value
 
 
 def from_here(data: Mapping[str, Any]) -> dict[str, Any]:
@@ -306,8 +345,6 @@ def from_here(data: Mapping[str, Any]) -> dict[str, Any]:
             name: _from_here(["components", str(name)], dict(c)) if isinstance(c, Mapping) else c
             for name, c in components.items()
         }
-    if isinstance(design := scenario.get("design"), Mapping):
-        scenario["design"] = _from_here(["design"], dict(design))
     return scenario
 
 

@@ -14,7 +14,6 @@ from cosim.base.errors import FmuError, InputError
 from cosim.base.units import allowed_quantity, computed_in, has_unit, read_quantity, split_quantity, square_unit
 from cosim.blocks.description import read_description, unit_of
 from cosim.blocks.sources import playback
-from cosim.scenario import messages
 from cosim.scenario.start_values import Misfit, convert_quantity
 from cosim.storage.yaml_file import format_value, wrong_value
 from cosim.storage.yaml_nodes import Location
@@ -84,7 +83,10 @@ def convert_quantities(data: dict[str, Any], resolve: Resolve, note: Note) -> No
                 measures[measure] = _measure(data, measure, resolve)
             measure = measures[measure]
         if measure is None:
-            note(place.location, messages.UNKNOWN_UNIT(name=name, value=format_value(text), signal=place.of))
+            note(
+                place.location,
+                f"{name} is {format_value(text)}: the unit of {place.of} is not known; write a number alone",
+            )
             continue
         try:
             parent[last] = measure.of_kind(place.kind, text)

@@ -16,13 +16,12 @@ from pathlib import Path
 import numpy as np
 
 from cosim.base.errors import InputError, Interrupted
+from cosim.base.messages import Note
 from cosim.isolation.process import Worker
 from cosim.master.halving import rollback_objection
 from cosim.master.remote import MODULES, simulate_apart, simulate_here
-from cosim.scenario.controller_design import designed_apart
 from cosim.scenario.nearest_models import take_nearest
 from cosim.scenario.scenario_file import ScenarioFile
-from cosim.simulation import messages
 from cosim.simulation.undeclared import with_feedthrough
 from cosim.storage.files import FilePath
 from cosim.storage.results import Results
@@ -49,7 +48,7 @@ class CouplingError:
     def sentence(self) -> str:
         """Return the result as one sentence."""
         if self.stopped:
-            return messages.COUPLING_ERROR_UNKNOWN(reason=self.stopped)
+            return f"coupling error not known: with half the step {self.stopped}"
         sizes = ", ".join(f"{name} {value:.2g}" for name, value in self.of.items())
         changes = f"{sizes}; the coupling error is about twice that" if sizes else "nothing, for nothing is connected"
         steps = ", ".join(f"{name} {value:.2g} at t = {t:g} s" for name, (value, t) in self.steps.items())
@@ -57,7 +56,7 @@ class CouplingError:
             steps = f"; of single steps not known: {self.without}"
         elif steps:
             steps = f"; of a single step, taken back and made again in halves: {steps}"
-        return messages.COUPLING_ERROR(changes=changes, steps=steps)
+        return Note(f"half the step changes at most {changes}{steps}")
 
 
 def coupling_error(
@@ -110,15 +109,21 @@ def _results(
     """
     original = ScenarioFile(path, overrides)
     if original.scenario.control is not None:
-        raise InputError([original.fault(("step",), messages.ERROR_OF_CONTROLLED_STEPS())])
+        raise InputError(
+            [
+                original.fault(
+                    ("step",),
+                    "controls the error of each step; --coupling-error measures equal steps: set one, --set step=0.01",
+                )
+            ]
+        )
     step, steps = original.scenario.step / parts, original.scenario.steps * parts
     file = ScenarioFile(path, (*overrides, "noise=off", f"step={step!r}"))
     if nearest:
         take_nearest(original)
         take_nearest(file)
     try:
-        designed = designed_apart(original, worker)
-        system = with_feedthrough(file, designed, build_system(file, designed), worker)
+        system = with_feedthrough(file, build_system(file), worker)
     except InputError as error:
         if parts == 1:
             raise

@@ -17,7 +17,6 @@ from cosim.base.scratch import temporary_folder
 from cosim.coupling.algorithms import Jacobi
 from cosim.scenario.pinned import SYSTEM
 from cosim.scenario.scenario_file import ROUNDING, ScenarioFile
-from cosim.simulation import messages
 from cosim.ssp.elements import Element
 from cosim.ssp.flatten import read
 from cosim.ssp.levels import Flat
@@ -25,7 +24,7 @@ from cosim.ssp.read import Reader
 from cosim.ssp.ssp_package import Package, open_package
 from cosim.ssp.structure import SspStructure
 from cosim.storage.files import check_writable, write_json
-from cosim.storage.folders import keep_earlier
+from cosim.storage.folders import remove_earlier
 from cosim.storage.kinds import SSP, kind_by_form
 from cosim.storage.yaml_nodes import Location
 from cosim.system.system import build_system
@@ -92,7 +91,7 @@ def open_scenario(path: Path, overrides: Sequence[str] = ()) -> Iterator[Package
             except InputError as error:
                 faults += error.faults
         elif not faults:
-            faults.append(structure.system.element.fault(messages.NO_FMU_IN_SSP()))
+            faults.append(structure.system.element.fault("it has no FMU, so there is nothing to run"))
         if faults:
             faults += slips  # Slips may explain the faults.
             raise InputError([_without_folder(fault, trial, package) for fault in faults])
@@ -102,7 +101,7 @@ def open_scenario(path: Path, overrides: Sequence[str] = ()) -> Iterator[Package
 def lay_out(path: Path, folder: Path, overrides: Sequence[str] = ()) -> tuple[ScenarioFile, list[str]]:
     """Write an SSP's scenario and FMUs to `folder`/system.
 
-    The files of an earlier run move to `runs` in the folder. A faulty SSP raises InputError before anything is written.
+    The files of an earlier run are removed. A faulty SSP raises InputError before anything is written.
 
     Returns:
         The scenario file and warnings.
@@ -111,7 +110,7 @@ def lay_out(path: Path, folder: Path, overrides: Sequence[str] = ()) -> tuple[Sc
         within = folder / FOLDER
         inputs = [path, *packaged.files.values()]
         check_writable(within, (SCENARIO, *packaged.files), inputs)
-        keep_earlier(folder, "cosim run", read=inputs)
+        remove_earlier(folder, "cosim run", read=inputs)
         for name, source in packaged.files.items():
             with draft_of(within / name) as draft:
                 shutil.copyfile(source, draft)
@@ -194,15 +193,15 @@ def _times(structure: SspStructure, flat: Flat, warnings: list[str], overrides: 
     if stop is None:
         stop = start + max(read_positive("stopTime"), default=STOP)
         if "duration" not in overrides:
-            warnings.append(messages.NO_STOP_TIME(time=stop - start))
+            warnings.append(f"the SSP names no stopTime: {stop - start:g} s are run; --set duration=… for others")
     duration = stop - start
     if step is None:
         step = min(read_positive("stepSize"), default=STEP)
         if "step" not in overrides:
-            warnings.append(messages.NO_STEP(step=step))
+            warnings.append(f"the SSP names no communication step: {step:g} s is taken; --set step=… for another")
     count = duration / step
     if abs(count - round(count)) > ROUNDING * max(1.0, count) or round(count) < 1:
         duration = math.ceil(count) * step if count < 1e15 else duration
         if overrides.isdisjoint({"duration", "step"}):
-            warnings.append(messages.LONGER_DURATION(time=duration, step=step))
+            warnings.append(f"{duration:g} s are run, the next whole number of steps of {step:g} s after stopTime")
     return start, duration, step

@@ -8,12 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import InputError
-from cosim.simulation import messages
-from cosim.storage import messages as storage_messages
 from cosim.storage.artefact import folder_kind
-from cosim.storage.folders import manifest_in, record_of, replay_record, status_in, warnings_on
+from cosim.storage.folders import manifest_in, newest_run, replay_record, run_name, status_in, warnings_on
 from cosim.storage.kinds import LOG, check_given, refuse_folder
-from cosim.storage.results import Results, cut_rows, is_cut_in_line, read_results, rows_in
+from cosim.storage.results import Results, read_results, rows_in
 from cosim.storage.table_source import suffixes
 
 WANTED = "the folder of a run or a table of its rows"
@@ -45,30 +43,27 @@ class RecordedRun:
 def read_ran(path: Path) -> RecordedRun:
     """Return results of a path; raise InputError if none, also if they are removed meanwhile."""
     try:
-        return _read(path)
+        return _read(newest_run(path))
     except FileNotFoundError:
-        raise InputError.at(path, storage_messages.GONE()) from None
+        raise InputError.at(
+            path, "was removed while it was read; repeat the command with the results that are left"
+        ) from None
 
 
 def _read(path: Path) -> RecordedRun:
     if not path.exists():
-        raise InputError.at(path, messages.NO_RESULTS(kind=WANTED))
+        raise InputError.at(path, f"no such folder or file; give {WANTED}")
     if not path.is_dir():
         check_given(path, LOG)
-        record = record_of(path)
-        results = read_results(path, ended=is_cut_in_line(path, record))
-        return RecordedRun(path, path.stem, results, warnings=cut_rows(path, results.time.size, record))
+        return RecordedRun(path, path.stem, read_results(path))
     rows = rows_in(path)
     if rows is None:
         kind = folder_kind(path)
         if kind is None or "results" not in kind.tables:
             refuse_folder(path, WANTED)
         names = " or ".join(f"results{suffix}" for suffix in suffixes())
-        raise InputError.at(path, messages.NO_ROWS(names=names, status=status_in(path), kind=WANTED))
+        raise InputError.at(path, f"holds no rows{status_in(path)}: no {names}; give {WANTED}")
     manifest = manifest_in(path)
-    record = record_of(rows)
     units: Any = manifest.get("units") or replay_record(path).get("units") or {}
-    ended, words = is_cut_in_line(rows, record), manifest.get("texts", ())
-    results = read_results(rows, units, manifest.get("beside", ()), ended=ended, words=words)
-    warnings = (*warnings_on(path), *cut_rows(rows, results.time.size, record))
-    return RecordedRun(path, path.resolve().name, results, manifest, warnings)
+    results = read_results(rows, units, manifest.get("beside", ()), words=manifest.get("texts", ()))
+    return RecordedRun(path, run_name(path), results, manifest, tuple(warnings_on(path)))

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 from cosim.base.arrays import Array
 from cosim.base.messages import printable
 from cosim.base.text import MISSING, counted, plain
-from cosim.simulation import messages
 from cosim.storage.results import Results
 from cosim.storage.table_source import as_text
 
@@ -74,7 +73,7 @@ class Signals:
             from cosim.storage.yaml_file import did_you_mean
 
             hint = did_you_mean(name, self.results.columns)
-            raise KeyError(messages.UNKNOWN_SIGNAL(name=name, hint=hint))
+            raise KeyError(f'no signal "{name}"{hint}')
         return self.results[name]
 
     def to_pandas(self) -> pandas.DataFrame:
@@ -82,7 +81,7 @@ class Signals:
         try:
             import pandas
         except ImportError:
-            raise ImportError(messages.NO_PANDAS()) from None
+            raise ImportError("to_pandas needs pandas: pip install pandas") from None
         index = pandas.Index(self.time, name="time")
         frame = pandas.DataFrame(self.results.values, index=index, columns=list(self.results.columns))
         for name, column in self.results.exact.items():
@@ -204,4 +203,4 @@ def read_run(path: Path) -> Run | Signals:
     ran = read_ran(path)
     for text in ran.warnings:
         warnings.warn(printable(text), stacklevel=2)
-    return run_of(ran.results, ran.manifest, path) if path.is_dir() else Signals(ran.name, ran.results)
+    return run_of(ran.results, ran.manifest, ran.path) if path.is_dir() else Signals(ran.name, ran.results)

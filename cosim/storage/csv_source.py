@@ -44,18 +44,11 @@ EMPTY_CELL = re.compile(rb",(?=[,\r\n]|\Z)")
 
 
 class Csv(Source):
-    """Comma-separated values in UTF-8, with a header line.
-
-    Args:
-        ended: Whether a frame leaves out a last line without an end, for rows that were cut.
-    """
+    """Comma-separated values in UTF-8, with a header line."""
 
     name = "CSV"
     suffixes = (".csv",)
     writes = True
-
-    def __init__(self, *, ended: bool = False) -> None:
-        self.ended = ended
 
     def table(self, faults: Faults, request: TableRequest) -> Table:
         """Read the requested columns and note the faults of all cells."""
@@ -64,7 +57,7 @@ class Csv(Source):
                 with _open(faults.path) as stream:
                     return _read_table(_Cells(stream, faults), request)
         except OSError as error:
-            faults.note(0, 0, messages.UNREADABLE_FILE(reason=error.strerror))
+            faults.note(0, 0, f"cannot be read: {error.strerror}")
         return Table()
 
     def frame(self, path: Path, names: Container[str] = (), text: Collection[str] = ()) -> Frame:
@@ -73,11 +66,11 @@ class Csv(Source):
         frame = Frame()
         if _is_small_enough(faults, "leave out columns or rows"):
             with _open(path) as stream:
-                cells = _Cells(stream, faults, ended=self.ended)
+                cells = _Cells(stream, faults)
                 if cells.header:
                     frame = _frame_of(cells, names, text)
                 elif not faults.items:
-                    faults.note(1, 1, messages.NO_HEADER(columns="time, then signals"))
+                    faults.note(1, 1, "is empty; the first line names the columns: time, then signals")
         faults.raise_any()
         return frame
 
@@ -95,7 +88,7 @@ class Csv(Source):
         write_table(path, [c.name for c in columns], zip(*values, strict=True), cell_text)
 
 
-CSV, ENDED_CSV = Csv(), Csv(ended=True)
+CSV = Csv()
 
 
 def read_heading(path: Path, names: Container[str] = ()) -> tuple[list[tuple[str, str]], int]:
@@ -114,7 +107,7 @@ def read_heading(path: Path, names: Container[str] = ()) -> tuple[list[tuple[str
 def _is_small_enough(faults: Faults, cure: str) -> bool:
     size = faults.path.stat().st_size
     if size > MOST_BYTES:
-        faults.note(0, 0, messages.LARGE_TABLE(size=size / 1e6, limit=MOST_BYTES / 1e6, cure=cure))
+        faults.note(0, 0, f"has {size / 1e6:.0f} MB, more than the {MOST_BYTES / 1e6:.0f} MB that are read; {cure}")
     return size <= MOST_BYTES
 
 
@@ -130,17 +123,15 @@ def _open(path: Path) -> TextIO:
     return io.TextIOWrapper(open_bytes(path), encoding="latin-1", newline="")
 
 
-def _lines(stream: TextIO, *, ended: bool) -> Iterator[str]:
-    """Yield the UTF-8 lines, all or those with an end, of a file from `_open`. A byte order mark is left out."""
+def _lines(stream: TextIO) -> Iterator[str]:
+    """Yield the UTF-8 lines of a file from `_open`. A byte order mark is left out."""
     while line := stream.readline(LONGEST_LINE + 1):
         if len(line) > LONGEST_LINE:
-            raise _BadLine(messages.LONG_LINE(limit=LONGEST_LINE / 1e6))
-        if ended and not line.endswith(("\n", "\r")):
-            return
+            raise _BadLine(f"the line has more than {LONGEST_LINE / 1e6:g} MB; is this a CSV?")
         try:
             yield line.encode("latin-1").decode("utf-8-sig")
         except UnicodeDecodeError:
-            raise _BadLine(messages.NO_UTF8_LINE()) from None
+            raise _BadLine("is not UTF-8 text; save it as plain CSV, UTF-8") from None
 
 
 def _has_text(row: Sequence[str]) -> bool:
@@ -154,15 +145,14 @@ class _Cells:
         header: Cells of the first non-blank line; empty for an empty file or binary data.
         line: Line number of the header.
         plain: Whether commas separate cells.
-        ended: Whether a last line without an end is left out.
         whole: Whether all rows were read.
     """
 
-    def __init__(self, stream: TextIO, faults: Faults, *, ended: bool = False) -> None:
-        self.faults, self.ended = faults, ended
+    def __init__(self, stream: TextIO, faults: Faults) -> None:
+        self.faults = faults
         self.header: list[str] = []
         self.line, self.plain, self.whole = 1, True, False
-        self._text = _lines(stream, ended=ended)
+        self._text = _lines(stream)
         self._rows, self._above = csv.reader(self._text), 0  # rows, and the number of lines read by an earlier reader
         with self._noting_faults():
             self._read_header()
@@ -171,12 +161,16 @@ class _Cells:
         header = next(filter(_has_text, self._rows), [])
         self.line = max(1, self._rows.line_num)
         if any("\0" in text for text in header):
-            self.faults.note(self.line, 1, messages.BINARY_TABLE())
+            self.faults.note(self.line, 1, "is a binary file, or text of another encoding; save it as plain CSV, UTF-8")
             return
         only = header[0] if len(header) == 1 else ""
         has_unit = "[" in only  # which a blank separates from its name
         if mark := next((m for m in SEPARATORS if m in only.strip() and not (m == " " and has_unit)), None):
-            self.faults.note(self.line, 1, messages.WRONG_SEPARATOR(separator=SEPARATORS[mark]))
+            self.faults.note(
+                self.line,
+                1,
+                f"cells are separated by {SEPARATORS[mark]}; separate them with commas, decimals with a point",
+            )
             split = partial(csv.reader, delimiter=mark, skipinitialspace=True)
             header = next(split([only.strip()]))  # Reading continues, to report further faults.
             self._above, self._rows = self._rows.line_num, split(self._text)
@@ -196,7 +190,7 @@ class _Cells:
                     message = template(cells=counted(len(row), "cell"), header=width)
                     faults.note_cell(self._line(), 1, "rows of another length", message)
                 if faults.is_full:
-                    faults.note(self._line(), 1, messages.UNREAD_REST())
+                    faults.note(self._line(), 1, "too many faults to read on; correct those of the earlier lines first")
                     return
             self.whole = True
 
@@ -208,7 +202,7 @@ class _Cells:
         except _BadLine as error:
             self.faults.note(self._line() + 1, 1, str(error))
         except csv.Error as error:
-            self.faults.note(self._line(), 1, messages.NO_CSV(reason=error))
+            self.faults.note(self._line(), 1, f"is not CSV: {error}")
 
     def _line(self) -> int:
         return self._above + self._rows.line_num
@@ -223,8 +217,6 @@ def _plain_numbers(cells: _Cells) -> tuple[Array, Sequence[bytes]] | None:
     Empty cells become NaN.
     """
     body, width = cells.faults.path.read_bytes(), len(cells.header)
-    if cells.ended:
-        body = body[: body.rfind(b"\n") + 1]
     for _ in range(cells.line):
         body = body.partition(b"\n")[2]
     if not body.strip() or not body.isascii() or b'"' in body or body.count(b"\r") != body.count(b"\r\n"):
@@ -288,7 +280,7 @@ def _read_table(cells: _Cells, request: TableRequest) -> Table:
     faults, table = cells.faults, Table(header=cells.line)
     if not cells.header:
         if not faults.items:
-            faults.note(1, 1, messages.NO_HEADER(columns=request.description))
+            faults.note(1, 1, f"is empty; the first line names the columns: {request.description}")
         return table
     headings = [split_heading(text, request.names) for text in cells.header]
     choose_columns(table, [Heading(cells.line, k, *pair) for k, pair in enumerate(headings, 1)], faults, request)
@@ -372,8 +364,8 @@ def _no_number(text: str, column: Column) -> tuple[str, Message]:
     """Return a faulty cell's plural and message."""
     cell, name = text.strip()[:30], column.name
     if DECIMAL_COMMA.fullmatch(cell):
-        return f"cells of {name} with a decimal comma", messages.DECIMAL_COMMA(cell=cell, column=name)
-    return f"cells of {name} that are no number", messages.CELL_WITHOUT_NUMBER(cell=cell, column=name, cure=column.cure)
+        return f"cells of {name} with a decimal comma", f'"{cell}" in column {name} has a decimal comma: write a point'
+    return f"cells of {name} that are no number", f'"{cell}" in column {name} is no number; {column.cure}'
 
 
 # -- writing --------------------------------------------------------------------------------------

@@ -11,7 +11,6 @@ import numpy as np
 from cosim.base.drafts import draft_of
 from cosim.base.errors import Fault, InputError
 from cosim.base.extras import optional
-from cosim.storage import messages
 from cosim.storage.table_columns import split_heading
 from cosim.storage.table_source import Frame, Source, SourceColumn, as_text, time_among, whole_numbers
 
@@ -50,7 +49,7 @@ class Hdf5(Source):
                 file.visititems(add)
         except (OSError, RuntimeError, ValueError, KeyError) as error:
             reason = str(error).strip().partition("\n")[0][:200]
-            raise InputError.at(path, messages.BAD_TABLE(format="HDF5", reason=reason)) from None
+            raise InputError.at(path, f"is no HDF5 file that can be read: {reason}; write it again") from None
         if (found := time_among(c.name for c in columns)) is None:
             return Frame()
         time = next(c for c in columns if c.name == found)

@@ -12,7 +12,6 @@ from functools import cached_property
 from pathlib import Path
 
 from cosim.base.errors import InputError
-from cosim.storage import messages
 from cosim.storage.artefact import Artefact, artefacts, folder_kind, kind_by_keys, kind_where, of_kind
 from cosim.storage.files import open_bytes
 from cosim.storage.kind_names import (
@@ -205,7 +204,7 @@ def refuse_other(path: Path, kind: str | None, *wanted: str) -> None:
     artefact = of_kind(kind)
     if {kind, artefact.taken_as if artefact is not None else kind}.isdisjoint(wanted):
         step = next_step(kind, path)
-        raise InputError.at(path, messages.OTHER_KIND(kind=kind, wanted=" or ".join(wanted), step=step))
+        raise InputError.at(path, f"is {kind}, not {' or '.join(wanted)}: {step}")
 
 
 def refuse_unreadable(path: Path, *wanted: str) -> None:
@@ -214,15 +213,15 @@ def refuse_unreadable(path: Path, *wanted: str) -> None:
     try:
         if path.is_dir():
             refuse_folder(path, kinds)
-            raise InputError.at(path, messages.FOLDER_FOR_FILE(wanted=kinds, files=_likely_files(path, kinds)))
+            raise InputError.at(path, f"is a folder, not {kinds}; in it: {_likely_files(path, kinds)}")
         if not path.exists():
-            raise InputError.at(path, messages.MISSING_FILE(wanted=kinds))
+            raise InputError.at(path, f"no such file; give {kinds}")
         if not path.is_file():  # A pipe would block.
-            raise InputError.at(path, messages.NO_FILE())
+            raise InputError.at(path, "is no file")
         if not path.stat().st_size:
-            raise InputError.at(path, messages.EMPTY_FILE(wanted=kinds))
+            raise InputError.at(path, f"is empty; give {kinds}")
     except (OSError, ValueError):  # a name too long, a loop of links, or a folder without access
-        raise InputError.at(path, messages.MISSING_OR_UNREADABLE_FILE(wanted=kinds)) from None
+        raise InputError.at(path, f"no such file, or none that can be read; give {kinds}") from None
 
 
 def check_form(path: Path, *wanted: str) -> None:
@@ -247,7 +246,7 @@ def refuse_folder(path: Path, kinds: str) -> None:
     artefact = folder_kind(path)
     if artefact is not None and artefact.folder not in kinds:
         step = artefact.folder_step.format(file=shell_path(path))
-        raise InputError.at(path, messages.OTHER_KIND(kind=artefact.folder, wanted=kinds, step=step))
+        raise InputError.at(path, f"is {artefact.folder}, not {kinds}: {step}")
 
 
 def _likely_files(path: Path, kinds: str) -> str:

@@ -14,10 +14,11 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.drafts import draft_of
 from cosim.base.errors import InputError
-from cosim.storage import messages
 from cosim.storage.files import open_bytes
 from cosim.storage.table_columns import split_heading
 from cosim.storage.table_source import HEAD, Frame, Source, SourceColumn, as_text, time_among, whole_numbers
+
+BAD_TABLE = "is no {format} file that can be read: {reason}; write it again"
 
 MAGIC = b"MATLAB 5.0 MAT-file"
 OF_OCTAVE = b"# Created by Octave", b"Octave-1-"
@@ -55,7 +56,13 @@ class Mat(Source):
         texts = [c for c in others if not isinstance(c.values, np.ndarray)]
         rows = len(time.values)
         if 8 * rows * max(1, len(numbers)) > MOST_BYTES:
-            raise InputError.at(path, messages.LARGE_MAT(rows=rows, columns=len(numbers)))
+            raise InputError.at(
+                path,
+                (
+                    f"{rows} rows of {len(numbers)} columns are more than the 2 GB of a MAT variable; take another "
+                    "format"
+                ),
+            )
         content = {"time": np.asarray(time.values, dtype=np.float64).reshape(-1, 1), **_numbers(numbers, rows)}
         if texts:
             cells = _cells([as_text(value) for c in texts for value in c.values]).reshape(len(texts), rows).T
@@ -85,16 +92,20 @@ def _content(path: Path) -> Mapping[str, Any]:
     try:
         with open_bytes(path) as stream:
             if stream.read(HEAD).startswith(OF_OCTAVE):
-                raise InputError.at(path, messages.OCTAVE_FORMAT())
+                raise InputError.at(
+                    path, "is a file in a format of Octave's own; write it as save('-v7', 'NAME.mat', 'time', …)"
+                )
         content: Mapping[str, Any] = loadmat(path)
     except NotImplementedError:  # version 7.3
-        raise InputError.at(path, messages.MAT_73()) from None
+        raise InputError.at(
+            path, "is a MAT file of version 7.3; write it with -v7, or as HDF5 with one dataset a signal"
+        ) from None
     except InputError:
         raise
     except OSError as error:
-        raise InputError.at(path, messages.BAD_TABLE(format="MAT", reason=error.strerror or error)) from None
+        raise InputError.at(path, BAD_TABLE.format(format="MAT", reason=error.strerror or error)) from None
     except Exception as error:  # scipy reports damage by many kinds of errors
-        raise InputError.at(path, messages.BAD_TABLE(format="MAT", reason=str(error)[:200])) from None
+        raise InputError.at(path, BAD_TABLE.format(format="MAT", reason=str(error)[:200])) from None
     return content
 
 

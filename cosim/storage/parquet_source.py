@@ -16,7 +16,6 @@ from cosim.base.arrays import Array
 from cosim.base.drafts import draft_of
 from cosim.base.errors import Fault, InputError
 from cosim.base.extras import optional
-from cosim.storage import messages
 from cosim.storage.table_columns import is_time, split_heading
 from cosim.storage.table_source import Frame, Source, SourceColumn, whole_numbers
 
@@ -93,16 +92,24 @@ def _content(parquet: Any, path: Path) -> Any:
     except OSError:
         is_whole = False
     if not is_whole:
-        raise InputError.at(path, messages.CUT_PARQUET())
+        raise InputError.at(
+            path, "is no whole Parquet file: its end is missing, as after a writer that was stopped; write it again"
+        )
     try:
         with parquet.ParquetFile(path) as file:
             rows, columns = file.metadata.num_rows, file.metadata.num_columns
             if rows * columns > MOST_VALUES:
-                raise InputError.at(path, messages.LARGE_PARQUET(rows=rows, columns=columns, limit=MOST_VALUES))
+                raise InputError.at(
+                    path,
+                    (
+                        f"has {rows} rows of {columns} columns, more than the {MOST_VALUES:.0e} values that are "
+                        "read; leave out columns or rows"
+                    ),
+                )
             return file.read(use_threads=False)
     except (OSError, ValueError, NotImplementedError) as error:  # pyarrow's errors derive from these
         reason = str(error).strip().partition("\n")[0][:200]
-        raise InputError.at(path, messages.BAD_PARQUET(reason=reason)) from None
+        raise InputError.at(path, f"is no Parquet file that can be read: {reason}; write it again") from None
 
 
 def _order(schema: Any) -> list[int]:

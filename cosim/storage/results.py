@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import errno
 import io
-import os
 import re
 from array import array
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -18,11 +17,10 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.drafts import draft_of, is_full
-from cosim.storage import messages
-from cosim.storage.csv_source import CSV, ENDED_CSV, cell_text, write_table
+from cosim.storage.csv_source import cell_text, write_table
 from cosim.storage.table import is_there
 from cosim.storage.table_columns import MOST_TIME, Faults, is_time, note_distant, note_wrong_first, time_scale
-from cosim.storage.table_source import Frame, Source, SourceColumn, as_text, source_named, source_of, suffixes
+from cosim.storage.table_source import Frame, SourceColumn, as_text, source_named, source_of, suffixes
 
 CHUNK = 1000  # rows
 EXACT = 2**53  # integers below this size are doubles
@@ -191,7 +189,6 @@ def read_results(
     units: Mapping[str, str] | None = None,
     text: Collection[str] = (),
     *,
-    ended: bool = False,
     words: Collection[str] = (),
 ) -> Results:
     """Return written results, or any table with time first.
@@ -202,20 +199,19 @@ def read_results(
         units: Units of columns without unit in the header.
         text: Columns of text; other columns are classified by their cells.
         words: Columns of `text` that are no integers, also if they look like it.
-        ended: Leave out the last line of a text without a line end; see `is_cut_in_line`.
 
     Raises:
         InputError: The file has faults; it lists all of them.
     """
     faults, units = Faults(path), units or {}
-    frame = _source_of(path, ended).frame(path, units, text) if is_there(faults) else Frame()
+    frame = source_of(path).frame(path, units, text) if is_there(faults) else Frame()
     faults.raise_any()
     time = _time_of(frame, faults)
     numbers: dict[str, Array] = {}
     exact, whole = dict[str, list[Any]](), set[str]()
     for cell, column in enumerate(frame.columns[1:], 2):
         if column.fault:
-            faults.note(0, cell, messages.COLUMN_WITHOUT_NUMBERS(column=column.name, reason=column.fault))
+            faults.note(0, cell, f"column {column.name} {column.fault}")
         elif not column.numeric:
             exact[column.name] = list(column.values)
         else:
@@ -237,11 +233,6 @@ def _texts_in(frame: Frame) -> set[str]:
     return {column.name for column in frame.columns[1:] if column.is_text}
 
 
-def _source_of(path: Path, ended: bool) -> Source:
-    source = source_of(path)
-    return ENDED_CSV if ended and source is CSV else source
-
-
 def _time_of(frame: Frame, faults: Faults) -> Array:
     """Return the first column in seconds, checked for order.
 
@@ -257,50 +248,21 @@ def _time_of(frame: Frame, faults: Faults) -> Array:
     scale = time_scale(faults, line, first.unit)
     if not first.numeric:
         if len(lines):
-            reason = messages.COLUMN_WITHOUT_NUMBERS(column="time", reason=first.fault)
-            faults.note(lines[0], 1, reason if first.fault else messages.TIME_WITHOUT_NUMBER())
+            reason = f"column time {first.fault}"
+            faults.note(lines[0], 1, reason if first.fault else "a time is no number; write seconds")
         return np.empty(0)
     time = np.asarray(first.values, dtype=np.float64) * scale
     for row in np.flatnonzero(~np.isfinite(time)).tolist():
-        faults.note_cell(lines[row], 1, "rows without a time", messages.ROW_WITHOUT_TIME())
+        faults.note_cell(
+            lines[row], 1, "rows without a time", "the row has no time; fill the cell or leave the row out"
+        )
     for row in np.flatnonzero(np.abs(time) > MOST_TIME).tolist():
         note_distant(faults, lines[row], float(time[row]))
     time = np.clip(time, -MOST_TIME, MOST_TIME)
     for row in (np.flatnonzero(np.diff(time) < 0.0) + 1).tolist():
-        message = messages.UNSORTED_TIME(time=time[row], earlier=time[row - 1])
+        message = f"time {time[row]:g} s comes after {time[row - 1]:g} s; sort the rows"
         faults.note_cell(lines[row], 1, "times that go back", message)
     return time
-
-
-def is_cut_in_line(path: Path, record: Mapping[str, Any]) -> bool:
-    """Return whether rows that a record describes end within a line: cosim ends each line, other tools may not."""
-    return bool(record) and not _has_last_end(path)
-
-
-def _has_last_end(path: Path) -> bool:
-    """Return whether the last line of a text has an end; True for other formats and empty files."""
-    if path.suffix != ".csv" or not path.is_file() or not path.stat().st_size:
-        return True
-    with path.open("rb") as stream:
-        stream.seek(-1, os.SEEK_END)
-        return stream.read(1) in b"\r\n"
-
-
-def cut_rows(path: Path, rows: int, record: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return a warning if the rows that were read are not those that the record says, or end within a line.
-
-    Args:
-        rows: Number of rows that were read, without a last line that `is_cut_in_line`.
-    """
-    announced = record.get("rows")
-    if not _has_last_end(path):
-        if not record:
-            return (messages.CUT_LINE(file=path),)
-        of = f" of the {announced}" if isinstance(announced, int) else ""
-        return (messages.CUT_IN_LINE(file=path, rows=rows, of=of),)
-    if isinstance(announced, int) and announced != rows:
-        return (messages.OTHER_ROWS(file=path, rows=rows, announced=announced),)
-    return ()
 
 
 def rows_name(stem: str, format_: str) -> str:

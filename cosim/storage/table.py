@@ -11,7 +11,6 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
-from cosim.storage import messages
 from cosim.storage.csv_source import write_table
 from cosim.storage.table_columns import Choose, Column, Faults, Heading, Table, TableRequest, time_scale
 from cosim.storage.table_source import source_of
@@ -36,7 +35,7 @@ def read_columns(path: Path, names: Collection[str] = (), text: Collection[str] 
         if heading.name == "time":
             return Column(heading, time_scale(faults, heading.line, heading.unit), "the time")
         if not heading.name:
-            faults.note(heading.line, heading.cell, messages.NAMELESS_COLUMN())
+            faults.note(heading.line, heading.cell, "the column has no name; name it in the header")
             return None
         if heading.name in text:
             return None
@@ -45,7 +44,7 @@ def read_columns(path: Path, names: Collection[str] = (), text: Collection[str] 
 
     table = read_table(faults, choose, "signals", "leave out columns or rows", names=names, jumps=True)
     if table.whole and not table.rows and not faults.counts:
-        faults.note(table.header + 1, 1, messages.NO_ROW())
+        faults.note(table.header + 1, 1, "holds no row; at least one follows the header")
     faults.raise_any()
     for name in table.spoiled:
         del table.columns[name], table.values[name]
@@ -112,11 +111,11 @@ def is_there(faults: Faults) -> bool:
     try:
         if path.is_file():
             return True
-        faults.note(0, 0, messages.NO_FILE() if path.exists() else messages.NO_SUCH_FILE())
+        faults.note(0, 0, "is no file" if path.exists() else "no such file")
     except OSError as error:
-        faults.note(0, 0, messages.UNREADABLE_FILE(reason=error.strerror))
+        faults.note(0, 0, f"cannot be read: {error.strerror}")
     except ValueError:  # an impossible file name
-        faults.note(0, 0, messages.NO_SUCH_FILE())
+        faults.note(0, 0, "no such file")
     return False
 
 

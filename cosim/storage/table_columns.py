@@ -18,7 +18,6 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import Fault, refuse
 from cosim.base.units import alternatives, factor
-from cosim.storage import messages
 from cosim.storage.yaml_file import did_you_mean
 
 MOST_FAULTS = 100_000  # limit at which reading stops
@@ -171,7 +170,7 @@ class Faults:
         """Raise InputError if any fault was noted."""
         for (cell, kind), count in self.counts.items():
             if count > FAULTS_A_KIND:
-                self.note(0, 0, messages.FAULTS_OF_A_KIND(count=count, kind=kind, column=cell, shown=FAULTS_A_KIND))
+                self.note(0, 0, f"{count} {kind} in all, column {cell}; the first {FAULTS_A_KIND} are shown")
         refuse(self.items)
 
 
@@ -196,11 +195,11 @@ def _choose_column(table: Table, heading: Heading, faults: Faults, request: Tabl
     if request.timed and cell == 1 and name != "time":
         column = Column(replace(heading, name="time"), spare=True)  # Reading continues with the remaining columns.
     elif name in table.columns:
-        faults.note(line, cell, messages.REPEATED_COLUMN(name=name, first=table.columns[name].cell))
+        faults.note(line, cell, f'column "{name}" stands twice, first as column {table.columns[name].cell}; keep one')
         return
     elif (column := request.choose(heading)) is not None and column.name in table.columns:
         first = table.columns[column.name].cell
-        faults.note(line, cell, messages.COLUMN_OF_TWO_NAMES(name=name, column=column.name, first=first))
+        faults.note(line, cell, f'column "{name}" is {column.name}, as column {first} is; keep one')
         return
     if column is not None:
         table.columns[column.name], table.values[column.name] = column, array("d")
@@ -211,28 +210,39 @@ def _choose_column(table: Table, heading: Heading, faults: Faults, request: Tabl
 
 def note_infinite(faults: Faults, line: int, column: Column, text: str) -> None:
     """Note a non-finite cell."""
-    message = messages.INFINITE_CELL(cell=text, column=column.name, cure=column.cure)
+    message = f'"{text}" in column {column.name} is not finite; {column.cure}'
     faults.note_cell(line, column.cell, f"cells of {column.name} that are not finite", message)
 
 
 def note_missing(faults: Faults, line: int, column: Column) -> None:
     """Note a missing value in a column without gaps."""
-    message = messages.EMPTY_CELL(column=column.name, role=column.role)
+    message = (
+        f"{column.name} has no value here; {column.role} is known at every row, so fill the cell or leave the row out"
+    )
     faults.note_cell(line, column.cell, f"cells of {column.name} without a value", message)
 
 
 def note_distant(faults: Faults, line: int, time: float) -> None:
     """Note a time [s] beyond `MOST_TIME`."""
-    faults.note_cell(line, 1, "times that are too large", messages.DISTANT_TIME(time=time))
+    faults.note_cell(
+        line,
+        1,
+        "times that are too large",
+        f"time is {time:g} s, too large to count differences of times; write seconds, or leave the row out",
+    )
 
 
 def note_backwards(faults: Faults, line: int, time: float, before: float) -> None:
     """Note a time [s] that does not increase."""
     spacing = math.ulp(time)
     if time == before and spacing > COARSE:
-        message = messages.EQUAL_TIMES(time=time, spacing=spacing)
+        message = (
+            f"time {time:g} s does not increase: numbers of this size are {spacing:.2g} s apart in double "
+            "precision, so the times of rows cannot be told apart; subtract the first time from all times "
+            "before they are written"
+        )
     else:
-        message = messages.TIME_NOT_INCREASING(time=time, earlier=before)
+        message = f"time {time:g} s does not increase, {before:g} s stands before it; sort the rows, keep one of each"
     faults.note_cell(line, 1, "times that do not increase", message)
 
 
@@ -243,7 +253,7 @@ def note_wrong_first(faults: Faults, line: int, name: str, time: int = 0) -> Non
         time: Number of the column of the time, 0 if there is none.
     """
     hint = f"; time is column {time}: move it to the front" if time else _hint_of_first(name)
-    faults.note(line, 1, messages.NO_TIME_COLUMN(name=name, hint=hint))
+    faults.note(line, 1, f'the first column is "{name}"; it must be "time" [s]{hint}')
 
 
 def _hint_of_first(name: str) -> str:
@@ -268,7 +278,7 @@ def time_scale(faults: Faults, line: int, unit: str) -> float:
     """Return the factor from the unit of time to seconds, and note an unknown unit."""
     scale = factor(unit, "s")
     if scale is None:
-        faults.note(line, 1, messages.NO_UNIT_OF_TIME(unit=unit, units=", ".join(alternatives("s"))))
+        faults.note(line, 1, f'"{unit}" is no unit of time; known here: {", ".join(alternatives("s"))}')
     return 1.0 if scale is None else scale
 
 

@@ -18,7 +18,6 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.base.registry import SOURCES, load, names, resolve
-from cosim.storage import messages
 from cosim.storage.files import open_bytes
 from cosim.storage.table_columns import (
     MOST_TIME,
@@ -39,7 +38,6 @@ OWN = {
     "parquet": "cosim.storage.parquet_source:PARQUET",
     "mat": "cosim.storage.mat_source:MAT",
     "hdf5": "cosim.storage.hdf5_source:HDF5",
-    "mcap": "cosim.storage.mcap_source:MCAP",
 }
 HEAD = 64  # bytes examined to detect a format
 
@@ -130,7 +128,7 @@ class Source:
             faults.items += error.faults
             return table
         if not frame.columns:
-            faults.note(0, 0, messages.NO_COLUMNS(columns=request.description))
+            faults.note(0, 0, f"has no columns; they are {request.description}")
             return table
         headings = [Heading(0, cell, c.name, c.unit) for cell, c in enumerate(frame.columns, 1)]
         choose_columns(table, headings, faults, request)
@@ -155,7 +153,7 @@ def fill(
             _note_values(column, values, lines, faults)
         else:
             reason = source.fault or "holds text; write numbers"
-            message = messages.COLUMN_WITHOUT_NUMBERS(column=column.name, reason=reason)
+            message = f"column {column.name} {reason}"
             faults.note_cell(1, column.cell, f"cells of {column.name} that are no number", message)
         numbers: Array = column.convert(values)
         if request.timed and column.name == "time" and not column.spare:
@@ -226,7 +224,7 @@ def source_of(path: Path) -> Source:
     if by_head := [s for s in (*by_suffix, *sources()) if s.magic and head.startswith(s.magic)]:
         return by_head[0]
     if not by_suffix and b"\0" in head:
-        raise InputError.at(path, messages.UNKNOWN_FORMAT(formats=_formats()))
+        raise InputError.at(path, f"has none of the formats that are read: {_formats()}")
     return (by_suffix or sources())[0]
 
 
@@ -237,9 +235,9 @@ def source_named(name: str) -> Source:
         if word == source.name.lower() or f".{word}" in source.suffixes:
             if source.writes:
                 return source
-            message = messages.READ_ONLY_FORMAT(name=source.name, formats=_formats(written=True))
+            message = f"{source.name} is read, not written; written are {_formats(written=True)}"
             raise InputError.at(Path("--format"), message)
-    raise InputError.at(Path("--format"), messages.NO_SUCH_FORMAT(name=name, formats=_formats(written=True)))
+    raise InputError.at(Path("--format"), f'no format "{name}"; known here: {_formats(written=True)}')
 
 
 def _formats(*, written: bool = False) -> str:

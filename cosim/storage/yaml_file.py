@@ -25,11 +25,9 @@ from pydantic_core.core_schema import (
 )
 
 from cosim.base.errors import Fault, InputError
-from cosim.base.messages import Message, code_of, with_prefix
 from cosim.base.suggestions import closest as closest
 from cosim.base.suggestions import did_you_mean as did_you_mean
 from cosim.base.units import allowed_quantity, has_unit, read_quantity
-from cosim.storage import messages
 from cosim.storage.yaml_nodes import Location, NotYaml, document_of
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
@@ -114,7 +112,7 @@ class YamlFile:
         self.root: Any = self._document.data
         self._within: Location = ()
         if not isinstance(self.root, dict):
-            raise InputError([Fault(path, 1, 1, messages.NO_MAPPING())])
+            raise InputError([Fault(path, 1, 1, "is not a mapping of keys to values")])
 
     def enter(self, key: str) -> None:
         """Use the part under a key as the document."""
@@ -131,7 +129,7 @@ class YamlFile:
     def fault(self, location: Location, message: str, *, key: bool = False, exit_code: int = 2) -> Fault:
         """Return a fault at the place where a value was set: an option, the source of a generated file, or the file."""
         if (option := self._override_of(location)) is not None:
-            text = with_prefix(f"{option}: ", message) if option else message
+            text = f"{option}: {message}" if option else message
             return Fault(self.path, 0, 0, text, exit_code)
         if self.origin is not None:
             return self.origin((*self._within, *location), message, exit_code)
@@ -215,7 +213,7 @@ class YamlFile:
         errors = _errors_of_branches(error.errors(include_url=False), data)
         faults = [self._pydantic_fault(model, e, data, at) for e in errors[:MOST_FAULTS]]
         if len(errors) > MOST_FAULTS:
-            message = messages.MANY_FAULTS(count=len(errors), limit=MOST_FAULTS)
+            message = f"{len(errors)} faults in all; the first {MOST_FAULTS} are shown"
             faults.append(Fault(self.path, 0, 0, message))
         return faults
 
@@ -229,39 +227,37 @@ class YamlFile:
             if cure := REMOVED_KEYS.get(str(location[-1])):
                 return self.fault(location, f'"{short(location[-1])}" is no longer supported. {cure}', key=True)
             hint = takers or did_you_mean(str(location[-1]), keys)
-            message = messages.UNKNOWN_KEY(key=short(location[-1]), hint=hint, keys=", ".join(keys))
+            message = f'unknown key "{short(location[-1])}"{hint} (known here: {", ".join(keys)})'
             return self.fault(location, message, key=True)
         if kind == "missing":
-            return self.fault(location[:-1], messages.MISSING_KEY(name=name))
+            return self.fault(location[:-1], f'"{name}" is missing; add it')
         reasons = dict.fromkeys(_reason(e) for e in (error, *error.get("else", ())))
         reason = next(iter(reasons)) if len(reasons) == 1 else ", or ".join(reasons)
         message = wrong_value(name or "it", error.get("input"), reason)
         return self.fault(location, message, key="[key]" in error["loc"][len(within) :])
 
 
-def wrong_value(name: str, value: Any, reason: str) -> Message:
-    """Return the message on a value; a reason with a code of its own keeps its code."""
-    if isinstance(reason, Message) and reason.code:
-        return reason.after(f"{name} is {format_value(value)}: ")
-    return messages.WRONG_VALUE(
-        name=name, value=format_value(value), reason=reason.replace(", or it should be ", " or ")
-    )
+def wrong_value(name: str, value: Any, reason: str) -> str:
+    """Return the message on a value."""
+    return f"{name} is {format_value(value)}: {reason.replace(', or it should be ', ' or ')}"
 
 
 def _text(path: Path) -> str:
     """Return a file's text; raise InputError if unreadable."""
     try:
         if not path.is_file():
-            raise InputError.at(path, messages.NO_FILE() if path.exists() else messages.NO_SUCH_FILE())
+            raise InputError.at(path, "is no file" if path.exists() else "no such file")
         if (size := path.stat().st_size) > MOST_BYTES:
-            raise InputError.at(path, messages.LARGE_FILE(size=size / 1e6, limit=MOST_BYTES / 1e6))
+            raise InputError.at(
+                path, f"has {size / 1e6:.0f} MB, more than the {MOST_BYTES / 1e6:.0f} MB that are read; make it shorter"
+            )
         return path.read_text(encoding="utf-8")
     except UnicodeDecodeError:
-        raise InputError.at(path, messages.NO_UTF8_FILE()) from None
+        raise InputError.at(path, "is not UTF-8 text; save it as UTF-8") from None
     except OSError as error:
-        raise InputError.at(path, messages.UNREADABLE_FILE(reason=error.strerror)) from None
+        raise InputError.at(path, f"cannot be read: {error.strerror}") from None
     except ValueError:  # an impossible file name
-        raise InputError.at(Path(format_value(str(path))), messages.NO_SUCH_FILE()) from None
+        raise InputError.at(Path(format_value(str(path))), "no such file") from None
 
 
 def format_value(value: Any) -> str:
@@ -293,7 +289,7 @@ def short(text: object) -> str:
 def _reason(error: Any) -> str:
     """Return pydantic's message without Python terms."""
     kind, context = error["type"], error.get("ctx") or {}
-    if code_of(context.get("error")):
+    if kind == "value_error":
         return str(context["error"])
     if kind.startswith("bool"):
         return "it is on or off"
@@ -309,7 +305,13 @@ def _reason(error: Any) -> str:
     return reason[:1].lower() + reason[1:]
 
 
-REMOVED_KEYS: dict[str, str] = {}  # key of earlier versions → what to use instead
+REMOVED_KEYS: dict[str, str] = {  # key of earlier versions → what to use instead
+    "at": "Run FMUs on this machine; `cosim sweep --dask` spreads runs over many machines.",
+    "live": "Exchange values with a function of Python: cosim.run(..., inputs={...}); examples/live shows one.",
+    "carry_logs": "Remove it, and pass the validation logs on beside the FMU.",
+    "delivery": "A refined FMU holds the original and the terms: leave the key out.",
+    "design": "Design the controller beforehand: cosim build --model MODEL --design FILE.",
+}
 _WORDS = {
     **dict.fromkeys(("dict_type", "model_type", "model_attributes_type"), "it should be a mapping of keys to values"),
     **dict.fromkeys(("list_type", "tuple_type"), "it should be a list"),
@@ -342,8 +344,6 @@ def _errors_of_branches(errors: Sequence[Any], data: Any) -> list[Any]:
 
 
 _PATTERNS = {  # part of a pattern in use → form of its texts
-    ":[1-9]": "host:port, such as 192.168.0.7:5600",
-    "[^#+": "a topic without # and +",
     "\\.": "component.variable, the component's name of letters, digits and _ that begins with no digit",
     "": "a name of letters, digits and _ that begins with no digit",
 }

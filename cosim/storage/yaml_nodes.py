@@ -10,7 +10,6 @@ import json
 from functools import cached_property, lru_cache
 from typing import Any
 
-from cosim.storage import messages
 from cosim.storage.yaml_parsers import DEEPEST, NotYaml, nodes, number, whole_number
 
 __all__ = ["Document", "Location", "NotYaml", "Place", "document_of"]
@@ -53,7 +52,14 @@ class Document:
                 return data
         if _is_large(self._text):
             size, limit, json_limit = len(self._text) / 1e6, MOST_YAML / 1e6, MOST_JSON / 1e6
-            raise NotYaml(1, 1, messages.LARGE_YAML(size=size, limit=limit, keys=MOST_MARKS, json_limit=json_limit))
+            raise NotYaml(
+                1,
+                1,
+                (
+                    f"has {size:.1f} MB of YAML, of which at most {limit:g} MB and about {MOST_MARKS} keys and "
+                    f"values are read; write it as JSON, which may have {json_limit:g} MB, or make it shorter"
+                ),
+            )
         return None if self._root is None else self._value(self._root, 0)
 
     @cached_property
@@ -71,17 +77,17 @@ class Document:
         own: dict[str, tuple[Any, Any]] = {}
         merged: dict[str, tuple[Any, Any]] = {}
         if depth > DEEPEST:
-            raise _fault(node, messages.CIRCULAR_MERGE())
+            raise _fault(node, "merges itself; take the merge out")
         for key, value in node.value:
             if key.id != "scalar":
-                raise _fault(key, messages.KEY_WITHOUT_TEXT())
+                raise _fault(key, "a key is text, no list and no mapping")
             if key.value == MERGE and not key.style:
                 for other in value.value if value.id == "sequence" else [value]:
                     if other.id != "mapping":
-                        raise _fault(value, messages.MERGE_WITHOUT_MAPPING())
+                        raise _fault(value, "only a mapping, or a list of mappings, can be merged")
                     merged = {**self._pairs_of(other, depth + 1), **merged}
             elif (name := _text_of(key)) in own:
-                raise _fault(key, messages.DUPLICATE_KEY(key=name[:60]))
+                raise _fault(key, f'duplicate key "{name[:60]}"; keep one')
             else:
                 own[name] = key, value
         return {**merged, **own} if merged else own
@@ -117,9 +123,11 @@ class Document:
         """Return the plain data of a YAML node; raise a fault if the file is too large or nested too deeply."""
         self._parts += 1
         if self._parts > MOST_PARTS:
-            raise _fault(node, messages.MANY_PARTS(limit=MOST_PARTS))
+            raise _fault(
+                node, f"has more than {MOST_PARTS} values when its aliases are expanded; use fewer values or aliases"
+            )
         if depth > DEEPEST:
-            raise _fault(node, messages.DEEP_FILE(limit=DEEPEST))
+            raise _fault(node, f"is nested too deep; at most {DEEPEST} levels are read")
         kind = str(node.tag).removeprefix("tag:yaml.org,2002:")
         if node.id == "mapping" and kind in {"map", "None"}:
             return {key: self._value(value, depth + 1) for key, (_, value) in self.pairs(node).items()}
@@ -127,7 +135,9 @@ class Document:
             return [self._value(value, depth + 1) for value in node.value]
         if node.id == "scalar" and kind in SCALARS:
             return _scalar(node, kind)
-        raise _fault(node, messages.UNKNOWN_TAG(tag=str(node.tag).replace("tag:yaml.org,2002:", "!!")[:60]))
+        raise _fault(
+            node, f'the tag "{str(node.tag).replace("tag:yaml.org,2002:", "!!")[:60]}" means nothing here; leave it out'
+        )
 
 
 def _scalar(node: Any, kind: str) -> Any:
@@ -142,7 +152,7 @@ def _scalar(node: Any, kind: str) -> Any:
             try:
                 return whole_number(node) if kind == "int" else number(node)
             except (ValueError, IndexError):
-                raise _fault(node, messages.BAD_NUMBER(text=text[:30])) from None
+                raise _fault(node, f'"{text[:30]}" is no number') from None
     return text
 
 
@@ -160,7 +170,9 @@ def _text_of(node: Any) -> str:
     try:
         return text.encode("utf-16", "surrogatepass").decode("utf-16")
     except UnicodeDecodeError:
-        raise _fault(node, messages.HALF_CHARACTER()) from None
+        raise _fault(
+            node, "contains half a character (one half of a surrogate pair); write the whole character"
+        ) from None
 
 
 def _fault(node: Any, message: str) -> NotYaml:

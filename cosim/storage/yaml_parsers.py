@@ -13,8 +13,6 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.nodes import ScalarNode
 
-from cosim.storage import messages
-
 DEEPEST = 60  # levels of nesting
 LONG = 20_000  # text length from which loading another parser pays off
 # Directives, tabs, byte order marks and Unicode line ends, on which the parsers disagree.
@@ -67,15 +65,15 @@ def _by_ruamel(text: str) -> Any:
         line, column = (mark.line + 1, mark.column + 1) if mark else (1, 1)
         context = error.context if str(error.problem).startswith("but ") or not error.problem else ""
         problem = " ".join(f"{context or ''} {error.problem or ''}".split()) or "cannot be understood"
-        raise NotYaml(line, column, messages.NOT_YAML(problem=problem[:200])) from None
+        raise NotYaml(line, column, f"is not YAML: {problem[:200]}") from None
     except RecursionError:
-        raise NotYaml(1, 1, messages.DEEP_FILE(limit=DEEPEST)) from None
+        raise NotYaml(1, 1, f"is nested too deep; at most {DEEPEST} levels are read") from None
     except YAMLError as error:
         problem = (str(error).splitlines() or ["unreadable"])[0]
-        raise NotYaml(1, 1, messages.NOT_YAML(problem=problem[:200])) from None
+        raise NotYaml(1, 1, f"is not YAML: {problem[:200]}") from None
     except (ValueError, IndexError, TypeError, AttributeError, AssertionError, OverflowError):
         # errors of ruamel.yaml's scanner
-        raise NotYaml(1, 1, messages.NOT_YAML(problem="it cannot be understood")) from None
+        raise NotYaml(1, 1, "is not YAML: it cannot be understood") from None
 
 
 @lru_cache(maxsize=1)

@@ -15,19 +15,17 @@ from cosim.base.messages import Message, with_prefix
 from cosim.base.units import split_quantity
 from cosim.blocks.description import unit_of
 from cosim.blocks.fmu import FmuBlock
-from cosim.scenario.controller_design import designed_values
 from cosim.scenario.scenario import Scenario, resolve_defaults
 from cosim.scenario.scenario_file import ScenarioFile, keys_of
 from cosim.scenario.start_values import Misfit, convert_quantity, convert_value, settable
 from cosim.scenario.start_values import kind_of as kind_of_variable
 from cosim.storage.yaml_file import YamlFile, did_you_mean, short
-from cosim.sweeps import messages
 from cosim.sweeps.sampling import MOST_RUNS, Factor, are_numbers, distribution, drawn_rows, saltelli_base
 from cosim.sweeps.sweep_file import SweepFile, Varied
 from cosim.system.system import System, build_system
 
 FIXED = ("duration", "start_time", "criteria", "name", "description", "limits")  # keys common to all runs
-FILES = ("fmu", "file", "model")  # last keys of paths to file names
+FILES = ("fmu", "file")  # last keys of paths to file names
 NOT_REAL = ("Boolean", "String", "Enumeration", "Integer")  # types of FMI without distributions
 MAX_TESTED_VALUES = 50  # values of a path tested before any run
 Location = tuple[str | int, ...]
@@ -63,15 +61,25 @@ class Factors:
             largest = max(listed, key=lambda n: listed[n], default="")
             in_list = bool(listed) and (not sampled or listed[largest] > runs)
             where: Location = ("vary", largest) if in_list else ("runs",)
-            message = messages.TOO_MANY_RUNS(runs=count, limit=MOST_RUNS)
+            message = (
+                f"{count:.3g} runs are more than the {MOST_RUNS:,} that a sweep may have; give fewer values or runs"
+            )
             raise InputError([self.yaml.fault(where, message, key=in_list)])
         if self.file.sampling != "saltelli":
             return
         if listed or not sampled:
-            self._note(("sampling",), messages.SALTELLI_WITH_LISTED_VALUES())
+            self._note(
+                ("sampling",),
+                (
+                    "saltelli takes only distributions, no listed values; vary by distributions, or choose another "
+                    "sampling"
+                ),
+            )
         elif not saltelli_base(runs, sampled):
             least = sampled + 2
-            self._note(("runs",), messages.TOO_FEW_RUNS_FOR_SALTELLI(runs=runs, factors=sampled, least=least))
+            self._note(
+                ("runs",), f"{runs} runs are too few: with {sampled} distributions saltelli needs {least} runs at least"
+            )
 
     def _note(self, where: Location, message: str, *, key: bool = False) -> None:
         self.faults.append(self.yaml.fault(where, message, key=key))
@@ -82,7 +90,9 @@ class Factors:
         if name == "seed":
             return self._seed(varied)
         if varied.way in {"count", "each"}:
-            self._note(("vary", name, varied.way), messages.WAY_FOR_SEEDS(way=varied.way))
+            self._note(
+                ("vary", name, varied.way), f"{varied.way} is for `seed` only; give values, a grid or a distribution"
+            )
             return None
         is_variable = name.partition(".")[0] in self.scenario.scenario.components
         factor = self._of_variable(name, varied) if is_variable else self._of_path(name, varied)
@@ -95,7 +105,9 @@ class Factors:
         if varied.count is not None:
             return Factor("seed", values=list(range(first, first + varied.count)))
         if values is None or any(isinstance(v, bool) or not isinstance(v, int) or v < 0 for v in values):
-            self._note(("vary", "seed"), messages.SEEDS_NOT_WHOLE())
+            self._note(
+                ("vary", "seed"), "seeds are whole numbers that are not negative: values: [1, 2], count: 20 or each: 1"
+            )
             return None
         return Factor("seed", values=values)
 
@@ -103,23 +115,24 @@ class Factors:
         """Return the FMU variable of a factor, or a message on why the factor cannot be varied."""
         component, _, variable_name = name.partition(".")
         if not isinstance(block, FmuBlock):
-            return messages.NO_START_VALUES(component=component)
+            return (
+                f"{component} is no FMU and has no start values; vary a path such as components.{component}.… by values"
+            )
         variables = {v.name: v for v in block.description.modelVariables}
         variable = variables.get(variable_name)
         if variable is None:
             hint = did_you_mean(variable_name, [v.name for v in variables.values() if settable(v)])
-            return messages.UNKNOWN_VARIABLE(component=component, name=short(variable_name), hint=hint)
+            return f'{component} has no variable "{short(variable_name)}"{hint}'
         if not settable(variable):
-            return messages.NO_START_VALUE(name=name, kind=kind_of_variable(variable))
+            return f"{name} is {kind_of_variable(variable)}; it takes no start value"
         if variable.shape:
-            return messages.ARRAY_VARIABLE()
+            return "is an array; vary a path of the scenario by values"
         if variable_name in block.connected:
-            return messages.CONNECTED_INPUT()
+            return "is an input that is connected; vary what feeds it"
         return variable
 
     def _of_variable(self, name: str, varied: Varied) -> Factor | None:
-        component, _, variable_name = name.partition(".")
-        block: Any = self.components.get(component)
+        block: Any = self.components.get(name.partition(".")[0])
         variable = self._settable_variable(name, block)
         if isinstance(variable, Message):
             self._note(("vary", name), variable, key=True)
@@ -133,30 +146,22 @@ class Factors:
             else:
                 number = entry
             if isinstance(number, Misfit):
-                message = messages.VALUE_NOT_ALLOWED(name=name, value=repr(entry), reason=number.reason)
+                message = f"{name} is {entry!r}; {number.reason}"
                 self._note(("vary", name, *where), message)
                 return None
             return number
 
-        factor = self._make_factor(name, varied, value, unit_of(variable) or "", is_real=variable.type not in NOT_REAL)
-        design = self.scenario.scenario.design
-        if factor is not None and design is not None and design.component == component:
-            # The value may contradict the design.
-            paths = [f"components.{component}.start.{variable_name}"]
-            if isinstance(getattr(design, variable_name, None), str):  # a name, by which the design is judged
-                paths.append(f"design.{variable_name}")
-            self._test_values(factor, varied, *paths)
-        return factor
+        return self._make_factor(name, varied, value, unit_of(variable) or "", is_real=variable.type not in NOT_REAL)
 
     def _of_path(self, name: str, varied: Varied) -> Factor | None:
         first = name.partition(".")[0]
         keys = [field.alias or name for name, field in Scenario.model_fields.items()]
         if first not in keys:
             hint = did_you_mean(first, [*keys, *self.scenario.scenario.components])
-            self._note(("vary", name), messages.UNKNOWN_FACTOR(name=short(first), hint=hint), key=True)
+            self._note(("vary", name), f'no component and no key of the scenario is "{short(first)}"{hint}', key=True)
             return None
         if first in FIXED:
-            self._note(("vary", name), messages.SAME_FOR_ALL_RUNS(key=first), key=True)
+            self._note(("vary", name), f"{first} is one for all runs; give it by `set`", key=True)
             return None
 
         def value(where: Location, entry: Any) -> Any:
@@ -195,7 +200,7 @@ class Factors:
         except (KeyError, IndexError, TypeError):
             number = None
         if not are_numbers([number]):
-            raise ValueError(messages.NOT_A_NUMBER(name=name, value=repr(text)))
+            raise ValueError(f"{name} is {text!r}; it is a number")
         return float(number)
 
     def _test_values(self, factor: Factor, varied: Varied, *paths: str) -> None:
@@ -217,7 +222,7 @@ class Factors:
         """Return the faults and warnings of a variant of the scenario."""
         try:
             file = self._variant(*overrides)
-            system = build_system(file, designed_values(file))
+            system = build_system(file)
         except InputError as error:
             return error.faults, []
         return (), [*file.warnings, *system.warnings]
@@ -238,7 +243,7 @@ class Factors:
             numbers = [value((way, k), v) for k, v in enumerate(entries)]
         within = [value(("within", k), v) for k, v in enumerate(varied.within or ())]
         if not is_real or any(isinstance(v, (bool, str)) for v in (*numbers, *within)):
-            self._note(("vary", name, way), messages.NOT_REAL(name=name))
+            self._note(("vary", name, way), f"{name} is no real number; give its values as a list, values: […]")
         if not are_numbers([*numbers, *within]):
             return None
         try:
@@ -252,7 +257,7 @@ class Factors:
         for k, signal in enumerate(self.file.signals):
             if signal not in self.system.columns:
                 hint = did_you_mean(signal, self.system.columns)
-                yield self.yaml.fault(("signals", k), messages.UNKNOWN_SIGNAL(name=short(signal), hint=hint))
+                yield self.yaml.fault(("signals", k), f'no signal "{short(signal)}"{hint}')
 
     def drawn_faults(self, factors: Sequence[Factor], columns: Mapping[str, list[Any]]) -> Iterator[Fault]:
         """Yield faults of each factor's extreme drawn values."""
@@ -261,7 +266,7 @@ class Factors:
             cure = "cut it by within: [low, high]" if way == "normal" else "move its ends"
             for value in (min(columns[name]), max(columns[name])):
                 for reason, exit_code in self._faults_of_value(name, value):
-                    message = messages.DRAWN_VALUE_NOT_ALLOWED(name=name, value=value, reason=reason, cure=cure)
+                    message = f"{name} would be {value:g}: {reason}; {cure}"
                     yield self.yaml.fault(("vary", name, way), message, exit_code=exit_code)
 
     def _faults_of_value(self, name: str, value: float) -> list[tuple[str, int]]:

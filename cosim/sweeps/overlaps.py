@@ -15,16 +15,11 @@ from cosim.sweeps.sweep_file import SweepFile
 Place = tuple[str, ...]
 
 
-def overlap_faults(
-    yaml: YamlFile, file: SweepFile, components: Collection[str], designed: str | None
-) -> Iterator[Fault]:
+def overlap_faults(yaml: YamlFile, file: SweepFile, components: Collection[str]) -> Iterator[Fault]:
     """Yield a fault for each entry of `vary` and `set` that another entry overrides.
 
     In a run, start values override paths, and `vary` overrides `set`. A path includes everything below it. Setting a
     whole and varying a part of it is allowed.
-
-    Args:
-        designed: Component of `design:`, if any.
     """
     varied = {name: place_of(name, components) for name in file.vary}
     fixed = {name: place_of(name, ()) for name in file.set}
@@ -40,19 +35,6 @@ def overlap_faults(
         if whole != "seed" or file.vary[whole].count is None:  # Counted seeds start from the seed in `set`.
             place = ".".join(fixed[inner])
             yield _fault(yaml, ("set", inner), ("vary", whole), messages.SET_AND_VARIED, place=place)
-    yield from _design_faults(yaml, file, varied, fixed, ("components", designed or "", "start"))
-
-
-def _design_faults(
-    yaml: YamlFile, file: SweepFile, varied: Mapping[str, Place], fixed: Mapping[str, Place], start: Place
-) -> Iterator[Fault]:
-    """Yield faults of names set as design option and start value. An example is the name of an estimator."""
-    for key, entries in (("vary", varied), ("set", fixed)):
-        options = {place[1]: name for name, place in entries.items() if place[0] == "design" and len(place) == 2}
-        for name, place in varied.items():
-            option = options.get(place[-1]) if place[:-1] == start else None
-            if option is not None and any(isinstance(v, str) and v[:1].isalpha() for v in file.vary[name].values or ()):
-                yield _fault(yaml, ("vary", name), (key, option), messages.START_VALUE_OF_DESIGN)
 
 
 def place_of(name: str, components: Collection[str]) -> Place:

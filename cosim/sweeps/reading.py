@@ -15,7 +15,6 @@ from cosim.base.version import __version__
 from cosim.blocks.fmu import FmuBlock
 from cosim.isolation.process import Worker
 from cosim.master.remote import MODULES
-from cosim.scenario.controller_design import designed_values
 from cosim.scenario.scenario import Scenario, resolve_defaults
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.manifest import resolve_scenario
@@ -23,7 +22,6 @@ from cosim.simulation.undeclared import with_feedthrough
 from cosim.storage.artefact import Checking
 from cosim.storage.kinds import SWEEP, check_given
 from cosim.storage.yaml_file import YamlFile, short
-from cosim.sweeps import messages
 from cosim.sweeps.factors import Factors, resolve_file_name
 from cosim.sweeps.overlaps import overlap_faults
 from cosim.sweeps.run_chunks import Job, RunRequest, WatchSettings
@@ -97,12 +95,11 @@ def read_sweep(path: Path, *, loads: bool = False) -> Sweep:
         raise InputError(faults)
     scenario_path = path.parent / file.scenario
     if not scenario_path.is_file():
-        raise InputError([*faults, yaml.fault(("scenario",), messages.NO_SCENARIO(name=short(file.scenario)))])
+        raise InputError([*faults, yaml.fault(("scenario",), f"no such scenario: {short(file.scenario)}")])
     overrides = tuple(f"{name}={json.dumps(resolve_file_name(path, name, value))}" for name, value in file.set.items())
     try:
         scenario_file = ScenarioFile(scenario_path, overrides, option="")
-        designed = designed_values(scenario_file)
-        system = build_system(scenario_file, designed)
+        system = build_system(scenario_file)
     except InputError as error:
         for f in error.faults:  # Faults with places in the scenario file keep them.
             is_placed = f.line and f.file != path
@@ -110,13 +107,13 @@ def read_sweep(path: Path, *, loads: bool = False) -> Sweep:
         raise InputError(faults) from None
     if loads and system.assumed:
         with Worker(*MODULES) as worker:
-            system = with_feedthrough(scenario_file, designed, system, worker)
+            system = with_feedthrough(scenario_file, system, worker)
         overrides += _measured(scenario_file.scenario)
-    scenario, design = scenario_file.scenario, scenario_file.scenario.design
+    scenario = scenario_file.scenario
     reading = Factors(yaml, file, scenario_file, system, overrides)
     factors = [factor for name, varied in file.vary.items() if (factor := reading.factor(name, varied)) is not None]
     faults += [*reading.faults, *reading.signal_faults()]
-    faults += overlap_faults(yaml, file, scenario.components, None if design is None else design.component)
+    faults += overlap_faults(yaml, file, scenario.components)
     refuse(faults)
     columns = columns_of(factors, file.runs, file.sampling, file.seed)
     refuse(reading.drawn_faults(factors, columns))
@@ -124,7 +121,7 @@ def read_sweep(path: Path, *, loads: bool = False) -> Sweep:
     compiled = len(next(iter(columns.values()))) * scenario.steps >= MIN_STEPS_TO_COMPILE
     watched = WatchSettings.of(system, scenario.step)
     job = Job(scenario_path.resolve(), overrides, signals, file.samples, compiled=compiled, watched=watched)
-    content = resolve_defaults(resolve_scenario(scenario_file, designed, system))
+    content = resolve_defaults(resolve_scenario(scenario_file, system))
     warnings = (*scenario_file.warnings, *system.warnings, *reading.warnings)
     return Sweep(yaml, file, scenario, system, tuple(factors), columns, job, content, warnings)
 

@@ -16,7 +16,6 @@ from cosim.report.html_tables import Badge
 from cosim.report.panels import Band, Panel, Trace
 from cosim.report.template import render
 from cosim.storage.kinds import shell_path
-from cosim.sweeps import messages
 from cosim.sweeps.run_statistics import MIN_RUNS, Sensitivity, quantiles, sensitivity
 from cosim.sweeps.sampling import are_numbers
 from cosim.sweeps.store import TABLE, read_table, signal_of
@@ -132,11 +131,14 @@ def _warnings(swept: Swept, indices: Sequence[Sensitivity]) -> list[str]:
     completed = swept.record["runs"] - swept.record["failed"]
     texts = list(swept.record["warnings"])
     if completed < MIN_RUNS:
-        texts.append(messages.TOO_FEW_RUNS(completed=completed, least=MIN_RUNS))
+        texts.append(f"Too few runs for sensitivities: {completed} completed, {MIN_RUNS} are needed.")
     widest = max((half for s in indices for _, half in (*s.first, *s.total)), default=0.0)
     if widest > WIDE:
         widths = {s.outcome: max(half for _, half in (*s.first, *s.total)) for s in indices}
-        texts.append(messages.WIDE_INTERVALS(outcome=max(widths, key=lambda n: widths[n]), width=plain(widest, 2)))
+        texts.append(
+            f"Too few runs to rank the factors of {max(widths, key=lambda n: widths[n])}: intervals of its "
+            f"indices reach ±{plain(widest, 2)}. Take more runs."
+        )
     if swept.check.code.startswith("W-"):
         texts.append(swept.check)
     return texts

@@ -24,20 +24,16 @@ from cosim.isolation.rows import GET, Rows
 from cosim.isolation.watch import Watch, fmi_calls
 from cosim.master.master import StoppedRun, simulate
 from cosim.master.own_process import in_own_processes
-from cosim.scenario.controller_design import designed_values
 from cosim.scenario.scenario import Scenario
 from cosim.scenario.scenario_file import ScenarioFile
-from cosim.scenario.start_values import Misfit, convert_value
 from cosim.simulation.criteria import evaluate
 from cosim.storage.results import Results
-from cosim.sweeps import messages
 from cosim.sweeps.batch import Batch, Starts, kinds_of, max_runs_at_once
 from cosim.sweeps.twins import unpack_once
 from cosim.system.system import System, build_system
 
 Way = Literal["arrays", "fmus"]
 MAX_COMPARED_ROWS = 2000  # compared rows of a run
-DESIGN = "design."
 CACHED_SYSTEMS = 16  # assembled systems cached per worker
 
 
@@ -137,35 +133,6 @@ class _AssembledScenario:
         """Return the seed of a run."""
         return self.system.seed if request.seed is None else request.seed
 
-    def starts_of_design(self, overrides: tuple[str, ...], path: Path) -> Starts | None:
-        """Return start values of another design; None if faulty.
-
-        Start values given by the scenario are omitted.
-
-        Args:
-            overrides: Overrides of the scenario, including the design.
-        """
-        file = ScenarioFile(path, overrides, option="")
-        values = designed_values(file)
-        if file.faults:
-            return None
-        blocks = {s.component.name: s.component for s in self.system.stages}
-        starts: dict[str, dict[str, Any]] = {}
-        for name, entries in values.items():
-            block = blocks.get(name)
-            own = getattr(file.scenario.components[name], "start", None) or {}
-            if not isinstance(block, FmuBlock) or any("[" in variable for variable in own):
-                return None
-            variables, starts[name] = {v.name: v for v in block.description.modelVariables}, {}
-            for variable in (v for v in entries if v not in own):
-                if variable not in variables:
-                    return None
-                value = convert_value(block.description, variables[variable], entries[variable])
-                if isinstance(value, Misfit):
-                    return None
-                starts[name][variable] = value
-        return starts
-
     def starts(self, request: RunRequest) -> Starts:
         """Return all start values of a run by component."""
         blocks = [s.component for s in self.system.stages if isinstance(s.component, FmuBlock)]
@@ -176,7 +143,7 @@ class _AssembledScenario:
 def assemble(path: Path, overrides: tuple[str, ...]) -> _AssembledScenario:
     """Return an assembled scenario; raise InputError for faults."""
     file = ScenarioFile(path, overrides, option="")
-    return _AssembledScenario(file.scenario, build_system(file, designed_values(file)))
+    return _AssembledScenario(file.scenario, build_system(file))
 
 
 def sampled_rows(steps: int, samples: int) -> list[int]:
@@ -189,8 +156,7 @@ def make_runs(job: Job, requests: Sequence[RunRequest], way: Way) -> list[RunRes
     """Make runs; a failed run reports its reason and affects no other."""
     results: list[RunResult] = []
     groups: dict[tuple[str, ...], list[RunRequest]] = {}
-    # FMUs run with the scenario of each request.
-    for request in _without_designs(job, requests) if way == "arrays" else requests:
+    for request in requests:
         groups.setdefault(request.overrides, []).append(request)
     for overrides, members in groups.items():
         try:
@@ -203,30 +169,6 @@ def make_runs(job: Job, requests: Sequence[RunRequest], way: Way) -> list[RunRes
         else:
             results += [_run_fmus(job, assembled, request) for request in members]
     return sorted(results, key=lambda m: m.run)
-
-
-def _without_designs(job: Job, requests: Sequence[RunRequest]) -> list[RunRequest]:
-    """Return requests with designs converted to start values.
-
-    Runs that differ only in start values are made at once.
-    """
-    converted, cache = [], dict[tuple[str, ...], Starts | None]()
-    for request in requests:
-        overrides = request.overrides
-        rest = tuple(o for o in overrides if not o.startswith(DESIGN))
-        if rest != overrides and not any(o.startswith(f"{DESIGN}component=") for o in overrides):
-            if overrides not in cache:
-                try:
-                    base = assemble(job.scenario, (*job.overrides, *rest))
-                    cache[overrides] = base.starts_of_design((*job.overrides, *overrides), job.scenario)
-                except CosimError:  # Each run reports the error itself.
-                    cache[overrides] = None
-            if (designed := cache[overrides]) is not None:
-                names = (*designed, *request.starts)
-                starts = {name: {**designed.get(name, {}), **request.starts.get(name, {})} for name in names}
-                request = replace(request, overrides=rest, starts=starts)
-        converted.append(request)
-    return converted
 
 
 def _run_arrays(job: Job, assembled: _AssembledScenario, requests: Sequence[RunRequest]) -> list[RunResult]:
@@ -282,7 +224,7 @@ def _run_fmus(job: Job, assembled: _AssembledScenario, request: RunRequest) -> R
     else:
         if len(results.time) > scenario.steps:
             return _make_result(job, assembled, request, results, "fmus")
-        reason = messages.ENDED_EARLY(time=results.time[-1])
+        reason = f"it ended at t = {results.time[-1]:g} s"
     return failed_run(request.run, reason, len(scenario.goals), "fmus")
 
 

@@ -16,7 +16,8 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.extras import optional
-from cosim.sweeps import messages
+
+EMPTY_RANGE = "between {low:g} and {high:g} there is nothing; write the lower end first, the higher one second"
 
 MOST_RUNS = 1_000_000
 Sampling = Literal["latin-hypercube", "sobol", "random", "saltelli"]
@@ -48,27 +49,30 @@ def distribution(way: str, numbers: Sequence[float], within: Sequence[float] | N
     if way == "normal":
         mean, deviation = numbers
         if not deviation > 0:
-            raise ValueError(messages.STANDARD_DEVIATION_NOT_POSITIVE(value=deviation))
+            raise ValueError(f"a standard deviation of {deviation:g} is not allowed; give one above 0")
         if not within:
             return lambda u: norm.ppf(u, mean, deviation)
         low, high = within
         if not low < high:
-            raise ValueError(messages.EMPTY_RANGE(low=low, high=high))
+            raise ValueError(EMPTY_RANGE.format(low=low, high=high))
         a, b = (low - mean) / deviation, (high - mean) / deviation
         if norm.cdf(b) - norm.cdf(a) < 1e-9:
-            raise ValueError(messages.RANGE_OUTSIDE_DISTRIBUTION(low=low, high=high))
+            raise ValueError(f"within {low:g} … {high:g} there is nothing of the distribution; move its ends")
         return lambda u: truncnorm.ppf(u, a, b, mean, deviation)
     low, high = numbers[0], numbers[-1]
     if not low < high:
-        raise ValueError(messages.EMPTY_RANGE(low=low, high=high))
+        raise ValueError(EMPTY_RANGE.format(low=low, high=high))
     if way == "uniform":
         return lambda u: low + (high - low) * u
     if way == "triangular":
         if not low <= numbers[1] <= high:
-            raise ValueError(messages.MODE_OUTSIDE_RANGE(value=numbers[1], low=low, high=high))
+            raise ValueError(
+                f"the most likely value, {numbers[1]:g}, is not between {low:g} and {high:g}; write low, most "
+                "likely, high"
+            )
         return lambda u: triang.ppf(u, (numbers[1] - low) / (high - low), low, high - low)
     if low <= 0:
-        raise ValueError(messages.NO_LOGARITHM(value=low))
+        raise ValueError(f"{low:g} has no logarithm; give ends above 0")
     return lambda u: np.exp(math.log(low) + (math.log(high) - math.log(low)) * u)
 
 

@@ -21,7 +21,6 @@ from cosim.base.errors import InputError
 from cosim.base.extras import optional
 from cosim.base.messages import Message, code_of
 from cosim.storage.files import open_bytes
-from cosim.sweeps import messages
 from cosim.sweeps.run_chunks import RunResult
 
 if TYPE_CHECKING:
@@ -40,7 +39,7 @@ class Database:
     def __init__(self, folder: Path, key: str) -> None:
         self.path = folder / DATABASE
         if os.path.lexists(self.path) and not stat.S_ISREG(self.path.lstat().st_mode):
-            raise InputError.at(self.path, messages.DATABASE_NOT_A_FILE())
+            raise InputError.at(self.path, "is no file of a sweep; move it away, or give another --out")
         try:
             self._base = sqlite3.connect(self.path)
             self._base.execute("PRAGMA synchronous = NORMAL")
@@ -50,10 +49,12 @@ class Database:
                 self._base.execute("CREATE TABLE IF NOT EXISTS sweep (key TEXT, content TEXT)")
             stored = self.get("key")
         except sqlite3.Error as error:
-            raise InputError.at(self.path, messages.DAMAGED_DATABASE(reason=str(error))) from None
+            raise InputError.at(self.path, f"is no database of a sweep: {error!s}; --force begins anew") from None
         if stored not in {None, key}:
             self._base.close()
-            raise InputError.at(self.path, messages.RUNS_OF_ANOTHER_SWEEP())
+            raise InputError.at(
+                self.path, "holds the runs of another sweep; give another folder as --out, or begin anew by --force"
+            )
         self.put("key", key)
 
     def __enter__(self) -> Self:

@@ -60,7 +60,7 @@ class Swept:
         elif "apart" in check:  # a sweep of an earlier version; None is an infinite difference
             agrees = check["apart"] is not None and check["apart"] <= EQUAL
         else:
-            return messages.NOT_COMPARED()
+            return "this sweep does not record whether its runs were repeated through the FMUs; --force begins anew"
         return Message(check["sentence"], (messages.ARRAYS_AGREE if agrees else messages.ARRAYS_DISAGREE).code)
 
 

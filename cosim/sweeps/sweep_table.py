@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 from cosim.base.text import counted
 from cosim.storage.folders import content_of
-from cosim.sweeps import messages
 
 if TYPE_CHECKING:
     import pandas
@@ -32,7 +31,7 @@ class Runs:
         try:
             import pandas  # noqa: F401
         except ImportError:
-            raise ImportError(messages.NO_PANDAS()) from None
+            raise ImportError("to_pandas needs pandas: pip install pandas") from None
         from cosim.sweeps.store import read_table
 
         frame: pandas.DataFrame = read_table(self.folder / "sweep.parquet")[0].to_pandas()

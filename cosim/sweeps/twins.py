@@ -22,7 +22,6 @@ from cosim.base.registry import models, resolve, twin_of
 from cosim.base.scratch import process_folder
 from cosim.blocks.component import Component
 from cosim.blocks.fmu import FmuBlock
-from cosim.blocks.remote_fmu import RemoteFmu
 from cosim.blocks.sources import SourceBlock
 from cosim.model.quantities import parameters_of
 from cosim.storage.archive import unpack
@@ -61,7 +60,7 @@ def kind_of(component: Component) -> TwinMaker | None:
     """Return a component's maker of twins, if any."""
     if isinstance(component, SourceBlock):
         return _SourceTwin(component)
-    if not isinstance(component, FmuBlock) or isinstance(component, RemoteFmu):
+    if not isinstance(component, FmuBlock):
         return None
     if component.exact_inputs or component.exact_outputs:
         return None

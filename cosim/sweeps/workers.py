@@ -20,7 +20,6 @@ from cosim.blocks.shared_code import SharedCode
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.storage.yaml_file import YamlFile
-from cosim.sweeps import messages
 from cosim.sweeps.run_chunks import Job, RunRequest, RunResult, Way, failed_run, make_runs
 
 MODULES = ("cosim.sweeps.run_chunks", "fmpy.fmi2", "fmpy.logging")
@@ -176,7 +175,10 @@ class DaskExecutor(Executor):
         except CosimError:
             raise
         except Exception as error:
-            raise SweepFailed(messages.DASK_WORKER_FAILED(reason=_one_line(error))) from None
+            raise SweepFailed(
+                f"a dask worker failed: {_one_line(error)}; see the log of the worker; `--resume` goes on "
+                "with the runs that are there"
+            ) from None
 
 
 @contextmanager
@@ -219,10 +221,19 @@ def dask_client(address: str | None, place: Callable[[str], Fault]) -> Iterator[
         client = client_class(address, timeout=ANSWER)
     except (OSError, ValueError, TypeError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError([place(messages.NO_DASK_SCHEDULER(address=address, time=ANSWER, reason=reason))]) from None
+        raise InputError(
+            [
+                place(
+                    f"no dask scheduler answers at {address} within {ANSWER} s ({reason}); start one by "
+                    "`dask scheduler`"
+                )
+            ]
+        ) from None
     with client:
         if not client.nthreads():
-            raise InputError([place(messages.NO_DASK_WORKERS(address=address))])
+            raise InputError(
+                [place(f"the dask scheduler at {address} has no workers; start some by `dask worker {address}`")]
+            )
         _check_versions(client, address, place)
         yield client
 
@@ -242,8 +253,10 @@ def _check_versions(client: Any, address: str, place: Callable[[str], Fault]) ->
         worker, version = next(iter(unfit.items()))
         reason = _one_line(version) if isinstance(version, BaseException) else f"version {version}"
         workers, count = counted(len(unfit), "worker"), len(versions)
-        message = messages.UNFIT_DASK_WORKERS(
-            address=address, workers=workers, count=count, version=__version__, worker=worker, reason=reason
+        message = (
+            f"the dask scheduler at {address} has {workers} of {count} without cosim {__version__} ({worker}: "
+            f"{reason}); install cosim {__version__} where they run, or start them in the environment of this "
+            "command"
         )
         raise InputError([place(message)])
 

@@ -16,15 +16,14 @@ import numpy as np
 from cosim.base.drafts import is_full
 from cosim.base.errors import DiskFull, InputError, SweepFailed, SweepStopped, Terminated
 from cosim.base.extras import optional
-from cosim.base.messages import Message, code_of
+from cosim.base.messages import Message, Note, code_of
 from cosim.base.settings import Count
 from cosim.base.text import counted, plain
 from cosim.base.version import __version__
 from cosim.isolation.limits import Limits
 from cosim.scenario.scenario import Criterion
-from cosim.storage.files import FilePath, atomic_write, check_writable, delay_stops, hold_stops, named_path, one_stop
-from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import SCHEMA_VERSION, check_overwritable, content_of, folder_named, keep_earlier
+from cosim.storage.files import FilePath, atomic_write, check_writable, delay_stops, hold_stops, one_stop
+from cosim.storage.folders import SCHEMA_VERSION, content_of, new_run, newest_run, remove_earlier, runs_named
 from cosim.sweeps import messages
 from cosim.sweeps.batch import obstacle_to_arrays
 from cosim.sweeps.reading import Sweep, read_sweep
@@ -62,7 +61,6 @@ class RunsObserver:
 
 
 @one_stop()
-@folder_locks()
 def sweep(
     path: FilePath,
     out: FilePath | None = None,
@@ -71,21 +69,21 @@ def sweep(
     dask: str | None = None,
     report: bool = True,
     force: bool = False,
+    resume: bool = False,
     in_process: bool = False,
     progress: Progress | None = None,
     observers: Sequence[RunsObserver] = (),
 ) -> Swept:
     """Run a scenario many times with varied values.
 
-    The same call resumes a sweep that was stopped.
-
     Args:
         path: Sweep file.
-        out: Folder for sweep.parquet, sweep.json and report.html; None means results/NAME.
+        out: Folder for sweep.parquet, sweep.json and report.html; None means a new number in results/NAME.
         workers: Number of worker processes; None means one per core.
         dask: Address of a Dask scheduler; replaces that of the file.
         report: Write report.html.
-        force: Start again. The files of the earlier sweep move to `runs` in the folder.
+        force: Start again, even if `out` has files; those of an earlier sweep are replaced.
+        resume: Go on with the sweep that was stopped in `out`, by default the newest in results/NAME.
         in_process: Load FMUs into this process, for a debugger.
         progress: Function of (completed runs, all runs).
         observers: Objects that receive the finished runs.
@@ -96,38 +94,37 @@ def sweep(
     Raises:
         InputError: Every fault, before the first run.
         FmuError: An FMU cannot be read or loaded.
-        SweepStopped: The sweep was stopped from the keyboard; the same call resumes it.
+        SweepStopped: The sweep was stopped from the keyboard; `resume` goes on with it.
         SweepFailed: No run was completed.
     """
     study = read_sweep(Path(path), loads=True)
-    folder = folder_named(study.name) if out is None else named_path(out)
+    if resume:
+        out = newest_run(runs_named(study.name)) if out is None else newest_run(Path(out))
     inputs = [study.yaml.path, study.job.scenario, *(fmu for fmu, _ in study.system.fmus.values())]
-    check_overwritable(folder, "cosim sweep", force=force)
-    check_writable(folder, (TABLE, RECORD, REPORT, DATABASE), inputs)
     address = study.file.dask if dask is None else dask
     for library in ("pyarrow", "SALib"):  # missing libraries are reported before any run
         optional(library, "cosim sweep")
     with ExitStack() as stack:
+        folder = stack.enter_context(new_run(out, study.name, "cosim sweep", force=force, goes_on=resume))
+        check_writable(folder, (TABLE, RECORD, REPORT, DATABASE), inputs)
         client = stack.enter_context(dask_client(address, fault_maker(study.yaml, dask)))
-        if force:
-            keep_earlier(folder, "cosim sweep", read=inputs)
-            for name in (DATABASE, TABLE, RECORD, REPORT):
-                (folder / name).unlink(missing_ok=True)
+        if not resume:
+            remove_earlier(folder, "cosim sweep", read=inputs)
         record, count = _read_completed(folder, study.key), 0
         if record is None:
             base = stack.enter_context(Database(folder, study.key))
             state = _Sweep(study, folder, base, progress, observers)
             record, count = state.make_runs(workers, client, in_process=in_process)
-    swept = Swept(study, folder, record, count)
-    if report:
-        from cosim.sweeps.report import page
+        swept = Swept(study, folder, record, count)
+        if report:
+            from cosim.sweeps.report import page
 
-        with atomic_write(folder / REPORT) as stream:
-            stream.write(page(swept))
+            with atomic_write(folder / REPORT) as stream:
+                stream.write(page(swept))
     if record["failed"] == record["runs"]:
         first = record["failures"][0]
         reason = Message(first["why"], first.get("code", ""))
-        raise SweepFailed(messages.NO_RUN_COMPLETED.around(reason, runs=counted(study.count, "run")))
+        raise SweepFailed(f"all {counted(study.count, 'run')} failed; run 0: {reason}")
     return swept
 
 
@@ -140,7 +137,10 @@ def _read_completed(folder: Path, key: str) -> dict[str, Any] | None:
     if not (record := content_of(folder / RECORD)):
         return None
     if about.get("key") != key:
-        raise InputError.at(folder / TABLE, messages.TABLE_OF_ANOTHER_SWEEP())
+        raise InputError.at(
+            folder / TABLE,
+            "holds another sweep, or one of other FMUs; give another folder as --out, or begin anew by --force",
+        )
     return record
 
 
@@ -176,7 +176,9 @@ class _Sweep:
                 hold_stops()  # The table must still be written.
         except (KeyboardInterrupt, Terminated) as stop:
             stored, runs = len(self.base.numbers()), counted(self.study.count, "run")
-            error = SweepStopped(messages.STOPPED(stored=stored, runs=runs, path=self.base.path))
+            error = SweepStopped(
+                f"stopped: {stored} of {runs} are kept in {self.base.path}; `--resume` goes on with them"
+            )
             if isinstance(stop, Terminated):
                 error.exit_code = Terminated.exit_code
             raise error from None
@@ -184,7 +186,10 @@ class _Sweep:
             if not is_full(error):
                 raise
             stored, runs = len(self.base.numbers()), counted(self.study.count, "run")
-            full = SweepStopped(messages.DISK_FULL(stored=stored, runs=runs, path=self.base.path))
+            full = SweepStopped(
+                f"the disk is full: {stored} of {runs} are kept in {self.base.path}; make room, and the same "
+                "command goes on with them"
+            )
             full.exit_code = DiskFull.exit_code
             raise full from None
         record = self._record(way, why)
@@ -308,7 +313,7 @@ class _Sweep:
     def _compare_ways(self, count: int, way: Way, why: str) -> dict[str, Any]:
         """Return the comparison of array runs with FMU runs."""
         if way == "fmus":
-            sentence = messages.ALL_THROUGH_FMUS(reason=f": {why}" if why else "")
+            sentence = Note(f"every run was made through the FMUs{f': {why}' if why else ''}")
             return {"runs": count, "apart": 0.0, "agrees": True, "sentence": sentence}
         checks, steps = {m.run: m for m in self.base.runs(CHECKS)}, self.study.scenario.steps
         columns = [self.study.system.columns.index(name) for name in self.study.job.signals]

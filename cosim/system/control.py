@@ -14,7 +14,6 @@ from cosim.fmi.sampled import sampled_by
 from cosim.scenario.diagnosis import Diagnosis
 from cosim.scenario.scenario import Bond, FixComponent, Scenario, StepControl
 from cosim.storage.yaml_file import did_you_mean
-from cosim.system import messages
 from cosim.system.wiring import Components, RowLayout, Transfer
 
 
@@ -67,7 +66,10 @@ def control_of(
     _check_step_lengths(controlled, diagnosis)
     obstacle = next(_obstacles(controlled), "")
     if settings.estimator == "halving" and obstacle:
-        diagnosis.note(("step", "estimator"), messages.NO_HALVING(reason=obstacle))
+        diagnosis.note(
+            ("step", "estimator"),
+            f"estimator: halving is not possible: {obstacle}; leave estimator out, or set residual",
+        )
     nominal = tuple(_nominal(components, column) for column in layout.columns)
     bonds = _bonds(settings, layout, transfers, nominal, diagnosis)
     estimator = settings.estimator or ("energy" if bonds else "residual" if obstacle else "halving")
@@ -87,7 +89,13 @@ def _check_event_mode(scenario: Scenario, components: Components, diagnosis: Dia
         return
     for name, component in components.items():
         if isinstance(component, EventFmu):
-            diagnosis.note(("components", name), messages.COURSES_AND_EVENT_MODE(component=name))
+            diagnosis.note(
+                ("components", name),
+                (
+                    f"{name} runs in event mode, with which inputs are held during a step; leave extrapolate and "
+                    "interpolate out, or set event_mode: false"
+                ),
+            )
 
 
 def _steps_at_rows(scenario: Scenario, name: str) -> bool:
@@ -102,7 +110,13 @@ def _check_step_lengths(components: Mapping[str, Component], diagnosis: Diagnosi
         if not isinstance(component, FmuBlock) or component.changes_by_events or isinstance(component, EventFmu):
             continue
         if not takes_any_step(component.description) or sampled_by(component.path) is not None:
-            diagnosis.note(("components", name), messages.NO_OTHER_STEPS(component=name))
+            diagnosis.note(
+                ("components", name),
+                (
+                    f"{name} takes steps of one length only, so that they cannot be controlled; give it a step of "
+                    f"its own (components.{name}.step)"
+                ),
+            )
 
 
 def _obstacles(components: Mapping[str, Component]) -> Iterator[str]:
@@ -159,14 +173,16 @@ def _ends(
     where = ("step", "bonds", k, side)
     if output not in by_source:
         hint = did_you_mean(output, by_source)
-        diagnosis.note(where, messages.NO_OUTPUT_OF_BOND(signal=output, hint=hint))
+        diagnosis.note(where, f'no connected output "{output}"{hint}')
         return None
     owner = other.partition(".")[0]
     for transfer in by_source[output]:
         if transfer.name.partition(".")[0] == owner:
             if (transfer.factor, transfer.offset) != (1.0, 0.0):
-                diagnosis.note(where, messages.BOND_CONVERTS(signal=output, target=transfer.name))
+                diagnosis.note(
+                    where, f"{output} is converted on its way to {transfer.name}; a bond needs one unit on both sides"
+                )
                 return None
             return transfer.source, transfer.target
-    diagnosis.note(where, messages.BOND_ONE_SIDED(signal=output, owner=owner))
+    diagnosis.note(where, f"{output} is connected to no input of {owner}, the other side of the bond")
     return None

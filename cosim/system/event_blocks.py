@@ -23,7 +23,6 @@ from cosim.scenario.scenario import ClockTiming, FmuComponent
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.scenario.start_values import Misfit
 from cosim.storage.yaml_file import did_you_mean
-from cosim.system import messages
 from cosim.system.schedule import Loop, Schedule, Stage
 
 
@@ -65,11 +64,13 @@ def _is_without_events(
 ) -> bool:
     """Return whether an FMU runs without event mode."""
     if component.event_mode:
-        diagnosis.note(("components", name, "event_mode"), messages.NO_EVENT_MODE(component=name, reason=reason))
+        diagnosis.note(("components", name, "event_mode"), f"{name} has no event mode: {reason}")
     elif component.clocks and clocks:
-        diagnosis.note(("components", name, "clocks"), messages.CLOCK_WITHOUT_EVENT_MODE(component=name))
+        diagnosis.note(
+            ("components", name, "clocks"), f"{name} ticks no clocks without event mode; leave out event_mode: false"
+        )
     elif component.clocks:
-        diagnosis.note(("components", name, "clocks"), messages.NO_CLOCKS(component=name))
+        diagnosis.note(("components", name, "clocks"), f"{name} has no clocks; leave out clocks:")
     return not component.event_mode
 
 
@@ -93,9 +94,9 @@ def _timings(
         clock, full_name = clocks.get(clock_name), f"{name}.{clock_name}"
         if clock is None or clock.causality != "input":
             hint = did_you_mean(clock_name, [c.name for c in clocks.values() if c.causality == "input"])
-            message = messages.NO_CLOCK(component=name, name=clock_name, hint=hint)
+            message = f'{name} has no input clock "{clock_name}"{hint}'
         elif full_name in connected:
-            message = messages.CLOCK_TWICE(name=full_name)
+            message = f"{full_name} has times in the scenario and a connection; keep one"
         elif (objection := _objection(clock, full_name, timing, file.scenario.start_time)) is not None:
             message = objection
         else:
@@ -108,13 +109,13 @@ def _timings(
 def _objection(clock: Clock, name: str, timing: ClockTiming, start: float) -> Any:
     """Return the fault of a clock's times, or None."""
     if clock.kind == "constant" or (clock.is_time_based and clock.interval is None):
-        return messages.CLOCK_TIME_OF_FMU(name=name, kind=clock.kind)
+        return f"{name} is a {clock.kind} clock, whose FMU gives its times; leave out its times in the scenario"
     if clock.kind in PERIODIC and (timing.at or timing.shift is not None):
-        return messages.CLOCK_WITHOUT_SHIFT(name=name, kind=clock.kind)
+        return f"{name} is a {clock.kind} clock: give its interval only; only triggered clocks have shift: and at:"
     if bool(timing.at) == (timing.interval is not None):
-        return messages.CLOCK_NEEDS_ONE(name=name)
+        return f"{name} needs either interval: or at:"
     if timing.at != sorted(set(timing.at)) or (timing.at and timing.at[0] < start):
-        return messages.CLOCK_TIMES_UNORDERED(name=name)
+        return f"the times of {name} are not in order, from the start of the run on"
     return None
 
 
@@ -170,11 +171,13 @@ def clock_interval(block: FmuBlock | None, target: str, value: Any) -> Any:
     if clock is None:
         return None
     if clock.kind != "tunable" or clock.interval is None:
-        return Misfit(messages.CLOCK_NOT_TUNABLE(name=target))
+        return Misfit(
+            f"{target} is a clock whose interval cannot be set; a tunable clock with intervalDecimal takes one"
+        )
     with suppress(ValueError):
         value = read_quantity(value, "s") if isinstance(value, str) else value
     if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:
-        return Misfit(messages.NO_INTERVAL(name=target, value=value))
+        return Misfit(f"{target} is {value!r}; give the interval of the clock, a time above 0 s")
     return float(value)
 
 
@@ -201,7 +204,11 @@ def check_events(plan: Schedule, apart: Collection[str], diagnosis: Diagnosis, c
     loops = {name: loop.name for loop in plan.loops for name in loop.members}
     for stage in plan.stages:
         if reason := _reason_for_points(stage, loops, apart):
-            diagnosis.warnings.append(messages.EVENTS_AT_POINTS(component=stage.component.name, reason=reason))
+            diagnosis.warnings.append(
+                f"{stage.component.name} {reason}: an event within a step reaches it at the end of the step"
+            )
     clocks = (f"{fmu.name}.{signal.name}" for fmu in events for signal in fmu.inputs if signal.kind == "Clock")
     if idle := [name for name in clocks if name not in connected]:
-        diagnosis.warnings.append(messages.CLOCK_NEVER_TICKS(names=", ".join(idle)))
+        diagnosis.warnings.append(
+            f"{', '.join(idle)}: never ticks; connect it to an output clock, or give its times under clocks:"
+        )

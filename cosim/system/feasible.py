@@ -9,7 +9,6 @@ from typing import Any
 from cosim.blocks.fmu import FmuBlock
 from cosim.fmi.sampled import sampled_by
 from cosim.scenario.diagnosis import Diagnosis
-from cosim.system import messages
 
 ROUNDING = 1e-6  # fraction of a step, the tolerance of the FMUs
 MOST_RESULTS = 8e9  # size of results [bytes]
@@ -29,7 +28,13 @@ def _check_size(signals: int, diagnosis: Diagnosis) -> None:
     size = rows * signals * BYTES
     if size > MOST_RESULTS:
         sizes = {"gigabytes": size / 1e9, "limit": MOST_RESULTS / 1e9}
-        diagnosis.note(("duration",), messages.RESULTS_TOO_LARGE(rows=rows, signals=signals, **sizes))
+        diagnosis.note(
+            ("duration",),
+            (
+                "leaves {rows:.3g} rows of {signals} signals, {gigabytes:.3g} GB, more than {limit:g} GB; run "
+                "shorter or in longer steps"
+            ).format(rows=rows, signals=signals, **sizes),
+        )
 
 
 def _check_sampling(components: Iterable[Any], diagnosis: Diagnosis) -> None:
@@ -52,4 +57,10 @@ def _check_sampling(components: Iterable[Any], diagnosis: Diagnosis) -> None:
         if abs(step - sample) > ROUNDING * sample:
             where = ("step",) if own_step is None else ("components", block.name, "step")
             names = {"component": block.name, "parameter": parameter}
-            diagnosis.note(where, messages.STEP_NOT_OF_SAMPLING(step=step, sample=sample, **names))
+            diagnosis.note(
+                where,
+                (
+                    "step is {step:g} s; {component} is sampled at {sample:g} s ({parameter}): set "
+                    "components.{component}.start.{parameter}, or step: {sample:g}"
+                ).format(step=step, sample=sample, **names),
+            )

@@ -7,9 +7,11 @@ import os
 import signal
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from typing import Annotated, Any, NoReturn
+from functools import wraps
+from inspect import Parameter, Signature, signature
+from typing import Annotated, Any, NoReturn, get_type_hints
 
 import typer
 
@@ -20,20 +22,19 @@ from cosim.base.program import as_program
 from cosim.base.registry import ExtensionWarning, attempt
 from cosim.base.version import __version__
 from cosim.storage.files import check_text
-from cosim.verbs import VERBS, messages, verbs
-from cosim.verbs.help import WHOLE_WIDTH, GroupedHelp, VerbHelp
-from cosim.verbs.manner import with_manner
+from cosim.verbs import VERBS, verbs
 from cosim.verbs.outcome import say_partial
 from cosim.verbs.streams import open_streams
-from cosim.verbs.terminal import LAST, say, say_error, say_failure, say_usage, warn
+from cosim.verbs.terminal import LAST, MANNER, say, say_error, say_failure, say_usage, warn
 
 VERSION = "--version"  # needs no verb
+MANNERS = ("quiet", "verbose")
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print only warnings, errors and JSON.")]
+Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Print more, such as the order of steps and timings.")]
 _app = typer.Typer(
-    cls=GroupedHelp,
-    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": WHOLE_WIDTH},
+    context_settings={"help_option_names": ["-h", "--help"]},
     help="Simulate coupled FMUs, compare them with measured logs, and find missing effects of a model.",
     no_args_is_help=True,
-    rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
 
@@ -71,7 +72,25 @@ def _register(*, only: str = "") -> None:
         return
     for name, verb in verbs(only if only in VERBS and VERBS[only].command else ""):
         if verb.command and (command := attempt(name, verb.command)) is not None:
-            _app.command(name, cls=VerbHelp, rich_help_panel=verb.group)(with_manner(command))
+            _app.command(name, rich_help_panel=verb.group or "Other packages")(_with_manner(command))
+
+
+def _with_manner(command: Callable[..., Any]) -> Callable[..., None]:
+    """Return a command that also has the options -q and -v; it returns nothing, which is exit code 0."""
+
+    @wraps(command)
+    def run(*arguments: Any, quiet: bool = False, verbose: bool = False, **options: Any) -> None:
+        MANNER.quiet, MANNER.verbose = quiet, verbose
+        MANNER.as_json, MANNER.has_json = bool(options.get("as_json")), False
+        MANNER.messages.clear()
+        command(*arguments, **options)
+
+    hints = {**get_type_hints(command, include_extras=True), "quiet": Quiet, "verbose": Verbose}
+    own = [p.replace(annotation=hints.get(p.name, p.annotation)) for p in signature(command).parameters.values()]
+    added = [Parameter(name, Parameter.KEYWORD_ONLY, default=False, annotation=hints[name]) for name in MANNERS]
+    run.__signature__ = Signature([*own, *added])  # type: ignore[attr-defined]
+    run.__annotations__ = hints
+    return run
 
 
 def __getattr__(name: str) -> Any:
@@ -113,11 +132,13 @@ def _run() -> None:
     except Terminated as end:
         _fail(str(end), end.exit_code)
     except MemoryError:
-        _fail(messages.NO_MEMORY(), SimulationError.exit_code)
+        _fail(
+            "there is not enough memory; run shorter, in longer steps or with less recorded", SimulationError.exit_code
+        )
     except OSError as error:  # a folder that cannot be written, a disk that is full
         _fail_on_file(error)
     except typer.Abort:
-        _fail(messages.NO_ANSWER(), CosimError.exit_code)
+        _fail("the input ended at a prompt; run it on a terminal", CosimError.exit_code)
     except Exception as error:
         if not hasattr(error, "format_message"):  # Typer has classes of its own or those of click, by its version.
             raise
@@ -128,8 +149,8 @@ def _fail_on_file(error: OSError) -> NoReturn:
     """Print which file cannot be read or written and why, and exit."""
     file = f"{error.filename}: " if error.filename else ""
     if is_full(error):
-        _fail(messages.DISK_FULL(file=file), SimulationError.exit_code)
-    _fail(messages.FILE_ERROR(file=file, reason=error.strerror or error), 2)
+        _fail(f"{file}the disk is full", SimulationError.exit_code)
+    _fail(f"{file}{error.strerror or error}", 2)
 
 
 def _fail(message: str, exit_code: int) -> NoReturn:

@@ -11,10 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cosim.base.errors import CriterionMissed, InputError
-from cosim.base.messages import join
 from cosim.base.settings import Count, NotNegative, Runs
 from cosim.storage.files import FilePath
-from cosim.verbs import messages
 from cosim.verbs.options import Force, Json, Open, Report, ResultsFolder, out_option
 from cosim.verbs.terminal import colour, say, say_json, show, some, table, warn
 
@@ -68,7 +66,7 @@ def compare(
         return compare_all(sources, out, baseline=place, **options)[0]
     sources, place = _sources([a, *([] if b is None else [b])], baseline)
     if len(sources) > 2:
-        raise InputError.at(Path(str(a)), messages.SEVERAL_RUNS(count=len(sources)))
+        raise InputError.at(Path(str(a)), f"{len(sources)} runs match; give a list to compare them all")
     first, second = _both(sources, place)
     return compare_two(first, second, out, **options)[0]
 
@@ -90,12 +88,12 @@ def _sources(sides: Sequence[Any], baseline: Any = None, results: Path | None = 
         InputError: Fewer than two runs, or a baseline that is not one run.
     """
     if not sides:
-        raise InputError.at(Path("runs"), messages.NO_RUN())
+        raise InputError.at(Path("runs"), "no run is given; name at least two runs to compare")
     sources, place = _runs_of(sides, results), 0
     if baseline is not None:
         base = _runs_of([baseline], results)
         if len(base) != 1:
-            raise InputError.at(Path(str(baseline)), messages.SEVERAL_BASELINES(count=len(base)))
+            raise InputError.at(Path(str(baseline)), f"{len(base)} runs match; name one as the baseline")
         paths = [source.path.resolve() for source in sources]
         if base[0].path.resolve() not in paths:
             sources.insert(0, base[0])
@@ -103,7 +101,9 @@ def _sources(sides: Sequence[Any], baseline: Any = None, results: Path | None = 
             place = paths.index(base[0].path.resolve())
             sources[place] = base[0]
     if len(sources) < 2:
-        raise InputError.at(sources[0].path if sources else Path(str(sides[0])), messages.ONE_RUN())
+        raise InputError.at(
+            sources[0].path if sources else Path(str(sides[0])), "is one run; name at least two runs to compare"
+        )
     return sources, place
 
 
@@ -223,7 +223,7 @@ def command(
             say(f"report:      {folder / 'report.html'}")
     show(folder / "report.html", open_=report and open_)
     if comparison.judged and not comparison.same:
-        raise CriterionMissed(join("; ", comparison.reasons))
+        raise CriterionMissed("; ".join(comparison.reasons))
 
 
 def _lines_of_several(c: ComparedRuns) -> list[str]:

@@ -11,7 +11,7 @@ import typer
 
 from cosim.base.settings import Files, Given, normalize_settings, texts
 from cosim.storage.files import FilePath
-from cosim.storage.folders import folder_of_file
+from cosim.storage.folders import name_of_file, new_run
 from cosim.verbs.options import Compile, Force, InProcess, Json, LimitsText, Open, Report, Texts, out_option
 from cosim.verbs.scratch_results import results_in
 from cosim.verbs.terminal import files_in, say, say_json, show, stages, table, warn
@@ -80,13 +80,12 @@ def fit(
         columns=pairs,
         limits=limits,
     )
-    with compiling(compile), results_in(out) as folder:
+    with compiling(compile), results_in(out, "cosim fit", force=force) as folder:
         record, _ = fit_logs(
             request,
             folder,
             in_process=in_process,
             report=report and out is not None,
-            force=force,
             progress=progress or _silent,
         )
     return Fitted(record.model_dump(mode="json"), None if out is None else Path(out))
@@ -156,14 +155,13 @@ def command(
         columns=column or (),
         limits=limits,
     )
-    place = folder_of_file(request.fmu if request.yaml is None else logs[0], "fit") if out is None else out
-    with compiling(compile_), stages() as progress:
+    name = name_of_file(request.fmu if request.yaml is None else logs[0], "fit")
+    with compiling(compile_), new_run(out, name, "cosim fit", force=force) as place, stages() as progress:
         record, told = fit_logs(
             request,
             place,
             in_process=in_process,
             report=report,
-            force=force,
             progress=progress or _silent,
         )
     warn(*told)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cosim.storage.folders import folder_named, name_of
+from cosim.storage.folders import name_of, new_run
 from cosim.verbs.options import Compile, Force, Json, Open, Report, Texts, out_option
 from cosim.verbs.terminal import say, say_json, show, table, warn
 
@@ -70,23 +70,23 @@ def command(
     """
     from cosim.linearization.workflow import linearize as linearize_model
 
-    place = folder_named(name_of(model), "linear") if out is None else out
-    outcome = linearize_model(
-        model,
-        place,
-        at=at or (),
-        set=set_ or (),
-        states=_names(states),
-        inputs=_names(inputs),
-        outputs=_names(outputs),
-        residualize=_names(residualize),
-        component=component,
-        step=step,
-        side=side,
-        report=report,
-        force=force,
-        compile=compile_,
-    )
+    with new_run(out, f"{name_of(model)}-linear", "cosim linearize", force=force) as place:
+        outcome = linearize_model(
+            model,
+            place,
+            at=at or (),
+            set=set_ or (),
+            states=_names(states),
+            inputs=_names(inputs),
+            outputs=_names(outputs),
+            residualize=_names(residualize),
+            component=component,
+            step=step,
+            side=side,
+            report=report,
+            force=force,
+            compile=compile_,
+        )
     warn(*outcome.notes)
     if as_json:
         from cosim.linearization.write import content

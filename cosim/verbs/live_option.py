@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from cosim.base.errors import Terminated
+from cosim.base.messages import Note
 from cosim.verbs.terminal import LAST, say_finding, say_note
 
 PAGES = {"run": "LiveRun", "sweep": "LiveSweep", "refine": "LiveRefine"}  # verb → class of its page
@@ -31,7 +32,7 @@ def live_page(verb: str, title: str, *, live: bool, port: int | None, **settings
     page = getattr(work_pages, PAGES[verb])(title, port or 0, **settings)
     LAST.append(lambda: _wait(page))
     is_open = open_page(page.url, title)
-    (say_note if is_open else say_finding)(f"live page: {page.url}")
+    (say_note if is_open else say_finding)(Note(f"live page: {page.url}"))
     with page:
         yield page
 

@@ -7,10 +7,20 @@ from typing import Annotated, Any
 
 import typer
 
+from cosim.storage.files import NOT_BLANK
+
 
 def out_option(default: str) -> Any:
     """Return the option --out for an output folder."""
-    return typer.Option("--out", "-o", help=f"Folder for the results (default: {default}).")
+    help_ = f"Folder for the results (default: {default})."
+    return typer.Option("--out", "-o", help=help_, parser=_out_path, metavar="PATH")
+
+
+def _out_path(value: Any) -> Path:
+    """Refuse a blank name, which as a path would be the current folder."""
+    if not str(value).strip():
+        raise typer.BadParameter(f"is blank; {NOT_BLANK}")
+    return Path(value)
 
 
 def seconds(text: str) -> float:
@@ -38,7 +48,7 @@ Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of text."
 Open = Annotated[bool, typer.Option("--open", help="Open the report in a browser.")]
 Report = Annotated[bool, typer.Option("--report/--no-report", help="Write report.html, or do not.")]
 Force = Annotated[
-    bool, typer.Option("--force", help="Write even if the folder holds results of another run or command.")
+    bool, typer.Option("--force", help="Write even if the folder is not empty; results in it are replaced.")
 ]
 InProcess = Annotated[
     bool,
@@ -57,7 +67,7 @@ LimitsText = Annotated[
 Format = Annotated[
     str,
     typer.Option(
-        "--format", help="File format of the rows: csv, parquet, mat, hdf5, mcap, or a format of an installed package."
+        "--format", help="File format of the rows: csv, parquet, mat, hdf5, or a format of an installed package."
     ),
 ]
 Nearest = Annotated[

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.base.errors import CriterionMissed
-from cosim.verbs import messages
 from cosim.verbs.terminal import MANNER, colour, say, say_json, say_more, show, table, warn
 
 if TYPE_CHECKING:
@@ -44,7 +43,7 @@ def say_outcome(
     if outcome.missed:
         details = ": " + "; ".join(map(sentence, outcome.missed)) if MANNER.quiet or as_json else ""
         counts = {"missed": len(outcome.missed), "count": len(criteria)}
-        raise CriterionMissed(messages.CRITERIA_MISSED(**counts, criteria=details))
+        raise CriterionMissed("{missed} of {count} criteria missed{criteria}".format(**counts, criteria=details))
 
 
 def say_partial(folder: Path) -> None:

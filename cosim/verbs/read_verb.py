@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from cosim.base.registry import resolve
 from cosim.storage.artefact import artefacts
 from cosim.storage.files import FilePath
+from cosim.storage.folders import newest_run
 
 if TYPE_CHECKING:
     from cosim.calibration.fitted import Fitted
@@ -32,7 +33,7 @@ def read(folder: FilePath) -> Run | Replay | Fitted | Refined | Runs | Signals:
     """
     from cosim.simulation.run_signals import read_run
 
-    path = Path(folder)
+    path = newest_run(Path(folder))
     for artefact in artefacts():
         if artefact.reader and artefact.is_left_in(path):
             result: Run | Replay | Fitted | Refined | Runs | None = resolve(artefact.reader)(path)

@@ -12,7 +12,7 @@ import typer
 
 from cosim.base.settings import Given, normalize_settings, texts
 from cosim.storage.files import FilePath
-from cosim.storage.folders import folder_of_file
+from cosim.storage.folders import name_of_file, new_run
 from cosim.verbs.options import Compile, Force, Format, InProcess, Json, LimitsText, Open, Report, Texts, out_option
 from cosim.verbs.scratch_results import results_in
 from cosim.verbs.terminal import files_in, progress_bar, say, say_finding, say_json, show, table
@@ -50,7 +50,7 @@ def replay(
         in_process: Load the FMU into this process, for a debugger; limits do not apply.
         compile: Compile and execute the sources of an FMU that has no library for this machine.
         limits: Limits of time and memory, for example "step: 10 s, total: 1 h, memory: 2 GB".
-        format: File format of the rows: "csv", "parquet", "mat", "hdf5", "mcap", or one of an installed package.
+        format: File format of the rows: "csv", "parquet", "mat", "hdf5", or one of an installed package.
         progress: Function of (completed steps, all steps).
 
     Returns:
@@ -65,10 +65,10 @@ def replay(
     from cosim.residuals.replay_signals import read_replay
     from cosim.residuals.workflow import replay as replay_log
 
-    with compiling(compile), results_in(out) as folder:
+    with compiling(compile), results_in(out, "cosim replay", force=force) as folder:
         drive = partial(replay_log, in_process=in_process, limits=limits, progress=progress)
         posed = partial(drive, start=texts(start, "start"), columns=_pairs(columns))
-        posed(log, folder, fmu, report=report and out is not None, force=force, format_=format)
+        posed(log, folder, fmu, report=report and out is not None, format_=format)
         result = read_replay(Path(folder), kept=out is not None)
     assert result is not None  # else an error was raised
     return result
@@ -121,11 +121,11 @@ def command(
     from cosim.residuals.workflow import replay as replay_log
     from cosim.storage.results import rows_in
 
-    place = folder_of_file(log) if out is None else out
-    with compiling(compile_), progress_bar("replaying") as progress:
+    folder = new_run(out, name_of_file(log), "cosim replay", force=force)
+    with compiling(compile_), folder as place, progress_bar("replaying") as progress:
         drive = partial(replay_log, in_process=in_process, limits=limits, progress=progress)
         posed = partial(drive, start=start or (), columns=column or ())
-        comparison = posed(log, place, plant, report=report, force=force, format_=format_)
+        comparison = posed(log, place, plant, report=report, format_=format_)
     for finding in comparison.findings:
         if finding.severity == "warning":
             say_finding(finding.line)

@@ -16,7 +16,6 @@ from cosim.base.errors import InputError
 from cosim.base.scratch import temporary_folder
 from cosim.base.settings import Given, Seed, texts
 from cosim.storage.files import FilePath
-from cosim.verbs import messages
 from cosim.verbs.live_option import Live, Port, live_page
 from cosim.verbs.options import (
     Compile,
@@ -78,7 +77,7 @@ def run(
         force: Overwrite results of another scenario or command in `out`.
         in_process: Load FMUs into this process, for a debugger; limits do not apply.
         compile: Compile and execute the sources of FMUs that have no library for this machine.
-        format: File format of the rows: "csv", "parquet", "mat", "hdf5", "mcap", or one of an installed package.
+        format: File format of the rows: "csv", "parquet", "mat", "hdf5", or one of an installed package.
         progress: Function of (completed steps, all steps).
         observers: Objects that receive the rows during the run (`cosim.master.observer.Observer`).
         inputs: Input → function of time and signals that returns its value while the run goes on, None to hold it.
@@ -119,19 +118,19 @@ def run(
                 until=until,
             )
         return run_of(outcome.results, outcome.manifest, outcome.folder)
-    with compiling(compile), results_in(out) as folder, _scenario_file(scenario) as path:
+    with compiling(compile), results_in(out, "cosim run", force=force) as folder, _scenario_file(scenario) as path:
         steps = partial(run_file, in_process=in_process, progress=progress, observers=observers, inputs=inputs)
         leaves = partial(steps, report=report and out is not None, figures=figures and out is not None)
-        outcome = leaves(path, folder, overrides, force=force, nearest=nearest, format_=format)
+        outcome = leaves(path, folder, overrides, nearest=nearest, format_=format)
     return run_of(outcome.results, outcome.manifest, None if out is None else outcome.folder)
 
 
 def _refuse_options(path: Path, options: Mapping[str, bool]) -> None:
     """Raise InputError for options of new runs."""
     if given := [name for name, is_given in options.items() if is_given]:
-        from cosim.simulation.messages import RESUME_WITH_OPTION
-
-        raise InputError.at(path, RESUME_WITH_OPTION(option=given[0]))
+        raise InputError.at(
+            path, f"a run goes on as it began, so --resume and --until take no {given[0]}; leave it out"
+        )
 
 
 def _options(**keys: Any) -> list[str]:
@@ -153,7 +152,7 @@ def _scenario_file(scenario: FilePath | Mapping[str, Any]) -> Iterator[Path]:
         try:
             path.write_text(json.dumps(from_here(scenario)), encoding="utf-8")
         except (TypeError, ValueError) as error:
-            raise InputError.at(label, messages.NOT_JSON(reason=str(error))) from None
+            raise InputError.at(label, f"holds what no file can: {error!s}") from None
         try:
             yield path
         except InputError as error:

@@ -7,14 +7,16 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from cosim.base.scratch import temporary_folder
-from cosim.storage.files import FilePath, named_path
+from cosim.storage.files import FilePath
+from cosim.storage.folders import new_run
 
 
 @contextmanager
-def results_in(out: FilePath | None) -> Iterator[Path]:
-    """Yield the folder `out`, or a temporary folder."""
+def results_in(out: FilePath | None, verb: str, *, force: bool = False) -> Iterator[Path]:
+    """Yield the folder `out`, which must be empty without `force`, or a temporary folder."""
     if out is not None:
-        yield named_path(out)
+        with new_run(out, "", verb, force=force) as folder:
+            yield folder
         return
     with temporary_folder("run") as scratch:
         yield scratch

@@ -60,7 +60,7 @@ def simulate(
         force: Overwrite results of another command in `out`.
         in_process: Load the FMU into this process, for a debugger.
         compile: Compile and execute the sources of an FMU that has no library for this machine.
-        format: File format of the rows: "csv", "parquet", "mat", "hdf5", "mcap", or one of an installed package.
+        format: File format of the rows: "csv", "parquet", "mat", "hdf5", or one of an installed package.
         progress: Function of (completed steps, all steps).
 
     Returns:
@@ -75,11 +75,9 @@ def simulate(
     from cosim.blocks.compiling import compiling
     from cosim.simulation.run_signals import run_of
 
-    with compiling(compile), results_in(out) as folder:
+    with compiling(compile), results_in(out, "cosim simulate", force=force) as folder:
         steps = partial(simulate_fmu, stop=stop, step=step, in_process=in_process, progress=progress)
-        leaves = partial(
-            steps, report=report and out is not None, force=force, format_=format, interpolation=interpolation
-        )
+        leaves = partial(steps, report=report and out is not None, format_=format, interpolation=interpolation)
         outcome, notes = leaves(fmu, folder, start=normalize_settings(set), recorded=input, record=record)
     manifest = {**outcome.manifest, "warnings": [*notes, *outcome.manifest["warnings"]]}
     return run_of(outcome.results, manifest, None if out is None else outcome.folder)

@@ -12,7 +12,7 @@ from typing import Annotated
 import typer
 
 from cosim.verbs.live_option import Live, Port, live_page
-from cosim.verbs.options import Json, Open, Report, out_option
+from cosim.verbs.options import Force, Json, Open, Report, out_option
 from cosim.verbs.terminal import MANNER, progress_bar, say, say_json, say_more, show, warn
 
 LINE_INTERVAL = 10.0  # [s] between lines with -v
@@ -31,14 +31,17 @@ def command(
     ] = None,
     report: Report = True,
     open_: Open = False,
-    force: Annotated[bool, typer.Option("--force", help="Start again instead of resuming an earlier sweep.")] = False,
+    force: Force = False,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with the sweep that was stopped in --out (default: the newest).")
+    ] = False,
     as_json: Json = False,
     live: Live = False,
     port: Port = None,
 ) -> None:
     """Run a scenario many times with varied values.
 
-    Writes sweep.parquet, sweep.json and report.html. The same command resumes a sweep that was stopped.
+    Writes sweep.parquet, sweep.json and report.html. --resume goes on with a sweep that was stopped.
 
     Example: cosim sweep sweep.yaml --workers 4
     """
@@ -47,7 +50,7 @@ def command(
     with _progress() as progress, live_page("sweep", study.stem, live=live, port=port) as page:
         observers = () if page is None else (page,)
         runs = partial(run_sweep, workers=workers, dask=dask, progress=progress, observers=observers)
-        swept = runs(study, out, report=report, force=force)
+        swept = runs(study, out, report=report, force=force, resume=resume)
         if page is not None:
             page.report = swept.folder / "report.html"
     warn(*swept.sweep.warnings)

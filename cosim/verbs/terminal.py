@@ -15,8 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import CosimError, InputError, SimulationError
-from cosim.base.messages import code_of, printable, with_severity
-from cosim.verbs import messages
+from cosim.base.messages import Note, printable, with_severity
 from cosim.verbs.streams import Coloured, echo
 
 LONG_RUN, LONG_TIME = 2000, 2.0  # steps, or time [s], from which a progress bar is shown
@@ -32,7 +31,7 @@ class Manner:
         verbose: Whether to print more.
         as_json: Whether to print the result as JSON.
         has_json: Whether JSON has been printed.
-        messages: Warnings and notes with a code.
+        messages: Warnings and notes so far.
     """
 
     quiet: bool = False
@@ -47,9 +46,9 @@ MANNER = Manner()  # of this process, set by the options -q and -v of any comman
 
 
 def say(*lines: str) -> None:
-    """Print lines and keep their codes for JSON."""
-    for line in map(_record_message, lines):
-        if not MANNER.quiet and not MANNER.as_json:
+    """Print lines, except with -q or --json."""
+    if not MANNER.quiet and not MANNER.as_json:
+        for line in lines:
             echo(line)
 
 
@@ -60,7 +59,7 @@ def say_more(text: str) -> None:
 
 
 def say_json(value: Any) -> None:
-    """Print JSON, also with -q. An object gets the codes of the warnings and notes so far."""
+    """Print JSON, also with -q. An object gets the warnings and notes so far."""
     if isinstance(value, dict) and MANNER.messages:
         value = {**value, "messages": MANNER.messages}
     echo(json.dumps(value, indent=2, ensure_ascii=False))
@@ -72,32 +71,18 @@ def say_failure(error: CosimError) -> None:
     if MANNER.as_json and not MANNER.has_json:
         faults = getattr(error, "faults", ())
         about = _describe_stop(error) if isinstance(error, SimulationError) else {}
-        places = [
-            {"file": str(f.file), "line": f.line, "column": f.column, "code": f.code, "message": f.message}
-            for f in faults
-        ]
-        say_json({"error": str(error), "code": error.code, "exit_code": error.exit_code, "faults": places, **about})
+        places = [{"file": str(f.file), "line": f.line, "column": f.column, "message": f.message} for f in faults]
+        kind = type(error).__name__
+        say_json({"error": str(error), "kind": kind, "exit_code": error.exit_code, "faults": places, **about})
 
 
 def say_error(error: CosimError) -> None:
-    """Print an error, or each fault on its own line; with -v, messages have their codes."""
+    """Print an error, or each fault on its own line."""
     if isinstance(error, InputError):
         for fault in error.faults:
-            echo(_with_code(str(fault), fault.code), err=True)
+            echo(str(fault), err=True)
     else:
-        echo(f"error: {_with_code(str(error), error.code)}", err=True)
-
-
-def _with_code(text: str, code: str) -> str:
-    """Return a text with its code at the end, for -v."""
-    return f"{text} [{code}]" if code and MANNER.verbose else text
-
-
-def _record_message(text: str) -> str:
-    """Return a text for the terminal; keep its code for JSON."""
-    if code := code_of(text):
-        MANNER.messages.append({"code": code, "text": str(text)})
-    return _with_code(text, code)
+        echo(f"error: {error}", err=True)
 
 
 def _describe_stop(error: SimulationError) -> dict[str, Any]:
@@ -116,32 +101,39 @@ def say_usage(error: Any) -> int:
     """Print a faulty command line, also as JSON if it has --json; return the exit code."""
     options = {*sys.argv[1:]}
     MANNER.verbose = not options.isdisjoint({"-v", "--verbose"})
-    message = messages.WRONG_USAGE(reason=error.format_message())
-    error.format_message = lambda: printable(_with_code(message, message.code))
+    message = error.format_message()
+    error.format_message = lambda: printable(message)
     error.show()
     if "--json" in options:
-        say_json({"error": message, "code": message.code, "exit_code": error.exit_code, "faults": []})
+        say_json({"error": message, "kind": "UsageError", "exit_code": error.exit_code, "faults": []})
     return int(error.exit_code)
 
 
 def say_note(*texts: str) -> None:
     """Print notes on stderr."""
     if not MANNER.quiet:
-        for text in map(_record_message, texts):
+        for text in texts:
+            _record("note", text)
             echo(f"note: {text}", err=True)
 
 
 def warn(*texts: str) -> None:
-    """Print warnings and notes on stderr; a text is a note according to its code, and -q omits notes."""
+    """Print warnings and notes on stderr; -q omits notes."""
     for text in texts:
-        _record_message(text)
-        if not (MANNER.quiet and code_of(text).startswith("N-")):
-            echo(_with_code(with_severity(text), code_of(text)), err=True)
+        is_note = isinstance(text, Note)
+        _record("note" if is_note else "warning", text)
+        if not (MANNER.quiet and is_note):
+            echo(with_severity(text), err=True)
+
+
+def _record(kind: str, text: str) -> None:
+    """Keep a warning or note for JSON."""
+    MANNER.messages.append({"kind": kind, "message": str(text)})
 
 
 def say_finding(line: str) -> None:
     """Print a finding with its severity, also with -q."""
-    echo(_record_message(line), err=True)
+    echo(line, err=True)
 
 
 def colour(met: bool, text: str) -> str:
@@ -167,7 +159,7 @@ def some(names: Sequence[str], most: int) -> str:
 def show(report: Path, *, open_: bool) -> None:
     """Open a report in the browser on request."""
     if open_ and not webbrowser.open(report.resolve().as_uri()):
-        warn(messages.NO_BROWSER(page=report))
+        warn(f"no browser is found here; open {report}")
 
 
 def files_in(folder: Path, *names: str) -> dict[str, str]:

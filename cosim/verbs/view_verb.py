@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from cosim.base.errors import Terminated
+from cosim.base.messages import Note
 from cosim.base.text import counted
 from cosim.storage.folders import RESULTS
 from cosim.verbs.options import Json, ResultsFolder, Texts
@@ -68,7 +69,7 @@ def command(
     if as_json:
         say_json({"url": page.url, **about})
     is_open = browser and open_page(page.url, title)
-    (say_note if is_open else say_finding)(f"signals: {page.url}")
+    (say_note if is_open else say_finding)(Note(f"signals: {page.url}"))
     LAST.append(lambda: _wait(page))
 
 

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from cosim.storage.folders import new_run
 from cosim.verbs.options import Force, Json, Open, Report, out_option
 from cosim.verbs.terminal import files_in, say, say_json, show, stages, warn
 
@@ -37,9 +38,9 @@ def command(
     from plant.identification.input_kind import results_of
     from plant.identification.workflow import identify as identify_bench
 
-    place = results_of(protocol) if out is None else out
-    with stages() as progress:
-        outcome = identify_bench(protocol, place, progress, report=report, seed=seed, force=force)
+    name = results_of(protocol) if protocol.is_file() else ""
+    with new_run(out, name, "cosim identify", force=force) as place, stages() as progress:
+        outcome = identify_bench(protocol, place, progress, report=report, seed=seed)
     for text in outcome.warnings:
         warn(text)
     for line in outcome.sentences:

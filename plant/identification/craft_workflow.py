@@ -18,7 +18,7 @@ FILES = ("model.yaml", RECORD, REPORT)
 def identify_craft(yaml: YamlFile, out: Path, *, report: bool = True) -> CraftOutcome:
     """Analyse logs of a craft and write results.
 
-    The files of an earlier identification move to `runs` in `out`.
+    The files of an earlier identification are replaced.
 
     Raises:
         InputError: Every fault of the file and its logs.

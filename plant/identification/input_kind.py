@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 from cosim.base.errors import InputError
-from cosim.storage.folders import folder_named
 from cosim.storage.kinds import check_given
 from cosim.storage.yaml_file import YamlFile
 from plant.identification.artefacts import PROTOCOL
@@ -18,10 +17,10 @@ def craft_file(path: Path) -> YamlFile | None:
     return yaml if {"rest", "distance"} & set(yaml.root) and not {"cells", "tests"} & set(yaml.root) else None
 
 
-def results_of(path: Path) -> Path:
-    """Return the results folder of an input file, named by the file's key `name`, or else like the file."""
+def results_of(path: Path) -> str:
+    """Return the name of the results of an input file: the file's key `name`, or else like the file."""
     try:
         name = YamlFile(path).root.get("name")
     except InputError:  # reported by the reader
         name = None
-    return folder_named(name if isinstance(name, str) else path.stem)
+    return name if isinstance(name, str) else path.stem

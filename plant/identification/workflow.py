@@ -14,9 +14,8 @@ from cosim.base.registry import model_entry, resolve
 from cosim.base.scratch import temporary_folder
 from cosim.base.settings import Seed
 from cosim.model import Model
-from cosim.storage.files import FilePath, check_writable, named_path
-from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import check_overwritable
+from cosim.storage.files import FilePath, check_writable
+from cosim.storage.folders import new_run
 from cosim.storage.kinds import check_given
 from plant.bench import Bench
 from plant.identification import frequency, ground_effect, lag, moment, projection, thrust_line
@@ -49,7 +48,6 @@ ANALYSES: Mapping[str, Callable[..., Result]] = {
 Progress = Callable[[str, float], None]
 
 
-@folder_locks()
 def identify(
     path: FilePath,
     out: FilePath,
@@ -57,7 +55,7 @@ def identify(
     *,
     report: bool = True,
     seed: Seed | None = None,
-    force: bool = True,
+    force: bool = False,
 ) -> Outcome | CraftOutcome:
     """Identify a power-train, or noise and friction of a craft.
 
@@ -67,7 +65,7 @@ def identify(
         progress: Function of (stage, completed share).
         report: Write report.html.
         seed: Seed for the noise of a simulated bench; None takes that of the protocol.
-        force: Overwrite results of another command in `out`.
+        force: Write into `out` even if it is not empty.
 
     Returns:
         Results of the tests with their intervals, or estimates of noise and friction.
@@ -75,25 +73,25 @@ def identify(
     Raises:
         InputError: Every fault of the protocol and its recordings.
     """
-    path, out = Path(path), named_path(out)
+    path = Path(path)
     check_given(path, PROTOCOL)
-    check_overwritable(out, "cosim identify", force=force)
-    if (yaml := craft_file(path)) is not None:
-        return identify_craft(yaml, out, report=report)
-    ready = prepare(path)
-    protocol, measured = ready.protocol, ready.measured
-    named = [path, *(protocol.folder / f for _, test in protocol.file.tests.named_tests() for f in test.files)]
-    check_writable(out, FILES, named)
-    outcome = _outcome(protocol, measured, protocol.file.seed if seed is None else seed, progress)
+    with new_run(out, "", "cosim identify", force=force) as place:
+        if (yaml := craft_file(path)) is not None:
+            return identify_craft(yaml, place, report=report)
+        ready = prepare(path)
+        protocol, measured = ready.protocol, ready.measured
+        named = [path, *(protocol.folder / f for _, test in protocol.file.tests.named_tests() for f in test.files)]
+        check_writable(place, FILES, named)
+        outcome = _outcome(protocol, measured, protocol.file.seed if seed is None else seed, progress)
 
-    def page() -> str:
-        from plant.identification.report import page
+        def page() -> str:
+            from plant.identification.report import page
 
-        return page(outcome)
+            return page(outcome)
 
-    model = (FILES[0], powertrain(outcome, ready.model))
-    write(out, model, _record(outcome), outcome.results, page if report else None, read=named)
-    return outcome
+        model = (FILES[0], powertrain(outcome, ready.model))
+        write(place, model, _record(outcome), outcome.results, page if report else None, read=named)
+        return outcome
 
 
 def _outcome(

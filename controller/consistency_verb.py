@@ -7,13 +7,14 @@ from typing import Annotated
 
 import typer
 
-from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import folder_named
+from cosim.storage.files import write_json, write_text
+from cosim.storage.folders import new_run, remove_earlier
 from cosim.verbs.options import Force, Json, Open, Report, out_option
 from cosim.verbs.terminal import colour, progress_bar, say, say_json, show, table
 
+VERB, FILES = "cosim consistency", ("consistency.json", "report.html")
 
-@folder_locks()
+
 def command(
     *,
     runs: Annotated[
@@ -27,22 +28,25 @@ def command(
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Test the estimators of the base model by Monte Carlo runs.
+    """Test the estimators of the hovercraft by Monte Carlo runs.
 
     Compares the normalised errors (NEES) and innovations (NIS) with their 95 % regions.
 
     Example: cosim consistency --runs 50 --seed 1
     """
-    from cosim.estimators.consistency import CONSISTENT, headline
-    from cosim.estimators.workflow import check_folder, check_size, write
-    from cosim.estimators.workflow import consistency as over_runs
+    from controller.consistency import CONSISTENT, check_size, headline
+    from controller.consistency import consistency as over_runs
 
     check_size(runs, steps)
-    out = out or folder_named("consistency")
-    check_folder(out, force=force)
-    with progress_bar("estimating") as progress:
+    with new_run(out, "consistency", VERB, force=force) as out, progress_bar("estimating") as progress:
         rows = over_runs(runs, steps, seed, progress)
-    write(out, rows, steps, seed, report=report)
+        remove_earlier(out, VERB)
+        record = {"runs": runs, "steps": steps, "seed": seed, "rows": [row.as_json() for row in rows]}
+        write_json(out / FILES[0], record, indent=1)
+        if report:
+            from controller.consistency_page import page
+
+            write_text(out / FILES[1], page(rows, steps, seed))
     show(out / "report.html", open_=report and open_)
     if as_json:
         say_json([row.as_json() for row in rows])

@@ -17,13 +17,17 @@ tests share the error probability of 5 %.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from controller import monte_carlo
 from cosim.base.arrays import Array
+from cosim.base.errors import Fault, InputError, refuse
+from cosim.base.settings import Count, Seed
 
 LEVEL = 0.95
 SIDE = 0.5 * (1.0 - LEVEL)  # expected share of times on either side of their region
@@ -31,6 +35,9 @@ HALF = 0.25 * (1.0 - LEVEL)  # tail probability on each side of each of the two 
 CONSISTENT, OPTIMISTIC, PESSIMISTIC = "consistent", "optimistic", "pessimistic"
 BOTH = f"{OPTIMISTIC} and {PESSIMISTIC}"
 ROWS = 256  # rows of the correlation matrix processed at once
+MIN_RUNS = 2
+MIN_STEPS = 100  # errors count after the first second
+MAX_SAMPLES = 20_000_000  # samples of all runs of a case: about 400 bytes each, 8 GB in total
 
 
 @dataclass(frozen=True)
@@ -239,3 +246,53 @@ def worst(results: Sequence[CaseResult]) -> CaseResult | None:
     """Return the inconsistent case whose errors are largest relative to the claimed variance; None without one."""
     largest = max(results, key=lambda r: r.factor)
     return None if largest.factor <= 1.0 or largest.consistent else largest
+
+
+def consistency(
+    runs: Count = 50, steps: Count = 500, seed: Seed = 1, progress: Callable[[int, int], None] | None = None
+) -> Sequence[ConsistencyRow]:
+    """Test the estimators of the hovercraft by Monte Carlo runs.
+
+    Args:
+        runs: Number of Monte Carlo runs of each case, at least 2.
+        steps: Number of samples of each run, at least 100.
+        seed: Seed for all random numbers.
+        progress: Function of (completed cases, all cases).
+
+    Returns:
+        One row per case and kind of squares (NEES, NIS) with mean, region and verdict.
+
+    Raises:
+        InputError: Too few or too many runs or steps, or too little memory.
+    """
+    bounds = (("runs", runs, MIN_RUNS), ("steps", steps, MIN_STEPS), ("seed", seed, 0))
+    refuse(Fault(Path(name), 0, 0, f"is {v}; give {least} or more") for name, v, least in bounds if v < least)
+    check_size(runs, steps)
+    rows = []
+    for k, case in enumerate(monte_carlo.CASES):
+        try:
+            squares = monte_carlo.squares_of(case, runs, steps, np.random.default_rng([seed, k]))
+        except MemoryError:
+            message = f"there is not enough memory for {runs:,} runs of {steps:,} steps; give fewer"
+            raise InputError.at(Path("--runs"), message, exit_code=4) from None
+        for name, (values, degrees, at) in squares.items():
+            result, flight = consistency_of(values, degrees, white=name != "NEES"), case.flight
+            rows.append(ConsistencyRow(case.title, flight.name, flight.doc, name, result, at))
+        if progress is not None:
+            progress(k + 1, len(monte_carlo.CASES))
+    return rows
+
+
+def check_size(runs: int, steps: int) -> None:
+    """Check that the samples fit into memory.
+
+    Raises:
+        InputError: The samples are too many.
+    """
+    if runs * steps <= MAX_SAMPLES:
+        return
+    option, most = "--runs", f"{MAX_SAMPLES // steps:,} at most with {steps:,} steps"
+    if MIN_RUNS * steps > MAX_SAMPLES:
+        option, most = "--steps", f"{MAX_SAMPLES // MIN_RUNS:,} at most"
+    message = f"{runs:,} runs of {steps:,} steps are more than the {MAX_SAMPLES:,} samples that fit into memory"
+    raise InputError.at(Path(option), f"{message}; give {most}")

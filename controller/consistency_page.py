@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from controller.consistency import CONSISTENT, CaseResult, ConsistencyRow, by_case, headline, worst
 from cosim.base.text import counted, percent, plain
 from cosim.base.version import __version__
-from cosim.estimators.consistency import CONSISTENT, CaseResult, ConsistencyRow, by_case, headline, worst
 from cosim.report.charts import Charts, Plot
 from cosim.report.html_tables import Badge
 from cosim.report.panels import Band, Panel, Trace
