@@ -21,7 +21,7 @@ from cosim.blocks.profile import Change, Profile, profile_function
 from cosim.experiment.rigs import FASTEST, SLOWEST, Ranges, RigAxis, Signals, Trial, clip, played_lines, trial_of
 from cosim.fmi.fmu_build import build
 from cosim.model import Model, Values
-from cosim.storage.table import write_columns
+from cosim.storage.csv_source import write_columns
 from fmus.recipes import controller_recipe
 
 REFERENCE_BAND = (0.05, 0.5)  # [Hz]

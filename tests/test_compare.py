@@ -248,7 +248,7 @@ def test_the_page_of_a_run_is_the_same_when_it_is_made_again(tmp_path: Path) -> 
 def test_results_are_read_back_as_they_were_written(tmp_path: Path) -> None:
     values = np.array([[0.1, 1e300], [math.nan, -0.0]])
     written = Results(np.array([0.0, 0.1]), ("a.x", "a.p[1]"), values, exact={"a.s": ["ü,", 'x"']})
-    written.write_csv(tmp_path / "r.csv")
+    written.write(tmp_path / "r.csv")
     read = read_results(tmp_path / "r.csv", {"a.x": "m"})
     assert read.columns == written.columns
     np.testing.assert_array_equal(read.values, values)

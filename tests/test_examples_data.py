@@ -26,7 +26,6 @@ ROOT = Path(__file__).resolve().parent.parent
 EXAMPLES = ROOT / "examples"
 MODELS = {
     "silverbox": "Silverbox",
-    "propeller": "Propeller",
     "pendulum": "Pendulum",
     "tclab": "Board",
     "ur10e": "Elbow",
@@ -35,7 +34,7 @@ MODELS = {
 }
 FILES = {"ur10e": "elbow"}  # others bear the name of the example
 YARDSTICKS = ("ur10e", "ballbeam", "actuator")  # examples with a least_squares.py
-FOLDERS = {"propeller": ("propeller", "uiuc_apcsf"), "drive": ("drive", "emps")}  # others bear the name of the example
+FOLDERS = {"drive": ("drive", "emps")}  # others bear the name of the example
 
 
 def _loaded(path: Path) -> ModuleType:

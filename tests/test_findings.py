@@ -1,7 +1,7 @@
 """What was found on real logs at revision 4444eb4, each by number, on a mass on a rail and on a ferry.
 
 More of these is shown elsewhere: 1 in test_candidates and test_refine_stands, 4 in test_refine_conditions, 6 and 9 in
-test_refine_report and test_verdict_sentences (every refine of the tests is held against tests/verdicts.py), 7 in
+test_refine_report (every refine of the tests is held against tests/verdicts.py), 7 in
 test_sealed and test_nearest, 8 in test_per_log, test_between_rows, test_excite_ranges and test_rates.
 """
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import math
 import re
 import shutil
@@ -12,9 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from scipy.io import savemat
-from typer.testing import CliRunner
 
 import cosim
 from cosim.base.arrays import Array
@@ -23,19 +23,13 @@ from cosim.blocks.sources import playback
 from cosim.logs.log import Log, read_log
 from cosim.residuals.replay_signals import Replay
 from cosim.simulation.run_signals import Run
-from cosim.storage import csv_source
 from cosim.storage.results import Results, read_results
-from cosim.storage.table import read_columns, read_header, read_table
-from cosim.storage.table_columns import Column, Faults
-from cosim.storage.table_source import SourceColumn, source_of
-from cosim.verbs.cli import app
+from cosim.storage.table import Column, read_columns, read_header, source_of
 from plant.hovercraft import INPUTS, OUTPUTS
 from tests.conftest import ROOT
 from tests.full_disk import full_disk
 from tests.test_first_steps import told as asked
 
-pa = pytest.importorskip("pyarrow")
-pq = pytest.importorskip("pyarrow.parquet")
 RECORDED = ROOT / "tests" / "data" / "hovercraft_10s.csv"
 TIME = np.arange(5) * 0.5
 
@@ -79,32 +73,21 @@ def random_csv(rng: np.random.Generator) -> str:
     return end.join(("time,a [deg],b,c", *rows)) + (end if rng.random() < 0.7 else "")
 
 
-def test_cells_read_at_once_are_those_read_one_by_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    rng, plain = np.random.default_rng(7), csv_source._plain_numbers
-    used = 0
+def test_cells_read_at_once_are_those_read_one_by_one(tmp_path: Path) -> None:
+    rng = np.random.default_rng(7)
     for k in range(200):
-        path = tmp_path / f"{k}.csv"
-        path.write_bytes(random_csv(rng).encode())
-
-        def choose(heading: Any) -> Column:
-            return Column(heading, math.pi / 180.0 if heading.name == "a" else 1.0, offset=1.5 * (heading.name == "b"))
-
-        tables, results = [], []
-        for way in (plain, lambda *_: None):
-            monkeypatch.setattr(csv_source, "_plain_numbers", way)
-            faults = Faults(path)
-            tables.append(read_table(faults, choose, "", ""))
-            results.append([read_results(path)])
-            faults.raise_any()
-        with csv_source._open(path) as stream:
-            used += plain(csv_source._Cells(stream, faults)) is not None
-        fast, slow = tables
-        assert {n: v.tobytes() for n, v in fast.values.items()} == {n: v.tobytes() for n, v in slow.values.items()}
-        assert (fast.lines, fast.header, fast.first, fast.whole) == (slow.lines, slow.header, slow.first, slow.whole)
-        for one, two in zip(*results, strict=True):
-            assert one.values.tobytes() == two.values.tobytes()
-            assert (one.columns, one.whole, one.units) == (two.columns, two.whole, two.units)
-    assert used > 190  # the fast way is taken
+        text = random_csv(rng)
+        quoted = re.sub(r"^(time.*?\r?\n)([^,]*)", r'\1"\2"', text)  # a quoted cell is read row by row
+        columns, results = [], []
+        for name, content in (("plain", text), ("quoted", quoted)):
+            path = tmp_path / f"{name}{k}.csv"
+            path.write_bytes(content.encode())
+            table, result = read_columns(path, ["time"]), read_results(path)
+            values = {column.name: table[column.name].tobytes() for column in table.columns}
+            columns.append((values, list(table.lines), [*table.spoiled], table.header))
+            results.append((result.values.tobytes(), result.columns, result.whole, result.units))
+        assert columns[0] == columns[1]
+        assert results[0] == results[1]
 
 
 @pytest.mark.parametrize(
@@ -118,7 +101,7 @@ def test_cells_read_at_once_are_those_read_one_by_one(tmp_path: Path, monkeypatc
 def test_what_is_not_plain_is_read_all_the_same(tmp_path: Path, text: str) -> None:
     path = tmp_path / "a.csv"
     path.write_text(text, newline="")
-    assert list(read_columns(path).values["time"]) == [0.0, 1.0]
+    assert read_columns(path)["time"].tolist() == [0.0, 1.0]
     assert read_results(path).time.tolist() == [0.0, 1.0]
 
 
@@ -153,8 +136,8 @@ def test_units_of_a_column_are_in_its_metadata_or_its_name(tmp_path: Path) -> No
     named = parquet(tmp_path / "b.parquet", {"time [ms]": TIME * 1e3, "psi [deg]": TIME})
     for path in (stated, named):
         table = read_columns(path)
-        assert list(table.values["time"]) == TIME.tolist()
-        assert table.columns["psi"].heading.unit == "deg"
+        assert table["time"].tolist() == TIME.tolist()
+        assert table.by_name["psi"].unit == "deg"
         assert read_header(path) == ["time", "psi"]
     assert playback("r", stated).functions[0](1.0) == pytest.approx(math.radians(1.0))
 
@@ -231,8 +214,8 @@ def test_all_faults_of_a_parquet_file_are_told_at_once(tmp_path: Path) -> None:
 def test_nobody_is_told_of_columns_that_nobody_needs(tmp_path: Path) -> None:
     path = parquet(tmp_path / "a.parquet", {"time": TIME, "u": TIME, "note": list("abcde"), "deep": [[1.0]] * 5})
     table = read_columns(path, ["u"])
-    assert list(table.columns) == ["time", "u"]
-    assert table.spoiled == {"note", "deep"}
+    assert [*table.by_name] == ["time", "u"]
+    assert {*table.spoiled} == {"note", "deep"}
 
 
 def test_a_torn_file_is_one_message(tmp_path: Path) -> None:
@@ -255,29 +238,6 @@ def test_content_tells_the_format_where_the_suffix_does_not(tmp_path: Path) -> N
 
 
 # -- verbs --------------------------------------------------------------------------------------------
-
-
-@pytest.mark.thorough
-def test_a_run_in_parquet_is_read_compared_and_reported(project: Path) -> None:
-    scenario = str(project / "scenarios" / "regulate.yaml")
-    csv, other = str(project / "csv"), project / "pq"
-    for arguments in (["--out", csv], ["--out", str(other)], ["--out", str(other), "--format", "parquet"]):
-        ran = CliRunner().invoke(app, ["run", scenario, *arguments, "--no-report", "--force"])
-        assert ran.exit_code == 0, ran.output
-    assert "results.parquet" in ran.output
-    assert [p.name for p in other.glob("results.*")] == ["results.parquet"]  # none of an earlier run
-    one, two = cosim.read(csv), cosim.read(other)
-    assert isinstance(one, Run)
-    assert isinstance(two, Run)
-    assert one.results.columns == two.results.columns
-    assert one.results.values.tobytes() == two.results.values.tobytes()
-    assert one.results.units == two.results.units
-    compared = CliRunner().invoke(
-        app, ["compare", csv, str(other / "results.parquet"), "--tol", "0", "-o", str(project / "c")]
-    )
-    assert compared.exit_code == 0, compared.output
-    assert CliRunner().invoke(app, ["report", str(other)]).exit_code == 0
-    assert (other / "report.html").is_file()
 
 
 @pytest.mark.thorough
@@ -386,7 +346,7 @@ def test_the_index_of_a_pandas_table_is_its_time(
     pandas.DataFrame(values, index=kept).to_parquet(tmp_path / "a.parquet")
     read = read_results(tmp_path / "a.parquet")
     assert (list(read.columns), read.time.tolist()) == (names, TIME.tolist())
-    assert [*read_columns(tmp_path / "a.parquet").columns] == ["time", *names] == read_header(tmp_path / "a.parquet")
+    assert [*read_columns(tmp_path / "a.parquet").by_name] == ["time", *names] == read_header(tmp_path / "a.parquet")
 
 
 @pytest.mark.parametrize(
@@ -415,24 +375,11 @@ def test_a_time_that_is_not_the_first_column_is_named_and_does_not_stand_twice(t
         read_results(tmp_path / "a.csv")
 
 
-@pytest.mark.parametrize(("library", "format_"), [("h5py", "hdf5"), ("pyarrow", "parquet")])
-def test_a_library_that_is_missing_is_named_before_a_run(
-    project: Path, monkeypatch: pytest.MonkeyPatch, library: str, format_: str
-) -> None:
-    monkeypatch.setitem(sys.modules, library, None)
-    monkeypatch.setattr("cosim.base.extras.import_module", _without(library))
-    with pytest.raises(InputError, match=rf"pip install 'fmu-cosim\[{format_}\]'"):
-        cosim.run(project / "scenarios" / "regulate.yaml", project / "out", format=format_)
+def test_a_library_that_is_missing_is_named_before_a_run(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    with pytest.raises(InputError, match=r"pip install 'fmu-cosim\[hdf5\]'"):
+        cosim.run(project / "scenarios" / "regulate.yaml", project / "out", format="hdf5")
     assert not (project / "out").exists()
-
-
-def _without(library: str) -> Any:
-    def load(module: str) -> Any:
-        if module.partition(".")[0] == library:
-            raise ModuleNotFoundError(f"No module named {library!r}", name=library)
-        return importlib.import_module(module)
-
-    return load
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no limits of files")
@@ -451,7 +398,7 @@ def test_rows_that_fit_on_a_full_disk_are_written_in_each_format(tmp_path: Path,
     assert [path.name for path in tmp_path.iterdir()] == [file.name]
 
 
-@pytest.mark.parametrize("format_", ["mat", "hdf5"])
+@pytest.mark.parametrize("format_", ["parquet", "mat", "hdf5"])
 def test_a_run_in_another_format_is_read_again(tmp_path: Path, format_: str) -> None:
     (tmp_path / "s.yaml").write_text(
         "name: s\nduration: 1\nstep: 0.1\ncomponents:\n  ref:\n    block: reference\n"
@@ -475,8 +422,8 @@ def test_a_signal_and_a_component_called_time_stand_beside_the_time(tmp_path: Pa
         pytest.importorskip("h5py")
     path, time = tmp_path / f"a.{suffix}", np.array([0.0, 0.5, 1.0])
     columns = [("time", "s", time), ("box.time", "", np.full(3, 7.0)), ("time.x", "m", np.array([1.0, 2.0, 3.0]))]
-    source_of(path).write(path, [SourceColumn(*column) for column in columns])
-    read = {column.name: column.values for column in source_of(path).frame(path, {"box.time", "time.x"}).columns}
+    source_of(path).write(path, [Column(*column) for column in columns])
+    read = {column.name: column.values for column in source_of(path).read(path, {"box.time", "time.x"}).columns}
     assert {name: list(values) for name, values in read.items()} == {name: list(v) for name, _, v in columns}
 
 
@@ -490,6 +437,6 @@ def test_a_temperature_is_no_time_and_its_unit_and_large_numbers_are_kept(tmp_pa
         with pytest.importorskip("h5py").File(path, "w") as file:
             for name, values in content.items():
                 file[name] = values
-    time, *others = source_of(path).frame(path).columns
+    time, *others = source_of(path).read(path).columns
     assert (time.name, time.unit, list(time.values)) == ("time", "ms", [0.0, 100.0])
     assert {c.name: list(c.values) for c in others} == {"T": [300.0, 301.0], "n": [2.0**64, 1.0]}

@@ -12,7 +12,7 @@ import pytest
 
 from cosim.base.errors import InputError
 from cosim.blocks.guard import validation
-from cosim.storage import yaml_parsers
+from cosim.storage import yaml_nodes
 from cosim.storage.archive import FMU, SSP, BadArchive, Contents, check_archive, unpack
 from cosim.storage.yaml_nodes import Document, NotYaml
 from cosim.verbs.check_verb import check as check_files
@@ -223,9 +223,9 @@ def test_an_archive_of_very_many_files_is_refused_before_they_are_listed(tmp_pat
 
 HEADER = "time,duty_right,duty_left,tilt_right,tilt_left,psi"
 ENORMOUS = {
-    "line": ("a.csv", "time," + 3_000_000 * "x" + "\n0,1\n", "1:1: the line has more than 2 MB"),
-    "lengths": ("a.csv", HEADER + "\n" + 100_100 * "1,2\n", "too many faults"),
-    "cells": ("a.csv", HEADER + "\n" + "".join(f"{k},1,1,1,1,x\n" for k in range(100_100)), "too many faults"),
+    "line": ("a.csv", "time," + 3_000_000 * "x" + "\n0,1\n", "1:1: is not CSV"),
+    "lengths": ("a.csv", HEADER + "\n" + 100_100 * "1,2\n", "6:1: has 2 cells"),
+    "cells": ("a.csv", HEADER + "\n" + "".join(f"{k},1,1,1,1,x\n" for k in range(100_100)), "100095 more cells"),
     "quote": ("a.csv", 'time,"' + 200_000 * "x", "is not CSV"),
     "yaml": ("a.yaml", "name: " + 900_000 * "x", "write it as JSON"),
     "marks": ("a.yaml", "name: [" + 101_000 * "," + "]", "write it as JSON"),
@@ -254,7 +254,7 @@ def test_an_enormous_file_is_refused_with_a_reason(tmp_path: Path, kind: str) ->
 
 
 def test_both_parsers_of_yaml_say_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert yaml_parsers._libyaml() is not None, "this project depends on it"
+    assert yaml_nodes._libyaml() is not None, "this project depends on it"
     text = """# of all kinds
 a: &x {b: 1, "c d": 0o17, 'e''f': [yes, on, True, ~, null, 0x1f, 1e3, -.inf, 012, 1_000, 2020-01-01, 1:30, é]}
 g: |
@@ -268,7 +268,7 @@ h: {<<: *x, b: 2}
 """
     said = []
     for long in (0, 10**9):
-        monkeypatch.setattr(yaml_parsers, "LONG", long)
+        monkeypatch.setattr(yaml_nodes, "LONG", long)
         document = Document(text)
         places = [document.place(where, key) for where in (("a", "e'f", 8), ("h", "b"), ("i",)) for key in (0, 1)]
         said.append((repr(document.data), places))
@@ -281,7 +281,7 @@ h: {<<: *x, b: 2}
 def test_a_fault_of_a_long_file_is_told_as_that_of_a_short_one(monkeypatch: pytest.MonkeyPatch, fault: str) -> None:
     said = []
     for long in (0, 10**9):
-        monkeypatch.setattr(yaml_parsers, "LONG", long)
+        monkeypatch.setattr(yaml_nodes, "LONG", long)
         with pytest.raises(NotYaml) as error:
             Document(f"first: [1]\n{fault}\n")
         said.append((error.value.line, error.value.column, str(error.value)))
@@ -291,7 +291,7 @@ def test_a_fault_of_a_long_file_is_told_as_that_of_a_short_one(monkeypatch: pyte
 @pytest.mark.thorough
 def test_very_deep_yaml_is_refused_by_both_parsers(monkeypatch: pytest.MonkeyPatch) -> None:
     for long in (0, 10**9):
-        monkeypatch.setattr(yaml_parsers, "LONG", long)
+        monkeypatch.setattr(yaml_nodes, "LONG", long)
         with pytest.raises(NotYaml, match="nested too deep"):
             Document("[" * 5000 + "]" * 5000 + " #")
 

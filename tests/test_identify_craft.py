@@ -160,17 +160,11 @@ def test_one_log_given_twice_is_refused(tmp_path: Path) -> None:
     assert text.count("leave one out") == 2
 
 
-def test_what_swings_is_dead_or_saturated_is_not_at_rest(tmp_path: Path) -> None:
+def test_a_dead_output_is_not_at_rest(tmp_path: Path) -> None:
     time = 0.02 * np.arange(1001)
-    rest = noisy(np.random.default_rng(1), time.size)
-    rest["psi"] = rest["psi"] + 0.1 * np.sin(2 * np.pi * time / 2.5)
-    rest["psi_dot"] = np.zeros_like(time)
-    rest["ax"] = np.clip(rest["ax"], -0.1, 0.1)
+    rest = noisy(np.random.default_rng(1), time.size) | {"psi_dot": np.zeros_like(time)}
     write_log(tmp_path / "rest.csv", {"time": time, **rest})
-    text = refused(protocol(tmp_path, rest={"files": ["rest.csv"]}), tmp_path / "out")
-    assert "psi swings slowly" in text
-    assert "psi_dot is 0 in every row: a dead channel" in text
-    assert "ax is -0.1 or 0.1 in 6" in text
+    assert "psi_dot is 0" in refused(protocol(tmp_path, rest={"files": ["rest.csv"]}), tmp_path / "out")
 
 
 @pytest.mark.thorough

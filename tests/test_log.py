@@ -17,7 +17,7 @@ from cosim.logs.log import Log, read_column_names, read_log
 from cosim.model.traits import rate_of
 from cosim.residuals.drive import model_signals
 from cosim.storage import csv_source
-from cosim.storage.table_columns import FAULTS_A_KIND, split_heading
+from cosim.storage.table import SHOWN_FAULTS, split_heading
 from plant.hovercraft import INPUTS, OUTPUTS
 from tests.logs import MOVING, fly, measured, times, write_log
 
@@ -255,8 +255,9 @@ def test_brackets_of_a_name_are_told_from_those_of_a_unit(
 def test_thousands_of_faulty_cells_are_counted_not_listed(tmp_path: Path) -> None:
     rows = "".join(f"{k},6,6,0,0,off,0\n" for k in range(5000))
     told = faults(tmp_path / "a.csv", HEADER + "\n" + rows)
-    assert len(told) == FAULTS_A_KIND + 1
-    assert "5000 cells of psi that are no number" in told[0]
+    assert len(told) == SHOWN_FAULTS + 1
+    assert "4995 more" in told[0]
+    assert [t.split(":")[1:3] for t in told[1:]] == [[str(line), "6"] for line in range(2, 7)]
 
 
 def test_times_that_are_no_numbers_say_nothing_of_the_other_columns(tmp_path: Path) -> None:
@@ -274,8 +275,8 @@ def test_a_gigabyte_is_refused_before_it_is_read(tmp_path: Path, monkeypatch: py
     with path.open("wb") as stream:
         stream.truncate(1_000_000_000)  # sparse: takes no room
 
-    monkeypatch.setattr(csv_source, "_open", lambda path: pytest.fail("it was opened"))
-    with pytest.raises(InputError, match=r"1000 MB, more than the 200 MB .* cut it into pieces"):
+    monkeypatch.setattr(csv_source, "open_bytes", lambda path: pytest.fail("it was opened"))
+    with pytest.raises(InputError, match=r"1000 MB, more than the 200 MB .* pieces"):
         read_log(path, INPUTS, OUTPUTS)
 
 

@@ -110,7 +110,7 @@ def test_all_faults_of_a_log_are_told_at_once(tmp_path: Path) -> None:
 def test_lines_may_end_with_any_mark(tmp_path: Path, end: str) -> None:
     (tmp_path / "a.csv").write_bytes(f"time,x{end}0,1{end}1,2{end}".encode())
     table = read_columns(tmp_path / "a.csv")
-    assert (list(table.values["x"]), list(table.lines)) == ([1.0, 2.0], [2, 3])
+    assert (table["x"].tolist(), list(table.lines)) == ([1.0, 2.0], [2, 3])
     assert cosim.read(tmp_path / "a.csv")["x"].tolist() == [1.0, 2.0]  # type: ignore[union-attr]
     assert read_header(tmp_path / "a.csv") == ["time", "x"]
 

@@ -174,7 +174,7 @@ def test_an_fmu_that_uses_descriptors_of_others_ends_the_run_and_is_named(
     assert re.search(r"error: (good or )?bad at t = ", told[0])
     kept = read_columns(tmp_path / "out" / "results.csv")
     assert rows - 6 <= kept.rows <= 11 if not process else kept.rows == rows
-    assert kept.values["bad.y0"].tolist() == [*map(float, range(kept.rows))]
+    assert kept["bad.y0"].tolist() == [*map(float, range(kept.rows))]
 
 
 def test_a_run_is_the_same_in_a_worker_and_in_process(tmp_path: Path) -> None:
@@ -622,7 +622,7 @@ def stopping(what):
         return what(*arguments, **more)
     return again
 
-Results.write_csv, Database.add = stopping(Results.write_csv), stopping(Database.add)
+Results.write, Database.add = stopping(Results.write), stopping(Database.add)
 sys.argv[0] = "cosim"
 as_program(entry)
 """

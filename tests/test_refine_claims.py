@@ -21,22 +21,18 @@ from cosim.refinement.decision.claims import (
     Doubt,
     Grade,
     Improvement,
-    MovedParameter,
     Nearest,
     Rung,
     judge,
     name_of,
 )
 from cosim.refinement.decision.sentences import (
-    _moved_text,
     improvement_text,
-    nearest_text,
-    remainder_text,
     sentence,
 )
 from cosim.refinement.proof import agreement, replay_check
 from cosim.refinement.proof.agreement import compare_with_predictions
-from cosim.refinement.proof.nearest import held_out_improvement, is_as_good, nearest
+from cosim.refinement.proof.nearest import is_as_good, nearest
 from cosim.refinement.proof.replay_check import check_claim, check_on_sealed_logs
 from cosim.refinement.proof.sealed import sealed_improvement
 from cosim.refinement.record import effects
@@ -387,45 +383,6 @@ def test_what_the_nearest_model_leaves_is_measured_as_what_a_claim_leaves(
     assert worse.baseline == "before"
 
 
-@pytest.mark.parametrize(
-    ("h", "share", "text"),
-    [
-        (fitted(FRICTION), 0.25, "The nearest model (coulomb_friction) removes 75\u00a0% of the recalibrated model's"),
-        (fitted(), 0.64, "The recalibrated model removes 36\u00a0% of the unchanged model's squared error on held-out"),
-        (None, 0.81, "No model that was tried predicts held-out logs clearly better than the unchanged one; the best"),
-    ],
-)
-def test_without_sealed_logs_the_verdict_begins_with_held_out_logs(h: Any, share: float, text: str) -> None:
-    rungs = [
-        Rung(None, np.log([1.0, 1.0])),
-        Rung(fitted(), np.log([1.0, 0.64])),
-        Rung(fitted(FRICTION), np.log([0.5, 0.32])),
-    ]
-    if h is None:
-        rungs = [rungs[0], Rung(fitted(), np.log([0.9, 0.9]))]
-    h = next(r.hypothesis for r in rungs if (r.hypothesis and r.hypothesis.names) == (h and h.names))
-    i = held_out_improvement(rungs, h)
-    assert i is not None
-    assert i.share == pytest.approx(share)
-    told = sentence(Claims("unexplained", nearest=Nearest(h, why="no gain"), improvement=i, misfit=NO_PLACE), CRAFT)
-    assert told.startswith(text)
-    assert ("It is not claimed (no gain)." in told) == bool(h and h.names)
-
-
-def test_a_verdict_begins_with_what_the_nearest_model_improves_on_sealed_logs() -> None:
-    i = Improvement({"x": 0.1, "v": 0.3}, "recalibrated")
-    claims = Claims("unexplained", nearest=Nearest(fitted(FRICTION)), improvement=i, misfit=NO_PLACE)
-    assert sentence(claims, CRAFT).startswith(
-        "The nearest model (coulomb_friction) removes 80\u00a0% of the recalibrated model's squared error above the "
-        "noise floor on sealed logs. It leaves 20\u00a0%, mostly in v. It is not claimed."
-    )
-    assert "on sealed logs, perhaps by chance." in sentence(
-        replace(claims, improvement=replace(i, is_clear=False)), CRAFT
-    )
-    no_better = sentence(replace(claims, improvement=replace(i, remaining={"x": 1.1})), CRAFT)
-    assert no_better.startswith("The nearest model (coulomb_friction) improves nothing on sealed logs: 110\u00a0%")
-
-
 def test_square_roots_of_covariances_exist_for_singular_and_diverged_ones_too() -> None:
     singular = np.array([[4.0, 2.0], [2.0, 1.0]])
     roots = square_roots(np.stack([singular, np.full((2, 2), np.nan)]))
@@ -511,23 +468,6 @@ def test_the_simplest_model_within_a_standard_error_of_the_best_is_the_nearest()
     ]
     assert nearest(rungs) is one
     assert nearest([*rungs[:2], rungs[3]]) is two
-
-
-def test_a_recalibration_beyond_tolerance_is_said_with_its_numbers() -> None:
-    moved = tuple(MovedParameter(name, 1.0, 2.0) for name in ("a", "b", "c", "d"))
-    text = nearest_text((), fitted=True, moved=_moved_text(moved, {"a": "kg"}))
-    assert "recalibrated, beyond tolerance: a 1.00 → 2.00 kg, b 1.00 → 2.00, c 1.00 → 2.00 and 1 more" in text.replace(
-        "\u00a0", " "
-    )
-
-
-def test_a_term_that_explains_next_to_nothing_is_not_described() -> None:
-    term = UnnamedTerm("rate", "angle", 30.0, 0.1, 30.0, 0.012)
-    rest = (
-        "Something remains in the equation of rate; no term in a state, an input or time explains even 5\u00a0% of it."
-    )
-    assert remainder_text(term, 90.0) == rest
-    assert "angle" in remainder_text(replace(term, share=0.2), 90.0)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,6 @@ import shlex
 from dataclasses import dataclass, replace
 from html.parser import HTMLParser
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import jsonschema
@@ -18,27 +17,26 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from cosim.base.text import display, written
 from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.posing import build_problem
 from cosim.estimation.screen import ScoreTest
 from cosim.loading.file import BASE, LoadedModel
 from cosim.model import Stepper
-from cosim.refinement.decision.claims import Claims, Nearest, Rung, judge
+from cosim.refinement.decision.claims import Claims, Nearest, judge
 from cosim.refinement.decision.judgement import Refusal, decide
 from cosim.refinement.decision.sentences import DISTURBED, IN_PART, sentence
 from cosim.refinement.proof.refined_models import Variant
 from cosim.refinement.proof.replay_check import check_claim
-from cosim.refinement.record import SCHEMA, _rungs, ranking, schema
+from cosim.refinement.record import SCHEMA, ranking, schema
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.dependence import bins, explained_share
 from cosim.refinement.report.effect_plots import EffectComparison, compare_effects
 from cosim.refinement.report.error_tables import NOTHING_TO_EXPLAIN, error_tables, is_below_floor, second_sentence
 from cosim.refinement.report.innovations import innovations
 from cosim.refinement.report.plots import over_time, runs
-from cosim.refinement.report.rankings import noise_rows, parameter_tables
-from cosim.refinement.report.refine_page import _uncompared_text, context, write_refine_report
+from cosim.refinement.report.rankings import parameter_tables
+from cosim.refinement.report.refine_page import context, write_refine_report
 from cosim.refinement.search.attribution import Attributor
 from cosim.refinement.search.fits import SearchResult
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis, Support
@@ -395,13 +393,6 @@ def test_a_page_without_a_claim_leads_to_the_nearest_model_and_draws_it(cart: Re
     assert context(cart)["use_lead"].startswith("To use the refined model")
 
 
-def test_a_claim_without_a_fit_to_predictions_is_said_to_have_none(cart: Refinement) -> None:
-    assert context(cart)["uncompared"] == ""
-    own = SimpleNamespace(own=("drag",))
-    assert _uncompared_text(replace(cart, problem=own))
-    assert _uncompared_text(replace(unclaimed(cart), problem=own)) == ""
-
-
 def test_a_noise_floor_with_an_unknown_input_is_not_called_sensor_noise(cart: Refinement) -> None:
     def floor_of(r: Refinement) -> str:
         return next(row.value for row in context(r)["error_words"] if row.label == "Noise floor")
@@ -427,57 +418,6 @@ def test_a_noise_floor_with_an_unknown_input_is_not_called_sensor_noise(cart: Re
     excesses = {row.excess for table in error_tables(below) for row in table.rows}
     assert NOTHING_TO_EXPLAIN not in excesses  # a floor with what is missing makes no error small
     assert floor_of(below).endswith("The floor is an estimate; some errors lie below it.")
-
-
-@pytest.mark.parametrize(
-    ("before", "after", "inflated", "gain", "words"),
-    [
-        (1e-3, 1e-3, False, 2.8, "no unknown input needed (gain 2.8)"),
-        (1e-3, 1e-3, False, None, "no unknown input needed"),
-        (1e-3, 1e-9, False, 0.0, "was incomplete, now complete"),
-        (1e-3, 1e-3, True, 9.0, "incomplete"),
-        (1e-3, 1e-4, True, 9.0, "incomplete; the best hypothesis explains a part"),
-        (1e-12, 1e-12, False, 0.0, "complete"),
-    ],
-)
-def test_an_equation_is_called_complete_only_where_its_noise_fell(
-    cart: Refinement, before: float, after: float, inflated: bool, gain: float | None, words: str
-) -> None:
-    noise = {"v": {"before": before, "after": after, "inflated": inflated, "gain": gain}}
-    (row,) = noise_rows(replace(cart, verdict=Claims("unexplained", misfit={"process_noise": noise})))
-    assert row.words == words
-    assert row.before.endswith("mm/s per √s")
-
-
-def test_the_ladder_says_from_how_many_logs_its_scatter_is(cart: Refinement) -> None:
-    base, best = cart.attribution.base, cart.attribution.best
-    rungs = (None, (0.0, 0.0)), (base, (0.1, 0.2)), (best, (-0.3, -0.1))
-    verdict = replace(unclaimed(cart).verdict, ladder=tuple(Rung(h, np.array(e)) for h, e in rungs))
-    ladder = [rung.model_dump(mode="json") for rung in _rungs(verdict.ladder)]
-    values = context(replace(unclaimed(cart), verdict=verdict, record={**unclaimed(cart).record, "ladder": ladder}))
-    assert [row.scatter for row in values["ladder"]] == ["± 10\u00a0%, 2 logs", "± 5.8\u00a0%, 2 logs", ""]
-    assert "From 2 logs it has 1 degree of freedom" in values["ladder_note"]
-    assert values["ladder_note"].endswith("does not carry over to the one held out: 116\u00a0%.")
-
-
-def test_a_reason_that_stems_from_another_set_names_it(cart: Refinement) -> None:
-    a, subject = cart.attribution, cart.study.subject
-    dry, push = (next(c for c in subject.candidates(()) if c.name == name) for name in ("dry", "push"))
-    base, alone, single, both = (
-        Hypothesis(parts, replace(a.base.fit, penalty=0.0), 0.0) for parts in ((), (dry,), (push,), (dry, push))
-    )
-    refusal = Refusal(both.names, "gains 3.1, less than the 9 that it costs")
-    reasons = {h.names: refusal.against("push", h) for h in (single, both)} | {alone.names: ""}
-    found = replace(a, base=base, best=base, tried=(alone, both, base, single), reasons=reasons)
-    near = Nearest(alone)
-    why = {tuple(row.names): row.why for row in ranking(found, Claims("unexplained", nearest=near))}
-    assert why["push",] == "in the set dry + push: push: gains 3.1, less than the 9 that it costs"
-    assert why["dry", "push"] == "push: gains 3.1, less than the 9 that it costs"
-    # what nearest.yaml contains is another hypothesis than the base model
-    assert why[()] == "incomplete; held-out logs are predicted better by dry"
-    unlike = {tuple(row.names): row.why for row in ranking(found, Claims("unexplained", nearest=Nearest(base)))}
-    assert unlike[()] == "nearest, but incomplete"
-    assert "penalty of the priors" in context(cart)["ranking_lead"]
 
 
 def test_what_is_left_is_drawn_with_the_term_that_explains_it(cart: Refinement) -> None:
@@ -506,20 +446,6 @@ def test_a_term_is_compared_by_means_where_much_changes_from_row_to_row(cart: Re
     effect = replace(effect, horizon=20 * effect.step)
     assert "data, mean over" in over_time(effect, Charts()).spec["traces"][0]["label"]
     assert over_time(replace(effect, horizon=0.0), Charts()).spec["traces"][0]["label"] == "data"
-
-
-def test_a_replay_with_most_of_the_squared_error_is_named(cart: Refinement) -> None:
-    assert not any("One replay" in table.note for table in error_tables(cart))
-    log, played = cart.evidence["after"]["estimation"][0]
-    first = sorted(played.starts)[3]
-    outputs = {name: values.copy() for name, values in played.outputs.items()}
-    outputs["s"][first + 5 : first + 20] += 100.0
-    others = cart.evidence["after"]["estimation"][1:]
-    after = {**cart.evidence["after"], "estimation": [(log, replace(played, outputs=outputs)), *others]}
-    (note,) = (
-        t.note for t in error_tables(replace(cart, evidence={**cart.evidence, "after": after})) if "fits" in t.title
-    )
-    assert f"One replay, {log.path.name} from t = {log.time[first]:.6g}\u00a0s, has more than 99\u00a0% of the" in note
 
 
 CRAFT = ModelSubject.of(Hovercraft())
@@ -595,25 +521,6 @@ def test_what_gains_too_little_to_be_told_from_chance_is_named_beside_the_claim(
     assert otherwise == {"dry": "claimed", "shove": lost["shove",], "dry + push": refused, "": "no gain"}
 
 
-def test_a_fit_that_had_not_settled_is_said_to(cart: Refinement) -> None:
-    judged = Judged(cart)
-    best = judged.single("dry")
-    moving = replace(best, fit=replace(best.fit, converged=False))
-    settled = words(judged(best=best, rivals=()), cart)
-    assert words(judged(best=moving, rivals=()), cart).startswith(
-        f"{settled.partition('. ')[0].rstrip('.')}. The fit was still"
-    )
-    assert "still moving" not in settled
-
-
-def test_what_could_not_have_shown_is_said_where_nothing_is_missing(cart: Refinement) -> None:
-    judged, base = Judged(cart), cart.attribution.base
-    verdict = judged(best=base, rivals=(), noise_gain=(0.0,), hidden=("push",))
-    assert verdict.name == "no_effect"
-    assert words(verdict, cart).endswith("down to the sensors' noise. These logs would not show push.")
-    assert "(" not in words(judged(best=base, rivals=(), noise_gain=(0.0,)), cart)
-
-
 def test_the_deficient_equation_is_that_whose_noise_is_worth_most_not_that_of_the_largest_number() -> None:
     noise = Noise(np.log([4.0, 2.0, 1.0]), math.log(0.15), np.zeros(3), np.full(3, -np.inf))
     fit = Fit({}, noise, (), (0.0,), 0.0, np.zeros((0, 0)), 1, True)
@@ -671,7 +578,7 @@ def test_a_sentence_says_of_a_term_without_a_name_how_much_it_is(cart: Refinemen
     verdict = judged(*terms, best=base, rivals=(), noise_gain=(50.0,))
     assert verdict.name == "unexplained"
     assert "acts on v; it is constant. This dependence explains 79\u00a0% of what is missing." in words(verdict, cart)
-    assert (verdict.residual["signals"], verdict.residual["share"]) == (["1", "time"], 0.79)
+    assert (verdict.misfit["signals"], verdict.misfit["share"]) == (["1", "time"], 0.79)
     nothing = judged(UnnamedTerm("v", "1", 40.0, 0.1, 41.0, 0.0), best=base, rivals=(), noise_gain=(50.0,))
     assert words(nothing, cart).endswith("acts on v; it is constant.")
     gained = base.score - cart.attribution.best.score
@@ -755,20 +662,6 @@ def test_bins_hold_every_row_once_and_none_too_few() -> None:
     assert [k.tolist() for k in bins(np.ones(3), 4, 2)] == [[0, 1, 2]]
     assert explained_share(x**2, x) > 0.9
     assert explained_share(x, np.ones(501)) == 0.0
-
-
-@pytest.mark.parametrize(
-    ("unit", "printed"), [("N.s2/m2", "N\u00a0s²/m²"), ("rad/s2", "°/s²"), ("1", ""), ("kg.m2", "kg\u00a0m²"), ("", "")]
-)
-def test_units_are_printed_as_one_writes_them(unit: str, printed: str) -> None:
-    assert display(unit)[0] == printed
-
-
-@pytest.mark.parametrize(
-    ("unit", "in_sentences"), [("N.m.s/rad", "N·m·s/rad"), ("N.s2/m2", "N·s²/m²"), ("kg.m2", "kg·m²"), ("1", "")]
-)
-def test_units_in_sentences_join_their_factors_by_dots(unit: str, in_sentences: str) -> None:
-    assert written(unit) == in_sentences
 
 
 @pytest.mark.thorough

@@ -62,7 +62,7 @@ def test_the_manifest_tells_what_the_run_was(project: Path) -> None:
 def test_results_have_one_row_a_communication_point_and_read_back_bit_for_bit(project: Path) -> None:
     outcome = run(project / "scenarios" / "regulate.yaml", project / "o", report=False)
     back = read_columns(project / "o" / "results.csv")
-    assert tuple(back.columns) == ("time", *outcome.results.columns)
+    assert tuple(back.by_name) == ("time", *outcome.results.columns)
     assert back.rows == 501
     assert all((back[name] == outcome.results[name]).all() for name in outcome.results.columns)
     assert (back["time"] == outcome.results.time).all()

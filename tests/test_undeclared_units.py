@@ -163,7 +163,7 @@ def test_a_recorded_column_that_nobody_needs_may_hold_text(tmp_path: Path) -> No
     path = tmp_path / "in.csv"
     path.write_text("time,u,mode,late\n0,1,RUN,\n1,2,STOP,3\n")
     table = read_columns(path, ["u"])
-    assert ([*table.columns], table.spoiled) == (["time", "u"], {"mode", "late"})
+    assert ([*table.by_name], {*table.spoiled}) == (["time", "u"], {"mode", "late"})
     assert [s.name for s in playback("log", path, ["u"]).outputs] == ["u"]
     with pytest.raises(InputError, match=r'in.csv:2:3: "RUN" in column mode is no number'):
         read_columns(path, ["u", "mode"])
@@ -179,7 +179,7 @@ def test_times_in_another_unit_are_converted_by_every_verb(tmp_path: Path, head:
     assert read_results(tmp_path / "ms.csv").time.tolist() == [0.0, 0.5, 1.0]
     assert cosim.read(tmp_path / "ms.csv").time[-1] == 1.0  # type: ignore[union-attr]
     assert cosim.compare(tmp_path / "s.csv", tmp_path / "ms.csv", tolerance=0.0).same
-    assert list(read_columns(tmp_path / "ms.csv").values["time"]) == [0.0, 0.5, 1.0]
+    assert read_columns(tmp_path / "ms.csv")["time"].tolist() == [0.0, 0.5, 1.0]
 
 
 def test_a_unit_that_is_none_of_time_is_a_fault_everywhere(tmp_path: Path) -> None:

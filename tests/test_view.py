@@ -315,7 +315,10 @@ def test_bad_input_ends_with_code_2_and_leaves_all_as_it_is(folder: Path, words:
 
 def test_prepared_runs_are_told(folder: Path) -> None:
     done = CliRunner().invoke(app, ["view", "tank*", "--prepare", "--json"])
-    assert [(run["name"], run["rows"]) for run in json.loads(done.stdout)["runs"]] == [("tank/runs/0001", 2), ("tank", 2)]
+    assert [(run["name"], run["rows"]) for run in json.loads(done.stdout)["runs"]] == [
+        ("tank/runs/0001", 2),
+        ("tank", 2),
+    ]
     named = CliRunner().invoke(app, ["view", "results/tank", "2", "tank", "--prepare", "--json"])
     assert len(json.loads(named.stdout)["runs"]) == 1
 

@@ -132,13 +132,13 @@ def _read_recording(path: Path, part: DraftPart) -> DraftRecording:
     inputs = {text(port).partition(".")[2]: port for port in part.ports[0]}
     kinds = {signal.name: signal.kind for signal in part.block.exact_inputs}
     log, exact = read_recording(path, inputs, kinds)
-    names = [*(name for name in log.columns if name != "time"), *exact]
+    names = [*(column.name for column in log.columns if column.name != "time"), *exact]
     driving = _driving_columns(path, part, names, inputs)
     source = "recorded" if part.name != "recorded" else "played"
     signals = [
         Signal(name, kind=kinds[name])
         if name in exact
-        else Signal(name, computed_in(log.columns[name].heading.unit)[0], relative=True)
+        else Signal(name, computed_in(log.by_name[name].unit)[0], relative=True)
         for name in driving
     ]
     connections = tuple(Match((source, signal), inputs[signal.name]) for signal in signals)

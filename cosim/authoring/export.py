@@ -248,11 +248,11 @@ def _profile(profile: Profile) -> TimeSignal:
 def _recording_signals(path: Path, names: set[str], *, is_linear: bool) -> dict[str, TimeSignal]:
     """Return columns of a recording, held or linear between rows."""
     table = read_columns(path, names)
-    times = table.values["time"]
+    times = table["time"].tolist()
     signals = {}
-    for column in (c for c in table.columns.values() if c.name in names):
-        unit, factor = computed_in(column.heading.unit)
-        values = [factor * v for v in table.values[column.name]]
+    for column in (c for c in table.columns if c.name in names):
+        unit, factor = computed_in(column.unit)
+        values = [factor * v for v in table[column.name].tolist()]
         rows = [(t, v) for t, v in zip(times, values, strict=True) if math.isfinite(v)]
         changes = [SignalChange(t, v, v) for t, v in rows]
         for k, ((t, v), (after, to)) in enumerate(itertools.pairwise(rows)):

@@ -15,7 +15,6 @@ EXTRAS = {  # library → extra that installs it
     "distributed": "dask",
     "h5py": "hdf5",
     "pandas": "sweep",
-    "pyarrow": "parquet",
     "ziglang": "native",
 }
 

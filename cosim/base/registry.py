@@ -18,7 +18,7 @@ from typing import Any
 from cosim.base.errors import InputError
 
 MODELS, PAGES, TWINS, VERBS = "cosim.models", "cosim.pages", "cosim.twins", "cosim.verbs"  # entry point groups
-SOURCES = "cosim.sources"  # table formats: `cosim.storage.table_source.Source`
+SOURCES = "cosim.sources"  # table formats: `cosim.storage.table.Source`
 ALGORITHMS = "cosim.algorithms"  # coupling algorithms: `cosim.coupling.algorithms.Algorithm`
 BASE = "base"  # model used by default
 FORMER = "cosim-hovercraft"  # earlier distribution with framework and example in one, without entry points

@@ -15,6 +15,7 @@ from cosim.base.text import split_assignment
 from cosim.base.units import split_quantity
 from cosim.blocks.description import unit_of
 from cosim.logs.channel_noise import NORMAL_95
+from cosim.probing.log_runs import limits_of
 from cosim.scenario.start_values import Misfit, convert_value, kind_of, settable
 from cosim.storage.yaml_file import did_you_mean, short
 
@@ -67,7 +68,7 @@ def candidates(description: Any, given: Mapping[str, Any]) -> dict[str, Paramete
     found = {}
     for variable in description.modelVariables:
         if _is_estimable(variable):
-            low, high = _limits(variable)
+            low, high = limits_of(variable)
             value = given.get(variable.name, variable.start)
             start, unit = float(value), unit_of(variable)
             per_log = not _is_parameter(variable) or variable.name.removesuffix("_start") in names - {variable.name}
@@ -84,15 +85,6 @@ def _is_estimable(variable: Any) -> bool:
     if variable.type not in REALS or variable.shape or variable.start is None or not settable(variable):
         return False
     return _is_parameter(variable) or variable.causality in {"local", "internal", "output", None}
-
-
-def _limits(variable: Any) -> tuple[float, float]:
-    """Return min and max of variable or type."""
-    ends = []
-    for end, default in (("min", -math.inf), ("max", math.inf)):
-        values = getattr(variable, end, None), getattr(variable.declaredType, end, None)
-        ends.append(next((float(v) for v in values if v is not None), default))
-    return ends[0], ends[1]
 
 
 def _option_fault(name: str, message: str) -> Fault:
@@ -127,7 +119,16 @@ def read_vary(
                 raise ValueError(_not_offered(name, variables, offered))
             if name in chosen:
                 raise ValueError(f"{name} is named twice; name it once")
-            chosen[name] = _checked(_bounded(description, variables[name], offered[name], str(value)))
+            parameter = _bounded(description, variables[name], offered[name], str(value))
+            if not parameter.low <= parameter.start <= parameter.high:
+                ends = {"low": parameter.low, "high": parameter.high}
+                raise ValueError(
+                    (
+                        "{name} starts at {value:g}, outside {low:g} to {high:g}; give another value as --start "
+                        "{name}=VALUE"
+                    ).format(name=name, value=parameter.start, **ends)
+                )
+            chosen[name] = parameter
         except ValueError as error:
             faults.append(fault(name, error.args[0]))
     refuse(faults)
@@ -198,14 +199,3 @@ def _converted(description: Any, variable: Any, text: str) -> float:
     if isinstance(value, Misfit):
         raise ValueError(f"{variable.name}: {short(text)} is not allowed: {value.reason}")
     return float(value)
-
-
-def _checked(parameter: Parameter) -> Parameter:
-    if not parameter.low <= parameter.start <= parameter.high:
-        ends = {"low": parameter.low, "high": parameter.high}
-        raise ValueError(
-            (
-                "{name} starts at {value:g}, outside {low:g} to {high:g}; give another value as --start {name}=VALUE"
-            ).format(name=parameter.name, value=parameter.start, **ends)
-        )
-    return parameter

@@ -12,7 +12,7 @@ from cosim.base.text import amount, plain
 from cosim.base.units import Conversion
 from cosim.comparison.intermediate_rows import RowsBetween
 from cosim.simulation.run_files import RecordedRun
-from cosim.storage.table_source import as_text
+from cosim.storage.table import as_text
 
 SAME_TIME = 1e-9  # fraction of a step
 ROUNDING = 8 * float(np.finfo(float).eps)  # fraction of a value, for a unit conversion there and back

@@ -26,9 +26,9 @@ from cosim.experiment.question import Question, ask, refinement_folder
 from cosim.experiment.rigs import OpenLoop, Rig, Trial
 from cosim.experiment.separation import Separation
 from cosim.logs.log import slowness
+from cosim.storage.csv_source import write_columns
 from cosim.storage.files import FilePath, check_writable, write_text
 from cosim.storage.folders import new_run, remove_earlier
-from cosim.storage.table import write_columns
 
 EXPERIMENTS = 48
 DURATION, SHORTEST, LONGEST = 40.0, 5.0, 600.0  # [s] for a model with a step of 50 ms or less

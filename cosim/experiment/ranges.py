@@ -21,7 +21,9 @@ RANGE = re.compile(rf"(?P<name>[^=]+)=\s*(?P<low>{NUMBER})\s*\.\.\s*(?P<high>{NU
 
 def inputs_to_limit(model: Model | Subject) -> tuple[str, ...]:
     """Return inputs without a declared limit."""
-    return tuple(q.name for q in model.inputs if q.name not in model.excursion and not _is_bounded(q.bounds))
+    return tuple(
+        q.name for q in model.inputs if q.name not in model.excursion and not all(map(math.isfinite, q.bounds))
+    )
 
 
 def logged_ranges(logs: Sequence[Log]) -> dict[str, tuple[float, float]]:
@@ -99,7 +101,3 @@ def _narrow_ranges(model: Model, texts: Sequence[str], spans: dict[str, tuple[fl
             )
         else:
             spans[name] = max(lower, low), min(upper, high)
-
-
-def _is_bounded(span: tuple[float, float]) -> bool:
-    return all(map(math.isfinite, span))

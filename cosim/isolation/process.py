@@ -64,9 +64,9 @@ class Worker:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         with delay_stops():
-            self.end()
+            self.end(kill=kind is not None)  # It may still import modules, for which an error does not wait.
 
     progress: Progress  # also valid after the process has ended
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import islice, pairwise
 from pathlib import Path
 from types import MappingProxyType
@@ -17,8 +17,7 @@ from cosim.base.arrays import Array, Rows
 from cosim.base.errors import Fault, refuse
 from cosim.base.units import Conversion, alternatives, assume_si, conversion
 from cosim.blocks.component import Signal
-from cosim.storage.table import read_table
-from cosim.storage.table_columns import Column, Faults, Heading
+from cosim.storage.table import Column, Faults, Table, Use, read_table
 from cosim.storage.yaml_file import closest, did_you_mean, short
 
 FAST, USUAL = 0.001, 0.05  # [s] row spacings from and up to which fixed times apply; see `slowness`
@@ -162,10 +161,11 @@ class LogReader:
         self.unread: dict[str, str] = {}
         self.undeclared: dict[str, str] = {}
         self.cells: dict[str, int] = {}  # column → its cell
-        shorter = "cut it into pieces and list them as logs of one study"
         names = frozenset((*self.signals, *columns))
         times = [column for column, name in columns.items() if name == "time"]
-        self.table = read_table(self.faults, self._column, "inputs and outputs", shorter, names=names, times=times)
+        table = read_table(self.faults, self._use, "inputs and outputs", names=names, times=times)
+        self.is_read = table is not None
+        self.table = table or Table()
 
     def log(self) -> Log:
         """Return the log.
@@ -173,26 +173,26 @@ class LogReader:
         Raises:
             InputError: Every fault of the file.
         """
-        if "time" in self.table.columns:
+        if self.is_read:
             self._check_header()
-        if self.table.whole:
-            self._check_values()
+            if not self.table.faults:
+                self._check_values()
         self.faults.raise_any()
-        columns = {name: self.table[name] for name in self.table.columns}
+        columns = {name: self.table[name] for name in self.table.by_name}
         time = columns.pop("time")
         units = {n: self.units[n] for n in columns}
         outputs = {n: values for n, values in columns.items() if n in self.outputs}
         outputs, unwrapped = _unwrap_angles(outputs, units, time)
         inputs, step = {name: columns[name] for name in self.inputs}, usual_step(time)
-        cells = {name: column.cell for name, column in self.table.columns.items()}
-        written = {name: column.heading.unit for name, column in self.table.columns.items()}
+        cells = {column.name: column.cell for column in self.table.columns}
+        written = {column.name: column.unit for column in self.table.columns}
         path, header, unread, called = self.faults.path, self.table.header, self._unread(), dict(self.renamings)
         names = (header, unread, called, self.undeclared, cells)
         return Log(path, time, inputs, outputs, units, step, written, unwrapped, *names)
 
     def _unread(self) -> dict[str, str]:
         """Return columns unknown to the model → suggested name, or ""."""
-        missing = [name for name in self.signals if name not in self.table.columns]
+        missing = [name for name in self.signals if name not in self.table]
         close = (
             closest(name, missing, ALIKE) or closest(name.rpartition(".")[2], missing, ALIKE)
             for name in islice(self.unread, HINTS)
@@ -202,34 +202,34 @@ class LogReader:
 
     # -- header -------------------------------------------------------------------------------
 
-    def _column(self, heading: Heading) -> Column | None:
+    def _use(self, column: Column) -> Use | None:
         """Return the conversion of a column to the model's unit, None for unread columns."""
-        self.cells.setdefault(heading.name, heading.cell)
-        written, heading = heading.name, replace(heading, name=self.renamings.get(heading.name, heading.name))
-        name, is_time = heading.name, heading.cell == 1
+        self.cells.setdefault(column.name, column.cell)
+        written, name = column.name, self.renamings.get(column.name, column.name)
+        is_time = column.cell == 1
         if not is_time and name not in self.signals:
             self.unread[written] = ""
             return None
         role = "the time" if is_time else "an input" if name in self.inputs else ""
         wanted = "s" if is_time else self.signals[name]
-        if heading.unit and not wanted:
-            assumed = assume_si(heading.unit)
+        if column.unit and not wanted:
+            assumed = assume_si(column.unit)
             self.units[name] = assumed.unit
             if assumed.sentence:
                 self.undeclared[name] = assumed.sentence
-            return Column(heading, assumed.factor, role, offset=assumed.offset)
-        by = conversion(heading.unit, wanted, difference=name in self.differences, definitions=self.definitions)
+            return Use(name, assumed.factor, assumed.offset, role)
+        by = conversion(column.unit, wanted, difference=name in self.differences, definitions=self.definitions)
         if by is None:
             units = ", ".join(alternatives(wanted))
-            message = f'"{heading.unit}" is no unit of {name}, which is in {wanted}; known here: {units}'
-            self.faults.note(heading.line, heading.cell, message)
+            message = f'"{column.unit}" is no unit of {name}, which is in {wanted}; known here: {units}'
+            self.faults.note(self.faults.header, column.cell, message)
         by = by or Conversion()
-        return Column(heading, by.factor, role, offset=by.offset)
+        return Use(name, by.factor, by.offset, role)
 
     def _check_header(self) -> None:
         """Note faults of missing inputs and outputs."""
         self._check_renamed_columns()
-        line, columns = self.table.header, self.table.columns
+        line, columns = self.table.header, self.table.by_name
         missing = [name for name in self.inputs if name not in columns]
         if missing and not self._is_of_model():
             self.faults.note(
@@ -283,13 +283,13 @@ class LogReader:
                 self.faults.note(
                     line, 1, f'"{column}" is to be {name}, which the model does not have{cure} (it has {names})'
                 )
-            elif column not in self.cells and (self.alone or name not in self.table.columns):
+            elif column not in self.cells and (self.alone or name not in self.table):
                 cure = did_you_mean(column, self.cells)
                 self.faults.note(line, 1, f'has no column "{column}"{cure} (it is to be {name})')
 
     def _is_of_model(self) -> bool:
         """Return True if some column belongs to the model, or has a name similar to one of its signals."""
-        if self.renamings or len(self.unread) > HINTS or any(name in self.table.columns for name in self.signals):
+        if self.renamings or len(self.unread) > HINTS or any(name in self.table for name in self.signals):
             return True
         return any(closest(name, self.unread) for name in self.signals)
 
@@ -297,8 +297,8 @@ class LogReader:
 
     def _check_values(self) -> None:
         """Note faults of whole columns: too few rows, no measurement, absurd values."""
-        table, counts = self.table, self.faults.counts
-        if table.rows < 2 and not counts:
+        table, faulty = self.table, self.faults.faulty
+        if table.rows < 2 and not faulty:
             count = "no row" if table.rows == 0 else "one row"
             self.faults.note(
                 table.header + 1, 1, f"holds {count}; a log has at least two, and some hundred to be of use"
@@ -306,21 +306,16 @@ class LogReader:
             return
         if not table.rows:
             return
-        faulty = {cell for cell, _ in counts}
-        for name, column in table.columns.items():
-            values = table[name]
-            if name in self.outputs and column.cell not in faulty and np.isnan(values).all():
+        for name, column in table.by_name.items():
+            if column.cell in faulty:
+                continue
+            values, cure = table[name], "leave the cell empty" if name in self.outputs else "leave the row out"
+            if name in self.outputs and np.isnan(values).all():
                 self.faults.note(
                     table.header, column.cell, f'column "{name}" holds no value (NaN in every row); delete the column'
                 )
-            self._check_sizes(column, values)
-
-    def _check_sizes(self, column: Column, values: Array) -> None:
-        name, cure = column.name, "leave the row out" if column.role else "leave the cell empty"
-        kind = f"cells of {name} far beyond the rest"
-        for row in _absurd_rows(values):
-            message = f'{name} is {values[row]:g} here, far beyond the rest: a mark for "invalid"? Then {cure}'
-            self.faults.note_cell(self.table.lines[row], column.cell, kind, message)
+            message = partial(_absurd_value, name, values, cure)
+            self.faults.note_cells(_absurd_rows(values), table.lines, column.cell, message)
 
 
 def read_column_names(texts: Sequence[str], log: Path) -> dict[str, str]:
@@ -342,6 +337,10 @@ def name_list(names: Collection[str]) -> str:
     """Return names in a line, shortened if very many."""
     more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
     return ", ".join(islice(names, SHOWN)) + more
+
+
+def _absurd_value(name: str, values: Array, cure: str, row: int) -> str:
+    return f'{name} is {values[row]:g} here, far beyond the rest: a mark for "invalid"? Then {cure}'
 
 
 def _absurd_rows(values: Array) -> Rows:

@@ -76,8 +76,9 @@ class Channel:
         """Note values that are set next."""
         _append(self._noted, change)
 
-    def noted(self) -> Sequence[Change]:
-        """Return all changes so far."""
+    @property
+    def changes(self) -> Sequence[Change]:
+        """Return all changes that the master has noted so far."""
         self._changes = tuple(_records(self._noted)) or self._changes
         return self._changes
 
@@ -106,7 +107,7 @@ def _records(path: Path) -> Iterator[Any]:
             yield pickle.load(stream)
 
 
-class Inbox:
+class Inbox(Channel):
     """Received changes for the master.
 
     Attributes:
@@ -114,14 +115,10 @@ class Inbox:
         pause: Length of the pause at the last look [s].
     """
 
-    def __init__(self, channel: Channel) -> None:
-        self._channel, self.most, self.pause = channel, MOST_STEPS, 0.0
+    def __init__(self, folder: Path, counters: Progress) -> None:
+        super().__init__(folder, counters)
+        self.most, self.pause = MOST_STEPS, 0.0
         self._point, self._due, self._time = 0, 0, -1.0
-
-    @property
-    def changes(self) -> Sequence[Change]:
-        """Return all changes so far."""
-        return self._channel.noted()
 
     def next_look(self, k: int) -> int:
         """Return the next point, from k on, at which to look; sooner if steps take long."""
@@ -134,12 +131,12 @@ class Inbox:
 
     def take(self, k: int, events: Values) -> Values:
         """Return the values to set at point k: those of events, and over them those received."""
-        self.pause = self._channel.wait()
-        received = self._channel.receive()
+        self.pause = self.wait()
+        received = self.receive()
         if not received:
             return events
         changes = merge(*received)
-        self._channel.note(Change(k, changes))
+        self.note(Change(k, changes))
         return merge(events, changes)
 
 
@@ -167,11 +164,12 @@ def targets_of(system: System) -> Targets:
     return Targets({name: description for name, (_, description) in system.fmus.items()}, names)
 
 
-class Control:
-    """Control of a running simulation, for any thread."""
+class Control(Channel):
+    """Control of a running simulation, for any thread; `paused` holds it at a communication point."""
 
-    def __init__(self, system: System, channel: Channel) -> None:
-        self._system, self._channel = system, channel
+    def __init__(self, system: System, folder: Path, counters: Progress) -> None:
+        super().__init__(folder, counters)
+        self._system = system
 
     @cached_property
     def _targets(self) -> Targets:
@@ -199,19 +197,5 @@ class Control:
         for target, value in converted.items():
             component, _, variable = target.partition(".")
             changes.setdefault(component, {})[variable] = value
-        self._channel.send(changes)
+        self.send(changes)
         return converted
-
-    @property
-    def paused(self) -> bool:
-        """Return True if the run waits at a communication point, or will wait at the next one."""
-        return self._channel.paused
-
-    @paused.setter
-    def paused(self, on: bool) -> None:
-        self._channel.paused = on
-
-    @property
-    def changes(self) -> Sequence[Change]:
-        """Changes that the run has made so far."""
-        return self._channel.noted()

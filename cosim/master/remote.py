@@ -37,7 +37,7 @@ from cosim.isolation.watch import Clock, ComponentTimes, Watch, fmi_calls
 from cosim.master.c_loop import compile_beforehand
 from cosim.master.checkpoint import BESIDE, ROWS, STATE, Continuation, Keeper, Keeping
 from cosim.master.halving import Halved
-from cosim.master.inbox import Change, Channel, Control, Inbox
+from cosim.master.inbox import Change, Control, Inbox
 from cosim.master.master import StoppedRun, results_of, simulate
 from cosim.master.observer import MAX_CHARACTERS, Feed, ObservedRun, Observer
 from cosim.master.own_process import in_own_processes
@@ -83,8 +83,11 @@ def simulate_here(
 ) -> SteppedRun:
     """Step a system in this process."""
     with ExitStack() as stack:
-        channel = Channel(stack.enter_context(temporary_folder("changes")), Progress()) if observers else None
-        feed = _feed(observers, system, steps, h, channel)
+        control, inbox, counters = None, None, Progress()
+        if observers:
+            exchange = stack.enter_context(temporary_folder("changes"))
+            control, inbox = Control(system, exchange, counters), Inbox(exchange, counters)
+        feed = _feed(observers, system, steps, h, control)
         rows = Rows.in_memory(steps + 1, len(system.columns))
         feed.table = rows.table
         if start is not None:
@@ -98,22 +101,20 @@ def simulate_here(
             if feed.stop:
                 raise _early_end(system, h, done)
 
-        inbox = None if channel is None else Inbox(channel)
         failure: SimulationError | None = None
         try:
             results = _run(system, steps, h, give if observers else None, rows, inbox)
         except StoppedRun as run:
             results, failure = run.results, run.error
         feed.end(results.values)
-        changes = () if channel is None else channel.noted()
+        changes = () if control is None else control.changes
         return SteppedRun(results, _log_lines(system), failure or feed.failure, changes)
 
 
-def _feed(observers: Sequence[Observer], system: System, steps: int, h: float, channel: Channel | None) -> Feed:
-    """Return the feed of rows to a run's observers, which may send changes through a channel."""
-    time = _times_of(system, steps, h)
-    control = None if channel is None else Control(system, channel)
-    return Feed(observers, ObservedRun(system.columns, steps + 1, system.start, h, system.units, control), time)
+def _feed(observers: Sequence[Observer], system: System, steps: int, h: float, control: Control | None) -> Feed:
+    """Return the feed of rows to a run's observers, which may control it."""
+    run = ObservedRun(system.columns, steps + 1, system.start, h, system.units, control)
+    return Feed(observers, run, _times_of(system, steps, h))
 
 
 def _early_end(system: System, h: float, done: int) -> EarlyEnd:
@@ -205,7 +206,7 @@ def simulate_rows(system: System, steps: int, h: float, job: RowsJob) -> WorkerE
         keeper = _keeper(job, mapped) if job.keeps else None
         shared = progress.made, progress.doing, _store_loop, progress.asked, keeper, job.given
         rows = Rows(mapped, beside, *shared)
-        inbox = Inbox(Channel(job.channel, progress)) if job.observed else None
+        inbox = Inbox(job.channel, progress) if job.observed else None
         results = _run(system, steps, h, obey if job.observed else None, rows, inbox)
     except StoppedRun as run:
         results, failure = run.results, run.error
@@ -290,9 +291,9 @@ def simulate_apart(
         counters = worker.progress
         counters.loop, counters.stop[0], counters.hold[0], counters.sent[0] = b"", 0, 0, 0
         exchange = stack.enter_context(temporary_folder("changes"))  # outlives a crash of the worker
-        channel = Channel(exchange, counters)
+        control = Control(system, exchange, counters)
         table = _begin_rows(stack, worker, folder, 8 * columns * (steps + 1), kept)
-        feed = _feed(observers, system, steps, h, channel if observers else None)
+        feed = _feed(observers, system, steps, h, control if observers else None)
         if observers and columns:
             feed.table = np.memmap(table, np.float64, "r", shape=(steps + 1, columns))
         job = RowsJob(table, limits, exchange, bool(observers), kept.interval, given, keeping is not None)
@@ -300,7 +301,7 @@ def simulate_apart(
         done = max(counters.made[0], given)  # A failure before the last given row loses none.
         state = read_state(table.with_name(STATE)) if kept.folder is None else None
         values = read_table(table, done, columns, mapped=recording is not None)
-        beside, changes = read_exact(table.with_name(BESIDE), done), channel.noted()
+        beside, changes = read_exact(table.with_name(BESIDE), done), control.changes
         feed.end(values)
         time = _times_of(system, steps, h)
         if end.last is not None:

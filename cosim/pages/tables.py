@@ -31,10 +31,9 @@ from cosim.storage.cache import cache_folder, load_or_make
 from cosim.storage.csv_source import CSV, read_heading
 from cosim.storage.files import open_bytes, scratch_folder
 from cosim.storage.folders import content_of
-from cosim.storage.parquet_source import PARQUET, UNIT
+from cosim.storage.parquet_source import PARQUET, heading_of
 from cosim.storage.results import INTEGER, Results, is_rounded, read_results
-from cosim.storage.table_columns import is_time, split_heading
-from cosim.storage.table_source import source_of
+from cosim.storage.table import is_time, source_of
 
 FOLDER, ABOUT, TEXTS, VERSION = "view", "about.json", "texts.arrow", 5
 UNUSED = 30 * 86_400.0  # [s] from which a conversion is removed
@@ -263,8 +262,7 @@ def _parquet_table(path: Path, columns: ColumnTypes) -> _Table:
     schema = parquet.read_schema(path)
     heads, kinds = list[tuple[str, str]](), list[Any]()
     for column in schema:
-        unit = (column.metadata or {}).get(UNIT)
-        heads.append(split_heading(column.name, columns.units) if unit is None else (column.name, unit.decode()))
+        heads.append(heading_of(column, columns.units))
         kinds.append(column.type.value_type if pa.types.is_dictionary(column.type) else column.type)
 
     def text_of(column: Any, kind: Any) -> Any:

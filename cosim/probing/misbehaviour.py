@@ -64,8 +64,8 @@ def misbehaviour(fmu: Path) -> Iterator[str]:
             getattr(part, "canGetAndSetFMUstate", False) or getattr(part, "canGetAndSetFMUState", False)
         ):
             both = tried(outputs_after_restoring, len(first) // 3)
-            pair = (first, both) if isinstance(both, Exception) else both
-            yield from _said("a repetition from a saved state", *pair, noise)
+            table, again = (first, both) if isinstance(both, Exception) else both
+            yield from _said("a repetition from a saved state", table, again, noise)
         grown = tried(growth)
         if not isinstance(grown, Exception) and grown > LEAK:
             yield f"keeps {grown / 1e6:.2g} MB of memory for each instance after its end"

@@ -62,7 +62,13 @@ class Places:
             "dampings": [asdict(damping) for damping in s.dampings],
             "storages": [_entry(s.states or s.outputs, name) for name in s.storages],
             "feeds": {name: asdict(port) for name, port in s.feeds.items()},
-            "sensors": [{**_entry(s.outputs, q.name), "shows": _shown(s, q.name)} for q in s.outputs],
+            "sensors": [
+                {
+                    **_entry(s.outputs, q.name),
+                    "shows": next((state for state, shown in s.shown.items() if shown == q.name), ""),
+                }
+                for q in s.outputs
+            ],
             "inputs": [_entry(s.inputs, q.name) for q in s.inputs],
             "parameters": [
                 {**_entry([p.quantity], p.name), "acts": p.acts, "starts": p.starts, "failure": p.failure}
@@ -79,11 +85,6 @@ class Places:
 def _entry(quantities: Sequence[Quantity], name: str) -> dict[str, Any]:
     quantity = next(q for q in quantities if q.name == name)
     return {"name": name, "unit": quantity.unit, "start": quantity.start}
-
-
-def _shown(structure: Structure, output: str) -> str:
-    """Return the state that an output equals, or ""."""
-    return next((state for state, shown in structure.shown.items() if shown == output), "")
 
 
 def probe_places(

@@ -53,10 +53,6 @@ class Prober:
         """Return the FMU with its start values."""
         return self.with_values({})
 
-    def in_worker(self, worker: Worker) -> Prober:
-        """Return the same FMU in another worker process."""
-        return Prober(self.path, self.values, worker, self.place, self._limits)
-
     @contextmanager
     def hurry(self, took: float) -> Iterator[None]:
         """Limit all jobs within a `with` block as trials that may hang; see `hurried`."""

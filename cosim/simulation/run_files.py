@@ -12,7 +12,7 @@ from cosim.storage.artefact import folder_kind
 from cosim.storage.folders import manifest_in, newest_run, replay_record, run_name, status_in, warnings_on
 from cosim.storage.kinds import LOG, check_given, refuse_folder
 from cosim.storage.results import Results, read_results, rows_in
-from cosim.storage.table_source import suffixes
+from cosim.storage.table import suffixes
 
 WANTED = "the folder of a run or a table of its rows"
 

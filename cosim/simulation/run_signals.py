@@ -13,7 +13,7 @@ from cosim.base.arrays import Array
 from cosim.base.messages import printable
 from cosim.base.text import MISSING, counted, plain
 from cosim.storage.results import Results
-from cosim.storage.table_source import as_text
+from cosim.storage.table import as_text
 
 if TYPE_CHECKING:
     import pandas

@@ -6,10 +6,9 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
-from cosim.base.errors import InputError, refuse
+from cosim.base.errors import InputError
 from cosim.ssp.elements import Element
 from cosim.ssp.notes import Notes
-from cosim.ssp.ssp_package import Package
 from cosim.ssp.structure import LinearTransformation, SspParameter
 from cosim.storage.yaml_file import did_you_mean, format_value
 
@@ -18,27 +17,6 @@ REALS = ("Real", "Float64", "Float32")
 WHOLE = ("Integer", *(f"{sign}Int{bits}" for sign in ("", "U") for bits in (8, 16, 32, 64)))
 BOOLEANS = {"true": True, "1": True, "false": False, "0": False}
 TYPES = (*REALS, *WHOLE, "Boolean", "String", "Enumeration", "Binary")
-
-
-def read_parameter_file(package: Package, source: str) -> dict[str, Any]:
-    """Return the start values of an SSV file: numbers, with a unit as text such as "12 deg", and texts.
-
-    Args:
-        source: URI of the file, relative to the folder of the package.
-
-    Raises:
-        InputError: The file has faults.
-    """
-    file = package.resolve(source)
-    if isinstance(file, str):
-        raise InputError.at(package.shown, file)
-    reader = ParameterReader(package)
-    root = package.element(file)
-    if root.tag != "ssv:ParameterSet":
-        reader.note(root, "it should be ssv:ParameterSet")
-    parameters = list(reader._set(root))
-    refuse(reader.faults)
-    return {p.name: f"{p.value!r} {p.unit}" if p.unit and isinstance(p.value, float) else p.value for p in parameters}
 
 
 class ParameterReader(Notes):

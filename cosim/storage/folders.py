@@ -167,7 +167,7 @@ def remove_earlier(folder: Path, verb: str, *, read: Iterable[Path] = ()) -> Non
 
 def _files_by(artefact: Artefact, folder: Path) -> Iterator[Path]:
     """Yield the files of a verb in a folder. Without results of the verb, a folder within is the user's."""
-    from cosim.storage.table_source import suffixes  # numpy, which `cosim list` does not need
+    from cosim.storage.table import suffixes  # numpy, which `cosim list` does not need
 
     is_there = artefact.is_left_in(folder, unfinished=True)
     tables = [f"{stem}{suffix}" for stem in artefact.tables for suffix in suffixes()]

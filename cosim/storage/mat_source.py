@@ -15,8 +15,7 @@ from cosim.base.arrays import Array
 from cosim.base.drafts import draft_of
 from cosim.base.errors import InputError
 from cosim.storage.files import open_bytes
-from cosim.storage.table_columns import split_heading
-from cosim.storage.table_source import HEAD, Frame, Source, SourceColumn, as_text, time_among, whole_numbers
+from cosim.storage.table import HEAD, Column, Source, Table, as_text, split_heading, time_among, whole_numbers
 
 BAD_TABLE = "is no {format} file that can be read: {reason}; write it again"
 
@@ -37,13 +36,13 @@ class Mat(Source):
     magic = MAGIC
     writes = True
 
-    def frame(self, path: Path, names: Container[str] = (), text: Collection[str] = ()) -> Frame:
+    def read(self, path: Path, names: Container[str] = (), text: Collection[str] = ()) -> Table:
         """Read all columns."""
         content = _content(path)
         columns = [*_own_columns(content)] if "names" in content else [*_variables(content, names)]
-        return Frame(columns, range(1, len(columns[0].values) + 1 if columns else 1))
+        return Table(columns)
 
-    def write(self, path: Path, columns: Sequence[SourceColumn]) -> None:
+    def write(self, path: Path, columns: Sequence[Column]) -> None:
         """Write columns, time first.
 
         Raises:
@@ -75,7 +74,7 @@ class Mat(Source):
 MAT = Mat()
 
 
-def _numbers(columns: Sequence[SourceColumn], rows: int) -> dict[str, Any]:
+def _numbers(columns: Sequence[Column], rows: int) -> dict[str, Any]:
     """Return the variables that hold columns of numbers."""
     values = [np.asarray(c.values) for c in columns]
     return {
@@ -109,32 +108,32 @@ def _content(path: Path) -> Mapping[str, Any]:
     return content
 
 
-def _own_columns(content: Mapping[str, Any]) -> Iterator[SourceColumn]:
+def _own_columns(content: Mapping[str, Any]) -> Iterator[Column]:
     """Yield the columns of a file written by `Mat.write`."""
-    yield SourceColumn("time", "s", np.ravel(content["time"]).astype(np.float64))
+    yield Column("time", "s", np.ravel(content["time"]).astype(np.float64))
     whole = np.ravel(content["whole"])
     for k, (name, unit) in enumerate(zip(_words(content["names"]), _words(content["units"]), strict=True)):
         values: Array = np.ascontiguousarray(content["values"][:, k], dtype=np.float64)
-        yield SourceColumn(name, unit, values.astype(np.int64) if whole[k] else values)
+        yield Column(name, unit, values.astype(np.int64) if whole[k] else values)
     if "text" in content:
         heads = zip(_words(content["text_names"]), _words(content["text_units"]), strict=True)
         for k, (name, unit) in enumerate(heads):
-            yield SourceColumn(name, unit, _words(content["text"][:, k]))
+            yield Column(name, unit, _words(content["text"][:, k]))
 
 
-def _variables(content: Mapping[str, Any], names: Container[str]) -> Iterator[SourceColumn]:
+def _variables(content: Mapping[str, Any], names: Container[str]) -> Iterator[Column]:
     """Yield the variables as long as `time`, which comes first."""
     vectors = {name: np.ravel(v) for name, v in content.items() if isinstance(v, np.ndarray) and max(v.shape) == v.size}
     headings = {split_heading(heading)[0]: heading for heading in vectors}
     if (found := time_among(headings)) is None:
         return
     time = vectors[headings[found]]
-    yield SourceColumn("time", split_heading(headings[found])[1] or "s", time.astype(np.float64))
+    yield Column("time", split_heading(headings[found])[1] or "s", time.astype(np.float64))
     for heading, values in vectors.items():
         if values is not time and values.size == time.size and values.dtype.kind in "biuf":
             name, unit = split_heading(heading, names)
             is_whole = values.dtype.kind in "biu"
-            yield SourceColumn(name, unit, whole_numbers(values) if is_whole else values.astype(np.float64))
+            yield Column(name, unit, whole_numbers(values) if is_whole else values.astype(np.float64))
 
 
 def _cells(texts: Sequence[str]) -> Any:

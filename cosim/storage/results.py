@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import csv
-import errno
-import io
 import re
 from array import array
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -16,15 +13,26 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.drafts import draft_of, is_full
-from cosim.storage.csv_source import cell_text, write_table
-from cosim.storage.table import is_there
-from cosim.storage.table_columns import MOST_TIME, Faults, is_time, note_distant, note_wrong_first, time_scale
-from cosim.storage.table_source import Frame, SourceColumn, as_text, source_named, source_of, suffixes
+from cosim.base.drafts import is_full
+from cosim.storage.csv_source import CSV
+from cosim.storage.table import (
+    MOST_TIME,
+    Column,
+    Faults,
+    Table,
+    as_text,
+    is_there,
+    is_time,
+    note_distant,
+    note_wrong_first,
+    source_named,
+    source_of,
+    suffixes,
+    time_scale,
+)
 
-CHUNK = 1000  # rows
 EXACT = 2**53  # integers below this size are doubles
-FEWER = 0.7  # share of the rows to try next on a full disk, for formats written as a whole
+FEWER = 0.7  # share of the rows to try next on a full disk
 
 
 @dataclass(frozen=True)
@@ -84,82 +92,35 @@ class Results:
     def _places(self) -> Mapping[str, int]:
         return {name: k for k, name in enumerate(self.columns)}
 
-    def write(self, path: Path, go_on: Callable[[int], bool] | None = None) -> None:
+    def write(self, path: Path, go_on: Callable[[int], bool] = lambda count: True) -> None:
         """Write time and all columns in the format of the suffix.
 
         Args:
             go_on: Function that returns whether CSV goes on after so many rows.
         """
-        if path.suffix == ".csv":
-            self.write_csv(path, go_on)
-        else:
-            source_named(path.suffix).write(path, self._source_columns(len(self.time)))
-
-    def _source_columns(self, rows: int) -> list[SourceColumn]:
-        """Return the first rows as columns, with time first."""
-        columns = [SourceColumn("time", "s", self.time[:rows])]
+        columns = [Column("time", "s", self.time)]
         for k, name in enumerate(self.columns):
-            values = np.ascontiguousarray(self.values[:rows, k])
+            values = self.values[:, k]
             unit = self.units.get(name, "")
-            columns.append(SourceColumn(name, unit, values.astype(np.int64) if name in self.whole else values))
-        return columns + [SourceColumn(n, self.units.get(n, ""), list(v[:rows])) for n, v in self.exact.items()]
-
-    def write_csv(self, path: Path, go_on: Callable[[int], bool] | None = None) -> None:
-        """Write CSV with exactly reproducible numbers, to the row after which `go_on` returns False."""
-        header = ("time", *self.columns, *self.exact)
-        if self.exact or self.whole:
-            write_table(path, header, self._typed_rows(go_on), cell_text)
+            columns.append(Column(name, unit, values.astype(np.int64) if name in self.whole else values))
+        columns += [Column(name, self.units.get(name, ""), list(values)) for name, values in self.exact.items()]
+        if path.suffix == ".csv":
+            CSV.write(path, columns, go_on)
         else:
-            write_table(path, header, self._rows(go_on))
+            source_named(path.suffix).write(path, columns)
 
     def write_what_fits(self, path: Path) -> int:
-        """Write the rows that fit on the disk and return their number; raise OSError if none fits."""
-        if path.suffix != ".csv":
-            return self._write_whole_that_fits(path)
-        with draft_of(path) as draft, draft.open("wb", buffering=0) as stream:
-            text = io.StringIO()
-            csv.writer(text, lineterminator="\n").writerow(("time", *self.columns, *self.exact))
-            header = text.getvalue().encode()
-            if stream.write(header) < len(header):
-                raise OSError(errno.ENOSPC, "no room for a header")
-            for number, row in enumerate(self._typed_rows()):
-                line, before = (",".join(map(cell_text, row)) + "\n").encode(), stream.tell()
-                try:
-                    whole = stream.write(line) == len(line)
-                except OSError:
-                    whole = False
-                if not whole:
-                    stream.truncate(before)
-                    return number
-        return len(self.time)
-
-    def _write_whole_that_fits(self, path: Path) -> int:
-        """Write a format without partial files with as many first rows as fit on the disk; return their number."""
+        """Write as many first rows as fit on the disk and return their number; raise OSError if none fits."""
         count = len(self.time)
         while True:
+            exact = {name: values[:count] for name, values in self.exact.items()}
             try:
-                source_named(path.suffix).write(path, self._source_columns(count))
+                replace(self, time=self.time[:count], values=self.values[:count], exact=exact).write(path)
                 return count
             except OSError as error:
                 if not (count and is_full(error)):
                     raise
                 count = int(FEWER * count)
-
-    def _rows(self, go_on: Callable[[int], bool] | None = None) -> Iterator[tuple[float, ...]]:
-        for first in range(0, len(self.time), CHUNK):  # Python floats need four times the memory.
-            if first and go_on is not None and not go_on(first):
-                return
-            part = slice(first, first + CHUNK)
-            for t, row in zip(self.time[part].tolist(), self.values[part].tolist(), strict=True):
-                yield t, *row
-
-    def _typed_rows(self, go_on: Callable[[int], bool] | None = None) -> Iterator[tuple[Any, ...]]:
-        whole = [k for k, name in enumerate(self.columns, 1) if name in self.whole]
-        for number, row in enumerate(self._rows(go_on)):
-            typed: list[Any] = list(row)
-            for k in whole:
-                typed[k] = int(row[k])
-            yield *typed, *(column[number] for column in self.exact.values())
 
 
 INTEGER = re.compile(r"0|-?[1-9]\d{0,19}")
@@ -185,11 +146,7 @@ def is_rounded(values: Any) -> bool:
 
 
 def read_results(
-    path: Path,
-    units: Mapping[str, str] | None = None,
-    text: Collection[str] = (),
-    *,
-    words: Collection[str] = (),
+    path: Path, units: Mapping[str, str] | None = None, text: Collection[str] = (), *, words: Collection[str] = ()
 ) -> Results:
     """Return written results, or any table with time first.
 
@@ -201,15 +158,17 @@ def read_results(
         words: Columns of `text` that are no integers, also if they look like it.
 
     Raises:
-        InputError: The file has faults; it lists all of them.
+        InputError: The file has faults.
     """
-    faults, units = Faults(path), units or {}
-    frame = source_of(path).frame(path, units, text) if is_there(faults) else Frame()
+    faults, units, table = Faults(path), units or {}, Table()
+    if is_there(faults):
+        table = source_of(path).read(path, units, text)
+    faults.items += table.faults
     faults.raise_any()
-    time = _time_of(frame, faults)
+    time = _time_of(table, faults)
     numbers: dict[str, Array] = {}
     exact, whole = dict[str, list[Any]](), set[str]()
-    for cell, column in enumerate(frame.columns[1:], 2):
+    for cell, column in enumerate(table.columns[1:], 2):
         if column.fault:
             faults.note(0, cell, f"column {column.name} {column.fault}")
         elif not column.numeric:
@@ -223,45 +182,38 @@ def read_results(
             whole |= {column.name} if values.dtype.kind == "i" else set()
     faults.raise_any()
     values = np.column_stack(list(numbers.values())) if numbers else np.empty((time.size, 0))
-    own_units = {c.name: c.unit for c in frame.columns[1:] if c.unit}
+    own_units = {c.name: c.unit for c in table.columns[1:] if c.unit}
     own_units |= {name: unit for name, unit in units.items() if name in numbers or name in exact}
-    words = frozenset(exact) & {*words, *_texts_in(frame)}
+    words = frozenset(exact) & {*words, *(c.name for c in table.columns[1:] if c.is_text)}
     return Results(time, tuple(numbers), values, own_units, exact, frozenset(whole), words=words)
 
 
-def _texts_in(frame: Frame) -> set[str]:
-    return {column.name for column in frame.columns[1:] if column.is_text}
-
-
-def _time_of(frame: Frame, faults: Faults) -> Array:
+def _time_of(table: Table, faults: Faults) -> Array:
     """Return the first column in seconds, checked for order.
 
     Equal times are allowed, because some tools write several rows per event.
     """
-    first = frame.columns[0] if frame.columns else SourceColumn("", "")
-    lines = frame.row_lines
-    line = 1 if len(lines) and lines[0] > 1 else 0  # line of the header
+    first = table.columns[0] if table.columns else Column("")
+    lines = table.row_lines
     if not is_time(first.name):
-        place = next((cell for cell, column in enumerate(frame.columns, 1) if is_time(column.name)), 0)
-        note_wrong_first(faults, line, first.name, place)
+        place = next((cell for cell, column in enumerate(table.columns, 1) if is_time(column.name)), 0)
+        note_wrong_first(faults, table.header, first.name, place)
         return np.empty(0)
-    scale = time_scale(faults, line, first.unit)
+    scale = time_scale(faults, table.header, first.unit)
     if not first.numeric:
         if len(lines):
-            reason = f"column time {first.fault}"
-            faults.note(lines[0], 1, reason if first.fault else "a time is no number; write seconds")
+            fault = f"column time {first.fault}" if first.fault else "a time is no number; write seconds"
+            faults.note(lines[0], 1, fault)
         return np.empty(0)
     time = np.asarray(first.values, dtype=np.float64) * scale
-    for row in np.flatnonzero(~np.isfinite(time)).tolist():
-        faults.note_cell(
-            lines[row], 1, "rows without a time", "the row has no time; fill the cell or leave the row out"
-        )
-    for row in np.flatnonzero(np.abs(time) > MOST_TIME).tolist():
-        note_distant(faults, lines[row], float(time[row]))
+    missing = np.flatnonzero(~np.isfinite(time))
+    faults.note_cells(missing, lines, 1, lambda row: "the row has no time; fill the cell or leave the row out")
+    note_distant(time, lines, faults)
     time = np.clip(time, -MOST_TIME, MOST_TIME)
-    for row in (np.flatnonzero(np.diff(time) < 0.0) + 1).tolist():
-        message = f"time {time[row]:g} s comes after {time[row - 1]:g} s; sort the rows"
-        faults.note_cell(lines[row], 1, "times that go back", message)
+    back = np.flatnonzero(np.diff(time) < 0.0) + 1
+    faults.note_cells(
+        back, lines, 1, lambda row: f"time {time[row]:g} s comes after {time[row - 1]:g} s; sort the rows"
+    )
     return time
 
 

@@ -1,19 +1,30 @@
 """YAML and JSON text as plain data with places; oversized, deep or unsupported content is rejected.
 
+Nodes come from ruamel.yaml, whose messages are used, or for long texts from the faster libyaml if present.
+
 Supported are mappings with text keys, lists, text, numbers, true, false and null, and anchors, aliases and merge keys
 with limited expansion.
 """
 
 from __future__ import annotations
 
+import importlib
 import json
+import re
+from collections.abc import Callable
+from contextlib import suppress
 from functools import cached_property, lru_cache
 from typing import Any
 
-from cosim.storage.yaml_parsers import DEEPEST, NotYaml, nodes, number, whole_number
+from ruamel.yaml import YAML
+from ruamel.yaml.error import MarkedYAMLError, YAMLError
+from ruamel.yaml.nodes import ScalarNode
 
-__all__ = ["Document", "Location", "NotYaml", "Place", "document_of"]
-
+DEEPEST = 60  # levels of nesting
+LONG = 20_000  # text length from which loading another parser pays off
+# Directives, tabs, byte order marks and Unicode line ends, on which the parsers disagree.
+APART = re.compile("^%|[\\t\\x85\\u2028\\u2029\\ufeff]", re.MULTILINE)
+TEXT = "tag:yaml.org,2002:str"
 MOST_YAML, MOST_JSON = 800_000, 8_000_000  # text lengths [characters] readable within seconds
 MOST_MARKS = 100_000  # commas, colons and lines of YAML, which determine the reading time
 MOST_PARTS = 400_000  # keys and values after expanding aliases
@@ -22,6 +33,92 @@ SCALARS = {"null", "bool", "int", "float", "str", "timestamp", "merge", "value"}
 Location = tuple[str | int, ...]
 Place = tuple[int, int]
 UNKNOWN: Place = (0, 0)
+
+
+class NotYaml(Exception):
+    """Invalid or unsupported YAML text, with line and column from 1."""
+
+    def __init__(self, line: int, column: int, message: str) -> None:
+        super().__init__(message)
+        self.line, self.column = line, column
+
+
+def nodes(text: str) -> Any:
+    """Return the root node of a YAML text, None if empty.
+
+    A node has id (scalar, sequence, mapping), tag, value and start_mark; a scalar has a style, empty if plain.
+
+    Raises:
+        NotYaml: The text is invalid.
+    """
+    if len(text) >= LONG and not APART.search(text) and (parser := _libyaml()) is not None:
+        with suppress(Exception):  # ruamel.yaml explains errors better than libyaml.
+            return parser(text).get_single_node()
+    return _by_ruamel(text)
+
+
+@lru_cache(maxsize=1)
+def _constructor() -> Any:
+    return YAML(typ="safe", pure=True).constructor
+
+
+def _by_ruamel(text: str) -> Any:
+    try:
+        return YAML(typ="safe", pure=True).compose(text)
+    except MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        line, column = (mark.line + 1, mark.column + 1) if mark else (1, 1)
+        context = error.context if str(error.problem).startswith("but ") or not error.problem else ""
+        problem = " ".join(f"{context or ''} {error.problem or ''}".split()) or "cannot be understood"
+        raise NotYaml(line, column, f"is not YAML: {problem[:200]}") from None
+    except RecursionError:
+        raise NotYaml(1, 1, f"is nested too deep; at most {DEEPEST} levels are read") from None
+    except YAMLError as error:
+        problem = (str(error).splitlines() or ["unreadable"])[0]
+        raise NotYaml(1, 1, f"is not YAML: {problem[:200]}") from None
+    except (ValueError, IndexError, TypeError, AttributeError, AssertionError, OverflowError):
+        # errors of ruamel.yaml's scanner
+        raise NotYaml(1, 1, "is not YAML: it cannot be understood") from None
+
+
+@lru_cache(maxsize=1)
+def _libyaml() -> Callable[[str], Any] | None:
+    """Return PyYAML's C parser with ruamel.yaml's scalar types, if present."""
+    try:
+        parser: Any = importlib.import_module("yaml.cyaml").CParser
+    except ImportError:
+        return None
+    resolver = YAML(typ="safe", pure=True).resolver.versioned_resolver
+    tags = {first: [(str(tag), pattern.match) for tag, pattern in kinds] for first, kinds in resolver.items()}
+
+    class Parser(parser):  # type: ignore[misc]
+        """Methods called by PyYAML's composer."""
+
+        def __init__(self, text: str) -> None:
+            super().__init__(text)
+            self.depth = 0
+
+        def descend_resolver(self, _: Any, __: Any) -> None:
+            """Enter a nested node."""
+            self.depth += 1
+            if self.depth > 2 * DEEPEST:  # Deeper nesting would overflow the stack in libyaml.
+                raise RecursionError
+
+        def ascend_resolver(self) -> None:
+            """Leave a nested node."""
+            self.depth -= 1
+
+        def resolve(self, kind: Any, value: Any, implicit: Any) -> str | None:
+            """Return the tag of an untagged node."""
+            if kind.id != "scalar":
+                return f"tag:yaml.org,2002:{'map' if kind.id == 'mapping' else 'seq'}"
+            if implicit[0]:
+                for tag, match in tags.get(value[:1], ()):
+                    if match(value):
+                        return tag
+            return TEXT
+
+    return Parser
 
 
 @lru_cache(maxsize=2)  # A file is examined for its kind first, and then read.
@@ -150,7 +247,8 @@ def _scalar(node: Any, kind: str) -> Any:
             return text.lower() == "true"
         case "int" | "float":
             try:
-                return whole_number(node) if kind == "int" else number(node)
+                construct = getattr(_constructor(), f"construct_yaml_{kind}")
+                return construct(ScalarNode(node.tag, node.value))
             except (ValueError, IndexError):
                 raise _fault(node, f'"{text[:30]}" is no number') from None
     return text

@@ -35,7 +35,7 @@ def command(
 
     Example: cosim identify examples/bench/protocol.yaml
     """
-    from plant.identification.input_kind import results_of
+    from plant.identification.craft import results_of
     from plant.identification.workflow import identify as identify_bench
 
     name = results_of(protocol) if protocol.is_file() else ""

@@ -20,8 +20,11 @@ from cosim.base.messages import Message
 from cosim.base.registry import BASE
 from cosim.loading.file import LoadedModel, load_model
 from cosim.logs.log import Log, read_log
+from cosim.storage.folders import folder_named
+from cosim.storage.kinds import check_given
 from cosim.storage.yaml_file import NotNegative, Number, Part, YamlFile, did_you_mean
 from plant.identification import messages
+from plant.identification.artefacts import PROTOCOL
 from plant.identification.distance import matching_faults
 from plant.identification.estimates import Estimate, Result
 from plant.identification.rest_noise import rest_faults
@@ -53,6 +56,22 @@ class CraftFile(Part):
     model: str = BASE
     rest: RestFile | None = None
     distance: DistanceFile | None = None
+
+
+def craft_file(path: Path) -> YamlFile | None:
+    """Return the content of a file about craft logs, None for a protocol of a bench."""
+    check_given(path, PROTOCOL)
+    yaml = YamlFile(path)
+    return yaml if {"rest", "distance"} & set(yaml.root) and not {"cells", "tests"} & set(yaml.root) else None
+
+
+def results_of(path: Path) -> Path:
+    """Return the results folder of an input file, named by the file's key `name`, or else like the file."""
+    try:
+        name = YamlFile(path).root.get("name")
+    except InputError:  # reported by the reader
+        name = None
+    return folder_named(name if isinstance(name, str) else path.stem)
 
 
 @dataclass(frozen=True)

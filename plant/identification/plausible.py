@@ -39,9 +39,8 @@ def result_faults(protocol: Protocol, results: Sequence[Result]) -> list[Fault]:
     """Return faults of results and impossible numbers; add warnings about possible numbers to the results."""
     faults = []
     for result in results:
-        reasons = [reason for e in result.estimates if (reason := _reason_against(e, result.outliers))]
-        faults += [protocol.yaml.fault(("tests", result.test), text, key=True) for text in [*reasons, *result.faults]]
-        result.warnings += result.outliers
+        reasons = [reason for e in result.estimates if (reason := _reason_against(e))]
+        faults += [protocol.yaml.fault(("tests", result.test), text, key=True) for text in reasons]
         result.warnings += [text for e in result.estimates for text in _doubts(e)]
     return faults
 
@@ -50,11 +49,11 @@ def _unit(e: Estimate) -> str:
     return "" if e.unit == "1" else f" {e.unit}"
 
 
-def _reason_against(e: Estimate, outliers: Sequence[str]) -> Message | None:
-    """Return the message on an impossible number, with outlying recordings as its possible cause, else None."""
+def _reason_against(e: Estimate) -> Message | None:
+    """Return the message on an impossible number, else None."""
     low, high = bounds_of(e.name)
     is_lag = e.name.startswith("lag")
-    cure = "; ".join([CURES["lag" if is_lag else e.name], *outliers])
+    cure = CURES["lag" if is_lag else e.name]
     fields = {"name": e.name, "value": e.value, "unit": _unit(e), "cure": cure}
     if not np.isfinite(e.value):
         return messages.NO_VALUE(name=e.name, cure=cure)

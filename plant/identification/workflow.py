@@ -14,6 +14,7 @@ from cosim.base.registry import model_entry, resolve
 from cosim.base.scratch import temporary_folder
 from cosim.base.settings import Seed
 from cosim.model import Model
+from cosim.storage.artefact import Checking
 from cosim.storage.files import FilePath, check_writable
 from cosim.storage.folders import new_run
 from cosim.storage.kinds import check_given
@@ -21,16 +22,14 @@ from plant.bench import Bench
 from plant.identification import frequency, ground_effect, lag, moment, projection, thrust_line
 from plant.identification.artefacts import PROTOCOL
 from plant.identification.cells import Cells, calibrate
-from plant.identification.craft import CraftOutcome
+from plant.identification.checks import recording_faults
+from plant.identification.craft import CraftOutcome, craft_file, read_craft
 from plant.identification.craft_workflow import identify_craft
 from plant.identification.estimates import Estimate, Measurement, Result
 from plant.identification.identified import Outcome
-from plant.identification.input_kind import craft_file
-from plant.identification.odd_commands import odd_commands
 from plant.identification.plausible import result_faults
 from plant.identification.prepared import prepare
 from plant.identification.protocol import BENCH, Protocol
-from plant.identification.recording_faults import recording_faults
 from plant.identification.recordings import FmuPlayer, Recording, SimulatedRecording, load_runs, runs_of
 from plant.identification.write import RECORD, REPORT, model_text, write
 
@@ -153,7 +152,6 @@ def analyse(
     for name in (n for n in ANALYSES if n in recordings):
         measured = Measurement(recordings[name], cells, bench, getattr(protocol.file.tests, name), truth)
         result = ANALYSES[name](measured, draw=draw)
-        result.outliers += odd_commands(measured)
         results.append(result)
         # the lag of a step test has priority over that of sines
         fresh = {e.name: _in_bounds(bench, e) for e in result.estimates if e.name in bench.declared}
@@ -173,6 +171,25 @@ def checked_results(
     results = analyse(protocol, cells, recordings, draw=draw)
     refuse(result_faults(protocol, results))
     return results
+
+
+def check_protocol(path: Path, checking: Checking) -> list[str]:
+    """Return the warnings of a protocol.
+
+    Measured recordings are analysed, so that impossible numbers are faults as in `identify`.
+
+    Raises:
+        InputError: Every fault of the protocol, or of logs of a craft.
+    """
+    if (yaml := craft_file(path)) is not None:
+        read_craft(yaml)
+        return []
+    ready = prepare(path)
+    protocol, measured = ready.protocol, ready.measured
+    if not measured or not all(cell.points for cell in protocol.file.cells.values()):
+        return []
+    results = checked_results(protocol, calibrate(protocol, {}), measured, draw=False)
+    return [message.after(f"warning: {r.test}: ") for r in results for message in r.warnings]
 
 
 def _in_bounds(bench: Bench, e: Estimate) -> float:
