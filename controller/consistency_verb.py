@@ -22,7 +22,7 @@ def command(
     ] = 50,
     steps: Annotated[int, typer.Option("--steps", min=100, help="Number of samples of each run, at least 100.")] = 500,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed for all random numbers.")] = 1,
-    out: Annotated[Path | None, out_option("results/consistency")] = None,
+    out: Annotated[Path | None, out_option("a new number in results/consistency")] = None,
     report: Report = True,
     open_: Open = False,
     force: Force = False,
@@ -40,7 +40,7 @@ def command(
     check_size(runs, steps)
     with new_run(out, "consistency", VERB, force=force) as out, progress_bar("estimating") as progress:
         rows = over_runs(runs, steps, seed, progress)
-        remove_earlier(out, VERB)
+        remove_earlier(out)
         record = {"runs": runs, "steps": steps, "seed": seed, "rows": [row.as_json() for row in rows]}
         write_json(out / FILES[0], record, indent=1)
         if report:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Annotated, Any, Literal
 
@@ -29,6 +30,7 @@ from controller.variants import (
 )
 from cosim.base.errors import Fault, refuse
 from cosim.model import Model, parameters_of
+from cosim.storage.artefact import Checking
 from cosim.storage.yaml_file import InUnit, NotNegative, Part, Positive, PositiveSeconds, YamlFile
 from plant.hovercraft import Hovercraft
 
@@ -128,6 +130,11 @@ def design(yaml: YamlFile, model: Model) -> tuple[dict[str, dict[str, Any]], lis
         warnings += map(fault, remarks)
     refuse(dict.fromkeys(faults))
     return starts, [*map(str, dict.fromkeys(warnings))]
+
+
+def check_design(path: Path, checking: Checking) -> list[str]:
+    """Return the warnings of a design for the craft as registered; InputError lists its faults."""
+    return [f"warning: {warning}" for warning in design(YamlFile(path), Hovercraft())[1]]
 
 
 def controller_starts(

@@ -17,8 +17,8 @@ from cosim.comparison.differences import Compared
 from cosim.refinement.refined_result import Refined
 from cosim.residuals.replay_signals import Replay
 from cosim.simulation.run_signals import Run, Signals
+from cosim.sweeps.store import Runs
 from cosim.sweeps.sweep_result import Swept
-from cosim.sweeps.sweep_table import Runs
 from cosim.verbs import verbs
 from cosim.verbs.cli import app
 

@@ -43,10 +43,10 @@ IDENTIFY = Verb(
 CONSISTENCY = Verb(
     command="controller.consistency_verb:command",
     function="controller.consistency:consistency",
-    artefacts="fmus.registered:CONSISTENCY_FILES",
+    artefacts="fmus.registered:ARTEFACTS",
     group="Craft example",
 )
-CONSISTENCY_FILES = (
+ARTEFACTS = (
     Artefact(
         "an answer of `cosim consistency`",
         "scripts read it; `cosim consistency` makes one",
@@ -56,5 +56,12 @@ CONSISTENCY_FILES = (
         files=("consistency.json", "report.html"),
         folder="the folder of a consistency test",
         folder_step="its report.html opens in a browser, scripts read consistency.json",
+    ),
+    Artefact(
+        "a design of controllers",
+        "`cosim build --model hovercraft --design {file}` builds its controllers",
+        keys=tuple(frozenset({key}) for key in ("controllers", "Q", "R", "poles")),
+        without=frozenset({"components", "model"}),
+        check="controller.designer:check_design",
     ),
 )

@@ -70,20 +70,6 @@ def test_a_batch_covers_the_catalogue() -> None:
     assert all(GROUPS[kind.name] for kind in CATALOGUE)
 
 
-def test_one_effect_for_many_craft_may_be_given_once() -> None:
-    # scalars and arrays mix: a thousand craft of one kind, one parameter apart
-    craft = Hovercraft(mass=np.linspace(0.6, 0.8, 1000)).with_values(
-        {"actuator_delay.time": 0.04, "coriolis.gain": 1.0}
-    )  # type: ignore[arg-type]
-    stepper = Stepper(craft, arrays())
-    moment = stepper.start()
-    for _ in range(10):
-        moment = stepper.step(moment, (6.4, 6.4, 0.1, 0.1), HOLD)
-    vx = moment.state[5]
-    assert vx.shape == (1000,)
-    assert np.all(np.diff(vx) < 0.0)  # the heavier, the slower
-
-
 def test_scalar_body_returns_floats_of_python() -> None:
     # a NumPy scalar that leaks in makes every operation ten times slower
     craft = Hovercraft().with_values({name: values[0] for name, values in BATCH.items()})

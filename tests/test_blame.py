@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import ctypes
 import sys
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -16,9 +16,6 @@ from cosim.isolation import watch
 from cosim.isolation.limits import Limits
 from cosim.isolation.rows import CALLS, NOTHING, OTHER, Progress, Rows
 from cosim.isolation.watch import Clock, Watch, fmi_calls, how_ended
-from cosim.master.copying import Copying
-from cosim.master.halving import Halved, rollback_objection
-from cosim.master.initialization import Initialization
 from cosim.master.master import StoppedRun, simulate
 from cosim.system.schedule import Stage
 from tests.own_blocks import Block, rows_for, system_of
@@ -51,23 +48,6 @@ def test_every_call_of_a_run_is_announced_with_the_number_of_its_component() -> 
             assert divmod(doing, CALLS) == (number, CODES[call]), (name, call)
 
 
-def test_halved_steps_announce_the_component_whose_state_they_save(monkeypatch: pytest.MonkeyPatch) -> None:
-    blocks, seen = three(), list[tuple[str, int]]()
-    monkeypatch.setattr("cosim.master.halving.FmuBlock", Block)
-    system = chain(blocks)
-    rows = rows_for(system, 2)
-    for block in blocks:
-        block.instance = SimpleNamespace(  # type: ignore[attr-defined]
-            save_state=lambda name=block.name: seen.append((name, rows.doing[0])),
-            restore_state=lambda state, keep=False, name=block.name: seen.append((name, rows.doing[0])),
-        )
-    Halved(system, 2, 0.1, None, rows).results()
-    assert {name for name, _ in seen} == {*NAMES}
-    assert all(doing == CALLS * NAMES.index(name) + OTHER for name, doing in seen)
-    for number, block in enumerate(blocks):
-        assert all(divmod(doing, CALLS) == (number, CODES[call]) for _, call, doing in block.calls)
-
-
 def test_halved_steps_are_one_whole_and_two_halves_from_the_same_time() -> None:
     source = SourceBlock("s", {"y": ("", lambda t: t)})  # type: ignore[dict-item]
     system = system_of([], {}, start=3.0)
@@ -77,7 +57,7 @@ def test_halved_steps_are_one_whole_and_two_halves_from_the_same_time() -> None:
     advance = source.advance
     source.advance = lambda t, h: (taken.append((t, h)), advance(t, h))[1]  # type: ignore[func-returns-value,method-assign]
     rows = Rows.in_memory(3, 1)
-    results = Halved(system, 2, 0.5, None, rows).results()
+    results = simulate(replace(system, halved=True), 2, 0.5, rows=rows)
     assert taken == [(3.0, 0.5), (3.0, 0.25), (3.25, 0.25), (3.5, 0.5), (3.5, 0.25), (3.75, 0.25)]
     assert results["s.y"].tolist() == [0.0, 0.0, 0.0]  # a function of time does not depend on the steps
     assert (rows.made[0], results.time.tolist()) == (3, [3.0, 3.5, 4.0])
@@ -93,31 +73,19 @@ def test_the_difference_of_halves_is_that_of_the_values(monkeypatch: pytest.Monk
             super().advance(t, h)
             self.total += h * h
 
-    monkeypatch.setattr("cosim.master.halving.FmuBlock", Block)
+    monkeypatch.setattr("cosim.master.policies.FmuBlock", Block)
     block = Squares("a", [], ["y"], lambda t, h, u: [block.total])
     block.instance = SimpleNamespace(  # type: ignore[attr-defined]
         save_state=lambda: block.total, restore_state=lambda state, keep=False: setattr(block, "total", state)
     )
     system = system_of([block], {})
-    results = Halved(system, 3, 0.4, None, rows_for(system, 3)).results()
+    results = simulate(replace(system, halved=True), 3, 0.4, rows=rows_for(system, 3))
     assert results["a.y"].tolist() == pytest.approx([0.0, 0.08, 0.08, 0.08])
     assert block.total == pytest.approx(3 * 0.16)  # the run goes on from the whole steps
 
     block.instance.restore_state = lambda state, keep=False: None  # type: ignore[attr-defined]
     with pytest.raises(StoppedRun, match=r"a at t = 0 s: its outputs differ after a saved state is restored"):
-        Halved(system, 3, 0.4, None, rows_for(system, 3)).results()
-
-
-def test_what_cannot_be_taken_back_is_named() -> None:
-    block, source = Block("a", [], ["y"], lambda t, h, u: [t]), SourceBlock("s", {})
-    assert rollback_objection(system_of([block], {})) == "a cannot be taken back"
-    plain = system_of([], {})
-    of = type(plain)
-    assert rollback_objection(of((Stage(source),), (), (), {})) == ""
-    several = "several rates"
-    assert several in rollback_objection(of((Stage(source, every=2),), (), (), {}))
-    for more in ({"beside": ("a.text",)}, {"events": {3: {}}}):
-        assert several in rollback_objection(of((Stage(source),), (), (), {}, **more))
+        simulate(replace(system, halved=True), 3, 0.4, rows=rows_for(system, 3))
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -195,20 +163,6 @@ def test_outputs_that_are_right_only_after_initialization_reach_the_others() -> 
     taker = Block("taker", ["u"], ["y"], lambda t, h, u: [2.0 * u[0]])
     results = simulate(system_of([late, taker], {"taker.u": "late.y"}), 0, 1.0)
     assert (results["taker.u"][0], results["taker.y"][0]) == (7.0, 14.0)
-
-
-def test_initialization_tells_what_it_calls_before_it_does() -> None:
-    blocks = three()
-    system = chain(blocks)
-    rows = rows_for(system, 0)
-    row: Any = (ctypes.c_double * len(system.columns))()
-    copying = Copying(system, row, [], 0, 1.0)
-    for block, first in zip(blocks, (0, 2, 4), strict=True):
-        block.bind(row, first)
-    Initialization(system, blocks, row, [], copying.by_component(), copying.of(()), rows.doing).run()  # type: ignore[arg-type]
-    for number, block in enumerate(blocks):
-        assert {call for _, call, _ in block.calls} == {"put", "get", "start"}
-        assert all(divmod(doing, CALLS) == (number, CODES[call]) for _, call, doing in block.calls)
 
 
 # -- who watches ------------------------------------------------------------------------------------

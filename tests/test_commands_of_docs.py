@@ -220,10 +220,10 @@ def _of_a_cart(folder: Path) -> None:
 
 
 def _of_a_sweep(folder: Path) -> None:
-    """Four runs in place of 1024, of a second."""
+    """Four runs in place of 128."""
     shutil.copytree(ROOT / "examples" / "hovercraft", folder / "examples" / "hovercraft")
     file = folder / "examples" / "hovercraft" / "sweep.yaml"
-    file.write_text(file.read_text(encoding="utf-8").replace("runs: 1024", "runs: 4"), encoding="utf-8")
+    file.write_text(file.read_text(encoding="utf-8").replace("runs: 128", "runs: 4"), encoding="utf-8")
 
 
 def _refined(folder: Path) -> None:

@@ -386,8 +386,6 @@ def test_a_sweep_makes_its_runs_through_the_fmu(flown: Path) -> None:
         "signals: [controller.tilt_right]\nvary:\n  controller.weight_tilt: {values: [1, 400]}\n"
     )
     swept = sweep(Path("sweep.yaml"), flown / "out", in_process=True, report=False)
-    assert swept.record["way"] == "fmus"
-    assert "controller" in swept.record["why"]
     table, _ = read_table(swept.folder / TABLE)
     light, heavy = (tilts[0] for tilts in table.column("controller.tilt_right").to_pylist())
     assert abs(heavy) < 0.9 * abs(light)

@@ -20,10 +20,7 @@ from cosim.blocks.compiling import compiling
 from cosim.blocks.description import read_description
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
-from cosim.isolation.rows import Rows
-from cosim.master.halving import rollback_objection
-from cosim.master.instants import Instants
-from cosim.master.master import Master, StoppedRun, simulate
+from cosim.master.master import StoppedRun, simulate
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.workflow import run
 from cosim.storage.results import Results
@@ -308,9 +305,6 @@ def test_ticks_are_counted_so_that_their_times_do_not_drift() -> None:
     for _ in range(10_000):
         timer.tick()
     assert timer.next == 10_000 * 0.1
-    again = Timer()
-    again.restore(json.loads(json.dumps(timer.state())))
-    assert again == timer
 
 
 def test_a_clock_faster_than_the_steps_of_its_fmu_is_refused(folder: Path) -> None:
@@ -318,42 +312,6 @@ def test_a_clock_faster_than_the_steps_of_its_fmu_is_refused(folder: Path) -> No
         StoppedRun, match=r"r.sample at t = 0\.2 s: the clock ticks every 0\.1 s, but its FMU takes only"
     ):
         simulated(folder, {"r": {"fmu": "rigid_clocked.fmu"}}, step=0.2)
-
-
-def test_a_run_goes_on_from_its_saved_schedule_with_the_same_bytes(folder: Path) -> None:
-    components = {
-        "b": {"fmu": "clocked_states.fmu", "start": {"delay": 0.125, "announced": 0.13}},
-        "a": {"fmu": "clocked_states.fmu", "start": {"u": 3.0}},
-    }
-    system = system_of(folder, components, ["a.crossed → b.trigger", "a.events → b.kick", "a.x → b.w"])
-    master = Master(system, 10, 0.1, None, Rows.in_memory(11, len(system.columns)))
-    outcomes: list[tuple[bytes, list[Any]]] = []
-
-    def go_on(instants: Instants) -> None:
-        for k in range(1, 6):
-            instants._step_to_point(k, has_calls=False)
-        fmus = [part.component for part in instants.events]
-        row, schedule = bytes(master.row), json.dumps(instants.state())
-        states = [[fmu.instance.save_state() for fmu in fmus] for _ in range(2)]
-        for saved in states:
-            master.row[:] = np.frombuffer(row).tolist()
-            for fmu, state in zip(fmus, saved, strict=True):
-                fmu.instance.restore_state(state)
-            instants.restore(json.loads(schedule))
-            rows = []
-            for k in range(6, 11):
-                instants._step_to_point(k, has_calls=False)
-                rows.append(bytes(master.row))
-            outcomes.append((b"".join(rows), list(instants.record.events)))
-
-    master._step_on = lambda: go_on(master.instants)  # type: ignore[method-assign, arg-type]
-    master.results()
-    assert outcomes[0] == outcomes[1]
-    whole = simulate(
-        system_of(folder, components, ["a.crossed → b.trigger", "a.events → b.kick", "a.x → b.w"]), 10, 0.1
-    )
-    assert outcomes[0][0] == whole.values[6:].tobytes()
-    assert outcomes[0][1] == list(whole.events)
 
 
 def test_an_event_of_the_scenario_changes_the_interval_of_a_tunable_clock(tmp_path: Path) -> None:
@@ -483,10 +441,6 @@ def test_event_mode_is_refused_where_the_fmu_has_none(folder: Path) -> None:
     slider_fmu(folder / "two.fmu")
     found = messages_of(folder, {"b": {"fmu": "two.fmu", "event_mode": True}})
     assert any("b has no event mode: it is run as FMI 2.0" in message for message in found)
-
-
-def test_steps_with_event_mode_are_not_halved(folder: Path) -> None:
-    assert "has event mode" in rollback_objection(system_of(folder, {"a": RISES}))
 
 
 # -- the example ----------------------------------------------------------------------------------------

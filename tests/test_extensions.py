@@ -147,7 +147,7 @@ def test_a_third_party_registers_a_model_a_page_and_a_command(acme: Path, tmp_pa
     (tmp_path / "run.yaml").write_text(TANK_RUN)
     ran = command("run", "run.yaml", folder=tmp_path, PYTHONPATH=path)
     assert ran.returncode == 0, ran.stderr
-    assert "A tank by Acme" in (tmp_path / "results" / "tank" / "report.html").read_text(encoding="utf-8")
+    assert "A tank by Acme" in (tmp_path / "results" / "tank" / "0001" / "report.html").read_text(encoding="utf-8")
     told = command("tank-volume", "2.0", folder=tmp_path, PYTHONPATH=path)
     assert told.stdout == "volume: 1.0 m3\n", told.stderr
     help_page = command("--help", folder=tmp_path, PYTHONPATH=path).stdout

@@ -16,7 +16,7 @@ from cosim.authoring.matching import Matches, Port, match_ports, text
 from cosim.authoring.parts import component_name
 from cosim.base.errors import CosimError, InputError
 from cosim.blocks.component import Signal
-from cosim.coupling.algorithms import DEFAULT
+from cosim.blocks.coupling import DEFAULT
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.storage.kinds import LOG, next_step
 from cosim.storage.results import read_results

@@ -217,7 +217,7 @@ def test_a_spent_budget_and_ctrl_c_leave_the_best_values(bench: Path, tmp_path: 
         cosim.fit(*arguments, vary=["mass"], limits="total: 60 s", in_process=True)
     stop_at(12, KeyboardInterrupt())
     with pytest.raises(SimulationError, match="keyboard") as stopped:
-        cosim.fit(*arguments, vary=["mass"], sealed=[bench / "b.csv"], in_process=True)
+        cosim.fit(*arguments, vary=["mass"], sealed=[bench / "b.csv"], in_process=True, force=True)
     assert (late.value.exit_code, stopped.value.exit_code) == (124, 130)
     left = cosim.read(tmp_path / "out")
     assert left.verdict == "stopped"  # type: ignore[union-attr]

@@ -41,6 +41,7 @@ WORDS = {  # file → what it is called
     "sweep.yaml": "is a sweep",
     "protocol.yaml": "is a protocol of a testing bench",
     "model.yaml": "is a model file",
+    "design.yaml": "is a design of controllers",
     "model.py": "is a model's Python file",
     "refined/refine.json": "is an answer of `cosim refine`",
     "linear.json": "is an answer of `cosim linearize`",
@@ -84,7 +85,10 @@ MODELS = {
 LOGS = {"log.csv", "ran/results.csv"}
 FMUS = {"x.fmu", "as.zip"}
 CHECKED = (
-    SCENARIOS | FMUS | {"study.yaml", "fit.yaml", "sweep.yaml", "protocol.yaml", "model.yaml", "model.py", "log.csv"}
+    SCENARIOS
+    | FMUS
+    | {"study.yaml", "fit.yaml", "sweep.yaml", "protocol.yaml", "model.yaml", "model.py", "log.csv"}
+    | {"design.yaml"}
 )
 READ = {  # command → what it reads
     "run": SCENARIOS,
@@ -135,6 +139,7 @@ def shelf(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "fit.yaml": "model: x.fmu\nlogs: {estimation: [log.csv]}\nvary: [a]\n",
         "sweep.yaml": "scenario: scenario.yaml\nvary: {step: {}}\n",
         "protocol.yaml": "cells: {}\ntests: {}\n", "model.yaml": "parameters: {}\n", "model.py": "x = 1\n",
+        "design.yaml": "R: [1, 1]\n",
         "refined/refine.json": '{"verdict": "no_effect", "candidates": []}',
         "linear.json": json.dumps({**answer, "model": "m", "states": [], "models": []}),
         "fit.json": json.dumps({**answer, "parameters": {}, "simulations": 1, "logs": []}),

@@ -90,56 +90,7 @@ def test_dry_friction_at_rest_is_steep_viscous_friction() -> None:
     assert entry(model, "psi_dot", "psi_dot") == pytest.approx(-0.005 / 0.02 / 0.01023, rel=1e-12)
 
 
-def test_names_give_the_order_of_rows_and_columns() -> None:
-    craft = Hovercraft(effects=(ActuatorSecondOrder(natural_frequency=14.0, damping_ratio=0.5),))
-    model = linearize(craft)
-    assert model.states[-1] == "actuator_second_order.tilt_rate_left"
-    assert entry(model, "actuator_second_order.tilt_rate_left", "tilt_left") == -(14.0**2)
-    assert entry(model, "actuator_second_order.tilt_rate_left", "actuator_second_order.tilt_rate_left") == -14.0
-    assert model.B[model.states.index("thrust_right"), model.inputs.index("duty_right")] == pytest.approx(
-        359.9 * 9.81e-3 / 0.0884, rel=1e-14
-    )
-    assert model.C[model.outputs.index("ax"), model.states.index("vx")] == pytest.approx(-0.25 / 0.705, rel=1e-14)
-
-
 # Appendix E: the entries of the thesis' Jacobian.
-
-
-def test_entries_of_eq_e2() -> None:
-    tilt = 0.2
-    craft = Hovercraft(roll_ground_effect=False, table_roll_stiffness=0.0, table_roll_damping=0.0)
-    model = linearize(craft, craft.start({"tilt_right": tilt, "tilt_left": tilt}))
-    L, gain = 0.17145, 1.142024  # Γ; its last digit is 4e-7 of it
-    T = craft.start()[10]
-    expected = {
-        ("vx", "thrust_right"): gain / 0.705 * math.sin(tilt),
-        ("vx", "tilt_right"): gain / 0.705 * T * math.cos(tilt),
-        ("psi_dot", "thrust_right"): L * gain / 0.01023 * math.sin(tilt),
-        ("psi_dot", "tilt_right"): L * gain / 0.01023 * T * math.cos(tilt),
-        ("psi_dot", "tilt_left"): -L * gain / 0.01023 * T * math.cos(tilt),
-        ("phi_dot", "thrust_right"): L * gain / 0.009377 * math.cos(tilt),
-        # E.2 swaps sin and cos in the α columns: differentiating eq 5.14's cos α gives −sin α
-        ("phi_dot", "tilt_right"): -L * gain / 0.009377 * T * math.sin(tilt),
-    }
-    for (row, column), value in expected.items():
-        assert entry(model, row, column) == pytest.approx(value, rel=1e-6), (row, column)
-
-
-@pytest.mark.parametrize(
-    ("row", "column", "value", "digits"),
-    [
-        ("phi_dot", "thrust_right", 20.881, 5e-4),  # L·Γ/Ixx; E.2 prints 20.90
-        ("vx", "vx", -0.25 / 0.705, 1e-12),  # A₂₂ = −c/m
-        ("vy", "vy", -0.25 / 0.705, 1e-12),
-        ("thrust_right", "thrust_right", -11.31, 5e-3),  # −1/τ; eq 5.50 prints −8.333, the older τ = 0.12
-        ("tilt_left", "tilt_left", -11.31, 5e-3),
-        ("x_world", "vx", 1.0, 0.0),
-        ("y_world", "vy", -1.0, 0.0),
-        ("y_world", "psi", 0.0, 0.0),
-    ],
-)
-def test_entries_at_hover(row: str, column: str, value: float, digits: float) -> None:
-    assert entry(linearize(Hovercraft()), row, column) == pytest.approx(value, abs=digits)
 
 
 def test_hover_is_an_equilibrium_with_known_poles() -> None:
@@ -221,19 +172,8 @@ def test_the_plant_has_the_lag_on_yaw_too() -> None:
 # Structure: what can be steered and what can be seen (§5.5).
 
 
-def controllability(A: Matrix, B: Matrix) -> Matrix:
-    return np.hstack([np.linalg.matrix_power(A, k) @ B for k in range(5)])
-
-
 def observability(A: Matrix, H: Matrix) -> Matrix:
     return np.vstack([H @ np.linalg.matrix_power(A, k) for k in range(5)])
-
-
-def test_design_model_is_controllable_and_badly_scaled() -> None:
-    C = controllability(*design_model(THESIS))
-    assert np.linalg.matrix_rank(C) == 5
-    # §5.5 prints 22425, a digit short of 224 256; half a unit of the last digit
-    assert np.linalg.cond(C) == pytest.approx(224_256, abs=0.5)
 
 
 @pytest.mark.parametrize(("estimator", "rank"), [("appendix_f", 3), ("lagged", 3), ("consistent", 4)])

@@ -23,7 +23,7 @@ import cosim
 from cosim.base.errors import SimulationError
 from cosim.pages.work_pages import LiveRefine, LiveRun, LiveSweep, WorkPage
 from cosim.refinement.stages import ORDER
-from cosim.sweeps.run_chunks import failed_run
+from cosim.sweeps.runs import RunResult
 from cosim.sweeps.workflow import CriterionLimit, sweep
 from tests.live_pages import slow_scenario
 
@@ -191,7 +191,7 @@ def test_earlier_and_failed_runs_of_a_sweep_are_counted() -> None:
     try:
         ok = SimpleNamespace(status="ok", values=(1.0, float("nan")), met=(True, False))
         page.begin("named", 10, [CriterionLimit("peak", 2.0, "m"), CriterionLimit("time", 1.0, "s")], [ok, ok])
-        page.add([ok, failed_run(3, "it is empty", 2, "fmus")])
+        page.add([ok, RunResult(3, "it is empty", (np.nan,) * 2, (False,) * 2, np.empty((0, 0)))])
         state = page.state()
         assert (state["title"], state["done"], state["total"], state["failed"]) == ("named", 4, 10, 1)
         assert state["failures"] == [{"why": "it is empty", "count": 1}]

@@ -11,11 +11,12 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 
 from cosim.pages.work_pages import LiveRefine, LiveSweep
 from cosim.storage.results import read_results
-from cosim.sweeps.run_chunks import failed_run
+from cosim.sweeps.runs import RunResult
 from cosim.sweeps.workflow import CriterionLimit
 from tests.live_pages import live_command, slow_scenario
 
@@ -189,7 +190,7 @@ def test_the_pages_of_sweep_and_refinement_show_what_there_is_and_are_accessible
         run = SimpleNamespace(status="ok", values=(1.0,), met=(True,))
         other = SimpleNamespace(status="ok", values=(3.0,), met=(False,))
         sweep.begin("tanks", 10, [CriterionLimit("peak of level", 2.0, "m")], [])
-        sweep.add([run, run, other, failed_run(3, "it is empty", 1, "fmus")])
+        sweep.add([run, run, other, RunResult(3, "it is empty", (np.nan,), (False,), np.empty((0, 0)))])
         refinement("trying every effect, sensor and parameter: candidate 2 of 4", 0.5)
         refinement.ranking([SimpleNamespace(names=(), score=9.0), SimpleNamespace(names=("leak",), score=2.0)])
         for live, words in (

@@ -12,8 +12,8 @@ import pytest
 
 from cosim.base.errors import InputError, SimulationError
 from cosim.base.messages import CheckNote, CheckWarning, Note
-from cosim.coupling.strong_components import order_with_loops, strong_components
-from cosim.master.delayed_loop import DelayedLoop
+from cosim.blocks.coupling import order_with_loops
+from cosim.master.loops import DelayedLoop
 from cosim.master.root_finding import RootFinding
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation import undeclared
@@ -99,22 +99,6 @@ def test_the_loop_of_omsimulator_808_is_solved_in_eight_iterations_from_all_star
             counts.append(outcome.iterations)
     assert len(counts) > 60
     assert max(counts) <= 8
-
-
-def test_a_step_corrects_the_slopes_by_the_change_of_g() -> None:
-    """A curved map in two unknowns of different magnitude, with slopes computed once: 4 iterations instead of 7."""
-    asked = []
-
-    def slopes(z: Any, value: Any, *, fresh: bool) -> Any:
-        asked.append(z)
-        return np.array([[0.4 * z[0], 2e-4], [300.0, 0.1]])
-
-    def g(z: Any) -> Any:
-        return np.array([0.2 * z[0] ** 2 + 2e-4 * z[1] + 0.1, 300.0 * z[0] + 0.1 * z[1] + 10.0])
-
-    outcome = RootFinding(1e-10, 20, np.array([1.0, 1e3])).newton(g, np.array([0.0, 0.0]), slopes)
-    assert outcome.converged
-    assert (len(asked), outcome.iterations) == (1, 4)
 
 
 @pytest.mark.parametrize("order", ["ab", "ba"])
@@ -393,14 +377,6 @@ def test_a_coarse_dependency_without_effect_costs_one_iteration_at_most(tmp_path
     assert results["b.u0"] == pytest.approx(results["a.y0"], abs=1e-12)
 
 
-def test_components_outside_the_loop_step_before_or_after_it() -> None:
-    edges = [("s", "a", "u", "y"), ("a", "b", "u", "y"), ("b", "a", "v", "y"), ("b", "z", "u", "y")]
-    order, loops = order_with_loops("zabs", edges, [True] * 4)
-    assert (order, loops) == (("s", "a", "b", "z"), (("a", "b"),))
-    assert strong_components(list("abc"), [("a", "a"), ("a", "b"), ("b", "c")]) == [("a",), ("b",), ("c",)]
-    assert order_with_loops("ab", [("a", "a", "u", "y")], [True])[1] == (("a",),)
-
-
 def test_the_order_within_a_loop_has_the_fewest_connections_back() -> None:
     edges = [("c", "b", "u", "y"), ("b", "a", "u", "y"), ("a", "c", "u", "y"), ("b", "a", "v", "z")]
     order, _ = order_with_loops("abc", edges, [True] * 4)
@@ -616,11 +592,3 @@ def test_wrong_derivatives_are_replaced_by_differences() -> None:
     outcome = RootFinding(1e-10, 20, np.ones(1)).newton(lambda z: 5.0 * z + 1.0, np.array([3.0]), slopes)
     assert outcome.converged
     assert (asked[0], asked[-1]) == (False, True)
-
-
-def test_anderson_solves_a_linear_map_of_n_unknowns_in_n_iterations_more() -> None:
-    rng = np.random.default_rng(1)
-    matrix, offset = rng.normal(size=(4, 4)), rng.normal(size=4)
-    outcome = RootFinding(1e-9, 20, np.ones(4)).anderson(lambda z: matrix @ z + offset, np.zeros(4))
-    assert outcome.converged
-    assert outcome.iterations <= 6

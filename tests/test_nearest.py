@@ -1,4 +1,4 @@
-"""`--nearest`: where a refine is named, the model that came nearest in it, with `build`, `run` and `design:`."""
+"""`--nearest`: where a refine is named, the model that came nearest in it, with `build` and `run`."""
 
 from __future__ import annotations
 

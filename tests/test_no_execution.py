@@ -203,7 +203,7 @@ def test_a_sweep_executes_the_python_of_an_fmu_in_workers_alone(tmp_path: Path, 
     (tmp_path / "scenario.json").write_text(json.dumps(scenario))
     (tmp_path / "sweep.yaml").write_text("scenario: scenario.json\nvary: {plant.mass: {values: [1, 2]}}\n")
     made = run_sweep(tmp_path / "sweep.yaml", tmp_path / "out", workers=1, report=False)
-    assert (made.record["way"], made.record["failed"]) == ("arrays", 0)
+    assert made.record["failed"] == 0
     pids = set(marker.read_text().split())
     assert pids
     assert str(os.getpid()) not in pids

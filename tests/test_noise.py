@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cosim.base.errors import InputError
-from cosim.blocks.noise import gaussian, stream
+from cosim.blocks.faults import gaussian, stream
 from cosim.blocks.profile import Change, Profile, profile_function
 from cosim.blocks.sources import playback
 from cosim.master.master import simulate

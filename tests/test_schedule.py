@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 
 from cosim.base.times import MOST, steps_in, whole_steps
+from cosim.blocks.coupling import OWN, AlgebraicLoop, Algorithm, Plan, order_by_dependencies
 from cosim.blocks.faults import Delay, Hold, fault_function, points
-from cosim.coupling.algorithms import OWN, Algorithm, Plan
-from cosim.coupling.order import AlgebraicLoop, order_by_dependencies
 from cosim.master.master import simulate
 from cosim.simulation import metrics
-from cosim.system.schedule import _every, _names_all, schedule
+from cosim.system.schedule import _every, schedule
 from cosim.system.wiring import Transfer
 from tests.own_blocks import Block, rows_for, system_of
 
@@ -66,20 +65,6 @@ def test_a_step_of_its_own_is_a_whole_multiple_within_the_run(
     assert (len(noted.faults), len(noted.warnings)) == (faults, warnings)
 
 
-def test_what_is_said_of_a_step_of_its_own_names_the_numbers_and_the_cure() -> None:
-    noted = Noted()
-    for step in (0.25, 0.04, 1.1, 0.3, 0.7):
-        _every(scenario(components={"a": SimpleNamespace(step=step)}), "a", noted)  # type: ignore[arg-type]
-    assert [message for _, message in noted.faults] == [
-        "step is 0.25 s, that of the scenario 0.1 s; use a whole multiple, 0.2 s for one",
-        "step is 0.04 s, that of the scenario 0.1 s; use a whole multiple, 0.1 s for one",
-        "step is 1.1 s, the run 1 s: it would never step",
-    ]
-    assert all(where == ("components", "a", "step") for where, _ in noted.faults)
-    ends = "of the run make no whole step: it stands still there"
-    assert noted.warnings == [f"a: step is 0.3 s; its last 0.1 s {ends}", f"a: step is 0.7 s; its last 0.3 s {ends}"]
-
-
 def test_a_component_with_a_longer_step_makes_it_at_its_end() -> None:
     slow, fast = (Block(name, ["u"], ["y"], lambda t, h, u: [u[0] + 100.0 * t]) for name in ("slow", "fast"))
     clock = Block("clock", [], ["y"], lambda t, h, u: [t])
@@ -99,19 +84,6 @@ def test_what_is_held_is_passed_on_when_its_target_steps() -> None:
     results = simulate(system, 5, 1.0, rows=rows_for(system, 5))
     assert results["slow.u"].tolist() == [0, 0, 2, 2, 4, 4]
     assert results["slow.y"].tolist() == [0, 0, 0, 0, 2, 2]  # at its step it still sees what was passed on before
-
-
-def test_rates_that_seldom_meet_are_kept_for_the_whole_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    def made() -> Any:
-        blocks = [block("a"), block("b"), block("c")]
-        system = system_of(blocks, {}, every={"a": 2, "b": 3, "c": 5})
-        simulate(system, 61, 0.25, rows=rows_for(system, 61))
-        return [b.steps for b in blocks]
-
-    whole_cycle = made()
-    monkeypatch.setattr("cosim.master.master.LONGEST_CYCLE", 29)
-    assert made() == whole_cycle
-    assert [len(steps) for steps in whole_cycle] == [30, 20, 12]
 
 
 def test_a_component_of_equal_steps_is_given_that_very_length() -> None:
@@ -170,21 +142,6 @@ def test_a_component_that_declares_nothing_gives_way_in_a_loop_and_that_is_noted
     assert notes[0].startswith("b does not declare")
 
 
-def test_an_order_names_every_component_with_inputs_once() -> None:
-    components = {"a": block("a", "u"), "b": block("b", "u"), "s": block("s")}
-    for order, sound, told in (
-        (["a", "b"], True, []),
-        (["b", "s", "a"], True, []),
-        (["a"], False, ["missing: b"]),
-        (["a", "b", "a"], False, ["missing: none"]),
-        (["a", "b", "bb"], False, ['no component "bb"']),
-    ):
-        noted = Noted()
-        assert _names_all(order, components, noted) is sound  # type: ignore[arg-type]
-        assert len(noted.faults) == len(told)
-        assert all(words in message for words, (_, message) in zip(told, noted.faults, strict=True))
-
-
 def test_jacobi_passes_everything_on_at_the_end_of_a_step_and_gauss_seidel_before() -> None:
     components = {"a": block("a"), "b": block("b", "u", u=True), "c": block("c", "u", u=False)}
     ends, transfers = [("a.y", "b.u"), ("b.y", "c.u")], [(Transfer(0, 1, "b.u"),), (Transfer(2, 3, "c.u"),)]
@@ -209,7 +166,7 @@ def test_a_loop_is_a_fault_of_the_connections_for_an_algorithm_that_solves_none(
         def plan(self, components: Any, edges: Any, order: Any) -> Plan:
             return order_by_dependencies(components, edges, order)
 
-    monkeypatch.setattr("cosim.coupling.algorithms.OWN", (*OWN, Plain()))
+    monkeypatch.setattr("cosim.blocks.coupling.OWN", (*OWN, Plain()))
     components = {"a": block("a", "u", u=True), "b": block("b", "u", u=True)}
     ends, transfers = [("a.y", "b.u"), ("b.y", "a.u")], [(Transfer(0, 1, "b.u"),), (Transfer(2, 3, "a.u"),)]
     noted = Noted()
@@ -228,7 +185,7 @@ def test_an_algorithm_that_forgets_a_component_is_a_fault_of_its_key(monkeypatch
         def plan(self, components: Any, edges: Any, order: Any) -> Plan:
             return Plan(("a",), (False,) * len(edges))
 
-    monkeypatch.setattr("cosim.coupling.algorithms.OWN", (*OWN, Forgetful()))
+    monkeypatch.setattr("cosim.blocks.coupling.OWN", (*OWN, Forgetful()))
     components, noted = {"a": block("a"), "b": block("b")}, Noted()
     named = {name: SimpleNamespace() for name in components}
     assert schedule(scenario(components=named, algorithm="forgetful"), components, [], noted).stages == ()  # type: ignore[arg-type]

@@ -14,9 +14,9 @@ import pytest
 from cosim.base.errors import SimulationError
 from cosim.blocks.component import EarlyEnd, Signal
 from cosim.blocks.derivatives import slopes_at
+from cosim.blocks.faults import samples_of, stream
 from cosim.blocks.fmi_types import FMI1, FMI2, FMI3, Exchange, element_names, is_compatible, kinds_of
 from cosim.blocks.model_exchange import MOST_EVENTS, ModelExchange2
-from cosim.blocks.noise import samples_of, stream
 from cosim.blocks.profile import Change, Profile, profile_function
 from cosim.blocks.solvers import FAILURES, SolveIvp, SolverFailed, _failure, nominals
 from cosim.blocks.sources import Recorded

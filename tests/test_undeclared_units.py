@@ -221,20 +221,6 @@ def test_a_replay_has_units_in_python_and_when_read_back(tmp_path: Path) -> None
     assert {d.unit for d in cosim.compare(out, read).differences if d.name.endswith(".r_out")} == {"V"}
 
 
-def test_a_folder_that_another_command_left_is_refused_in_python_without_force(tmp_path: Path) -> None:
-    fmu, out = typed_fmu(tmp_path), tmp_path / "out"
-    rows = "".join(f"{k / 50},{k % 7},0,1,0,{k % 7}\n" for k in range(300))
-    (tmp_path / "log.csv").write_text(f"time,r_in,i_in,e_in,b_in,r_out\n{rows}")
-    out.mkdir()
-    (out / "manifest.json").write_text("{}")
-    with pytest.raises(InputError, match="contains results of `cosim run`"):
-        cosim.replay(tmp_path / "log.csv", out, fmu, report=False, in_process=True)
-    with pytest.raises(InputError, match="contains results of `cosim run`"):
-        cosim.compare(tmp_path / "log.csv", tmp_path / "log.csv", out)
-    cosim.replay(tmp_path / "log.csv", out, fmu, report=False, in_process=True, force=True)
-    assert (out / "replay.json").is_file()
-
-
 def test_an_angle_whose_header_says_degrees_is_not_asked_to_be_in_degrees(tmp_path: Path) -> None:
     turns = "".join(f"{k / 50},{k % 7},{40 * k}\n" for k in range(300))
     for header, told in (("phi [deg]", False), ("phi [rad]", False), ("phi", True)):

@@ -21,7 +21,7 @@ import pytest
 
 from cosim.base import scratch
 from cosim.base.errors import Crashed, InputError, SimulationError
-from cosim.blocks.message_log import MessageLog
+from cosim.blocks.instance import MessageLog
 from cosim.isolation import process, worker
 from cosim.isolation.limits import BYTES, Limits, read_limits
 from cosim.isolation.memory import resident

@@ -19,11 +19,10 @@ from cosim.base.messages import Note
 from cosim.base.times import difference
 from cosim.base.units import computed_in
 from cosim.blocks.component import Signal
+from cosim.blocks.coupling import DEFAULT, WITHOUT_ORDER, AlgebraicLoop, Algorithm
 from cosim.blocks.description import no_library, platform_of
 from cosim.blocks.sources import read_recording
 from cosim.blocks.summary import experiment_of, platforms_of
-from cosim.coupling.algorithms import DEFAULT, WITHOUT_ORDER, Algorithm
-from cosim.coupling.order import AlgebraicLoop
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.storage.files import check_writable
 from cosim.storage.kinds import LOG, check_given

@@ -14,14 +14,13 @@ from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.messages import Note
 from cosim.base.scratch import temporary_folder
 from cosim.base.units import computed_in
+from cosim.blocks.coupling import algorithms
 from cosim.blocks.description import enumeration_items, ways
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.profile import Profile, profile_function
-from cosim.coupling.algorithms import algorithms
 from cosim.fmi.native.signal_source import CompilerFailed, NoCompiler, SignalChange, TimeSignal, build_source
-from cosim.scenario.nearest_models import take_nearest
 from cosim.scenario.scenario import Connection, FixComponent, FmuComponent, PlaybackComponent, ReferenceComponent
-from cosim.scenario.scenario_file import ScenarioFile
+from cosim.scenario.scenario_file import ScenarioFile, take_nearest
 from cosim.simulation.manifest import check_pinned
 from cosim.simulation.packaged import IMPORTERS
 from cosim.ssp.write import SspConnector, SspFmu, Value, Whole, defined_units, write_ssp

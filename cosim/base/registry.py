@@ -1,4 +1,4 @@
-"""Registry of models, report pages, array twins, table formats, coupling algorithms and verbs of packages.
+"""Registry of models, report pages, table formats, coupling algorithms and verbs of packages.
 
 Packages register through entry points, each naming an object of a class below. Objects are imported on first use, so
 a study of one model never loads another. docs/extending.md shows an example package.
@@ -17,9 +17,9 @@ from typing import Any
 
 from cosim.base.errors import InputError
 
-MODELS, PAGES, TWINS, VERBS = "cosim.models", "cosim.pages", "cosim.twins", "cosim.verbs"  # entry point groups
+MODELS, PAGES, VERBS = "cosim.models", "cosim.pages", "cosim.verbs"  # entry point groups
 SOURCES = "cosim.sources"  # table formats: `cosim.storage.table.Source`
-ALGORITHMS = "cosim.algorithms"  # coupling algorithms: `cosim.coupling.algorithms.Algorithm`
+ALGORITHMS = "cosim.algorithms"  # coupling algorithms: `cosim.blocks.coupling.Algorithm`
 BASE = "base"  # model used by default
 FORMER = "cosim-hovercraft"  # earlier distribution with framework and example in one, without entry points
 
@@ -134,11 +134,6 @@ def page_for(components: Iterable[Collection[str]]) -> Page | None:
     sets = [set(variables) for variables in components]
     pages = (page for name in names(PAGES) if isinstance(page := load(PAGES, name), Page))
     return next((page for page in pages if any(page.variables <= variables for variables in sets)), None)
-
-
-def twin_of(model_name: str) -> Any:
-    """Return the factory (`TwinMaker`) of arrays that simulate many runs of a modelName at once, or None."""
-    return load(TWINS, model_name) if model_name in names(TWINS) else None
 
 
 def added_verbs() -> Iterator[tuple[str, Verb]]:

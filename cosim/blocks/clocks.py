@@ -166,11 +166,3 @@ class Timer:
     def tick(self) -> None:
         """Count a tick."""
         self.count += 1
-
-    def state(self) -> list[Any]:
-        """Return the state, for a checkpoint."""
-        return [self.base, self.count, self.interval, self.is_set]
-
-    def restore(self, state: Sequence[Any]) -> None:
-        """Take back a state."""
-        self.base, self.count, self.interval, self.is_set = state

@@ -458,21 +458,3 @@ class EventFmu(FmuBlock):
             return interval
         message = f"its interval is {interval:g} s; a periodic clock needs one above 0, another clock one of 0 or more"
         raise SimulationError(f"{self.name}.{clock.name}", self.instance.time, message)
-
-    # -- checkpoints ----------------------------------------------------------------------------------
-
-    def schedule(self) -> dict[str, Any]:
-        """Return the schedule as plain data."""
-        timers = {name: timer.state() for name, timer in self.timers.items()}
-        announced = self.next_event if math.isfinite(self.next_event) else None
-        return {"timers": timers, "next_event": announced, "reached": self.reached, "asks": self.asks}
-
-    def restore_schedule(self, schedule: Mapping[str, Any]) -> None:
-        """Restore a schedule after state and row."""
-        for name, state in schedule["timers"].items():
-            self.timers[name].restore(state)
-        announced = schedule["next_event"]
-        self.next_event = math.inf if announced is None else float(announced)
-        self.reached = self.instance.time = float(schedule["reached"])
-        self.mode, self.active, self.asks = STEP, set(), bool(schedule["asks"])
-        self._given = {id(e): self._values.content(e) for e in self._ports.fed}

@@ -27,8 +27,7 @@ from cosim.blocks.description import (
 )
 from cosim.blocks.fmi import Calls, CoSimulation1, CoSimulation2, CoSimulation3, SingleCall, end_of
 from cosim.blocks.fmi_types import element_names
-from cosim.blocks.instance import Instance
-from cosim.blocks.message_log import MessageLog
+from cosim.blocks.instance import Instance, MessageLog
 from cosim.blocks.model_exchange import ModelExchange1, ModelExchange2, ModelExchange3
 from cosim.blocks.solvers import Solver
 from cosim.blocks.stepping import Plan, Slot, StopReason, fmu_slot
@@ -333,9 +332,8 @@ class FmuBlock:
 
     def settle(self) -> None:
         """Handle an event of model exchange at the end of a step, if inputs do not change there."""
-        if isinstance(self._calls, ModelExchange2):
-            with self.instance.check_calls():
-                self._calls.settle()
+        with self.instance.check_calls():
+            self._calls.inputs_changed(None)
 
     def change(self, values: Mapping[str, Any]) -> None:
         """Set tunable parameters and inputs during a run."""
@@ -359,11 +357,10 @@ class FmuBlock:
         if state is None:
             return None
         self.log.restore(log)  # Messages of these calls are none of the run.
-        return {"state": state, "calls": self._calls.save(), "time": self.instance.time, "log": log}
+        return {"state": state, "time": self.instance.time, "log": log}
 
     def restore(self, state: dict[str, Any]) -> None:
         self.instance.deserialize(state["state"])
-        self._calls.restore(state["calls"])
         self.instance.time = state["time"]
         self.log.restore(state["log"])
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,6 @@ from cosim.blocks.description import C_CODE, library_of, no_library, platform_of
 from cosim.blocks.fmi import Calls, CoSimulation2, CoSimulation3, Step
 from cosim.blocks.guard import without_wrapping
 from cosim.blocks.loading import load_error
-from cosim.blocks.message_log import MessageLog
 from cosim.blocks.model_exchange import ModelExchange2
 from cosim.blocks.shared_code import claim, own_symbols_first
 from cosim.fmi.lifetime import let_go_at_exit
@@ -29,6 +29,58 @@ from cosim.storage.archive import unpack
 STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 WARNING, DISCARD, FATAL = 1, 2, 4
 LONGEST_MESSAGE = 1000  # characters
+KEPT_FIRST, KEPT_LAST = 50, 50  # messages
+
+
+class MessageLog:
+    """The first and the last messages of an FMU, each text once, and the number of those between.
+
+    Attributes:
+        share: Function called with each message, if any.
+    """
+
+    def __init__(self) -> None:
+        self.first: list[str] = []
+        self.last: deque[str] = deque(maxlen=KEPT_LAST)
+        self.omitted = 0
+        self.share: Callable[[str], None] | None = None
+
+    def __iter__(self) -> Iterator[str]:
+        """Yield the messages, with a note in place of those between."""
+        yield from self.first
+        if self.omitted:
+            yield str(
+                f"{self.omitted:,} messages are left out here: the first {len(self.first)} and the last "
+                f"{len(self.last)} are recorded"
+            )
+        yield from self.last
+
+    def __getitem__(self, k: int) -> str:
+        every: list[str] = [*self]
+        return every[k]
+
+    def append(self, text: str) -> None:
+        """Add a message."""
+        if self.share is not None:
+            self.share(text)
+        if text in self.first:
+            return
+        if len(self.first) < KEPT_FIRST:
+            self.first.append(text)
+            return
+        if text in self.last:
+            self.last.remove(text)
+        self.omitted += len(self.last) == KEPT_LAST
+        self.last.append(text)
+
+    def state(self) -> dict[str, Any]:
+        """Return the messages in JSON types."""
+        return {"first": [*self.first], "last": [*self.last], "omitted": self.omitted}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Restore the messages of a state."""
+        self.first, self.omitted = list(state["first"]), int(state["omitted"])
+        self.last = deque(state["last"], maxlen=KEPT_LAST)
 
 
 class Instance:
@@ -206,7 +258,7 @@ class Instance:
             state = fmu.getFMUState() if self.fmi3 else fmu.getFMUstate()
             content = fmu.serializeFMUState(state) if self.fmi3 else fmu.serializeFMUstate(state)
             fmu.freeFMUState(state) if self.fmi3 else fmu.freeFMUstate(state)
-        except Exception:  # FMPy raises its own and bare ones. The run goes on; a resumed run replays this FMU.
+        except Exception:  # FMPy raises its own and bare ones. The run goes on; a resumed run makes all steps again.
             self._refuses = True
             return None
         return bytes(content)

@@ -87,7 +87,11 @@ class ModelExchange2(Calls):
     def stepping(self) -> Step:
         return self._step
 
-    def inputs_changed(self, take: Callable[[], None]) -> None:
+    def inputs_changed(self, take: Callable[[], None] | None) -> None:
+        if take is None:  # An event at the end of the step is handled without them, unless a change is due.
+            if self.cause and not self.stops_at_events and not self._is_changed_at(self.time, CLOSE * self._length):
+                self.handle_event(self._length)
+            return
         if not self._started:
             take()
             return
@@ -96,11 +100,6 @@ class ModelExchange2(Calls):
             self.cause = ""
         self.event(take)
         self.solver.reset(self.time)
-
-    def settle(self) -> None:
-        """Handle an event at the end of a step that no change of inputs has handled, unless a change is due."""
-        if self.cause and not self.stops_at_events and not self._is_changed_at(self.time, CLOSE * self._length):
-            self.handle_event(self._length)
 
     def event(self, change: Callable[[], None] | None = None) -> None:
         """Handle an event: change inputs, then update discrete states."""

@@ -95,11 +95,8 @@ class Values:
     def _put_if_changed(self) -> None:
         values = [self.content(e) for e in self.ports.fed]
         with self.instance.check_calls():
-            if values == self.watched:
-                self._calls.settle()
-                return
-            self.watched = values
-            self._calls.inputs_changed(self.put_all)
+            has_changed, self.watched = values != self.watched, values
+            self._calls.inputs_changed(self.put_all if has_changed else None)
 
     def put_all(self) -> None:
         """Set all connected inputs, without an event."""

@@ -93,7 +93,7 @@ def fit(
         hold_stops()
         entries = parameter_entries(estimate)
         outcome = Outcome(path, tuple(estimation), tuple(test), estimate, fixed, parts, _risen(parts), entries)
-        remove_earlier(place, "cosim fit", read=files)
+        remove_earlier(place, read=files)
         unused = (
             [f"`cosim fit` does not use {join_names(request.unused)}: `cosim refine` does"] if request.unused else []
         )

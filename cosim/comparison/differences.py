@@ -87,10 +87,8 @@ class Compared:
         reasons += [f"{d.name} is {d.note}" for d in different if not d.alike]
         if missing := len(self.only_a):
             names = ", ".join(self.only_a[:MAX_LISTED]) + (", …" if missing > MAX_LISTED else "")
-            subject = {"count": counted(missing, "signal"), "path": self.a.path, "verb": _are(missing)}
-            reasons.append(
-                "{count} of {path} {verb} missing in {other}: {names}".format(**subject, other=self.b.path, names=names)
-            )
+            verb = "is" if missing == 1 else "are"
+            reasons.append(f"{counted(missing, 'signal')} of {self.a.path} {verb} missing in {self.b.path}: {names}")
         return reasons + ([self.shorter] if self.shorter else [])
 
     def __repr__(self) -> str:
@@ -344,7 +342,6 @@ def _describe_ends(a: RecordedRun, b: RecordedRun) -> str:
     for verb, row in (("begins", 0), ("ends", -1)):
         at = [float(r.results.time[row]) for r in (a, b)]
         if abs(at[0] - at[1]) > rounding(max(map(abs, at)), 1e3 * step):
-            first, second = (a, b) if at[0] < at[1] else (b, a)
-            ends = {"path": first.path, "time": min(at), "other": second.path, "later": max(at)}
-            parts.append("{path} {verb} at {time:.6g} s, {other} at {later:.6g} s".format(verb=verb, **ends))
+            first, second = (a.path, b.path) if at[0] < at[1] else (b.path, a.path)
+            parts.append(f"{first} {verb} at {min(at):.6g} s, {second} at {max(at):.6g} s")
     return "; ".join(parts)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 import shlex
 from collections.abc import Callable, Mapping, Sequence
@@ -62,12 +61,11 @@ def compare(
     """
     _check_tolerance(a.path, tolerance, absolute)
     comparison = compare_runs(a, b, tolerance, absolute)
-    names, paths = shorts or (a.name, b.name), [a.path, b.path]
     if not write:
         return comparison, Path()
-    with new_run(folder, _name_of(names, paths), "cosim compare", force=force) as place:
+    with new_run(folder, _name_of(shorts or (a.name, b.name)), "cosim compare", force=force) as place:
         page = partial(render, TEMPLATE, context(comparison)) if report else None
-        _write(place, comparison.as_json(), page, paths)
+        _write(place, comparison.as_json(), page, [a.path, b.path])
     return comparison, place
 
 
@@ -101,25 +99,21 @@ def compare_all(
     base = sources[baseline]
     _check_tolerance(base.path, tolerance, absolute)
     comparison = compare_several(sources, baseline, tolerance, absolute)
-    paths = [base.path, *(s.path for k, s in enumerate(sources) if k != baseline)]
-    names = [base.short, *(s.short for k, s in enumerate(sources) if k != baseline)]
     if not write:
         return comparison, Path()
-    with new_run(folder, _name_of(names, paths), "cosim compare", force=force) as place:
-        options = _options(tolerance, absolute)
-        page = partial(several_page, comparison, _tolerance(tolerance, absolute, "the baseline"), options)
-        _write(place, comparison.as_json(), page if report else None, paths)
+    names = [base.short, *(s.short for k, s in enumerate(sources) if k != baseline)]
+    with new_run(folder, _name_of(names), "cosim compare", force=force) as place:
+        about = _tolerance(tolerance, absolute, "the baseline"), _options(tolerance, absolute)
+        page = partial(several_page, comparison, *about) if report else None
+        _write(place, comparison.as_json(), page, [source.path for source in sources])
     return comparison, place
 
 
-def _name_of(names: Sequence[str], paths: Sequence[Path]) -> str:
-    """Return the name of a comparison: `runs 1-2-3`; that of many runs ends with a hash of their paths."""
+def _name_of(names: Sequence[str]) -> str:
+    """Return the name of a comparison: `runs 1-2-3`, or `a and 5 others`."""
     numbers = [name.removeprefix(NUMBERED) for name in names]
     text = f"runs {'-'.join(numbers)}" if all(map(str.isdecimal, numbers)) else " and ".join(names)
-    if len(text) <= LONGEST_NAME:
-        return text
-    digest = hashlib.sha256("\0".join(map(str, paths)).encode()).hexdigest()
-    return f"{names[0]} and {len(names) - 1} others {digest[:8]}"
+    return text if len(text) <= LONGEST_NAME else f"{names[0]} and {len(names) - 1} others"
 
 
 def _check_tolerance(path: Path, tolerance: float | None, absolute: float) -> None:
@@ -131,7 +125,7 @@ def _check_tolerance(path: Path, tolerance: float | None, absolute: float) -> No
 def _write(place: Path, content: Mapping[str, Any], page: Callable[[], str] | None, compared: Sequence[Path]) -> None:
     """Write comparison.json and report.html; what is compared stays where it is."""
     check_writable(place, FILES, compared)
-    remove_earlier(place, "cosim compare", read=compared)
+    remove_earlier(place, read=compared)
     write_json(place / "comparison.json", content)
     if page is not None:
         write_text(place / "report.html", page())

@@ -98,7 +98,7 @@ def excite(
                 "--limit, a longer --duration or more outputs --measured",
             )
         show_stage("building the FMUs", 0.0)
-        remove_earlier(place, "cosim excite", read=[source] if source else [])
+        remove_earlier(place, read=[source] if source else [])
         _write(place, excitation, seed)
         if report:
             from cosim.experiment.report import page

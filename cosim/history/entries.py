@@ -11,7 +11,7 @@ from typing import Any
 
 from cosim.base.errors import InputError
 from cosim.base.version import __version__
-from cosim.history.inputs import changes_between, input_text, input_tree, short_input
+from cosim.history.inputs import changes_between, input_leaves, input_text, short_input
 from cosim.storage.artefact import artefacts
 from cosim.storage.folders import (
     COMMAND,
@@ -111,7 +111,7 @@ def entries(results: Path | None = None) -> list[Entry]:
         group.sort(key=lambda each: _age(each[0].name))
         before: Mapping[str, Any] = {}
         for entry, content in group:
-            inputs = input_tree(content)
+            inputs = input_leaves(content)
             changes = changes_between(before, inputs) if before and inputs else {}
             every.append(replace(entry, changes=changes, is_newest=entry is group[-1][0]))
             before = inputs or before
@@ -154,31 +154,27 @@ def _recorded(place: Path, name: Path, items: Mapping[str, os.DirEntry[str]]) ->
     """Return the results in a folder and their record, if there are any."""
     written = [a for a in artefacts() if a.verb]
     marks = [(mark, a) for a in written for mark in a.marks if mark in items]
-    if not marks:
-        marks = [(m, a) for a in written for m in a.unfinished if m.split("/")[0] in items and (place / m).is_file()]
-    state, artefact, warnings = state_of(place) if STARTED in items else "", None, tuple[str, ...]()
+    parts = [(m, a) for a in written for m in a.unfinished if m.split("/")[0] in items and (place / m).is_file()]
+    mark, artefact = [*marks, *parts, (STARTED, None)][0]
+    has_rows = any(n.startswith("results.") for n in items)
     content: Mapping[str, Any] = {}
-    if marks or STARTED in items:
-        mark, artefact = marks[0] if marks else (STARTED, None)
+    warnings: tuple[str, ...] = ()
+    if artefact is not None or STARTED in items:
         record = place / mark
-        content = content_of(record) if mark.endswith(".json") else {"status": ""}
-        is_damaged = not content
-        content, warnings = sound_part(record, content)
-        is_there = any(n.startswith("results.") for n in items)
-        outcome = state or (
-            UNFINISHED
-            if artefact is not None and mark in artefact.unfinished
-            else NO_ROWS
-            if artefact is not None and artefact.tables and content.get("rows") and not is_there
-            else _outcome(content) or (DAMAGED if is_damaged or warnings else "")
-        )
+        read = content_of(record) if mark.endswith(".json") else {"status": ""}
+        content, warnings = sound_part(record, read)
+        outcome = state_of(place) if STARTED in items else ""
+        if not outcome and artefact is not None and mark in artefact.unfinished:
+            outcome = UNFINISHED
+        elif not outcome and artefact is not None and artefact.tables and content.get("rows") and not has_rows:
+            outcome = NO_ROWS
+        outcome = outcome or _outcome(content) or (DAMAGED if warnings or not read else "")
         if "no_report" in content and "report.html" not in items:
             outcome += f", no report: {content['no_report']}"
-    elif any(n.startswith("results.") for n in items):
+    elif has_rows:
         from cosim.storage.results import rows_in  # with numpy, which a list seldom needs
 
-        rows = rows_in(place)
-        if rows is None:
+        if (rows := rows_in(place)) is None:
             return None
         record, outcome = rows, ROWS_ONLY
     elif RUN_NUMBER.fullmatch(place.name) and not items:  # killed before its first file
@@ -186,16 +182,22 @@ def _recorded(place: Path, name: Path, items: Mapping[str, os.DirEntry[str]]) ->
     else:
         return None
     schema, by = content.get("schema_version", SCHEMA_VERSION), version_of(content)
-    other = by if by != __version__ else ""
-    about = {
-        "verb": content.get(COMMAND, artefact.verb if artefact else "").removeprefix("cosim "),
-        "outcome": outcome,
-        "version": other if schema == SCHEMA_VERSION else f"{by or '?'} (schema {schema})",
-    }
+    version = by if by != __version__ else ""
     of = name.parent if RUN_NUMBER.fullmatch(name.name) and len(name.parts) > 1 else name
-    of = of.parent if of.name == EARLIER and of != name else of
-    fixed = {"folder": place, "time": record.stat().st_mtime, "record": record, "changes": {}, "warnings": warnings}
-    return Entry(number=0, name=name.as_posix(), of=of.as_posix(), **fixed, **about), content  # type: ignore[arg-type]
+    entry = Entry(
+        number=0,
+        name=name.as_posix(),
+        of=(of.parent if of.name == EARLIER and of != name else of).as_posix(),
+        folder=place,
+        verb=content.get(COMMAND, artefact.verb if artefact else "").removeprefix("cosim "),
+        time=record.stat().st_mtime,
+        outcome=outcome,
+        record=record,
+        changes={},
+        version=version if schema == SCHEMA_VERSION else f"{by or '?'} (schema {schema})",
+        warnings=warnings,
+    )
+    return entry, content
 
 
 def _outcome(content: Mapping[str, Any]) -> str:

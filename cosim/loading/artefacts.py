@@ -17,12 +17,12 @@ ARTEFACTS = (
         schema="cosim.loading.file:ModelFile",
         schema_name="model",
         title="cosim model file",
-        check="cosim.loading.model_check:check_model_file",
+        check="cosim.loading.substep:check_model_file",
     ),
     Artefact(
         CODE,
         "`cosim build --model {file}:Class` builds its FMU, a study names it as model:",
         endings=(".py",),
-        check="cosim.loading.model_check:check_model_class",
+        check="cosim.loading.substep:check_model_class",
     ),
 )

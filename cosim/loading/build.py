@@ -51,6 +51,7 @@ def build(
     Raises:
         InputError: Every fault of the input.
     """
+    from cosim.fmi.fmu_build import Recipe
     from cosim.fmi.fmu_build import build as build_fmu
 
     folder = named_path(folder)
@@ -64,13 +65,15 @@ def build(
     loaded, _ = with_substep(meant_model(model, nearest=nearest))
     starts = designed_starts(design, loaded.model, tell)
     entry = entry_of(type(loaded.model))
-    beside = entry.beside if entry is not None and is_model(loaded.source) else {}
     if entry is not None and entry.built and model in (None, entry.name):
-        recipes = {name: resolve(recipe)() for name, recipe in entry.built.items()}
+        recipes, places = {}, dict(entry.built)
     else:
-        recipes = {PLANT: loaded.recipe(), **{name: resolve(recipe)() for name, recipe in beside.items()}}
-    for name, values in starts.items():
-        recipes[name] = resolve(entry.beside[name])().with_starts(values)  # type: ignore[union-attr]
+        every = {} if entry is None else entry.beside
+        recipes = {PLANT: loaded.recipe()}
+        places = {name: place for name, place in every.items() if name in starts or is_model(loaded.source)}
+    for name, place in places.items():
+        recipe: Recipe = resolve(place)()
+        recipes[name] = recipe.with_starts(starts[name]) if name in starts else recipe
     with temporary_folder("build") as drafts:
         for name, recipe in recipes.items():
             draft = build_fmu(recipe, drafts / name)

@@ -22,7 +22,7 @@ from cosim.storage.files import FilePath, check_folder, named_path
 from cosim.storage.yaml_file import did_you_mean
 
 if TYPE_CHECKING:
-    from cosim.fmi.native.package import Native
+    from cosim.fmi.native.package import Built, Native
 
 SUFFIX = {2: "-native.fmu", 3: "-native-fmi3.fmu"}
 
@@ -62,23 +62,25 @@ def build_native(
     Raises:
         InputError: The build is impossible; nothing is written.
     """
-    from cosim.fmi.native.compiler import CompilerFailed
-    from cosim.fmi.native.package import build_native as build_fmu
+    from cosim.fmi.native.platforms import PLATFORMS
 
     folder = named_path(folder)
     check_folder(folder)
-    _check_platforms(platforms)
+    known = f"(known: {', '.join(PLATFORMS)})"
+    unknown = [name for name in platforms if name not in PLATFORMS]
+    texts = [f'no platform "{name}"{did_you_mean(name, PLATFORMS)} {known}' for name in unknown]
+    refuse(Fault(Path("--platforms"), 0, 0, text) for text in texts)
     if fmi not in SUFFIX:
         raise InputError.at(Path("--fmi"), f"is {fmi}; it is {' or '.join(map(str, SUFFIX))}")
     _check_compiler(platforms)
     loaded, _ = with_substep(meant_model(model, nearest=nearest))
     starts = designed_starts(design, loaded.model, tell)
+    native_names = model_entry(loaded.source).native if is_model(loaded.source) else {}
+    if starts and not any(f"{name}.fmu" in starts for name in native_names):
+        raise InputError.at(Path("--design"), "names no controller that has a native FMU; build it without --native")
     natives = [(f"{name}{SUFFIX[fmi]}", native) for name, native in _natives(loaded, starts)]
     with temporary_folder("build") as drafts:  # all archives, or none after a failure
-        try:
-            built = {file: build_fmu(native, drafts / file, fmi, platforms) for file, native in natives}
-        except CompilerFailed as error:
-            raise _compiler_error(error) from None
+        built = {file: _compile(native, drafts / file, fmi, platforms) for file, native in natives}
         for file, one in built.items():
             with draft_of(folder / file) as draft:
                 draft.write_bytes(one.path.read_bytes())
@@ -93,19 +95,13 @@ def class_fmu(loaded: LoadedModel, path: Path) -> Path:
     Raises:
         InputError: The build is impossible.
     """
-    from cosim.fmi.native.compiler import CompilerFailed
-    from cosim.fmi.native.package import build_native as build_fmu
-
     _check_compiler(())
     natives, model = _of_class.setdefault(type(loaded.model), {}), loaded.model
     key = loaded.source, model.chosen_substep, model.chosen_integrator
     if key not in natives:
         bare = type(model)().with_substep(model.chosen_substep, model.chosen_integrator)
         _, natives[key] = next(_natives(LoadedModel(bare, loaded.source)))
-    try:
-        return build_fmu(natives[key], path).path
-    except CompilerFailed as error:
-        raise _compiler_error(error) from None
+    return _compile(natives[key], path).path
 
 
 # checked native models of this process, by class, source, substep and integrator
@@ -147,17 +143,16 @@ def _unprintable(loaded: LoadedModel, error: Exception) -> Fault:
     return source.convert_error(error, "cannot be printed as C")
 
 
-def _compiler_error(error: Exception) -> InputError:
-    return InputError.at(Path("--native"), f"the compiler {error}; mend the compiler, or name another in CC")
+def _compile(native: Native, path: Path, fmi: int = 2, platforms: Sequence[str] = ()) -> Built:
+    """Return a built FMU; raise InputError with the compiler's reason against it."""
+    from cosim.fmi.native.compiler import CompilerFailed
+    from cosim.fmi.native.package import build_native as build_fmu
 
-
-def _check_platforms(platforms: Sequence[str]) -> None:
-    from cosim.fmi.native.platforms import PLATFORMS
-
-    names = ", ".join(PLATFORMS)
-    unknown = [name for name in platforms if name not in PLATFORMS]
-    texts = [f'no platform "{n}"{did_you_mean(n, PLATFORMS)} (known: {names})' for n in unknown]
-    refuse(Fault(Path("--platforms"), 0, 0, text) for text in texts)
+    try:
+        return build_fmu(native, path, fmi, platforms)
+    except CompilerFailed as error:
+        reason = f"the compiler {error}; mend the compiler, or name another in CC"
+        raise InputError.at(Path("--native"), reason) from None
 
 
 def _check_compiler(platforms: Sequence[str]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
+import linecache
 import os.path
 import re
 import sys
@@ -10,9 +10,8 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
-from importlib.machinery import SourceFileLoader
 from pathlib import Path
-from types import CodeType, ModuleType
+from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidatorFunctionWrapHandler, WrapValidator
@@ -27,7 +26,7 @@ from cosim.loading.source import ModelText
 from cosim.model.model import Model
 from cosim.storage.artefact import kind_by_keys
 from cosim.storage.files import write_text
-from cosim.storage.kinds import CODE, MODEL, STUDY, check_form, refuse_other
+from cosim.storage.kinds import CODE, MODEL, check_form, refuse_other
 from cosim.storage.yaml_file import UNIT_OF_KEY, YamlFile, did_you_mean
 from cosim.terms.language import Term
 
@@ -165,8 +164,6 @@ def read_model(path: Path, readers: tuple[Path, ...] = ()) -> LoadedModel:
     check_form(path, MODEL, CODE)
     yaml = YamlFile(path)
     kind = kind_by_keys(yaml.root)
-    if kind in (None, STUDY):
-        _refuse_study(yaml)
     refuse_other(path, kind, MODEL)
     content, faults = yaml.partly(ModelFile, "model")
     if content is None:
@@ -178,8 +175,18 @@ def read_model(path: Path, readers: tuple[Path, ...] = ()) -> LoadedModel:
     except NotExecuted:
         refuse(faults)
         raise
-    content, unit_faults = _in_units(yaml, content, model)
-    faults += [*unit_faults, *_value_faults(yaml, content, model)]
+    for section, declared in (("parameters", model.declared), ("sensors", model.sensor_parameters)):
+        units, is_sensor = {n: p.unit for n, p in declared.items()}, section == "sensors"
+        numbers, wrong = yaml.in_units((section,), getattr(content, section), units, difference=is_sensor)
+        content = content.model_copy(update={section: numbers})
+        faults += wrong
+        for name, value in numbers.items():
+            if name not in declared:
+                unknown = f'{content.model} has no {section[:-1]} "{name}"{did_you_mean(name, declared)}'
+                faults.append(yaml.fault((section, name), unknown, key=True))
+            elif text := declared[name].fault(value):
+                effect, dot, _ = name.rpartition(".")
+                faults.append(yaml.fault((section, name), f"{effect}{dot}{text}; correct this value"))
     values: dict[str, float | bool] = {}
     if content.parameters_from:
         try:
@@ -215,25 +222,6 @@ def _read_common_parameters(
     return common
 
 
-def _refuse_study(yaml: YamlFile) -> None:
-    """Raise InputError for a study instead of a model."""
-    if "logs" in yaml.root:
-        name = str(yaml.root.get("model", BASE))
-        model = name if name == BASE else yaml.path.parent / name
-        raise InputError(
-            [
-                yaml.fault(
-                    ("logs",),
-                    (
-                        f"this is a study, not a model: give its model, {model}, or, to `cosim excite`, the folder "
-                        "that `cosim refine` left"
-                    ),
-                    key=True,
-                )
-            ]
-        )
-
-
 def _named_model(yaml: YamlFile, content: ModelFile) -> Model:
     """Return a model.yaml's model with default parameters."""
     if is_model(content.model):
@@ -249,32 +237,6 @@ def _named_model(yaml: YamlFile, content: ModelFile) -> Model:
     if not file.is_file():
         raise InputError([yaml.fault(("model",), f"no such file: {file}; {allowed}")])
     return own_model(content.model, yaml.path.parent)
-
-
-def _in_units(yaml: YamlFile, content: ModelFile, model: Model) -> tuple[ModelFile, list[Fault]]:
-    """Return the file with numbers converted to the model's units (sensor errors without offset), and faults."""
-    units = {n: p.unit for n, p in model.declared.items()}
-    parameters, faults = yaml.in_units(("parameters",), content.parameters, units)
-    units = {n: p.unit for n, p in model.sensor_parameters.items()}
-    sensors, more = yaml.in_units(("sensors",), content.sensors, units, difference=True)
-    return content.model_copy(update={"parameters": parameters, "sensors": sensors}), [*faults, *more]
-
-
-def _value_faults(yaml: YamlFile, content: ModelFile, model: Model) -> Iterator[Fault]:
-    """Yield faults of unknown names and invalid values."""
-    sections = (
-        ("parameters", model.declared, content.parameters),
-        ("sensors", model.sensor_parameters, content.sensors),
-    )
-    for section, declared, values in sections:
-        for name, value in values.items():
-            if name not in declared:
-                fields = {"model": content.model, "kind": section[:-1], "name": name}
-                message = '{model} has no {kind} "{name}"{cure}'.format(cure=did_you_mean(name, declared), **fields)
-                yield yaml.fault((section, name), message, key=True)
-            elif fault := declared[name].fault(value):
-                effect, dot, _ = name.rpartition(".")
-                yield yaml.fault((section, name), f"{effect + dot}{fault}; correct this value")
 
 
 def _absolute(text: str, folder: Path) -> str:
@@ -338,13 +300,6 @@ def own_terms(path: Path) -> list[type[Term]]:
     return [dataclass(frozen=True, kw_only=True)(v) for v in own]
 
 
-class _UncachedLoader(SourceFileLoader):
-    """Loader without bytecode cache, because cached code may miss changes within a second."""
-
-    def get_code(self, fullname: str) -> CodeType:
-        return self.source_to_code(self.get_data(self.path), self.path)
-
-
 _skipped: ContextVar[list[Path] | None] = ContextVar("files of Python that are not executed", default=None)
 
 
@@ -378,23 +333,20 @@ def _execute(path: Path) -> tuple[ModelText, ModuleType]:
     """
     if not path.is_file():
         raise InputError.at(path, "no such model file; check the path")
-    source = ModelText(path)
+    source, name = ModelText(path), f"own_model_{path.stem}"
+    try:
+        code = compile(path.read_bytes(), str(path), "exec", dont_inherit=True)
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        raise InputError([source.convert_error(error, "does not load")]) from None
     if (skipped := _skipped.get()) is not None:
-        try:
-            compile(path.read_bytes(), str(path), "exec", dont_inherit=True)
-        except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-            raise InputError([source.convert_error(error, "does not load")]) from None
         skipped.append(path)
         raise NotExecuted(path)
-    source.check_imports()
-    name = f"own_model_{path.stem}"
-    spec = importlib.util.spec_from_file_location(name, path, loader=_UncachedLoader(name, str(path)))
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses resolve annotations in sys.modules
+    module = ModuleType(name)
+    module.__file__ = str(path)
+    sys.modules[name] = module  # dataclasses resolve annotations in sys.modules
+    linecache.checkcache(str(path))
     try:
-        spec.loader.exec_module(module)
+        exec(code, vars(module))
     except (Exception, SystemExit) as error:  # A user's file may raise any error.
         raise InputError([source.convert_error(error, "does not load")]) from error
     return source, module

@@ -11,9 +11,8 @@ import numpy as np
 
 from cosim.base.registry import BASE, is_model
 from cosim.loading.file import LoadedModel, load_model
-from cosim.loading.model_check import substep_notes
 from cosim.loading.own_run import predicted_outputs
-from cosim.loading.substep import with_substep
+from cosim.loading.substep import substep_notes, with_substep
 from cosim.logs.alone import findings_without_model
 from cosim.logs.gate import gate, refuse_faults
 from cosim.logs.log import first_rows, read_log

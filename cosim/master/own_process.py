@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Collection, Mapping, MutableSequence
+from collections.abc import Callable, Collection, MutableSequence
 from dataclasses import replace
 from itertools import count
 from typing import Any
@@ -230,11 +230,6 @@ class OwnEvents(OwnFmu, EventFmu):
         names: list[str] = self.act(("fired",)) if self.output_clocks else []
         self._forget(names)
         return names
-
-    def restore_schedule(self, schedule: Mapping[str, Any]) -> None:
-        """Restore a schedule after state and row."""
-        self.act(("restore_schedule", schedule))
-        super(OwnProcess, self).restore_schedule(schedule)
 
     def act(self, *requests: Request, doing: int = OTHER) -> Any:
         """Call methods there, as `OwnProcess.act`."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -36,7 +36,6 @@ from cosim.isolation.rows import (
 from cosim.isolation.watch import Clock, ComponentTimes, Watch, fmi_calls
 from cosim.master.c_loop import compile_beforehand
 from cosim.master.checkpoint import BESIDE, ROWS, STATE, Continuation, Keeper, Keeping
-from cosim.master.halving import Halved
 from cosim.master.inbox import Change, Control, Inbox
 from cosim.master.master import StoppedRun, results_of, simulate
 from cosim.master.observer import MAX_CHARACTERS, Feed, ObservedRun, Observer
@@ -103,7 +102,7 @@ def simulate_here(
 
         failure: SimulationError | None = None
         try:
-            results = _run(system, steps, h, give if observers else None, rows, inbox)
+            results = simulate(system, steps, h, give if observers else None, rows, inbox=inbox)
         except StoppedRun as run:
             results, failure = run.results, run.error
         feed.end(results.values)
@@ -130,20 +129,6 @@ def _times_of(system: System, steps: int, h: float) -> Array:
 def _last_time(system: System, h: float, rows: int) -> float:
     """Return the time [s] of the last finished row."""
     return system.start + h * max(0, rows - 1)
-
-
-def _run(
-    system: System,
-    steps: int,
-    h: float,
-    progress: Callable[[int], None] | None = None,
-    rows: Rows | None = None,
-    inbox: Inbox | None = None,
-) -> Results:
-    """Return the signals of a run; for a halved system, their differences between whole and halved steps."""
-    if not system.halved:
-        return simulate(system, steps, h, progress, rows, inbox=inbox)
-    return Halved(system, steps, h, progress, rows or Rows.in_memory(steps + 1, len(system.columns))).results()
 
 
 # -- in the worker ------------------------------------------------------------------------------
@@ -207,7 +192,7 @@ def simulate_rows(system: System, steps: int, h: float, job: RowsJob) -> WorkerE
         shared = progress.made, progress.doing, _store_loop, progress.asked, keeper, job.given
         rows = Rows(mapped, beside, *shared)
         inbox = Inbox(job.channel, progress) if job.observed else None
-        results = _run(system, steps, h, obey if job.observed else None, rows, inbox)
+        results = simulate(system, steps, h, obey if job.observed else None, rows, inbox=inbox)
     except StoppedRun as run:
         results, failure = run.results, run.error
     except OSError as error:

@@ -30,8 +30,8 @@ from cosim.refinement.stages import ORDER, Ranked, Watcher, stage_number
 from cosim.report.template import render
 from cosim.simulation.criteria import sentence
 from cosim.simulation.workflow import Outcome
-from cosim.sweeps.run_chunks import RunResult
 from cosim.sweeps.run_statistics import share_interval
+from cosim.sweeps.runs import RunResult
 from cosim.sweeps.workflow import CriterionLimit, RunsObserver
 from cosim.system.events import Variable
 

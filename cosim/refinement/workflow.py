@@ -172,7 +172,7 @@ def refine(
         content = written.model_dump(mode="json")
         write_json(scratch / ANSWER, content, allow_nan=False)
         with delay_stops():
-            remove_earlier(folder, "cosim refine", read=study.files)
+            remove_earlier(folder, read=study.files)
             _publish(files, scratch / ANSWER, folder)
         release_stops()
     searched, evidence = result.search.problem, _at_horizon(played, subject.horizon)

@@ -152,7 +152,7 @@ def write_replay(
         findings = _findings(drive, log, rate)
         written = "report.html", REPLAY, NEXT_STUDY
         check_writable(folder, (rows_file.name, residual_file.name, *written), (log.path, fmu))
-        remove_earlier(folder, "cosim replay", read=(log.path, fmu))
+        remove_earlier(folder, read=(log.path, fmu))
         sources = {"log": str(log.path), "fmu": "" if passing else str(fmu)}
         chosen = {"start": dict(given)} if given else {}
         describe_run(folder, {**sources, **chosen})

@@ -7,8 +7,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag
 
+from cosim.blocks.coupling import DEFAULT, AlgorithmKey
 from cosim.blocks.profile import Profile
-from cosim.coupling.algorithms import DEFAULT, AlgorithmKey
 from cosim.isolation.limits import Limits
 from cosim.storage.yaml_file import (
     Amount,

@@ -18,10 +18,9 @@ import numpy as np
 from cosim.base.errors import InputError, Interrupted
 from cosim.base.messages import Note
 from cosim.isolation.process import Worker
-from cosim.master.halving import rollback_objection
+from cosim.master.policies import rollback_objection
 from cosim.master.remote import MODULES, simulate_apart, simulate_here
-from cosim.scenario.nearest_models import take_nearest
-from cosim.scenario.scenario_file import ScenarioFile
+from cosim.scenario.scenario_file import ScenarioFile, take_nearest
 from cosim.simulation.undeclared import with_feedthrough
 from cosim.storage.files import FilePath
 from cosim.storage.results import Results

@@ -14,7 +14,7 @@ from typing import Any
 from cosim.base.drafts import draft_of
 from cosim.base.errors import Fault, InputError
 from cosim.base.scratch import temporary_folder
-from cosim.coupling.algorithms import Jacobi
+from cosim.blocks.coupling import Jacobi
 from cosim.scenario.pinned import SYSTEM
 from cosim.scenario.scenario_file import ROUNDING, ScenarioFile
 from cosim.ssp.elements import Element
@@ -110,7 +110,7 @@ def lay_out(path: Path, folder: Path, overrides: Sequence[str] = ()) -> tuple[Sc
         within = folder / FOLDER
         inputs = [path, *packaged.files.values()]
         check_writable(within, (SCENARIO, *packaged.files), inputs)
-        remove_earlier(folder, "cosim run", read=inputs)
+        remove_earlier(folder, read=inputs)
         for name, source in packaged.files.items():
             with draft_of(within / name) as draft:
                 shutil.copyfile(source, draft)

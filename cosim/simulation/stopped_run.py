@@ -2,8 +2,8 @@
 
 results/NAME/checkpoint/run.json   manifest of the run before its outcome
                         state      last checkpoint
-                        rows       rows while the run lasts, then in results.csv; `beside` holds text and the like
-                        all-rows   all rows after the end, where `record` leaves some out of results.csv; `all-beside`
+                        rows       rows while the run lasts, and afterwards where `record` leaves some out of
+                                   results.csv; `beside` holds text and the like
 """
 
 from __future__ import annotations
@@ -63,7 +63,6 @@ STOPPED_BEFORE_ROWS = "its run was stopped before its first row or checkpoint; r
 
 FOLDER, RUN, MANIFEST = "checkpoint", "run.json", "manifest.json"
 PATIENCE, PAUSE = 15.0, 0.05  # time [s] for the worker of a killed command to end, and between two looks
-ALL = "all-"  # prefix of the files of rows after the end of a run of which a part is recorded
 EXTRA = "files"  # key of run.json beside those of a manifest: name of the rows file, warnings of an SSP, notes
 EXTRA_KIND = {"rows": str, "warnings": [str], "notes": [str]}
 CHECKPOINT = {
@@ -202,19 +201,15 @@ class StoppedRun:
             if not count:
                 raise InputError.at(kept, STOPPED_BEFORE_ROWS)
             start = Continuation(_kept_rows(kept / ROWS, count, width), read_exact(kept / BESIDE, count), self.state)
-        elif system.recording is not None and not (count and (kept / f"{ALL}{ROWS}").is_file()):
+        elif system.recording is not None:
             self._check_unfinished(scenario)
             return None
-        elif system.recording is not None:
-            rows, beside = (kept / f"{ALL}{name}" for name in (ROWS, BESIDE))
-            start = Continuation(_kept_rows(rows, count, width), read_exact(beside, count), self.state)
         else:
             start = self._from_results(system, scenario, count)
         if checkpoint and RowsHash().of(start.values, start.exact, start.count) != checkpoint["rows"]:
             raise InputError.at(self.folder, ROWS_OF_ANOTHER_RUN)
-        if start.count > scenario.steps and not (kept / ROWS).is_file():
-            reached = scenario.start_time + (start.count - 1) * scenario.step
-            raise InputError.at(self.folder, ALREADY_FINISHED.format(time=reached))
+        if start.count > scenario.steps and rows_in(self.folder) is not None:
+            self._check_unfinished(scenario)
         return start
 
     def _check_unfinished(self, scenario: Scenario) -> None:
@@ -347,15 +342,12 @@ def end_keeping(folder: Path, *, is_kept: bool, keeps_rows: bool = False) -> Non
 
     Args:
         is_kept: Whether the folder has checkpoints of this run, not of another one.
-        keeps_rows: Whether all rows are kept, because the results have a part of them.
+        keeps_rows: Whether the rows stay, because the results have a part of them.
     """
     kept = folder / FOLDER
     if not is_kept and kept.is_dir() and not kept.is_symlink():
         shutil.rmtree(kept, ignore_errors=True)
-    for name in (ROWS, BESIDE) if keeps_rows else ():
-        with suppress(OSError):
-            (kept / name).replace(kept / f"{ALL}{name}")
-    for name in (ROWS, BESIDE, IN_USE):
+    for name in (IN_USE,) if keeps_rows else (ROWS, BESIDE, IN_USE):
         with suppress(OSError):
             (kept / name).unlink(missing_ok=True)
 
@@ -363,12 +355,6 @@ def end_keeping(folder: Path, *, is_kept: bool, keeps_rows: bool = False) -> Non
 def keep_state(rows: Path, record: Mapping[str, Any], warnings: Sequence[str], state: bytes) -> None:
     """Write a stopped run's checkpoint beside its rows."""
     write_durable(write_run(rows.parent, record, rows.name, warnings) / STATE, state)
-
-
-def replayed_names(system: System, start: Continuation) -> Sequence[str]:
-    """Return the FMUs that are replayed."""
-    states = {} if start.state is None else unpack(start.state).get("components", {})
-    return [name for name in system.fmus if states.get(name) is None]
 
 
 def unsaved_names(system: System) -> Sequence[str]:

@@ -14,12 +14,12 @@ from cosim.base.errors import CosimError, InputError, Interrupted, Signalled, Ti
 from cosim.base.messages import CheckWarning, Note
 from cosim.base.text import join_names
 from cosim.blocks.compiling import LIMIT, permission
+from cosim.blocks.coupling import Assumption
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
-from cosim.coupling.order import Assumption
 from cosim.isolation.limits import LOADING, Limits
 from cosim.isolation.process import Worker
-from cosim.master.feedthrough import Feedthrough, Pair, measure_feedthrough, undeclared_inputs
+from cosim.master.beforehand import Feedthrough, Pair, examine, measure_feedthrough, undeclared_inputs
 from cosim.master.remote import simulate_apart, simulate_here
 from cosim.scenario.scenario import Scenario
 from cosim.scenario.scenario_file import ScenarioFile
@@ -59,7 +59,7 @@ def with_feedthrough(
         ),
     ):
         try:
-            measured = measure_feedthrough(system, file.scenario.step, worker, limits, spent)
+            measured = examine(measure_feedthrough, system, (1, file.scenario.step), worker, limits, spent=spent)
         except (Interrupted, Signalled):
             raise
         except CosimError as error:

@@ -17,16 +17,14 @@ from cosim.base.messages import Note
 from cosim.blocks.compiling import compiling, permission
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
+from cosim.master.beforehand import without_ended_states
 from cosim.master.checkpoint import Continuation, Keeping
-from cosim.master.end_trials import without_ended_states
 from cosim.master.inbox import Change, with_changes
-from cosim.master.input_functions import InputFunctions, NamedFunctions
-from cosim.master.observer import Observer, ProgressObserver
+from cosim.master.observer import InputFunctions, NamedFunctions, Observer, ProgressObserver
 from cosim.master.remote import MODULES, SteppedRun, simulate_apart, simulate_here
-from cosim.scenario.nearest_models import take_nearest
 from cosim.scenario.pinned import sha256
 from cosim.scenario.scenario import Scenario
-from cosim.scenario.scenario_file import ScenarioFile
+from cosim.scenario.scenario_file import ScenarioFile, take_nearest
 from cosim.simulation.criteria import evaluate, missed_tolerance
 from cosim.simulation.manifest import add_changes, check_pinned, manifest, software_versions
 from cosim.simulation.packaged import is_ssp, lay_out
@@ -37,7 +35,6 @@ from cosim.simulation.stopped_run import (
     end_keeping,
     keep_state,
     open_stopped,
-    replayed_names,
     unsaved_names,
     write_run,
 )
@@ -57,7 +54,6 @@ from cosim.storage.results import Results, rows_in, rows_name
 from cosim.system.recording import take_signals
 from cosim.system.system import System, build_system
 
-REPLAYED_STEP = 2e-5  # [s] of a step that Python replays, beside the step itself
 MANY_ROWS = 1_000_000  # rows of CSV, beyond which a note offers Parquet
 COMPILED = "compile"  # key of a manifest: sources of FMUs may be compiled when the run goes on
 
@@ -275,7 +271,7 @@ def _prepare_new(
     check_pinned(file)
     system = build_system(file)
     if not is_package:
-        remove_earlier(place, "cosim run", read=file.files)
+        remove_earlier(place, read=file.files)
     check_writable(place, (rows_file, MANIFEST, "report.html"), file.files)
     system = replace(with_feedthrough(file, system, worker, tell), pace=file.scenario.pace)
     ssp = path if is_package else None
@@ -315,7 +311,7 @@ def _prepare_stopped(
             tell(
                 Note(
                     f"{', '.join(ended)}: the saved state does not go beyond t = {time_:g} s, the end that the FMU "
-                    "was told; so its recorded inputs are replayed"
+                    "was told; so all steps are made again"
                 )
             )
     check_writable(stopped.folder, (stopped.rows_file, MANIFEST, "report.html"), file.files)
@@ -340,10 +336,10 @@ def _how_it_goes_on(stopped: StoppedRun, system: System, start: Continuation | N
             "checkpoint: keeps all of them"
         )
     time = scenario.start_time + (start.count - 1) * scenario.step
-    names = replayed_names(system, start)
-    most = stopped.lasted + REPLAYED_STEP * len(names) * start.count
+    names = start.unsaved(system)
     cost = (
-        Note(f"; {', '.join(names)}: inputs replayed from the start, which takes up to about {most:.2g} s")
+        f"; as the state of {', '.join(names)} is not saved, all steps are made again, which takes about "
+        f"{stopped.lasted:.2g} s"
         if names
         else ""
     )
@@ -364,8 +360,8 @@ def _step(
     if keeping.folder is not None and prepared.start is None and (names := unsaved_names(system)):
         tell(
             Note(
-                f"no checkpoint has the state of {', '.join(names)}: a resumed run replays the recorded inputs from "
-                "the start, which takes as long as these steps took"
+                f"no checkpoint has the state of {', '.join(names)}: a resumed run makes all steps again from "
+                "the start, which takes as long as they took"
             )
         )
     stepped = simulate_apart(

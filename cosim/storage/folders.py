@@ -21,7 +21,7 @@ from typing import Any
 from cosim.base.errors import InputError
 from cosim.base.messages import Note
 from cosim.base.version import __version__
-from cosim.storage.artefact import Artefact, artefacts
+from cosim.storage.artefact import artefacts
 from cosim.storage.files import FilePath, check_writable, delay_stops, named_path, open_regular, parse_json, write_json
 from cosim.storage.record_types import sound_part
 
@@ -149,31 +149,25 @@ def describe_run(folder: Path, record: Mapping[str, Any]) -> None:
             write_json(folder / STARTED, {**record, **about})
 
 
-def remove_earlier(folder: Path, verb: str, *, read: Iterable[Path] = ()) -> None:
+def remove_earlier(folder: Path, *, read: Iterable[Path] = ()) -> None:
     """Remove results from a folder that is written again, but not files of the user.
 
-    The files are those declared by the verb and those of verbs whose marks are in the folder.
+    The files are those declared by verbs whose marks are in the folder.
 
     Args:
         read: Input files, and folders of them, which stay.
     """
-    inputs = {path.resolve() for path in read}
-    for artefact in artefacts():
-        if artefact.verb and (artefact.verb == verb or artefact.is_left_in(folder, unfinished=True)):
-            for path in _files_by(artefact, folder):
-                if path.is_file() and inputs.isdisjoint((path.resolve(), path.parent.resolve())):
-                    path.unlink()
-
-
-def _files_by(artefact: Artefact, folder: Path) -> Iterator[Path]:
-    """Yield the files of a verb in a folder. Without results of the verb, a folder within is the user's."""
     from cosim.storage.table import suffixes  # numpy, which `cosim list` does not need
 
-    is_there = artefact.is_left_in(folder, unfinished=True)
-    tables = [f"{stem}{suffix}" for stem in artefact.tables for suffix in suffixes()]
-    for pattern in (*artefact.marks, *artefact.unfinished, *artefact.files, *tables):
-        if is_there or "/" not in pattern:
-            yield from [*folder.glob(pattern)]
+    inputs = {path.resolve() for path in read}
+    for artefact in artefacts():
+        if not artefact.verb or not artefact.is_left_in(folder, unfinished=True):
+            continue
+        tables = [f"{stem}{suffix}" for stem in artefact.tables for suffix in suffixes()]
+        for pattern in (*artefact.marks, *artefact.unfinished, *artefact.files, *tables):
+            for path in [*folder.glob(pattern)]:
+                if path.is_file() and inputs.isdisjoint((path.resolve(), path.parent.resolve())):
+                    path.unlink()
 
 
 # -- state ----------------------------------------------------------------------------------------

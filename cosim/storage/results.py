@@ -227,10 +227,3 @@ def rows_name(stem: str, format_: str) -> str:
 def rows_in(folder: Path, stem: str = "results") -> Path | None:
     """Return a folder's rows file, in any format."""
     return next((path for suffix in suffixes() if (path := folder / f"{stem}{suffix}").is_file()), None)
-
-
-def remove_rows(folder: Path, stem: str, besides: str = "") -> None:
-    """Remove the rows files of an earlier command, except one name."""
-    for suffix in suffixes():
-        if f"{stem}{suffix}" != besides:
-            (folder / f"{stem}{suffix}").unlink(missing_ok=True)

@@ -26,7 +26,7 @@ ARTEFACTS = (
         files=("sweep.json", "sweep.parquet", "runs.sqlite", "report.html"),
         folder="the folder of a sweep",
         folder_step="`cosim.read` reads it in Python",
-        reader="cosim.sweeps.sweep_table:read_runs",
+        reader="cosim.sweeps.store:read_runs",
     ),
     Artefact(
         TABLE,
@@ -35,7 +35,7 @@ ARTEFACTS = (
     ),
     Artefact(
         "a database",
-        "`cosim sweep SWEEP.yaml` goes on with one that it left, named with its --out",
+        "`cosim sweep SWEEP.yaml --resume` goes on with one that it left, named with its --out",
         heads=(b"SQLite format 3\0",),
     ),
 )

@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from cosim.base.errors import Fault, InputError, refuse
-from cosim.base.messages import Message, with_prefix
+from cosim.base.messages import with_prefix
 from cosim.base.units import split_quantity
 from cosim.blocks.description import unit_of
 from cosim.blocks.fmu import FmuBlock
 from cosim.scenario.scenario import Scenario, resolve_defaults
 from cosim.scenario.scenario_file import ScenarioFile, keys_of
 from cosim.scenario.start_values import Misfit, convert_quantity, convert_value, settable
-from cosim.scenario.start_values import kind_of as kind_of_variable
 from cosim.storage.yaml_file import YamlFile, did_you_mean, short
 from cosim.sweeps.sampling import MOST_RUNS, Factor, are_numbers, distribution, drawn_rows, saltelli_base
 from cosim.sweeps.sweep_file import SweepFile, Varied
@@ -45,57 +44,50 @@ class Factors:
         self, yaml: YamlFile, file: SweepFile, scenario: ScenarioFile, system: System, overrides: tuple[str, ...]
     ) -> None:
         self.yaml, self.file, self.scenario, self.system, self.overrides = yaml, file, scenario, system, overrides
-        self.components = {s.component.name: s.component for s in system.stages}
+        self.blocks = {s.component.name: s.component for s in system.stages if isinstance(s.component, FmuBlock)}
         self.faults: list[Fault] = []
         self.warnings: list[str] = []
-        self._check_size()
-
-    def _check_size(self) -> None:
-        """Check the number of runs before allocating anything."""
-        vary, runs = self.file.vary, self.file.runs
-        listed = {name: size for name, v in vary.items() if (size := _size(v)) is not None}
-        counted = sum(v.each is not None for v in vary.values())
-        sampled = len(vary) - len(listed) - counted
-        count = math.prod(listed.values()) * drawn_rows(sampled, counted > 0, runs, self.file.sampling)
-        if count > MOST_RUNS:
+        sizes = {
+            name: len(v.values) if v.values is not None else v.grid.count if v.grid is not None else v.count
+            for name, v in file.vary.items()
+        }
+        listed = {name: size for name, size in sizes.items() if size is not None}
+        seeds = sum(v.each is not None for v in file.vary.values())
+        sampled = len(sizes) - len(listed) - seeds
+        count = math.prod(listed.values()) * drawn_rows(sampled, seeds > 0, file.runs, file.sampling)
+        if count > MOST_RUNS:  # before anything is allocated
             largest = max(listed, key=lambda n: listed[n], default="")
-            in_list = bool(listed) and (not sampled or listed[largest] > runs)
+            in_list = bool(listed) and (not sampled or listed[largest] > file.runs)
             where: Location = ("vary", largest) if in_list else ("runs",)
-            message = (
-                f"{count:.3g} runs are more than the {MOST_RUNS:,} that a sweep may have; give fewer values or runs"
+            text = f"{count:.3g} runs are more than the {MOST_RUNS:,} that a sweep may have; give fewer values or runs"
+            raise InputError([yaml.fault(where, text, key=in_list)])
+        if file.sampling == "saltelli" and (listed or not sampled):
+            text = (
+                "saltelli takes only distributions, no listed values; vary by distributions, or choose another sampling"
             )
-            raise InputError([self.yaml.fault(where, message, key=in_list)])
-        if self.file.sampling != "saltelli":
-            return
-        if listed or not sampled:
-            self._note(
-                ("sampling",),
-                (
-                    "saltelli takes only distributions, no listed values; vary by distributions, or choose another "
-                    "sampling"
-                ),
-            )
-        elif not saltelli_base(runs, sampled):
-            least = sampled + 2
-            self._note(
-                ("runs",), f"{runs} runs are too few: with {sampled} distributions saltelli needs {least} runs at least"
-            )
+            self._note(("sampling",), text)
+        elif file.sampling == "saltelli" and not saltelli_base(file.runs, sampled):
+            least = f"with {sampled} distributions saltelli needs {sampled + 2} runs at least"
+            self._note(("runs",), f"{file.runs} runs are too few: {least}")
 
-    def _note(self, where: Location, message: str, *, key: bool = False) -> None:
-        self.faults.append(self.yaml.fault(where, message, key=key))
+    def _note(self, where: Location, text: str, *, key: bool = False, exit_code: int = 2) -> None:
+        self.faults.append(self.yaml.fault(where, text, key=key, exit_code=exit_code))
 
     def factor(self, name: str, varied: Varied) -> Factor | None:
         """Return a factor; note faults and return None if invalid."""
         before = len(self.faults)
+        first, _, variable = name.partition(".")
         if name == "seed":
-            return self._seed(varied)
-        if varied.way in {"count", "each"}:
+            factor = self._seed(varied)
+        elif varied.way in {"count", "each"}:
             self._note(
                 ("vary", name, varied.way), f"{varied.way} is for `seed` only; give values, a grid or a distribution"
             )
-            return None
-        is_variable = name.partition(".")[0] in self.scenario.scenario.components
-        factor = self._of_variable(name, varied) if is_variable else self._of_path(name, varied)
+            factor = None
+        elif first in self.scenario.scenario.components:
+            factor = self._of_variable(name, varied, first, variable)
+        else:
+            factor = self._of_path(name, varied)
         return None if len(self.faults) > before else factor
 
     def _seed(self, varied: Varied) -> Factor | None:
@@ -105,37 +97,22 @@ class Factors:
         if varied.count is not None:
             return Factor("seed", values=list(range(first, first + varied.count)))
         if values is None or any(isinstance(v, bool) or not isinstance(v, int) or v < 0 for v in values):
-            self._note(
-                ("vary", "seed"), "seeds are whole numbers that are not negative: values: [1, 2], count: 20 or each: 1"
-            )
+            text = "seeds are whole numbers that are not negative: values: [1, 2], count: 20 or each: 1"
+            self._note(("vary", "seed"), text)
             return None
         return Factor("seed", values=values)
 
-    def _settable_variable(self, name: str, block: Any) -> Any:
-        """Return the FMU variable of a factor, or a message on why the factor cannot be varied."""
-        component, _, variable_name = name.partition(".")
-        if not isinstance(block, FmuBlock):
-            return (
-                f"{component} is no FMU and has no start values; vary a path such as components.{component}.… by values"
-            )
-        variables = {v.name: v for v in block.description.modelVariables}
+    def _of_variable(self, name: str, varied: Varied, component: str, variable_name: str) -> Factor | None:
+        block = self.blocks.get(component)
+        variables = {} if block is None else {v.name: v for v in block.description.modelVariables}
         variable = variables.get(variable_name)
-        if variable is None:
-            hint = did_you_mean(variable_name, [v.name for v in variables.values() if settable(v)])
-            return f'{component} has no variable "{short(variable_name)}"{hint}'
-        if not settable(variable):
-            return f"{name} is {kind_of_variable(variable)}; it takes no start value"
-        if variable.shape:
-            return "is an array; vary a path of the scenario by values"
+        if block is None or variable is None or not settable(variable) or variable.shape:
+            text = "takes no number here; vary a path of the scenario, such as components.NAME.…, by values"
+            faults, _ = self._test_variant(f"components.{component}.start.{variable_name}=0")  # says why
+            self._note(("vary", name), faults[0].message if faults else f"{name} {text}", key=True)
+            return None
         if variable_name in block.connected:
-            return "is an input that is connected; vary what feeds it"
-        return variable
-
-    def _of_variable(self, name: str, varied: Varied) -> Factor | None:
-        block: Any = self.components.get(name.partition(".")[0])
-        variable = self._settable_variable(name, block)
-        if isinstance(variable, Message):
-            self._note(("vary", name), variable, key=True)
+            self._note(("vary", name), "is an input that is connected; vary what feeds it", key=True)
             return None
 
         def value(where: Location, entry: Any) -> Any:
@@ -146,8 +123,7 @@ class Factors:
             else:
                 number = entry
             if isinstance(number, Misfit):
-                message = f"{name} is {entry!r}; {number.reason}"
-                self._note(("vary", name, *where), message)
+                self._note(("vary", name, *where), f"{name} is {entry!r}; {number.reason}")
                 return None
             return number
 
@@ -158,7 +134,8 @@ class Factors:
         keys = [field.alias or name for name, field in Scenario.model_fields.items()]
         if first not in keys:
             hint = did_you_mean(first, [*keys, *self.scenario.scenario.components])
-            self._note(("vary", name), f'no component and no key of the scenario is "{short(first)}"{hint}', key=True)
+            text = f'no component and no key of the scenario is "{short(first)}"{hint}'
+            self._note(("vary", name), text, key=True)
             return None
         if first in FIXED:
             self._note(("vary", name), f"{first} is one for all runs; give it by `set`", key=True)
@@ -181,7 +158,7 @@ class Factors:
 
         factor = self._make_factor(name, varied, value)
         if factor is not None:
-            self._test_values(factor, varied, name)
+            self._test_values(factor, varied)
         return factor
 
     def _variant(self, *overrides: str) -> ScenarioFile:
@@ -203,16 +180,17 @@ class Factors:
             raise ValueError(f"{name} is {text!r}; it is a number")
         return float(number)
 
-    def _test_values(self, factor: Factor, varied: Varied, *paths: str) -> None:
-        """Check the scenario with some values of a factor; note faults, and the first warning."""
+    def _test_values(self, factor: Factor, varied: Varied) -> None:
+        """Check the scenario with some values of a path; note faults, and the first warning."""
         values = factor.values
         if values is None:
             values = factor.drawn(np.array([0.01, 0.5, 0.99])).tolist() if factor.drawn else []
         warnings: list[str] = []
         for k, v in enumerate(values[:MAX_TESTED_VALUES]):
             where: Location = ("vary", factor.name, "values", k) if varied.values is not None else ("vary", factor.name)
-            faults, texts = self._test_variant(*(f"{path}={json.dumps(v)}" for path in paths))
-            self.faults += [self.yaml.fault(where, f.message, exit_code=f.exit_code) for f in faults]
+            faults, texts = self._test_variant(f"{factor.name}={json.dumps(v)}")
+            for fault in faults:
+                self._note(where, fault.message, exit_code=fault.exit_code)
             warnings += texts
         if new := [t for t in warnings if t not in {*self.scenario.warnings, *self.system.warnings}]:
             line = self.yaml.place(("vary", factor.name), key=True)[0]
@@ -264,24 +242,50 @@ class Factors:
         for name in (f.name for f in factors if f.drawn is not None):
             way = self.file.vary[name].way
             cure = "cut it by within: [low, high]" if way == "normal" else "move its ends"
+            component, _, variable = name.partition(".")
+            path = f"components.{component}.start.{variable}" if component in self.blocks else name
             for value in (min(columns[name]), max(columns[name])):
-                for reason, exit_code in self._faults_of_value(name, value):
-                    message = f"{name} would be {value:g}: {reason}; {cure}"
-                    yield self.yaml.fault(("vary", name, way), message, exit_code=exit_code)
-
-    def _faults_of_value(self, name: str, value: float) -> list[tuple[str, int]]:
-        """Return the reasons against a value of a factor, with exit codes."""
-        component, _, variable_name = name.partition(".")
-        block = self.components.get(component)
-        if not isinstance(block, FmuBlock):
-            return [(f.message, f.exit_code) for f in self._test_variant(f"{name}={json.dumps(value)}")[0]]
-        variable = next(v for v in block.description.modelVariables if v.name == variable_name)
-        number = convert_value(block.description, variable, value)
-        return [(number.reason, 2)] if isinstance(number, Misfit) else []
+                for fault in self._test_variant(f"{path}={json.dumps(value)}")[0]:
+                    text = f"{name} would be {value:g}: {fault.message}; {cure}"
+                    yield self.yaml.fault(("vary", name, way), text, exit_code=fault.exit_code)
 
 
-def _size(varied: Varied) -> int | None:
-    """Return the number of listed values, or None."""
-    if varied.values is not None:
-        return len(varied.values)
-    return varied.grid.count if varied.grid is not None else varied.count
+def overlap_faults(yaml: YamlFile, file: SweepFile, components: Collection[str]) -> Iterator[Fault]:
+    """Yield a fault for each entry of `vary` and `set` that another entry overrides.
+
+    In a run, start values override paths, and `vary` overrides `set`. A path includes everything below it. Setting a
+    whole and varying a part of it is allowed.
+    """
+    places: dict[tuple[str, str], tuple[str, ...]] = {}  # entry → its place in the scenario
+    for section, names in (("set", file.set), ("vary", file.vary)):
+        for name in names:
+            component, _, variable = name.partition(".")
+            if section == "vary" and component in components:
+                places[section, name] = ("components", component, "start", variable)
+            else:
+                keys = keys_of(name.strip())
+                places[section, name] = tuple(str(int(k)) if k.isascii() and k.isdigit() else k for k in keys)
+    order, at = [*places], dict[tuple[str, ...], list[tuple[str, str]]]()
+    for entry, place in places.items():
+        at.setdefault(place, []).append(entry)
+    reported = set()
+    for inner, place in places.items():
+        for whole in (entry for length in range(1, len(place) + 1) for entry in at.get(place[:length], ())):
+            first, second = sorted((inner, whole), key=order.index)
+            ways = inner[0], whole[0]
+            if ways == ("vary", "set") or first == second or (first, second) in reported:
+                continue
+            if ways == ("set", "set") and whole != second:
+                continue  # the whole before its part
+            if ways == ("set", "vary") and whole[1] == "seed" and file.vary["seed"].count is not None:
+                continue  # Counted seeds start from the seed in `set`.
+            reported.add((first, second))
+            entry, other = (first, second) if ways == ("set", "vary") else (second, first)
+            line = yaml.place(other, key=True)[0]
+            cure = {
+                ("set", "vary"): "the varied value replaces this one; remove this one",
+                ("vary", "vary"): "vary one of them",
+                ("set", "set"): "set the whole first and its part after it",
+            }[ways]
+            text = f'{entry[1]} and "{other[1]}" of line {line} both give {".".join(place)}; {cure}'
+            yield yaml.fault(entry, text, key=True)

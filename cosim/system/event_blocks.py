@@ -25,6 +25,8 @@ from cosim.scenario.start_values import Misfit
 from cosim.storage.yaml_file import did_you_mean
 from cosim.system.schedule import Loop, Schedule, Stage
 
+REALS = ("Real", "Float64", "Float32")
+
 
 def event_block(
     file: ScenarioFile,
@@ -38,9 +40,22 @@ def event_block(
     description = read(path)
     way = component.interface or ways(description)[0]
     clocks = read_clocks(path, description)
-    uses = way == "scheduled-execution" or _uses_events(component, description, way, clocks)
+    wanted = bool(clocks) if component.event_mode is None else component.event_mode
+    uses = way == "scheduled-execution" or (wanted and has_event_mode(description, way))
     if not uses:
-        return FmuBlock if _is_without_events(name, component, clocks, _reason(description, way), diagnosis) else None
+        if component.event_mode:
+            reason = "its FMU declares none (hasEventMode)"
+            if not description.fmiVersion.startswith("3") or way != "co-simulation":
+                version = f"FMI {description.fmiVersion} for {way}"
+                reason = f"it is run as {version}; event mode is part of FMI 3.0 for co-simulation"
+            diagnosis.note(("components", name, "event_mode"), f"{name} has no event mode: {reason}")
+            return None
+        if component.clocks:
+            message = f"{name} has no clocks; leave out clocks:"
+            if clocks:
+                message = f"{name} ticks no clocks without event mode; leave out event_mode: false"
+            diagnosis.note(("components", name, "clocks"), message)
+        return FmuBlock
     timings = _timings(file, name, component, clocks, diagnosis)
     kind = ScheduledFmu if way == "scheduled-execution" else EventFmu
     return partial(kind, timings=timings, jumping=_jumping(file, name, read))
@@ -57,31 +72,6 @@ def default_block(path: Path, description: Any) -> type[FmuBlock]:
 def has_event_mode(description: Any, way: Way) -> bool:
     """Return whether an FMU has event mode."""
     return way == "co-simulation" and bool(getattr(description.coSimulation, "hasEventMode", False))
-
-
-def _is_without_events(
-    name: str, component: FmuComponent, clocks: Mapping[str, Clock], reason: str, diagnosis: Diagnosis
-) -> bool:
-    """Return whether an FMU runs without event mode."""
-    if component.event_mode:
-        diagnosis.note(("components", name, "event_mode"), f"{name} has no event mode: {reason}")
-    elif component.clocks and clocks:
-        diagnosis.note(
-            ("components", name, "clocks"), f"{name} ticks no clocks without event mode; leave out event_mode: false"
-        )
-    elif component.clocks:
-        diagnosis.note(("components", name, "clocks"), f"{name} has no clocks; leave out clocks:")
-    return not component.event_mode
-
-
-def _uses_events(component: FmuComponent, description: Any, way: Way, clocks: Mapping[str, Clock]) -> bool:
-    return has_event_mode(description, way) and (bool(clocks) if component.event_mode is None else component.event_mode)
-
-
-def _reason(description: Any, way: Way) -> str:
-    if not description.fmiVersion.startswith("3") or way != "co-simulation":
-        return f"it is run as FMI {description.fmiVersion} for {way}; event mode is part of FMI 3.0 for co-simulation"
-    return "its FMU declares none (hasEventMode)"
 
 
 def _timings(
@@ -125,22 +115,17 @@ def _jumping(file: ScenarioFile, name: str, read: Callable[[Path], Any]) -> froz
     for connection in file.scenario.connections:
         owner, _, variable = connection.target.partition(".")
         source, _, output = connection.source.partition(".")
-        if owner == name and _jumps(file, source, output, read):
+        if owner != name:
+            continue
+        component = file.scenario.components.get(source)
+        if not isinstance(component, FmuComponent) or component.step is not None:
             jumping.add(variable)
+        elif (path := file.resolve(component.fmu)).is_file():
+            names = output, output.partition("[")[0]
+            ends = [v for v in read(path).modelVariables if v.name in names]
+            if any(v.variability not in (None, "continuous") or v.type not in REALS for v in ends):
+                jumping.add(variable)
     return frozenset(jumping)
-
-
-def _jumps(file: ScenarioFile, source: str, output: str, read: Callable[[Path], Any]) -> bool:
-    component = file.scenario.components.get(source)
-    if not isinstance(component, FmuComponent) or component.step is not None:
-        return True
-    path = file.resolve(component.fmu)
-    if not path.is_file():
-        return False
-    variables = (v for v in read(path).modelVariables if v.name in (output, output.partition("[")[0]))
-    return any(
-        v.variability not in (None, "continuous") or v.type not in ("Real", "Float64", "Float32") for v in variables
-    )
 
 
 def is_exchange(component: Component) -> bool:
@@ -181,16 +166,6 @@ def clock_interval(block: FmuBlock | None, target: str, value: Any) -> Any:
     return float(value)
 
 
-def _reason_for_points(stage: Stage, loops: Mapping[str, str], apart: Collection[str]) -> str:
-    """Return why a component gets events at the end of its step only, "" if it gets them at once."""
-    name = stage.component.name
-    if name in loops:
-        return f"is part of the algebraic loop {loops[name]}"
-    if not takes_part_of_step(stage):
-        return "takes only steps of one length"
-    return "uses model exchange in a process of its own" if name in apart and is_exchange(stage.component) else ""
-
-
 def check_events(plan: Schedule, apart: Collection[str], diagnosis: Diagnosis, connected: Collection[str]) -> None:
     """Note faults and warnings of event mode.
 
@@ -203,12 +178,19 @@ def check_events(plan: Schedule, apart: Collection[str], diagnosis: Diagnosis, c
         return
     loops = {name: loop.name for loop in plan.loops for name in loop.members}
     for stage in plan.stages:
-        if reason := _reason_for_points(stage, loops, apart):
-            diagnosis.warnings.append(
-                f"{stage.component.name} {reason}: an event within a step reaches it at the end of the step"
-            )
+        name, reason = stage.component.name, ""
+        if name in loops:
+            reason = f"is part of the algebraic loop {loops[name]}"
+        elif not takes_part_of_step(stage):
+            reason = "takes only steps of one length"
+        elif name in apart and is_exchange(stage.component):
+            reason = "uses model exchange in a process of its own"
+        if reason:
+            diagnosis.warnings.append(f"{name} {reason}: an event within a step reaches it at the end of the step")
     clocks = (f"{fmu.name}.{signal.name}" for fmu in events for signal in fmu.inputs if signal.kind == "Clock")
     if idle := [name for name in clocks if name not in connected]:
         diagnosis.warnings.append(
-            f"{', '.join(idle)}: never ticks; connect it to an output clock, or give its times under clocks:"
+            "{names}: never ticks; connect it to an output clock, or give its times under clocks:".format(
+                names=", ".join(idle)
+            )
         )

@@ -10,15 +10,13 @@ from cosim.base.messages import CheckNote, Note
 from cosim.base.text import join_names
 from cosim.base.times import steps_in
 from cosim.blocks.component import Component, Signal
+from cosim.blocks.coupling import DEFAULT, WITHOUT_ORDER, AlgebraicLoop, Algorithm, Assumption, Edge, Plan, algorithms
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fixes import Fixes
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.sources import SourceBlock
-from cosim.coupling.algorithms import DEFAULT, WITHOUT_ORDER, Algorithm, algorithms
-from cosim.coupling.order import AlgebraicLoop, Assumption, Plan
-from cosim.coupling.strong_components import Edge
 from cosim.scenario.diagnosis import Diagnosis, Place
-from cosim.scenario.scenario import Connection, Scenario
+from cosim.scenario.scenario import Scenario
 from cosim.storage.yaml_file import did_you_mean
 from cosim.system.wiring import Components, Transfer
 
@@ -186,15 +184,15 @@ class _Graph:
             fault: Why it cannot be solved.
         """
         if fault is not None:
-            return f"loops: {{}} without {key} is refused: {fault}"
+            return Note(f"loops: {{}} without {key} is refused: {fault}")
         fmus = [c for c in map(self.components.get, loop.members) if isinstance(c, FmuBlock)]
         names = [fmu.name for fmu in fmus if not (fmu.changes_by_events or fmu.instance.rolls_back)]
         if names:
-            return (
-                f"loops: {{}} without {key} solves it, if it has a solution and outputs of {join_names(names)}, "
-                "which cannot save a state, follow inputs without a step"
+            return Note(
+                f"loops: {{}} without {key} solves it, if it has a solution and outputs of "
+                f"{join_names(names)}, which cannot save a state, follow inputs without a step"
             )
-        return f"loops: {{}} without {key} solves it, if it has a solution"
+        return Note(f"loops: {{}} without {key} solves it, if it has a solution")
 
     def faults(self, loop: Loop) -> Iterator[tuple[Place, str]]:
         """Yield faults of a loop that cannot be solved, with their places."""
@@ -214,9 +212,9 @@ class _Graph:
                 yield (
                     ("components", name),
                     (
-                        f"{name} is part of the algebraic loop {loop.name} and uses model exchange, beside an FMU in "
-                        "event mode; choose interface: co-simulation, or state the order of the components (order: "
-                        "[...]), which leaves it open"
+                        f"{name} is part of the algebraic loop {loop.name} and uses model exchange, beside an FMU "
+                        "in event mode; choose interface: co-simulation, or state the order of the components "
+                        "(order: [...]), which leaves it open"
                     ),
                 )
             if self.every[name] > 1:
@@ -228,22 +226,19 @@ class _Graph:
                     ),
                 )
         for transfer in loop.transfers:
-            signal = self._target_of(transfer)
-            if any(transfer.beside) or (signal is not None and signal.is_whole):
-                kind = signal.kind if signal is not None else ""
+            name, _, variable = transfer.name.partition(".")
+            signals = (*self.components[name].inputs, *self.components[name].exact_inputs)
+            signal = next((signal for signal in signals if signal.name == variable), Signal(variable))
+            if any(transfer.beside) or signal.is_whole:
+                kind = signal.kind
                 yield (
                     ("connections",),
                     (
                         f"{transfer.name} is part of an algebraic loop and {kind}; only real signals are solved. "
-                        "State the order of the components (order: [...]), so that it has the value of the last step"
+                        "State the order of the components (order: [...]), so that it has the value of the last "
+                        "step"
                     ),
                 )
-
-    def _target_of(self, transfer: Transfer) -> Signal | None:
-        """Return the input that a transfer writes; None for a variable that is no input."""
-        name, _, variable = transfer.name.partition(".")
-        signals = (*self.components[name].inputs, *self.components[name].exact_inputs)
-        return next((signal for signal in signals if signal.name == variable), None)
 
 
 def schedule(
@@ -261,7 +256,12 @@ def schedule(
         interpolates: Whether inputs follow polynomials between values at the start and the end of a step.
     """
     every = {name: _every(scenario, name, diagnosis) for name in components}
-    wired = [(_edge(c), ends) for c, ends in zip(scenario.connections, transfers, strict=True) if not ends[0].is_clock]
+    wired: list[tuple[Edge, Sequence[Transfer]]] = []
+    for connection, ends in zip(scenario.connections, transfers, strict=True):
+        if not ends[0].is_clock:
+            source, _, output = connection.source.partition(".")
+            target, _, variable = connection.target.partition(".")
+            wired.append(((source, target, variable, output), ends))
     graph = _Graph(components, every, wired, interpolates)
     algorithm = algorithms()[scenario.algorithm]
     order = scenario.order if algorithm.sequential else None
@@ -278,8 +278,18 @@ def schedule(
     if scenario.loops is None:
         key = FEEDTHROUGH if algorithm.solves_loops else f"algorithm: {algorithm.name}"
         opened = tuple(graph.left_open(plan.loops, key if order is None else "order", assumptions))
-        diagnosis.warnings += _loop_notes(loops, components)
-    return Schedule(stages, held, _clock_wires(transfers), loops, opened, bool(assumptions), graph.known)
+        stated = {f"{n}.{i}" for n, c in components.items() for i in getattr(c, "feedthrough", None) or ()}
+        for loop in loops:
+            if names := [t.name for t in loop.transfers if stated & {t.name, t.name.rpartition("[")[0]}]:
+                diagnosis.warnings.append(
+                    CheckNote(
+                        f"{loop.name} is an algebraic loop that no FMU declares: outputs follow "
+                        f"{join_names(names)} at once, as measured before the run or stated by feedthrough: "
+                        "[...]. It is solved at each communication point; order: [...] leaves it open"
+                    )
+                )
+    clock_wires = tuple((t.origin, t.name) for ends in transfers for t in ends if t.is_clock)
+    return Schedule(stages, held, clock_wires, loops, opened, bool(assumptions), graph.known)
 
 
 def _plan(
@@ -293,38 +303,18 @@ def _plan(
     except AlgebraicLoop as loop:
         names = {"names": ", ".join(sorted(set(loop.cycle))), "cycle": " → ".join(loop.cycle)}
         message = (
-            "algebraic loop under {algorithm}: {cycle}; each needs the other's value of the same time. State "
-            "their order (order: [{names}]) or algorithm: {other}"
+            "algebraic loop under {algorithm}: {cycle}; each needs the other's value of the same "
+            "time. State their order (order: [{names}]) or algorithm: {other}"
         ).format(algorithm=algorithm.name, other=WITHOUT_ORDER.name, **names)
         diagnosis.note(("connections",), message)
         return None
     if sorted(plan.order) != sorted(graph.components):
-        message = f"{algorithm.name} steps {', '.join(plan.order)}; it must step each component once"
+        message = "{algorithm} steps {order}; it must step each component once".format(
+            algorithm=algorithm.name, order=", ".join(plan.order)
+        )
         diagnosis.note(("algorithm",), message)
         return None
     return plan
-
-
-def _loop_notes(loops: Sequence[Loop], components: Components) -> list[str]:
-    """Return a note for each loop that is solved because of stated or measured feedthrough."""
-    stated = {f"{n}.{i}" for n, c in components.items() for i in getattr(c, "feedthrough", None) or ()}
-    inputs = {
-        loop.name: [t.name for t in loop.transfers if stated & {t.name, t.name.rpartition("[")[0]}] for loop in loops
-    }
-    return [
-        CheckNote(
-            f"{n} is an algebraic loop that no FMU declares: outputs follow {join_names(names)} at once, as measured "
-            "before the run or stated by feedthrough: [...]. It is solved at each communication point; order: [...] "
-            "leaves it open"
-        )
-        for n, names in inputs.items()
-        if names
-    ]
-
-
-def _clock_wires(transfers: Sequence[Sequence[Transfer]]) -> tuple[tuple[str, str], ...]:
-    """Return the connected clocks: output, input."""
-    return tuple((transfer.origin, transfer.name) for ends in transfers for transfer in ends if transfer.is_clock)
 
 
 def _keys_agree(
@@ -342,7 +332,8 @@ def _keys_agree(
         )
     else:
         diagnosis.note(
-            ("loops",), f"{algorithm.name} solves no algebraic loops; leave loops out, or set algorithm: {DEFAULT.name}"
+            ("loops",),
+            (f"{algorithm.name} solves no algebraic loops; leave loops out, or set algorithm: {DEFAULT.name}"),
         )
     return False
 
@@ -368,17 +359,11 @@ def _every(scenario: Scenario, name: str, diagnosis: Diagnosis) -> int:
         diagnosis.note(("components", name, "step"), message)
     elif rest := scenario.steps % every:
         message = (
-            f"{name}: step is {step:g} s; its last {rest * scenario.step:g} s of the run make no whole step: it "
-            "stands still there"
+            f"{name}: step is {step:g} s; its last {rest * scenario.step:g} s of the run make no "
+            "whole step: it stands still there"
         )
         diagnosis.warnings.append(message)
     return every
-
-
-def _edge(connection: Connection) -> Edge:
-    target, _, variable = connection.target.partition(".")
-    source, _, output = connection.source.partition(".")
-    return source, target, variable, output
 
 
 def _names_all(order: Sequence[str], components: Components, diagnosis: Diagnosis) -> bool:
@@ -390,6 +375,9 @@ def _names_all(order: Sequence[str], components: Components, diagnosis: Diagnosi
         diagnosis.note(("order",), f'no component "{name}"{did_you_mean(name, components)}')
     if missing or twice:
         diagnosis.note(
-            ("order",), f"order names every component with inputs once; missing: {', '.join(missing) or 'none'}"
+            ("order",),
+            "order names every component with inputs once; missing: {missing}".format(
+                missing=", ".join(missing) or "none"
+            ),
         )
     return not (unknown or missing or twice)

@@ -5,8 +5,9 @@ All checks that need model descriptions are made here, and all faults are report
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -26,10 +27,13 @@ from cosim.system.components import build_components
 from cosim.system.control import Control, control_of, courses_of
 from cosim.system.event_blocks import check_events
 from cosim.system.events import Events, changes_of
-from cosim.system.feasible import check_feasible
 from cosim.system.recording import RecordedPart, recorded_part
 from cosim.system.schedule import Loop, Schedule, Stage, schedule
 from cosim.system.wiring import Transfer, alias_transfers, connect, connection_warnings, lay_out
+
+ROUNDING = 1e-6  # fraction of a step, the tolerance of sampled FMUs
+MOST_RESULTS = 8e9  # size of results [bytes]
+BYTES = 8  # size of a number [bytes]
 
 
 @dataclass(frozen=True)
@@ -126,7 +130,8 @@ def build_system(file: ScenarioFile) -> System:
     layout = lay_out(components)
     transfers = connect(file, components, layout, diagnosis)
     of_aliases = alias_transfers(components, layout, transfers, diagnosis)
-    check_feasible(components.values(), diagnosis)
+    _check_size(sum(len(c.inputs) + len(c.outputs) for c in components.values()), diagnosis)
+    _check_sampling(components.values(), diagnosis)
     recording = recorded_part(scenario, components, layout, diagnosis)
     if is_whole:
         _check_criteria(scenario, layout.columns, recording, diagnosis)
@@ -202,3 +207,47 @@ def _check_criteria(
                 diagnosis.note(
                     (*where, key), f"{signal} is not recorded, and the criterion needs it; add it to record: signals"
                 )
+
+
+def _check_size(signals: int, diagnosis: Diagnosis) -> None:
+    scenario = diagnosis.file.scenario
+    rows = scenario.duration / scenario.step + 1.0
+    size = rows * signals * BYTES
+    if size > MOST_RESULTS:
+        sizes = {"gigabytes": size / 1e9, "limit": MOST_RESULTS / 1e9}
+        diagnosis.note(
+            ("duration",),
+            (
+                "leaves {rows:.3g} rows of {signals} signals, {gigabytes:.3g} GB, more than {limit:g} "
+                "GB; run shorter or in longer steps"
+            ).format(rows=rows, signals=signals, **sizes),
+        )
+
+
+def _check_sampling(components: Iterable[Any], diagnosis: Diagnosis) -> None:
+    file, scenario = diagnosis.file, diagnosis.file.scenario
+    place = file.fault(("step",), "")
+    if file.stands_in or any((f.line, f.column) == (place.line, place.column) for f in file.faults):
+        return  # The step is faulty itself.
+    parameter_of = cache(sampled_by)  # Several components may use the same FMU.
+    for block in components:
+        parameter = parameter_of(block.path) if isinstance(block, FmuBlock) else None
+        if parameter is None:
+            continue
+        declared = next((v.start for v in block.description.modelVariables if v.name == parameter), None)
+        try:
+            sample = float(block.start_values.get(parameter, declared))
+        except (TypeError, ValueError):
+            continue
+        own_step = getattr(scenario.components[block.name], "step", None)
+        step = scenario.step if own_step is None else float(own_step)
+        if abs(step - sample) > ROUNDING * sample:
+            where = ("step",) if own_step is None else ("components", block.name, "step")
+            names = {"component": block.name, "parameter": parameter}
+            diagnosis.note(
+                where,
+                (
+                    "step is {step:g} s; {component} is sampled at {sample:g} s ({parameter}): set "
+                    "components.{component}.start.{parameter}, or step: {sample:g}"
+                ).format(step=step, sample=sample, **names),
+            )

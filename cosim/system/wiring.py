@@ -13,10 +13,9 @@ from cosim.base.messages import with_prefix
 from cosim.base.times import whole_steps
 from cosim.base.units import UnitAssumption, assume_si
 from cosim.blocks.component import Component, Signal
-from cosim.blocks.faults import Addition, LinkFunction, Scaling, fault_function, points
+from cosim.blocks.faults import Addition, LinkFunction, Scaling, fault_function, gaussian, points, stream
 from cosim.blocks.fmi_types import input_aliases, is_compatible, negative
 from cosim.blocks.fmu import FmuBlock
-from cosim.blocks.noise import gaussian, stream
 from cosim.blocks.stepping import ConvertedLink, LinkKind, link
 from cosim.scenario.diagnosis import Diagnosis, Place
 from cosim.scenario.scenario import (

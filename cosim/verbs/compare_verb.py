@@ -48,7 +48,7 @@ def compare(
         baseline: Baseline of a list of runs; by default its first run.
         tolerance: Allowed difference as a share of each signal's range in the baseline.
         absolute: Allowed difference in each signal's unit, added to `tolerance`.
-        force: Overwrite results of other runs or of another command in `out`.
+        force: Write into `out` even if it is not empty; results in it are replaced.
 
     Returns:
         The difference of each signal, and the verdict if there is a tolerance: `Compared` of two runs `a` and `b`,
@@ -185,7 +185,7 @@ def command(
         float, typer.Option("--abs", help="Allowed difference in each signal's unit, added to --tol.")
     ] = 0.0,
     results: ResultsFolder = None,
-    out: Annotated[Path | None, out_option("results/A-and-B")] = None,
+    out: Annotated[Path | None, out_option("a new number in results/A-and-B")] = None,
     report: Report = True,
     open_: Open = False,
     force: Force = False,

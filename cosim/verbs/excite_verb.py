@@ -26,7 +26,7 @@ def command(
         Texts,
         typer.Option("--against", metavar="NAME", help="Effect, sensor error or parameter that is a rival hypothesis."),
     ] = None,
-    out: Annotated[Path | None, out_option("results/MODEL-excitation")] = None,
+    out: Annotated[Path | None, out_option("a new number in results/MODEL-excitation")] = None,
     limit: Annotated[
         Texts,
         typer.Option(

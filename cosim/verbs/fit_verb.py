@@ -49,7 +49,7 @@ def fit(
         sealed: Logs for the proof, which the estimate does not use.
         columns: Column of the logs → variable, or "time".
         report: Write report.html.
-        force: Overwrite results of another FMU or command in `out`.
+        force: Write into `out` even if it is not empty; results in it are replaced.
         in_process: Load the FMU into this process, for a debugger; limits do not apply.
         compile: Compile and execute the sources of an FMU that has no library for this machine.
         limits: Limits of time and memory, for example "step: 10 s, total: 1 h"; `total` limits the estimate.
@@ -105,7 +105,7 @@ def command(
         Path | None,
         typer.Option("--fmu", metavar="FMU", help="FMU whose parameters are estimated, if no study names it."),
     ] = None,
-    out: Annotated[Path | None, out_option("results/NAME-fit of the FMU or study")] = None,
+    out: Annotated[Path | None, out_option("a new number in results/NAME-fit of the FMU or study")] = None,
     vary: Annotated[
         Texts,
         typer.Option(

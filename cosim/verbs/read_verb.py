@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from cosim.refinement.refined_result import Refined
     from cosim.residuals.replay_signals import Replay
     from cosim.simulation.run_signals import Run, Signals
-    from cosim.sweeps.sweep_table import Runs
+    from cosim.sweeps.store import Runs
 
 
 def read(folder: FilePath) -> Run | Replay | Fitted | Refined | Runs | Signals:

@@ -47,7 +47,7 @@ def refine(
         validation: Sealed logs of an object.
         settings: Further keys of a study file, for an object.
         report: Write report.html.
-        force: Overwrite results of another study or command in `out`.
+        force: Write into `out` even if it is not empty; results in it are replaced.
         in_process: Load FMUs into this process, for a debugger; limits do not apply.
         limits: Limits of time and memory in place of those of a study file, for example "total: 10 min".
         progress: Function of (stage, completed share).
@@ -84,7 +84,7 @@ def refine(
 def command(
     study: Annotated[Path, typer.Argument(help="A study: model, estimation logs and validation logs.")],
     *,
-    out: Annotated[Path | None, out_option("results/NAME of the study")] = None,
+    out: Annotated[Path | None, out_option("a new number in results/NAME of the study")] = None,
     report: Report = True,
     in_process: InProcess = False,
     limits: LimitsText = "",

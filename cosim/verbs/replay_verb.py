@@ -46,7 +46,7 @@ def replay(
         start: Start value or parameter of the FMU → value.
         columns: Column of the log → variable, or "time".
         report: Write report.html.
-        force: Overwrite results of another log, FMU or command in `out`.
+        force: Write into `out` even if it is not empty; results in it are replaced.
         in_process: Load the FMU into this process, for a debugger; limits do not apply.
         compile: Compile and execute the sources of an FMU that has no library for this machine.
         limits: Limits of time and memory, for example "step: 10 s, total: 1 h, memory: 2 GB".
@@ -86,7 +86,7 @@ def command(
         Path | None,
         typer.Option("--plant", metavar="FMU", help="FMU to simulate (default: the plant of the base model)."),
     ] = None,
-    out: Annotated[Path | None, out_option("results/NAME of the log")] = None,
+    out: Annotated[Path | None, out_option("a new number in results/NAME of the log")] = None,
     start: Annotated[
         Texts,
         typer.Option(

@@ -35,8 +35,7 @@ from cosim.verbs.scratch_results import results_in
 from cosim.verbs.terminal import progress_bar, say, say_finding, warn
 
 if TYPE_CHECKING:
-    from cosim.master.input_functions import NamedFunctions
-    from cosim.master.observer import Observers
+    from cosim.master.observer import NamedFunctions, Observers
     from cosim.simulation.run_signals import Run
 
 
@@ -74,7 +73,7 @@ def run(
         nearest: Use nearest.yaml instead of model.yaml of every refine folder that the scenario names.
         report: Write report.html.
         figures: Write figures/*.png.
-        force: Overwrite results of another scenario or command in `out`.
+        force: Write into `out` even if it is not empty; results in it are replaced.
         in_process: Load FMUs into this process, for a debugger; limits do not apply.
         compile: Compile and execute the sources of FMUs that have no library for this machine.
         format: File format of the rows: "csv", "parquet", "mat", "hdf5", or one of an installed package.
@@ -169,7 +168,7 @@ def command(
         ),
     ],
     *,
-    out: Annotated[Path | None, out_option("results/NAME of the scenario")] = None,
+    out: Annotated[Path | None, out_option("a new number in results/NAME of the scenario")] = None,
     set_: Overrides = None,
     seed: Annotated[
         int | None, typer.Option(min=0, help="Seed for all random numbers (default: the seed of the scenario).")

@@ -57,7 +57,7 @@ def simulate(
         step: Communication step, in seconds or with a unit; by default that of the FMU.
         record: Names or patterns of local variables and parameters to record too.
         report: Write report.html.
-        force: Overwrite results of another command in `out`.
+        force: Write into `out` even if it is not empty; results in it are replaced.
         in_process: Load the FMU into this process, for a debugger.
         compile: Compile and execute the sources of an FMU that has no library for this machine.
         format: File format of the rows: "csv", "parquet", "mat", "hdf5", or one of an installed package.
@@ -108,7 +108,7 @@ def command(
         Texts,
         typer.Option("--record", metavar="PATTERN", help="Local variables or parameters to record too."),
     ] = None,
-    out: Annotated[Path | None, out_option("results/NAME of the FMU")] = None,
+    out: Annotated[Path | None, out_option("a new number in results/NAME of the FMU")] = None,
     report: Report = True,
     open_: Open = False,
     force: Force = False,

@@ -21,7 +21,7 @@ LINE_INTERVAL = 10.0  # [s] between lines with -v
 def command(
     study: Annotated[Path, typer.Argument(metavar="SWEEP", help="A sweep file: a scenario and the values that vary.")],
     *,
-    out: Annotated[Path | None, out_option("results/NAME of the sweep")] = None,
+    out: Annotated[Path | None, out_option("a new number in results/NAME of the sweep")] = None,
     workers: Annotated[
         int | None, typer.Option(min=1, help="Number of worker processes (default: one per core).")
     ] = None,
@@ -29,19 +29,24 @@ def command(
         str | None,
         typer.Option("--dask", metavar="ADDRESS", help="Address of a Dask scheduler, for example tcp://host:8786."),
     ] = None,
+    part: Annotated[
+        str | None,
+        typer.Option("--part", metavar="K/N", help="Make the K-th of N parts of the runs, in a folder given by --out."),
+    ] = None,
+    join: Annotated[bool, typer.Option("--join", help="Make table and report of all parts.")] = False,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with the stopped sweep in --out (default: the newest).")
+    ] = False,
     report: Report = True,
     open_: Open = False,
     force: Force = False,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Go on with the sweep that was stopped in --out (default: the newest).")
-    ] = False,
     as_json: Json = False,
     live: Live = False,
     port: Port = None,
 ) -> None:
     """Run a scenario many times with varied values.
 
-    Writes sweep.parquet, sweep.json and report.html. --resume goes on with a sweep that was stopped.
+    Writes sweep.parquet, sweep.json and report.html.
 
     Example: cosim sweep sweep.yaml --workers 4
     """
@@ -49,23 +54,24 @@ def command(
 
     with _progress() as progress, live_page("sweep", study.stem, live=live, port=port) as page:
         observers = () if page is None else (page,)
-        runs = partial(run_sweep, workers=workers, dask=dask, progress=progress, observers=observers)
-        swept = runs(study, out, report=report, force=force, resume=resume)
+        make = partial(run_sweep, workers=workers, dask=dask, progress=progress, observers=observers)
+        swept = make(study, out, part=part, join=join, resume=resume, report=report, force=force)
         if page is not None:
             page.report = swept.folder / "report.html"
     warn(*swept.sweep.warnings)
-    if swept.check.code.startswith("W-"):
-        warn(swept.check)
     if as_json:
         say_json({**{k: v for k, v in swept.record.items() if k != "scenario"}, "made": swept.made})
     else:
         say(*swept.sentences)
         if swept.made < swept.record["runs"]:
             say(f"made now: {swept.made}, there before: {swept.record['runs'] - swept.made}")
+        if part:
+            say(f"part:   {swept.folder}")
+            return
         say(f"runs:   {swept.folder / 'sweep.parquet'}")
         if report:
             say(f"report: {swept.folder / 'report.html'}")
-    show(swept.folder / "report.html", open_=report and open_)
+    show(swept.folder / "report.html", open_=report and open_ and not part)
 
 
 @contextmanager

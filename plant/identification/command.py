@@ -18,7 +18,7 @@ def command(
         typer.Argument(help="A protocol: tests on a bench or recordings of them, or logs of a craft."),
     ],
     *,
-    out: Annotated[Path | None, out_option("results/NAME of the protocol")] = None,
+    out: Annotated[Path | None, out_option("a new number in results/NAME of the protocol")] = None,
     seed: Annotated[
         int | None,
         typer.Option(min=0, help="Seed for the noise of a simulated bench (default: the seed of the protocol)."),

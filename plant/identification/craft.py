@@ -20,7 +20,6 @@ from cosim.base.messages import Message
 from cosim.base.registry import BASE
 from cosim.loading.file import LoadedModel, load_model
 from cosim.logs.log import Log, read_log
-from cosim.storage.folders import folder_named
 from cosim.storage.kinds import check_given
 from cosim.storage.yaml_file import NotNegative, Number, Part, YamlFile, did_you_mean
 from plant.identification import messages
@@ -65,13 +64,13 @@ def craft_file(path: Path) -> YamlFile | None:
     return yaml if {"rest", "distance"} & set(yaml.root) and not {"cells", "tests"} & set(yaml.root) else None
 
 
-def results_of(path: Path) -> Path:
-    """Return the results folder of an input file, named by the file's key `name`, or else like the file."""
+def results_of(path: Path) -> str:
+    """Return the name of the results of an input file: the file's key `name`, or else like the file."""
     try:
         name = YamlFile(path).root.get("name")
     except InputError:  # reported by the reader
         name = None
-    return folder_named(name if isinstance(name, str) else path.stem)
+    return name if isinstance(name, str) else path.stem
 
 
 @dataclass(frozen=True)

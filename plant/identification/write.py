@@ -46,7 +46,7 @@ def write(
     texts = [model, (RECORD, json.dumps(whole, indent=1, ensure_ascii=False, allow_nan=False) + "\n")]
     if page is not None:
         texts.append((REPORT, page()))
-    remove_earlier(out, "cosim identify", read=read)
+    remove_earlier(out, read=read)
     for name, text in texts:
         write_text(out / name, text)
 

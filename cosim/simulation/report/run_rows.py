@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from cosim.base.text import amount, counted, plain
-from cosim.coupling.algorithms import algorithms
+from cosim.blocks.coupling import algorithms
 from cosim.report.html_tables import Badge, Row
 from cosim.simulation.report.recorded import Run, mapping, mappings, number, texts
 from cosim.simulation.report.step_rows import loop_rows, pace_rows, step_rows

@@ -1,8 +1,11 @@
-"""Communication steps controlled by an estimate of their error; rows stay on an equal grid.
+"""Policies: how a system gets from one communication point to the next. Rows stay on an equal grid.
 
-Each interval between rows is divided into steps. A PI controller (K. Gustafsson, Control theoretic techniques for
-stepsize selection in explicit Runge-Kutta methods, ACM Trans. Math. Softw. 17 (1991)) chooses the next one from the
-errors ε of the last two, relative to the tolerance:
+Steps may be equal; each made once whole and once in halves to measure the coupling error; or controlled by an estimate
+of their error. (Steps from event to event are in `instants`.)
+
+Under control, each interval between rows is divided into steps. A PI controller (K. Gustafsson, Control theoretic
+techniques for stepsize selection in explicit Runge-Kutta methods, ACM Trans. Math. Softw. 17 (1991)) chooses the next
+one from the errors ε of the last two, relative to the tolerance:
 
     h' = h·0.9·ε^(−0.7/q)·ε_prev^(0.4/q),  ε ~ h^q
 
@@ -20,33 +23,186 @@ from __future__ import annotations
 
 import ctypes
 import math
-from collections.abc import Callable, MutableSequence, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import SimulationError
+from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
-from cosim.isolation.rows import Rows
-from cosim.master.copying import Copying, Noisy, Plain, Through, copy_values
+from cosim.blocks.sources import SourceBlock
+from cosim.isolation.rows import GET
+from cosim.master.copying import Noisy, Plain, Through
 from cosim.master.extrapolation import Polynomial
 from cosim.master.initialization import is_settled
-from cosim.master.rollback import Announcer, free, restore, save
 from cosim.system.control import Control
-from cosim.system.schedule import Stage
 from cosim.system.system import System
-from cosim.system.wiring import Transfer
 
+if TYPE_CHECKING:
+    from cosim.master.master import Master
+
+LONGEST_CYCLE = 10_000  # communication points until components of several rates are in step again
 SAFETY, PROPORTIONAL, INTEGRAL = 0.9, 0.4, 0.7  # factor of a step; exponents times q of the last and the present error
 SMALLEST, LARGEST = 0.2, 4.0  # change of a step
 MUCH, MOST_NAMED = 0.01, 3  # allowed error of a step as a share of a signal that is named; number of names
 LEAST_ERROR = 1e-4  # smallest error that enters the controller
 ROUNDING = 1e-9  # relative
-# step function, its length in steps of the run and in seconds, copies before it, and what sets known values after it
-Active = tuple[Callable[[float, float], None], int, float, Plain, Noisy, Through, Callable[[int], None] | None]
 Judged = tuple[float, str]  # error of a step relative to the tolerance, and the signal that has it
+
+
+class Active(NamedTuple):
+    """A component's step with the copies around it.
+
+    Attributes:
+        step: Function of the start and the length of a step [s].
+        every: Length of the step in steps of the run.
+        length: Length of the step [s], 0.0 for the difference of communication points.
+        plain, noisy, through: Copies before the step.
+        late: Function that sets the known values of a point after the step, if any.
+    """
+
+    step: Callable[[float, float], None]
+    every: int
+    length: float
+    plain: Plain
+    noisy: Noisy
+    through: Through
+    late: Callable[[int], None] | None
+
+
+Round = tuple[Active, ...]  # the last one makes no step: its copies are those at the end of the step
+
+
+class Policy:
+    """A way from one communication point to the next.
+
+    Attributes:
+        reason: Why the steps are made in Python.
+    """
+
+    reason = ""
+
+    def advance_to(self, k: int) -> None:
+        """Step the system from point k − 1 to point k."""
+        raise NotImplementedError
+
+    def finish(self) -> None:
+        """Note what is worth a warning, after the last step."""
+
+
+class EqualSteps(Policy):
+    """Equal communication steps."""
+
+    def __init__(self, master: Master, reason: str) -> None:
+        self.reason, stages, round_at = reason, master.system.stages, master.rounds(master.system.stages)
+        period = math.lcm(*(stage.every for stage in stages), 1)
+        self._cycle = [round_at(k) for k in range(period if period <= LONGEST_CYCLE else master.steps + 1)]
+        self._advance, self._begin, self._h = master.advance, master.system.start, master.h
+
+    def advance_to(self, k: int) -> None:
+        """Step each component once that is due."""
+        begin, h, cycle = self._begin, self._h, self._cycle
+        self._advance(cycle[k % len(cycle)], k, begin + (k - 1) * h, begin + k * h)
+
+
+class SavedPoint:
+    """The states of FMUs, and all signals, to which steps go back."""
+
+    def __init__(self, master: Master, fmus: Sequence[FmuBlock]) -> None:
+        self._master, self._fmus, self._states = master, fmus, list[Any]()
+        self._row, self._beside = bytes(master.row), list(master.beside)
+        for fmu in fmus:
+            master.announce(fmu)
+            self._states.append(fmu.instance.save_state())
+
+    def restore(self, *, keep: bool = False) -> None:
+        """Go back; free the states unless `keep` is set."""
+        for fmu, state in zip(self._fmus, self._states, strict=True):
+            self._master.announce(fmu)
+            fmu.instance.restore_state(state, keep=keep)
+        self.restore_signals()
+
+    def restore_signals(self) -> None:
+        """Take back the signals only."""
+        ctypes.memmove(self._master.row, self._row, len(self._row))
+        self._master.beside[:] = self._beside
+
+    def check_outputs(self, t: float) -> None:
+        """Raise SimulationError if an FMU with a restored state gives other outputs than before."""
+        before = list(self._master.row)
+        for fmu in self._fmus:
+            self._master.announce(fmu, GET)
+            fmu.get()
+            if not is_settled(before, self._master.row):
+                raise SimulationError(
+                    fmu.name,
+                    t,
+                    (
+                        "its outputs differ after a saved state is restored; use an FMU that restores its state, "
+                        "or one that does not declare that it can"
+                    ),
+                )
+        self.restore_signals()
+
+    def free(self) -> None:
+        """Free the states."""
+        for fmu, state in zip(self._fmus, self._states, strict=True):
+            self._master.announce(fmu)
+            fmu.instance.free_state(state)
+
+
+class HalvedSteps(Policy):
+    """Equal steps, each made once whole and once in halves, to estimate the coupling error.
+
+        e_k = |y(t_k; h) − y(t_k; h/2, h/2)|, both from the state at t_k−1
+
+    Rows hold the differences, zero in the first row. The run goes on from the whole steps.
+    """
+
+    reason = "steps are halved"
+
+    def __init__(self, master: Master) -> None:
+        self.master, self._round = master, master.rounds(master.system.stages, nominal=False)(1)
+        self._fmus = [c for c in master.components if isinstance(c, FmuBlock)]
+        self._whole: SavedPoint | None = None
+        master.table[0] = 0.0
+
+    def advance_to(self, k: int) -> None:
+        """Step once whole and once in halves."""
+        master = self.master
+        if self._whole is not None:
+            self._whole.restore_signals()
+        t, end = (master.system.start + j * master.h for j in (k - 1, k))
+        before = SavedPoint(master, self._fmus)
+        master.advance(self._round, k, t, end)
+        values, self._whole = list(master.row), SavedPoint(master, self._fmus)
+        before.restore()
+        before.check_outputs(t)
+        middle = 0.5 * (t + end)
+        for since, until in ((t, middle), (middle, end)):
+            master.advance(self._round, k, since, until)
+        differences = [abs(a - b) for a, b in zip(values, master.row, strict=True)]
+        self._whole.restore()
+        master.row[:] = differences
+
+
+def rollback_objection(system: System) -> str:
+    """Return the reason against repeating steps, or ""."""
+    if system.beside or system.events or any(stage.every > 1 for stage in system.stages):
+        return "values beside numbers, events or several rates are not taken back"
+    for stage in system.stages:
+        component = stage.component
+        if isinstance(component, EventFmu):
+            return f"{component.name} has event mode, so its steps end at its events"
+        if isinstance(component, FmuBlock):
+            if not component.instance.rolls_back:
+                return f"{component.name} gives no state away, or takes no step of another length"
+        elif not isinstance(component, SourceBlock):
+            return f"{component.name} cannot be taken back"
+    return ""
 
 
 @dataclass
@@ -91,25 +247,31 @@ class StepCount:
     def warning(self, control: Control) -> str:
         """Return the warning about steps above the tolerance."""
         t, error, name = self.first_missed if self.missed else self.first
-        fields = {"signal": name, "time": t, "error": error * control.tolerance, "count": self.missed or self.failed}
+        fields: dict[str, Any] = {
+            "signal": name,
+            "time": t,
+            "error": error * control.tolerance,
+            "count": self.missed or self.failed,
+        }
         fields |= {"worst": self.worst * control.tolerance}
         if self.missed:
             return (
-                "the error of {count} steps is above the tolerance {tolerance:g} although min allows no shorter "
-                "ones, {step:g} s: first at t = {time:.6g} s, {error:.2g} of {signal}; the largest is "
-                "{worst:.2g}. Give a shorter min or a larger tolerance"
+                "the error of {count} steps is above the tolerance {tolerance:g} although min allows no "
+                "shorter ones, {step:g} s: first at t = {time:.6g} s, {error:.2g} of {signal}; the "
+                "largest is {worst:.2g}. Give a shorter min or a larger tolerance"
             ).format(step=control.shortest, tolerance=control.tolerance, **fields)
         limits = {"step": control.longest, "tolerance": control.tolerance}
         return (
-            "the error of {count} steps turned out above the tolerance {tolerance:g}; estimator: {estimator} "
-            "does not repeat steps: first at t = {time:.6g} s, {error:.2g} of {signal}; the largest is "
-            "{worst:.2g}. Give a max below {step:g} s or a larger tolerance"
+            "the error of {count} steps turned out above the tolerance {tolerance:g}; estimator: "
+            "{estimator} does not repeat steps: first at t = {time:.6g} s, {error:.2g} of {signal}; "
+            "the largest is {worst:.2g}. Give a max below {step:g} s or a larger tolerance"
         ).format(estimator=control.estimator, **limits, **fields)
 
     def record(self, control: Control, p: int) -> dict[str, Any]:
         """Return the entry of the manifest."""
         sizes = np.array(self.sizes or [math.nan])
-        shares = {f"{share:g} %": float(np.percentile(sizes, share)) for share in (0, 10, 50, 90, 100)}
+        error, name = self.worst_missed
+        missed = {"steps": self.missed, "error": error * control.tolerance, "signal": name}
         return {
             "estimator": control.estimator,
             "tolerance": control.tolerance,
@@ -118,55 +280,28 @@ class StepCount:
             "rejected": self.rejected,
             "communication_points": self.made,
             "above_tolerance": self.failed,
-            "missed": self._missed(control),
+            "missed": missed if self.missed else None,
             "largest_error": self.worst * control.tolerance,
             "is_met": not self.failed,
-            "sizes": shares,
+            "sizes": {f"{share:g} %": float(np.percentile(sizes, share)) for share in (0, 10, 50, 90, 100)},
         }
 
-    def _missed(self, control: Control) -> dict[str, Any] | None:
-        """Return number, largest error and signal of shortest steps above the tolerance, if any."""
-        error, name = self.worst_missed
-        return {"steps": self.missed, "error": error * control.tolerance, "signal": name} if self.missed else None
 
-
-class ControlledRun(Announcer, Protocol):
-    """What controlled steps take from a run, and leave in it: see `Master`."""
-
-    system: System
-    steps: int
-    h: float
-    row: Any
-    beside: list[Any]
-    copying: Copying
-    table: Array
-    row_count: MutableSequence[int]
-    done: int
-    has_events: bool
-    rows: Rows
-    notes: list[str]
-    calls: tuple[Callable[[int], None], ...]
-
-    def active(self, stage: Stage) -> Active:
-        """Return a component's step with the copies around it."""
-
-    def look(self, k: int) -> None:
-        """Make a due checkpoint after point k."""
-
-    def _next_call(self, k: int) -> int: ...
-
-
-class ControlledSteps:
+class ControlledSteps(Policy):
     """Steps of a run under control, from its first row on."""
 
-    def __init__(self, master: ControlledRun, control: Control) -> None:
+    reason = "steps are controlled"
+
+    def __init__(self, master: Master, control: Control) -> None:
         self.master, self.control, system = master, control, master.system
-        stages, others, held = self._divided()
+        stages = [stage for stage in system.stages if stage.component.name not in control.at_rows]
+        names = [stage.component.name for stage in stages]
         self.fmus = [s.component for s in stages if isinstance(s.component, FmuBlock)]
         if not master.has_events:
-            self.actives = [master.active(stage) for stage in stages]
-            self.others = [(stage.every, master.active(stage), master.copying.of(late)) for stage, late in others]
-        self.held = master.copying.of(held)
+            at_rows = [stage for stage in system.stages if stage.component.name in control.at_rows]
+            self._round = master.rounds(stages, nominal=False)(1)
+            self._at_rows = master.rounds(at_rows, names, nominal=False)
+        held = (t for t in system.held if t.name.partition(".")[0] in names)
         received = {t.target: t.source for t in held if not any(t.beside)}
         self.received, self.sources = {target: k for k, target in enumerate(received)}, list(received.values())
         self.past = Polynomial(system.courses[0])
@@ -177,35 +312,25 @@ class ControlledSteps:
         self.wish, self.before = control.shortest, 1.0
         self._is_checked = False
 
-    def _divided(self) -> tuple[list[Stage], list[tuple[Stage, list[Transfer]]], list[Transfer]]:
-        """Return controlled components, the others, and held transfers."""
-        system, at_rows = self.master.system, self.control.at_rows
-        late: dict[str, list[Transfer]] = {name: [] for name in at_rows}
-        held: list[Transfer] = []
-        for transfer in system.held:
-            late.get(transfer.name.partition(".")[0], held).append(transfer)
-        others = [(stage, late[stage.component.name]) for stage in system.stages if stage.component.name in at_rows]
-        return [stage for stage in system.stages if stage.component.name not in at_rows], others, held
+    def advance_to(self, k: int) -> None:
+        """Make the steps between two rows, then those of components that step only at rows."""
+        master = self.master
+        begin, end = (master.system.start + j * master.h for j in (k - 1, k))
+        t = begin
+        make = self._halve if self.control.estimator == "halving" else self._step_once
+        while t < end:
+            until, is_shortest = self._next(t, end)
+            error, name = make(k, t, until, final=is_shortest)
+            if math.isnan(error):  # taken back
+                continue
+            self.count.accept(t, until - t, error, name, final=is_shortest)
+            self._choose(until - t, error)
+            t = until
+        at_row = self._at_rows(k)
+        if len(at_row) > 1:
+            master.advance(at_row, k, begin, end)
 
-    def make_all(self) -> None:
-        """Make all steps."""
-        master, call_point = self.master, self.master._next_call(1)
-        try:
-            for k in range(1, master.steps + 1):
-                begin, end = (master.system.start + j * master.h for j in (k - 1, k))
-                self._fill(k, begin, end)
-                self._step_others(k, end)
-                if k == call_point:
-                    for call in master.calls:
-                        call(k)
-                    call_point = master._next_call(k + 1)
-                ctypes.memmove(master.table[k].ctypes.data, ctypes.addressof(master.row), ctypes.sizeof(master.row))
-                master.done = master.row_count[0] = k + 1
-                master.look(k)
-        finally:
-            self.note()
-
-    def note(self) -> None:
+    def finish(self) -> None:
         """Note steps above the tolerance, signals far below their nominal value, and an estimator without signals."""
         notes, control = self.master.notes, self.control
         if self.count.failed:
@@ -217,34 +342,21 @@ class ControlledSteps:
             fields = {"tolerance": control.tolerance, "share": share, "count": small.size}
             notes.append(
                 (
-                    "{count} signals stay so far below their nominal value, 1 if the FMU states none, that a step "
-                    "within the tolerance {tolerance:g} may err by up to {share:.2g} times the signal: {names}. "
-                    "State their nominal values in the FMUs, or give a smaller tolerance"
+                    "{count} signals stay so far below their nominal value, 1 if the FMU states none, that a "
+                    "step within the tolerance {tolerance:g} may err by up to {share:.2g} times the signal: "
+                    "{names}. State their nominal values in the FMUs, or give a smaller tolerance"
                 ).format(names=names, **fields)
             )
         if self.control.estimator == "residual" and not self.sources:
             notes.append(
                 "no input is extrapolated, so that estimator: residual judges nothing and steps grow to "
-                f"{self.control.longest:g} s whatever their error; give one step: of that length, or FMUs that "
-                "save and restore their state (estimator: halving)"
+                f"{self.control.longest:g} s whatever their error; give one step: of that length, or FMUs "
+                "that save and restore their state (estimator: halving)"
             )
 
     def record(self) -> dict[str, Any]:
         """Return the entry of the manifest."""
         return self.count.record(self.control, self.p)
-
-    def _fill(self, k: int, t: float, end: float) -> None:
-        """Make the steps between two rows."""
-        make = self._halve if self.control.estimator == "halving" else self._step_once
-        while t < end:
-            until, is_shortest = self._next(t, end)
-            h = until - t
-            error, name = make(k, t, until, final=is_shortest)
-            if math.isnan(error):  # taken back
-                continue
-            self.count.accept(t, h, error, name, final=is_shortest)
-            self._choose(h, error)
-            t = until
 
     def _next(self, t: float, end: float) -> tuple[float, bool]:
         """Return the end of the next step, and whether no shorter one is allowed."""
@@ -262,8 +374,7 @@ class ControlledSteps:
 
     def judge_step(self, t: float, reached: float) -> None:
         """Judge a step by the values at its end, and choose the next one."""
-        expected = self.past(reached)
-        judged = self._bonds(expected) if self.control.estimator == "energy" else self._judge(self.sources, expected)
+        judged = self._judge_inputs(reached)
         self.count.made += 1
         is_shortest = reached - t <= self.control.shortest * (1.0 + ROUNDING)
         self.count.accept(t, reached - t, *judged, final=is_shortest)
@@ -284,37 +395,37 @@ class ControlledSteps:
 
     def _step_once(self, k: int, t: float, until: float, *, final: bool) -> Judged:
         """Step once; return the error of inputs or bonds."""
-        row = self.master.row
         self.past.add(t, self._values(self.sources))
         self._step(k, t, until)
-        expected = self.past(until)
-        judged = self._bonds(expected) if self.control.estimator == "energy" else self._judge(self.sources, expected)
-        copy_values(row, self.held, k)
-        return judged
+        return self._judge_inputs(until)
 
     def _halve(self, k: int, t: float, until: float, *, final: bool) -> Judged:
         """Step whole and by halves; return NaN if rejected."""
-        master, middle = self.master, 0.5 * (t + until)
-        states, row, beside = save(master, self.fmus), bytes(master.row), list(master.beside)
+        middle, before = 0.5 * (t + until), SavedPoint(self.master, self.fmus)
         start = self._values(self.control.outputs)
         self._step(k, t, until)
         whole = self._values(self.control.outputs)
-        self._go_back(states, row, beside, keep=True)
+        before.restore(keep=True)
         if not self._is_checked and (whole != start).any():
-            self._check_outputs(row, t)
+            self._is_checked = True
+            before.check_outputs(t)
         for since, to in ((t, middle), (middle, until)):
             self._step(k, since, to)
-            copy_values(master.row, self.held, k)
         error, name = self._judge(self.control.outputs, whole)
         error /= 2.0**self.p - 1.0
         if error <= 1.0 or final:
-            free(master, self.fmus, states)
+            before.free()
             return error, name
-        self._go_back(states, row, beside, keep=False)
+        before.restore()
         self.count.rejected += 1
         shorter = (until - t) * max(SMALLEST, SAFETY * error ** (-1.0 / self.q))
         self.wish = max(shorter, self.control.shortest)
         return math.nan, name
+
+    def _judge_inputs(self, t: float) -> Judged:
+        """Return the error of inputs or bonds at the end of a step [s]."""
+        expected = self.past(t)
+        return self._bonds(expected) if self.control.estimator == "energy" else self._judge(self.sources, expected)
 
     def _judge(self, places: Sequence[int], others: Array) -> Judged:
         """Return the largest difference relative to the tolerance."""
@@ -343,51 +454,10 @@ class ControlledSteps:
     # -- internal -------------------------------------------------------------------------------
 
     def _step(self, k: int, t: float, until: float) -> None:
-        """Exchange values and step all components."""
-        for step, _, _, plain, noisy, others, late in self.actives:
-            copy_values(self.master.row, (plain, noisy, others), k)
-            step(t, until - t)
-            if late is not None:
-                late(k)
+        """Step all controlled components."""
+        self.master.advance(self._round, k, t, until)
         self.count.made += 1
-
-    def _step_others(self, k: int, end: float) -> None:
-        """Step the components that step only at rows."""
-        master = self.master
-        due = [other for other in self.others if k % other[0] == 0]
-        for every, (step, _, _, plain, noisy, others, set_late), _ in due:
-            copy_values(master.row, (plain, noisy, others), k)
-            begin = master.system.start + (k - every) * master.h
-            step(begin, end - begin)
-            if set_late is not None:
-                set_late(k)
-        for _, _, late in due:
-            copy_values(master.row, late, k)
-        if due:
-            copy_values(master.row, self.held, k)
 
     def _values(self, places: Sequence[int]) -> Array:
         row = self.master.row
         return np.array([row[k] for k in places])
-
-    def _go_back(self, states: Sequence[Any], row: bytes, beside: Sequence[Any], *, keep: bool) -> None:
-        """Restore the state of all FMUs and all signals."""
-        restore(self.master, self.fmus, states, keep=keep)
-        ctypes.memmove(self.master.row, row, len(row))
-        self.master.beside[:] = beside
-
-    def _check_outputs(self, row: bytes, t: float) -> None:
-        """Check that restoring the states restores the outputs."""
-        self._is_checked, before = True, list(self.master.row)
-        for fmu in self.fmus:
-            fmu.get()
-            if not is_settled(before, self.master.row):
-                raise SimulationError(
-                    fmu.name,
-                    t,
-                    (
-                        "its outputs differ after a saved state is restored; use an FMU that restores its state, or "
-                        "one that does not declare that it can"
-                    ),
-                )
-        ctypes.memmove(self.master.row, row, len(row))
