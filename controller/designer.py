@@ -71,7 +71,8 @@ class DesignFile(Part):
     """Weights and numbers of a design; each law takes its own keys.
 
     controllers: FMUs that get designed start values
-    Q, R: weights of the five states and of the two tilts, diagonal, eq 6.4
+    Q: weights of the five states, diagonal, eq 6.4
+    R: weights of the two tilts, diagonal, eq 6.4
     poles: poles [rad/s]: three of the forward axis, then two of the turn
     Q_integral: weights of the integrals of x and ψ
     Q_lateral: weights of y and its rate

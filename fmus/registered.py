@@ -62,6 +62,9 @@ ARTEFACTS = (
         "`cosim build --model hovercraft --design {file}` builds its controllers",
         keys=tuple(frozenset({key}) for key in ("controllers", "Q", "R", "poles")),
         without=frozenset({"components", "model"}),
+        schema="controller.designer:DesignFile",
+        schema_name="design",
+        title="cosim design of controllers",
         check="controller.designer:check_design",
     ),
 )

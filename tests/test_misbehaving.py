@@ -689,9 +689,9 @@ def test_a_sweep_that_is_stopped_again_and_again_keeps_its_runs_and_says_so(tmp_
     sweep_file.write_text("scenario: scenario.yaml\nvary: {seed: {values: [1, 2, 3]}}\n")
     code, told = stopped_again("sweep", sweep_file, "--out", tmp_path / "out")
     assert code == 130
-    assert re.search(r"error: stopped: 3 of 3 runs are kept in \S+runs.sqlite; --resume goes on with", told)
+    assert re.search(r"error: stopped: 1 of 3 runs are kept in \S+runs.sqlite; --resume goes on with", told)
     words = ["sweep", str(sweep_file), "--out", str(tmp_path / "out"), "--no-report", "--resume"]
     done = subprocess.run([*COMMAND[:-1], *words],
                           env=ENVIRONMENT, capture_output=True, text=True, check=False)  # fmt: skip
     assert done.returncode == 0
-    assert "there before: 3" in done.stdout
+    assert "made now: 2, there before: 1" in done.stdout

@@ -26,7 +26,7 @@ from tests.test_first_steps import told
 from tests.typed import typed_fmu
 
 SNIPPETS = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "python.md").read_text(encoding="utf-8"), re.DOTALL)
-EXAMPLES = [p for p in (ROOT / "examples").glob("*/*.yaml") if p.stem not in {"protocol", "sweep", "fit"}]
+EXAMPLES = [p for p in (ROOT / "examples").glob("*/*.yaml") if p.stem not in {"protocol", "sweep", "fit", "design"}]
 RUN = {p for p in EXAMPLES if "components:" in p.read_text(encoding="utf-8").splitlines()}
 SHIPPED = {
     "scenario": sorted((*(ROOT / "scenarios").glob("*.yaml"), *RUN)),
@@ -35,6 +35,7 @@ SHIPPED = {
     "protocol": sorted((ROOT / "examples").glob("*/protocol.yaml")),
     "model": sorted(p for p in (ROOT / "examples/bench/overshoot").glob("*.yaml") if p.stem != "study"),
     "sweep": sorted((ROOT / "examples").glob("*/sweep.yaml")),
+    "design": sorted((ROOT / "examples").glob("*/design.yaml")),
 }
 
 
@@ -175,13 +176,13 @@ def test_a_data_frame_has_the_time_as_index_or_says_what_is_missing(tmp_path: Pa
 # -- schemas --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", ["scenario", "study", "fit", "model", "sweep", "protocol"])
+@pytest.mark.parametrize("kind", ["scenario", "study", "fit", "model", "sweep", "protocol", "design"])
 def test_the_schema_that_is_shipped_is_the_one_that_is_printed(kind: str) -> None:
     shipped = (ROOT / "docs" / "schemas" / f"{kind}.schema.json").read_text(encoding="utf-8")
     assert told("schema", kind) == shipped, f"cosim schema {kind} > docs/schemas/{kind}.schema.json"
 
 
-@pytest.mark.parametrize("kind", ["scenario", "study", "fit", "model", "sweep", "protocol"])
+@pytest.mark.parametrize("kind", ["scenario", "study", "fit", "model", "sweep", "protocol", "design"])
 def test_every_key_of_a_schema_says_what_it_means(kind: str) -> None:
     schema = schema_of(kind)
     parts = {"": schema, **schema.get("$defs", {})}

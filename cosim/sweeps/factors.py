@@ -157,8 +157,21 @@ class Factors:
             return number
 
         factor = self._make_factor(name, varied, value)
-        if factor is not None:
-            self._test_values(factor, varied)
+        if factor is None:
+            return None
+        values = factor.values
+        if values is None:
+            values = factor.drawn(np.array([0.01, 0.5, 0.99])).tolist() if factor.drawn else []
+        warnings: list[str] = []
+        for k, v in enumerate(values[:MAX_TESTED_VALUES]):
+            where: Location = ("vary", name, "values", k) if varied.values is not None else ("vary", name)
+            faults, texts = self._test_variant(f"{name}={json.dumps(v)}")
+            for fault in faults:
+                self._note(where, fault.message, exit_code=fault.exit_code)
+            warnings += [text for text in texts if text not in {*self.scenario.warnings, *self.system.warnings}]
+        if warnings:
+            line = self.yaml.place(("vary", name), key=True)[0]
+            self.warnings.append(with_prefix(f"{self.yaml.path}:{line}: ", warnings[0]))
         return factor
 
     def _variant(self, *overrides: str) -> ScenarioFile:
@@ -179,22 +192,6 @@ class Factors:
         if not are_numbers([number]):
             raise ValueError(f"{name} is {text!r}; it is a number")
         return float(number)
-
-    def _test_values(self, factor: Factor, varied: Varied) -> None:
-        """Check the scenario with some values of a path; note faults, and the first warning."""
-        values = factor.values
-        if values is None:
-            values = factor.drawn(np.array([0.01, 0.5, 0.99])).tolist() if factor.drawn else []
-        warnings: list[str] = []
-        for k, v in enumerate(values[:MAX_TESTED_VALUES]):
-            where: Location = ("vary", factor.name, "values", k) if varied.values is not None else ("vary", factor.name)
-            faults, texts = self._test_variant(f"{factor.name}={json.dumps(v)}")
-            for fault in faults:
-                self._note(where, fault.message, exit_code=fault.exit_code)
-            warnings += texts
-        if new := [t for t in warnings if t not in {*self.scenario.warnings, *self.system.warnings}]:
-            line = self.yaml.place(("vary", factor.name), key=True)[0]
-            self.warnings.append(with_prefix(f"{self.yaml.path}:{line}: ", new[0]))
 
     def _test_variant(self, *overrides: str) -> tuple[Sequence[Fault], list[str]]:
         """Return the faults and warnings of a variant of the scenario."""

@@ -10,6 +10,7 @@ import shutil
 import signal
 import threading
 import time
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -39,13 +40,17 @@ def make_runs_here(job: Job, workers: int | None, requests: Iterable[RunRequest]
     from joblib import Parallel, delayed, parallel_config
     from joblib.externals.loky import get_reusable_executor
 
-    kill = True
+    with parallel_config("loky", n_jobs=workers or -1, initializer=_end_with_caller, initargs=(os.getpid(),)):
+        parallel = Parallel(return_as="generator_unordered", max_nbytes=None)
+    results, kill = parallel(delayed(make_run_apart)(job, request) for request in requests), True
     try:
-        with parallel_config("loky", n_jobs=workers or -1, initializer=_end_with_caller, initargs=(os.getpid(),)):
-            parallel = Parallel(return_as="generator_unordered", max_nbytes=None)
-            yield from parallel(delayed(make_run_apart)(job, request) for request in requests)
+        for result in results:  # noqa: UP028 - closed below, without its warning
+            yield result
         kill = False
     finally:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # on runs that are given up
+            results.close()
         end_process(kill=kill)  # With one worker, joblib calls the function in this process.
         if workers != 1:
             get_reusable_executor(reuse=True).shutdown(kill_workers=kill)
