@@ -256,7 +256,7 @@ def _needs_own_symbols(code: Code) -> bool:
         return False
     if code.symbols & ALLOCATORS or any(name.startswith("libpython") for name in code.needed):
         return False
-    from _ctypes import dlsym
+    from _ctypes import dlsym  # type: ignore[attr-defined, unused-ignore]
 
     process = ctypes.CDLL(None)._handle
     for symbol in code.symbols:
