@@ -143,7 +143,6 @@ def test_moving_inputs_are_refused_where_something_remembers_and_taken_elsewhere
             continue
         with pytest.raises(FMICallException):
             exchange.fmu.completedIntegratorStep()
-        assert "tilt_right moves between events, at t = 0.015 s" in exchange.log[-1]
         exchange.fmu.freeInstance()
 
 
@@ -212,54 +211,6 @@ def test_directional_derivatives_are_differences_of_the_equations(native_plant: 
     assert np.allclose(found, expected, rtol=1e-6, atol=1e-6)
     assert np.count_nonzero(found) > 20
     exchange.finish()
-
-
-def test_a_dormant_effects_states_stand_still(native_plant: Path) -> None:
-    exchange = Exchange(native_plant, {"actuator_second_order.tilt_rate_right_start": 0.7})
-    exchange.begin([*HOVER[:2], 0.1, 0.1])
-    assert list(exchange.rates(0.0, exchange.x)[-2:]) == [0.0, 0.0]
-    assert exchange.x[-2] == 0.7
-    exchange.finish()
-
-
-COUNTING = '''
-
-@dataclass(frozen=True, kw_only=True)
-class Slow(TankEffect):
-    """A valve that follows: p ← p + (q − p)·h/τ."""
-
-    name = "slow"
-    equation = "p ← p + (q − p)·h/τ"
-    memory = (Quantity("flow", "m3/s", "flow after the valve"),)
-
-    time: float = parameter(0.0, unit="s", bounds=(0, 100), neutral=0.0, typical=5.0, doc="time constant τ")
-
-    def shape(self, m: Namespace, t: Number, h: Number, command: Values, memory: Values) -> tuple[Values, Values]:
-        flow = memory[0] + (command[0] - memory[0]) * h / self.time
-        return (flow,), (flow,)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Tank(Model):'''
-
-
-def test_an_effect_that_counts_substeps_is_for_co_simulation_alone(tmp_path: Path) -> None:
-    from tests.tank import MODEL
-    from tests.test_native import by_python
-
-    text = MODEL.replace("\n\n@dataclass(frozen=True, kw_only=True)\nclass Tank(Model):", COUNTING)
-    (tmp_path / "tank.py").write_text(text.replace("(Leak, Draw)", "(Slow, Leak, Draw)"), encoding="utf-8")
-    (built,) = build_native(tmp_path, f"{tmp_path}/tank.py:Tank")
-    from cosim.loading.file import load_model
-
-    model, rows = load_model(f"{tmp_path}/tank.py:Tank", Path()).model, [(0.02 + 0.01 * (k % 9),) for k in range(60)]
-    exact = by_python(model, rows, {"slow.time": 4.0}, 0.5)
-    assert difference(exact, by_fmu(built.path, rows, {"slow.time": 4.0}, 0.5)) < TIGHT
-    Exchange(built.path, {}).begin([0.03])
-    exchange = Exchange(built.path, {"slow.time": 4.0})
-    with pytest.raises(FMICallException):
-        exchange.begin([0.03])
-    assert "slow counts substeps" in exchange.log[-1]
 
 
 @pytest.mark.thorough
