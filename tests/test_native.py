@@ -31,7 +31,6 @@ from tests.native import NEEDS_COMPILER, is_subnormal
 from tests.tank import MODEL as TANK
 from tests.test_effects import CASES, EVERYTHING, MEMORY, MOVING, named
 
-ROOT = Path(__file__).resolve().parent.parent
 GOLDEN = Path(__file__).resolve().parent / "data" / "native_plant_variables.txt"
 PLANTS = Path(__file__).resolve().parent / "blind" / "plants"
 STEP, TIGHT = 0.02, 1e-10  # rounding alone: what C and Python add up in another order
@@ -403,6 +402,16 @@ def test_an_effect_without_a_value_where_it_sleeps_is_refused_at_its_line(tmp_pa
 
 
 # -- hosts --------------------------------------------------------------------------------------
+
+
+def test_unknown_platforms_and_versions_are_refused(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "cosim", "build", "-o", str(tmp_path), "--native"]
+    done = subprocess.run([*command, "--platforms", "linux32,win64"], capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "linux32" in done.stderr
+    assert not list(tmp_path.iterdir())
+    with pytest.raises(InputError, match="--fmi: is 1; it is 2 or 3"):
+        build_native(tmp_path, fmi=1)
 
 
 def test_ports_are_those_of_the_model() -> None:

@@ -213,6 +213,46 @@ def test_directional_derivatives_are_differences_of_the_equations(native_plant: 
     exchange.finish()
 
 
+COUNTING = '''
+
+@dataclass(frozen=True, kw_only=True)
+class Slow(TankEffect):
+    """A valve that follows: p ← p + (q − p)·h/τ."""
+
+    name = "slow"
+    equation = "p ← p + (q − p)·h/τ"
+    memory = (Quantity("flow", "m3/s", "flow after the valve"),)
+
+    time: float = parameter(0.0, unit="s", bounds=(0, 100), neutral=0.0, typical=5.0, doc="time constant τ")
+
+    def shape(self, m: Namespace, t: Number, h: Number, command: Values, memory: Values) -> tuple[Values, Values]:
+        flow = memory[0] + (command[0] - memory[0]) * h / self.time
+        return (flow,), (flow,)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tank(Model):'''
+
+
+def test_an_effect_that_counts_substeps_is_for_co_simulation_alone(tmp_path: Path) -> None:
+    from tests.tank import MODEL
+    from tests.test_native import by_python
+
+    text = MODEL.replace("\n\n@dataclass(frozen=True, kw_only=True)\nclass Tank(Model):", COUNTING)
+    (tmp_path / "tank.py").write_text(text.replace("(Leak, Draw)", "(Slow, Leak, Draw)"), encoding="utf-8")
+    (built,) = build_native(tmp_path, f"{tmp_path}/tank.py:Tank")
+    from cosim.loading.file import load_model
+
+    model, rows = load_model(f"{tmp_path}/tank.py:Tank", Path()).model, [(0.02 + 0.01 * (k % 9),) for k in range(60)]
+    exact = by_python(model, rows, {"slow.time": 4.0}, 0.5)
+    assert difference(exact, by_fmu(built.path, rows, {"slow.time": 4.0}, 0.5)) < TIGHT
+    Exchange(built.path, {}).begin([0.03])
+    exchange = Exchange(built.path, {"slow.time": 4.0})
+    with pytest.raises(FMICallException):
+        exchange.begin([0.03])
+    assert "slow counts substeps" in exchange.log[-1]
+
+
 @pytest.mark.thorough
 def test_fmi_3_says_the_same(native_plant: Path, tmp_path: Path) -> None:
     plant, controller = build_native(tmp_path, fmi=3)

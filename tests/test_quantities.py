@@ -15,9 +15,12 @@ import cosim
 from cosim.base.errors import InputError
 from cosim.base.units import parse, read_quantity, square_unit
 from cosim.blocks.component import Signal
+from cosim.comparison.differences import compare_runs
+from cosim.loading.file import read_model
 from cosim.logs.log import read_log
 from cosim.refinement.study import StudyFile, read_study
 from cosim.scenario.scenario_file import ScenarioFile
+from cosim.simulation.run_files import read_ran
 from cosim.sweeps.reading import read_sweep
 from cosim.verbs.cli import app
 from plant.identification.protocol import CellFile, SineTest
@@ -221,6 +224,27 @@ def test_a_column_in_degrees_is_converted_to_kelvin(tmp_path: Path, unit: str, s
 
 
 # -- models, studies, sweeps, protocols ------------------------------------------------------------
+
+
+def test_runs_in_kelvin_and_in_degrees_are_compared(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("time,T [degC]\n0,0\n1,20\n")
+    (tmp_path / "b.csv").write_text("time,T [K]\n0,273.15\n1,293.15\n")
+    assert compare_runs(*(read_ran(tmp_path / f"{name}.csv") for name in "ab"), tolerance=0.0).same
+    assert compare_runs(*(read_ran(tmp_path / f"{name}.csv") for name in "ba"), tolerance=0.0).same
+
+
+def test_parameters_of_a_model_file_are_converted(tmp_path: Path) -> None:
+    (tmp_path / "tank.py").write_text(TANK)
+    path = tmp_path / "model.yaml"
+    path.write_text("model: tank.py:Tank\nparameters: {mass: 0.5 t, ambient: -15 degC}\n")
+    assert read_model(path).parameters == pytest.approx({"mass": 500.0, "ambient": 258.15})
+    path.write_text("model: tank.py:Tank\nparameters:\n  mass: 5 m\n  ambient: 900 degC\n  masss: 4 kg\n")
+    with pytest.raises(InputError) as refused:
+        read_model(path)
+    told = str(refused.value)
+    assert "model.yaml:3:9: mass is '5 m': it is a number [kg], or text with a unit: 3 kg, 3 g" in told
+    assert "model.yaml:4:12: ambient is 1173.15; it lies in [200, 400] K" in told
+    assert 'model.yaml:5:3: tank.py:Tank has no parameter "masss"; did you mean "mass"?' in told
 
 
 def test_noise_and_tolerances_of_a_study_are_differences_and_shares(tmp_path: Path) -> None:

@@ -37,7 +37,7 @@ from cosim.refinement.search.hypotheses import Attribution, Hypothesis, Support
 from cosim.refinement.search.unnamed import Leftover, find_unnamed_terms
 from cosim.refinement.study import LogLists, Study, StudyFile
 from cosim.refinement.workflow import refine
-from cosim.report.drawing import Charts
+from cosim.report.charts import Charts
 from cosim.residuals.residual_statistics import remaining_excess
 from cosim.residuals.windows import Replay
 from cosim.subject.model_subject import ModelSubject

@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.innovations import innovations, modes
 from cosim.refinement.workflow import refine
-from cosim.report.drawing import Charts
+from cosim.report.charts import Charts
 from tests.logs import times, write_log
 
 pytestmark = pytest.mark.optimized

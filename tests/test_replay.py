@@ -11,8 +11,9 @@ import pytest
 
 from cosim.base.errors import InputError
 from cosim.logs.log import Log, read_log
+from cosim.residuals import drive as drive_module
 from cosim.residuals import starts
-from cosim.residuals.drive import Drive, model_signals
+from cosim.residuals.drive import Drive, log_of_fmu, model_signals
 from cosim.residuals.replay_sentences import verdict
 from cosim.residuals.residual_statistics import rmse
 from cosim.residuals.starts import start_parameters
@@ -132,6 +133,17 @@ def test_a_window_knows_the_time_at_which_it_starts(tmp_path: Path, plant_fmu: P
     assert rmse(without.errors(log)["psi_dot"]) > 1e-3  # the sag is seen at all
 
 
+def test_an_fmu_that_cannot_be_reset_gives_the_same_windows(
+    log: Log, plant_fmu: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    starts = {k: {"psi_start": 0.1 * k, "vx_start": 0.2} for k in (100, 200)}
+    reset = replay_windows(log, plant_fmu, starts, 1.0)
+    monkeypatch.setattr(drive_module.RestartableFmu, "_reset", lambda _: False)
+    opened = replay_windows(log, plant_fmu, starts, 1.0)
+    for name, values in reset.outputs.items():
+        assert np.array_equal(values, opened.outputs[name], equal_nan=True)
+
+
 def test_a_pause_of_the_log_lies_between_windows_not_in_them(tmp_path: Path, plant_fmu: Path) -> None:
     time = np.concatenate((times(4.0), 10.0 + times(4.0)))
     log = log_of(tmp_path / "a.csv", measured(fly(time)))
@@ -161,6 +173,12 @@ def test_a_moving_craft_is_caught_where_it_is(flight: Flight, tmp_path: Path, pl
 
 
 # -- any model, any sensors -------------------------------------------------------------------
+
+
+def test_a_start_that_is_given_is_not_touched(log: Log, plant_fmu: Path) -> None:
+    found = replay(log, plant_fmu, {"psi_start": 1.0, "mass": 0.8})
+    assert found.starts[0] == {"psi_start": 1.0, "mass": 0.8}
+    assert (found.outputs["psi"][0], found.outputs["vx"][0]) == (1.0, 0.0)
 
 
 @pytest.mark.parametrize("starts", [2, 0])
@@ -359,3 +377,12 @@ def test_nothing_serious_hinders_who_uses_keys_or_sees_little_in_the_page_of_a_r
 ) -> None:
     write_replay(tmp_path, log, plant_fmu)
     assert faults(tmp_path / "report.html") == []
+
+
+def test_a_log_is_not_written_over(log: Log, tmp_path: Path, plant_fmu: Path) -> None:
+    path = tmp_path / "results.csv"
+    path.write_bytes(log.path.read_bytes())
+    with pytest.raises(InputError, match="is read, and results would be written over it") as refused:
+        write_replay(tmp_path, log_of_fmu(path, plant_fmu), plant_fmu)
+    assert refused.value.exit_code == 2
+    assert path.read_bytes() == log.path.read_bytes()

@@ -301,6 +301,22 @@ def test_a_finished_run_has_nothing_to_resume(in_c: Walk, options: dict[str, Any
     assert refused.value.exit_code == 2
 
 
+def test_an_end_between_two_communication_points_is_refused(in_c: Walk) -> None:
+    for folder, end, ends in ((in_c[1], 1.0049, r"give 1\.01 s"), (in_c[2], 1.0049, r"give 1 s or 1\.01 s")):
+        with pytest.raises(InputError, match=rf"--until 1\.0049 s .* {ends}$") as refused:
+            run(folder, until=end, report=False)
+        assert refused.value.exit_code == 2
+
+
+def test_a_run_that_goes_on_takes_no_other_settings(in_c: Walk, tmp_path: Path) -> None:
+    for options in ({"out": tmp_path / "other"}, {"seed": 3}, {"set": {"noise": False}}):
+        with pytest.raises(InputError) as refused:
+            cosim.run(in_c[1], until=2.0, **options)  # type: ignore[arg-type]
+        assert refused.value.exit_code == 2
+    with pytest.raises(InputError):
+        run(tmp_path / "none", resume=True)
+
+
 def test_a_state_that_an_fmu_does_not_restore_ends_the_run_with_its_rows_kept(tmp_path: Path) -> None:
     part = stopped(bound_scenario(tmp_path, "2"), tmp_path / "part", ["components.free.start.pause=3000"], after=0.2)
     state = part / "checkpoint" / "state"

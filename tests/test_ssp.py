@@ -133,6 +133,34 @@ def test_a_mapping_renames_converts_and_leaves_out_what_it_does_not_name(tmp_pat
     assert written["components"]["b"]["start"] == {"gain": 3.0}
 
 
+def test_a_prefix_names_the_element_and_a_connector_of_the_system_leads_inside(tmp_path: Path) -> None:
+    fmu = lag_fmu(tmp_path / "lag.fmu")
+    bindings = bound({"bias": real(4.0)}, prefix="a.") + bound({"drive": real(3.0)})
+    system = f"""<ssd:System name="root"><ssd:Connectors>
+<ssd:Connector name="drive" kind="input"><ssc:Real/></ssd:Connector></ssd:Connectors>
+<ssd:ParameterBindings>{bindings}</ssd:ParameterBindings><ssd:Elements>{component("a")}</ssd:Elements><ssd:Connections>
+{connection("drive", "a.u", '<ssc:LinearTransformation factor="2"/>')}</ssd:Connections></ssd:System>"""
+    ours = ran(ssp(tmp_path / "one.ssp", system, {"resources/lag.fmu": fmu}), tmp_path)
+    assert ours["a.u"].tolist() == [6.0] * len(ours.time)
+    assert ours["a.y"][1] == 0.0625 * 10.0
+
+
+def test_a_parameter_is_converted_at_each_connector_on_its_way(tmp_path: Path) -> None:
+    fmu = lag_fmu(tmp_path / "lag.fmu", ("rad", ""))
+    units = """<ssd:Units><ssc:Unit name="deg"><ssc:BaseUnit rad="1" factor="0.017453292519943295"/></ssc:Unit>
+<ssc:Unit name="turn"><ssc:BaseUnit rad="1" factor="6.283185307179586"/></ssc:Unit></ssd:Units>"""
+    entry = '<ssm:MappingEntry source="half" target="drive"><ssc:LinearTransformation offset="90"/></ssm:MappingEntry>'
+    mapping = f'<ssm:ParameterMapping version="1.0">{entry}</ssm:ParameterMapping>'
+    mapping = f"<ssd:ParameterMapping>{mapping}</ssd:ParameterMapping>"
+    system = f"""<ssd:System name="root"><ssd:Connectors>
+<ssd:Connector name="drive" kind="input"><ssc:Real unit="deg"/></ssd:Connector></ssd:Connectors>
+<ssd:ParameterBindings>{bound({"half": real(0.5, "turn")}, mapping)}</ssd:ParameterBindings>
+<ssd:Elements>{component("a")}</ssd:Elements><ssd:Connections>{connection("drive", "a.u")}</ssd:Connections>
+</ssd:System>{units}"""
+    ours = ran(ssp(tmp_path / "one.ssp", system, {"resources/lag.fmu": fmu}), tmp_path)
+    assert ours["a.u"][0] == pytest.approx(1.5 * np.pi)  # 0.5 turn = 180 deg, + 90 deg
+
+
 @pytest.mark.parametrize(
     ("connectors", "suppress", "factor"),
     [(("", ""), False, np.pi / 180), (("m", "m"), False, 1.0), (("", ""), True, 1.0)],

@@ -167,7 +167,7 @@ def test_components_with_a_step_of_their_own_step_at_rows(tmp_path: Path) -> Non
         ("soon", "step is 'soon'"),
         (
             "{max: 20 ms, min: 1 ms, estimator: residual, bonds: [{effort: wheel.y0, flow: chassis.y0}]}",
-            "bonds belong to",
+            "leave one out",
         ),
         ("{max: 20 ms, min: 1 ms, bonds: [{effort: wheel.y9, flow: chassis.y0}]}", 'no connected output "wheel.y9"'),
         ("{max: 20 ms, min: 1 ms, bonds: [{effort: wheel.y0, flow: wheel.y0}]}", "the other side of the bond"),

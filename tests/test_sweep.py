@@ -395,3 +395,33 @@ def test_a_sensitivity_names_what_an_outcome_depends_on(saltelli: bool) -> None:
     # of a sum the shares of the variance are 1 : 0.25 : 0; within what 640 runs can tell
     assert [first for first, _ in found.first] == pytest.approx([0.8, 0.2, 0.0], abs=0.1)
     assert bool(found.total) is saltelli
+
+
+# -- what is refused ---------------------------------------------------------------------------------
+
+FAULTS = [  # entry of `vary`, and the text at the place of its fault
+    ("tank.are: {uniform: [1, 2]}", "tank.are"),
+    ("tank.area: {uniform: [2, 1]}", "[2, 1]"),
+    ("next.area: {normal: [1, 0]}", "[1, 0]"),
+    ("tank.leak.rate: {uniform: [0, 3]}", "3"),
+    ("tank.level: {values: [1]}", "tank.level"),  # an output
+    ("tank.inflow: {values: [1]}", "tank.inflow"),  # connected
+    ("source.inflow: {values: [1]}", "source.inflow"),  # no FMU
+    ("nxt.area: {values: [1]}", "nxt.area"),
+    ("duration: {values: [10]}", "duration"),
+    ("step: {values: [0.5, 0.3]}", "0.3"),
+    ("seed: {values: [0.5]}", "{values"),
+    ("next.leak.rate: {values: [1], count: 3}", "{values"),
+    ("tank.draw.flow: {count: 2}", "2"),
+    ("tank.area: {normal: [1, 1]}", "[1, 1]"),  # drawn beyond the bounds of the variable
+    ("tank.area: {grid: {from: 1, to: 2, count: 1000000000}}", "tank.area"),
+    ("seed: {count: 1000000000}", "seed"),
+    ("connections.1.noise.variance: {normal: [1.0e-6, 4.0e-7]}", "[1.0e-6"),  # negative ones
+]
+
+
+@pytest.mark.parametrize(("entry", "at"), FAULTS)
+def test_a_faulty_factor_is_refused_at_its_place(tanks: Callable[..., Path], entry: str, at: str) -> None:
+    (place,) = places_of(tanks(f"scenario: tanks.yaml\nvary:\n  {entry}\n"))
+    assert place[0] == 3
+    assert f"  {entry}"[place[1] - 1 :].startswith(at)

@@ -323,6 +323,28 @@ def test_a_fault_acts_on_its_connection_between_its_times(
     assert results["r.u"].tolist() == [0, 1, 2, 3, 4, 5]
 
 
+def test_a_fault_is_on_a_connection_and_has_what_its_kind_needs(tmp_path: Path) -> None:
+    components = {"a": {"fmu": str(typed_fmu(tmp_path))}}
+    faults = [{"on": "a.r_in", "kind": "bias"}, {"on": "a.r_in", "kind": "freeze", "from": 7}]
+    told = " ".join(faults_of(scenario(tmp_path, components, faults=faults)))
+    assert "no connection to a.r_in" in told
+    assert "bias needs value" in told
+    assert "acts at no communication point" in told
+
+
+def test_what_cannot_be_run_is_said_before_the_run(tmp_path: Path) -> None:
+    only = typed_fmu(
+        tmp_path, 3, **{"<CoSimulation": "<ScheduledExecution", ' canHandleVariableCommunicationStepSize="true"': ""}
+    )
+    path = scenario(tmp_path, {"a": {"fmu": str(only), "interface": "co-simulation"}})
+    assert "offers scheduled-execution only" in faults_of(path)[0]
+    later = typed_fmu(tmp_path, 3, **{'fmiVersion="3.0"': 'fmiVersion="3.0-beta.3"'})
+    assert "is FMI 3.0-beta.3 for co-simulation" in faults_of(scenario(tmp_path, {"a": {"fmu": str(later)}}))[0]
+    fmu = typed_fmu(tmp_path, 3)
+    path = scenario(tmp_path, {"a": {"fmu": str(fmu), "interface": "model-exchange"}})
+    assert "offers co-simulation only" in faults_of(path)[0]
+
+
 def test_only_outputs_that_go_on_make_a_loop(tmp_path: Path) -> None:
     # r_out follows r_in, h does not: a loop over h is none, so it needs no order and no warning
     fmu = {"fmu": str(typed_fmu(tmp_path))}

@@ -146,6 +146,16 @@ def test_a_recorded_column_that_nobody_needs_may_hold_text(tmp_path: Path) -> No
 # -- times ------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("head", ["time [ms]", "Time [ms]"])
+def test_times_in_another_unit_are_converted_by_every_verb(tmp_path: Path, head: str) -> None:
+    (tmp_path / "ms.csv").write_text(f"{head},x [mm]\n0,0\n500,60\n1000,61\n")
+    (tmp_path / "s.csv").write_text("time,x [mm]\n0,0\n0.5,60\n1,61\n")
+    assert read_results(tmp_path / "ms.csv").time.tolist() == [0.0, 0.5, 1.0]
+    assert cosim.read(tmp_path / "ms.csv").time[-1] == 1.0  # type: ignore[union-attr]
+    assert cosim.compare(tmp_path / "s.csv", tmp_path / "ms.csv", tolerance=0.0).same
+    assert read_columns(tmp_path / "ms.csv")["time"].tolist() == [0.0, 0.5, 1.0]
+
+
 def test_a_unit_that_is_none_of_time_is_a_fault_everywhere(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("time [m],x\n0,0\n1,2\n")
     for read in (read_results, read_columns):
