@@ -16,7 +16,6 @@ import pytest
 
 import cosim
 from cosim.base.errors import CosimError, InputError
-from cosim.base.settings import KINDS, _alternatives
 from tests.typed import typed_fmu
 
 
@@ -138,12 +137,6 @@ def test_an_odd_value_of_an_argument_is_taken_or_refused_in_words(
         except Exception as error:
             wrong.append(f"{label}: {type(error).__name__}: {str(error)[:200]}")
     assert wrong == []
-
-
-def test_what_an_argument_takes_is_known() -> None:
-    for function in cosim.__all__:
-        for name, parameter in inspect.signature(getattr(cosim, function)).parameters.items():
-            assert {*_alternatives(str(parameter.annotation))} <= KINDS.keys(), (function, name)
 
 
 @pytest.mark.parametrize("value", [np.int64(2), np.float32(2), np.array(2), np.float64(2), Gear.FIRST, 2])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
-import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -95,20 +94,6 @@ def test_a_signal_waits_for_what_must_be_whole_and_comes_then(tmp_path: Path) ->
     assert list(tmp_path.iterdir()) == []
 
 
-def test_where_no_signal_can_come_nothing_waits(tmp_path: Path) -> None:
-    seen = []
-
-    def work() -> None:
-        with scratch_folder(tmp_path, ".part-") as scratch:
-            seen.append(scratch.is_dir())
-
-    thread = threading.Thread(target=work)
-    thread.start()
-    thread.join()
-    assert seen == [True]
-    assert list(tmp_path.iterdir()) == []
-
-
 STUCK = """
 import ctypes, signal, sys
 from cosim.base.program import ending_when_stuck
@@ -133,9 +118,3 @@ def test_a_library_that_does_not_return_is_ended_by_a_signal(number: int, code: 
             assert process.wait(timeout=60) == code
         finally:
             process.kill()
-
-
-def test_a_block_that_is_left_in_time_is_not_ended() -> None:
-    code = STUCK.replace("    lock(mutex)", "    signal.raise_signal(signal.SIGTERM)") + "import time; time.sleep(0.5)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
-    assert (done.returncode, done.stdout) == (0, "ready\nhandled\n")

@@ -179,13 +179,6 @@ def test_a_command_on_all_results_of_a_stranger_ends_without_harm(sent: Path, wo
         assert len(done.stdout.splitlines()) == len(KINDS) + 3
 
 
-def test_a_command_that_is_suggested_names_a_folder_as_a_shell_takes_it(sent: Path) -> None:
-    shutil.copytree(sent / "results" / "sound", sent / "it's; here" / "a b")
-    done = _run(sent, "open", "a b", "--results", "it's; here", "--no-browser")
-    assert done.returncode == 2
-    assert "cosim report 'it'\"'\"'s; here/a b'" in done.stderr
-
-
 def test_layouts_in_a_pipe_are_refused(sent: Path) -> None:
     os.mkfifo(sent / "pipe.json")
     assert _run(sent, "view", "sound", "--prepare", "--layout", "pipe.json").returncode == 2
