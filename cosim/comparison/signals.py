@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -45,6 +46,11 @@ class Difference:
     beyond: bool
     note: str = ""
     alike: bool = True
+
+    def as_json(self, *, named: bool = True) -> dict[str, Any]:
+        """Return the difference as plain data; non-finite becomes None."""
+        values = [(k, v) for k, v in asdict(self).items() if named or k != "name"]
+        return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in values}
 
 
 @dataclass(frozen=True)
