@@ -19,7 +19,7 @@ from cosim.scenario.diagnosis import LONGEST, Diagnosis
 from cosim.scenario.pinned import sha256, with_files_beside
 from cosim.scenario.scenario import Criterion, Scenario
 from cosim.scenario.start_values import Misfit, convert_value, settable, with_elements
-from cosim.simulation.coupling import CouplingError, _largest, differences
+from cosim.simulation.coupling import CouplingError, differences
 from cosim.simulation.criteria import evaluate, sentence
 from cosim.storage.results import Results
 from cosim.storage.yaml_file import MOST_FAULTS
@@ -401,7 +401,6 @@ def test_a_coupling_error_is_the_largest_difference_where_both_runs_have_a_row()
     assert differences(whole, halved, ["a.y", "a.x"]) == pytest.approx({"a.y": 0.125, "a.x[1]": 0.125})
     # one that ended at 0.25 s has a row at 0.2 s in common
     assert differences(whole, run(0.05, 6, 0.5), ["a.y"]) == pytest.approx({"a.y": 0.02})
-    assert _largest(whole, "a.y") == pytest.approx((0.25, 0.5))
 
 
 def test_the_sentence_of_a_coupling_error_says_what_is_known() -> None:

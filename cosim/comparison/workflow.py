@@ -88,11 +88,13 @@ def compare(
         check_writable(place, FILES, compared)
         remove_earlier(place, read=compared)
         write_json(place / "comparison.json", comparison.as_json())
-        if report and isinstance(comparison, Compared):
-            write_text(place / "report.html", render(TEMPLATE, context(comparison)))
-        elif report:
+        if report:
             about = _tolerance(tolerance, absolute, "the baseline"), _options(tolerance, absolute)
-            write_text(place / "report.html", several_page(comparison, *about))
+            if isinstance(comparison, Compared):
+                page = render(TEMPLATE, context(comparison))
+            else:
+                page = several_page(comparison, *about)
+            write_text(place / "report.html", page)
     return comparison, place
 
 

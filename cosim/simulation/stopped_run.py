@@ -43,7 +43,7 @@ from cosim.storage.files import write_json
 from cosim.storage.folders import content_of, new_run, newest_run
 from cosim.storage.record_types import EACH, fault_of, sound_part
 from cosim.storage.results import Results, read_results, rows_in
-from cosim.storage.state_file import BadState, sync, unpack, write_durable
+from cosim.storage.state_file import BadState, sync, unpack
 from cosim.system.system import System
 
 NOTHING_TO_RESUME = (
@@ -315,11 +315,10 @@ def wait_for_worker(kept: Path) -> None:
     raise InputError.at(kept, "a process of the killed run still writes into it; try again in a moment")
 
 
-def begin_keeping(folder: Path, record: Mapping[str, Any], rows_file: str, warnings: Sequence[str]) -> Path:
-    """Prepare and return the folder of checkpoints."""
+def remove_checkpoints(folder: Path) -> None:
+    """Remove the checkpoints of another run, once its worker has ended."""
     wait_for_worker(folder / FOLDER)
     shutil.rmtree(folder / FOLDER, ignore_errors=True)
-    return write_run(folder, record, rows_file, warnings)
 
 
 def write_run(folder: Path, record: Mapping[str, Any], rows_file: str, warnings: Sequence[str]) -> Path:
@@ -350,11 +349,6 @@ def end_keeping(folder: Path, *, is_kept: bool, keeps_rows: bool = False) -> Non
     for name in (IN_USE,) if keeps_rows else (ROWS, BESIDE, IN_USE):
         with suppress(OSError):
             (kept / name).unlink(missing_ok=True)
-
-
-def keep_state(rows: Path, record: Mapping[str, Any], warnings: Sequence[str], state: bytes) -> None:
-    """Write a stopped run's checkpoint beside its rows."""
-    write_durable(write_run(rows.parent, record, rows.name, warnings) / STATE, state)
 
 
 def unsaved_names(system: System) -> Sequence[str]:

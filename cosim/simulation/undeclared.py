@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from pathlib import Path
 from threading import Timer
 from typing import Any
 
@@ -20,7 +18,7 @@ from cosim.blocks.fmu import FmuBlock
 from cosim.isolation.limits import LOADING, Limits
 from cosim.isolation.process import Worker
 from cosim.master.beforehand import Feedthrough, Pair, examine, measure_feedthrough, undeclared_inputs
-from cosim.master.remote import simulate_apart, simulate_here
+from cosim.master.remote import simulate_in
 from cosim.scenario.scenario import Scenario
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.system.schedule import Loop
@@ -130,11 +128,7 @@ def _planned(
 
 def _first_step(scenario: Scenario, system: System, worker: Worker | None, spent: float) -> str:
     """Return why the first step of a system fails, "" if it succeeds."""
-    if worker is None:
-        failure = simulate_here(system, 1, scenario.step).failure
-    else:
-        place, limits = Path(tempfile.gettempdir()), _limits(scenario, spent)
-        failure = simulate_apart(worker, system, 1, scenario.step, place, limits).failure
+    failure = simulate_in(worker, system, 1, scenario.step, _limits(scenario, spent)).failure
     if isinstance(failure, (Interrupted, Signalled)):
         raise failure
     return "" if failure is None else str(failure)
