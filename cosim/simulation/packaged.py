@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 import math
 import shutil
-from collections.abc import Iterator, Sequence, Set
-from contextlib import contextmanager
+from collections.abc import Sequence, Set
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -56,32 +55,28 @@ class SspPlaces:
         return replace(element.fault(message), exit_code=exit_code)
 
 
-@dataclass(frozen=True)
-class PackagedScenario:
-    """A scenario made from a sound SSP.
+def lay_out(path: Path, folder: Path, overrides: Sequence[str] = ()) -> tuple[ScenarioFile, list[str]]:
+    """Write an SSP's scenario and FMUs to `folder`/system.
 
-    Attributes:
-        files: Names beside the scenario → source files.
+    The files of an earlier run are removed. A faulty SSP raises InputError with all faults before anything is written.
+
+    Returns:
+        The scenario file and warnings.
     """
-
-    scenario: dict[str, Any]
-    files: dict[str, Path]
-    places: SspPlaces
-    warnings: list[str]
-
-
-@contextmanager
-def open_scenario(path: Path, overrides: Sequence[str] = ()) -> Iterator[PackagedScenario]:
-    """Yield an SSP as a checked scenario; raise InputError with all faults."""
-    with open_package(path) as package, temporary_folder("ssp") as folder:
+    with open_package(path) as package, temporary_folder("ssp") as scratch:
         reader = Reader(package)
         structure, flat = read(reader)
-        files = _files(flat)
+        files: dict[str, Path] = {}  # by unique names
+        for fmu in dict.fromkeys(part.component.fmu for part in flat.parts):
+            name, number = fmu.name, 2
+            while name in files:
+                name, number = f"{fmu.stem}_{number}{fmu.suffix}", number + 1
+            files[name] = fmu
         slips = list(dict.fromkeys(package.slips))
         warnings = [*map(str, slips), *reader.warnings]
         keys = frozenset(override.partition("=")[0].strip() for override in overrides)
         scenario, places = _scenario(package, structure, flat, files, (warnings, keys))
-        trial = folder / SCENARIO
+        trial = scratch / SCENARIO
         named = {name: {**c, "fmu": str(files[c["fmu"]])} for name, c in scenario["components"].items()}
         trial.write_text(json.dumps({**scenario, "components": named}), encoding="utf-8")
         faults = list(reader.faults)
@@ -94,46 +89,19 @@ def open_scenario(path: Path, overrides: Sequence[str] = ()) -> Iterator[Package
             faults.append(structure.system.element.fault("it has no FMU, so there is nothing to run"))
         if faults:
             faults += slips  # Slips may explain the faults.
-            raise InputError([_without_folder(fault, trial, package) for fault in faults])
-        yield PackagedScenario(scenario, files, places, warnings)
-
-
-def lay_out(path: Path, folder: Path, overrides: Sequence[str] = ()) -> tuple[ScenarioFile, list[str]]:
-    """Write an SSP's scenario and FMUs to `folder`/system.
-
-    The files of an earlier run are removed. A faulty SSP raises InputError before anything is written.
-
-    Returns:
-        The scenario file and warnings.
-    """
-    with open_scenario(path, overrides) as packaged:
-        within = folder / FOLDER
-        inputs = [path, *packaged.files.values()]
-        check_writable(within, (SCENARIO, *packaged.files), inputs)
+            if package.packed:  # its temporary folder
+                faults = [
+                    replace(f, message=f.message.replace(f"{package.folder}/", f"{package.shown}/")) for f in faults
+                ]
+            raise InputError([replace(f, file=package.shown) if f.file == trial else f for f in faults])
+        within, inputs = folder / FOLDER, [path, *files.values()]
+        check_writable(within, (SCENARIO, *files), inputs)
         remove_earlier(folder, read=inputs)
-        for name, source in packaged.files.items():
+        for name, source in files.items():
             with draft_of(within / name) as draft:
                 shutil.copyfile(source, draft)
-        write_json(within / SCENARIO, packaged.scenario)
-        return ScenarioFile(within / SCENARIO, overrides, packaged.places.fault), packaged.warnings
-
-
-def _without_folder(fault: Fault, trial: Path, package: Package) -> Fault:
-    """Return a fault with the SSP in place of its temporary folder, in message and place."""
-    if package.packed:
-        fault = replace(fault, message=fault.message.replace(f"{package.folder}/", f"{package.shown}/"))
-    return replace(fault, file=package.shown) if fault.file == trial else fault
-
-
-def _files(flat: Flat) -> dict[str, Path]:
-    """Return the FMUs by unique file names."""
-    names: dict[str, Path] = {}
-    for fmu in dict.fromkeys(part.component.fmu for part in flat.parts):
-        name, number = fmu.name, 2
-        while name in names:
-            name, number = f"{fmu.stem}_{number}{fmu.suffix}", number + 1
-        names[name] = fmu
-    return names
+        write_json(within / SCENARIO, scenario)
+        return ScenarioFile(within / SCENARIO, overrides, places.fault), warnings
 
 
 def _scenario(

@@ -28,6 +28,7 @@ from cosim.simulation.criteria import evaluate, missed_tolerance
 from cosim.simulation.manifest import add_changes, check_pinned, manifest, software_versions
 from cosim.simulation.packaged import is_ssp, lay_out
 from cosim.simulation.stopped_run import (
+    EXTRA,
     MANIFEST,
     end_keeping,
     open_stopped,
@@ -298,7 +299,7 @@ def _prepare_stopped(
     if changes := stopped.changes:
         system = replace(system, events=with_changes(system.events, changes))
         start = start and replace(start, changes=changes)
-    record = stopped.base(system.warnings if until is not None or stopped.has_outcome else None)
+    record = stopped.base(system.warnings if until is not None or EXTRA not in stopped.record else None)
     record["scenario"]["duration"] = file.scenario.duration
     for name, longest in steps.items():
         record["scenario"]["components"][name]["solver_step"] = longest
