@@ -13,7 +13,7 @@ from cosim.base.times import MOST, steps_in, whole_steps
 from cosim.blocks.coupling import OWN, AlgebraicLoop, Algorithm, Plan, order_by_dependencies
 from cosim.blocks.faults import Delay, Hold, fault_function, points
 from cosim.master.master import simulate
-from cosim.simulation import metrics
+from cosim.simulation import criteria
 from cosim.system.schedule import _every, schedule
 from cosim.system.wiring import Transfer
 from tests.own_blocks import Block, rows_for, system_of
@@ -274,7 +274,7 @@ T = np.array([2.0, 2.5, 3.0, 4.0, 4.5])
     ],
 )
 def test_settling_time_is_that_of_the_last_sample_outside_the_band(signal: list[float], time: float) -> None:
-    assert metrics.settling_time(T, np.array(signal), 1.0, 0.1 + 1e-12) == time
+    assert criteria.settling_time(T, np.array(signal), 1.0, 0.1 + 1e-12) == time
 
 
 def test_overshoot_is_seen_in_the_direction_of_travel() -> None:
@@ -284,13 +284,13 @@ def test_overshoot_is_seen_in_the_direction_of_travel() -> None:
         ([2, 0.75, 1.5, 1.0, 1.0], 1.0, 0.25),
         ([1, 1.5, 0.25, 1.0, 1.0], 1.0, 0.75),  # it is there already: every excursion is one
     ):
-        assert metrics.overshoot(np.array(signal), target) == found
+        assert criteria.overshoot(np.array(signal), target) == found
     moving = np.array([0.0, 1.0, 2.0])
-    assert metrics.overshoot(np.array([0.0, 2.5, 2.0]), moving) == 0.5
+    assert criteria.overshoot(np.array([0.0, 2.5, 2.0]), moving) == 0.5
 
 
 def test_errors_and_effort_are_their_formulas() -> None:
     signal, target = np.array([1.0, -3.0, 2.0, 5.0, 4.0]), np.array([0.0, 0.0, 2.0, 1.0, 1.0])
-    assert metrics.rms_error(signal, target) == pytest.approx(math.sqrt((1 + 9 + 0 + 16 + 9) / 5))
-    assert (metrics.final_error(signal, target), metrics.peak(-signal)) == (3.0, 5.0)
-    assert metrics.effort(T, signal) == 0.5 * 1 + 0.5 * 3 + 1.0 * 2 + 0.5 * 5
+    assert criteria.rms_error(signal, target) == pytest.approx(math.sqrt((1 + 9 + 0 + 16 + 9) / 5))
+    assert (criteria.final_error(signal, target), criteria.peak(-signal)) == (3.0, 5.0)
+    assert criteria.effort(T, signal) == 0.5 * 1 + 0.5 * 3 + 1.0 * 2 + 0.5 * 5

@@ -232,57 +232,52 @@ def compare_runs(a: RecordedRun, b: RecordedRun, tolerance: float | None = None,
     if not time.size:
         spans = [f"{t[0]:g} … {t[-1]:g} s" if t.size else "no rows" for t in (a.results.time, b.results.time)]
         raise InputError.at(b.path, f"shares no time with {a.path}: it has {spans[1]}, that {spans[0]}")
-    overlap = _Overlap(a, b, rows, aligned, Tolerance(tolerance, absolute))
-    differences = tuple(overlap.difference(name) for name in common)
-    only_a, only_b = tuple(n for n in in_a if n not in in_b), tuple(n for n in in_b if n not in in_a)
-    data = differences, only_a, only_b, time, overlap.values, aligned
-    return Compared(a, b, *data, _describe_ends(a, b), tolerance, absolute)
+    allowed, has_tolerance = Tolerance(tolerance, absolute), tolerance is not None
+    of_a, of_b = a.results, b.results
+    values: dict[str, tuple[Array, Array]] = {}
+    between = jumps = held = None
+    if not aligned:
+        close = min(map(signals.time_tolerance, (of_a.time, of_b.time)))
+        between = rows_between(of_a.time, of_b.time, close)
+        jumps = rows_at_jumps(of_b.time, of_a.time, close)
+        held = surroundings(of_a.time, of_b.time, close), surroundings(of_b.time, of_a.time, close)
 
-
-class _Overlap:
-    """Rows of run a within the time of run b.
-
-    Attribute `values` collects the numbers of both runs for each compared signal.
-    """
-
-    def __init__(self, a: RecordedRun, b: RecordedRun, rows: slice, aligned: bool, allowed: Tolerance) -> None:
-        self.a, self.b, self.rows, self.aligned, self.allowed = a, b, rows, aligned, allowed
-        times = a.results.time, b.results.time
-        self.time = times[0][rows]
-        close = min(map(signals.time_tolerance, times))
-        self.between = None if aligned else rows_between(*times, close)
-        self.jumps = None if aligned else rows_at_jumps(*times[::-1], close)
-        self.held = None if aligned else (surroundings(*times, close), surroundings(*times[::-1], close))
-        self.values: dict[str, tuple[Array, Array]] = {}
-
-    def difference(self, name: str) -> Difference:
-        """Return the comparison of a signal."""
-        a, b = self.a.results, self.b.results
-        has_tolerance = self.allowed.relative is not None
-        if not all(name in r and not (name in r.exact and is_rounded(r[name])) for r in (a, b)):
-            return signals.compare_text(self.a, self.b, name, self.rows, self.held, has_tolerance=has_tolerance)
-        unit, other = a.units.get(name, ""), b.units.get(name, "")
-        by = unit_conversion(self.b, self.a, name)
+    def difference(name: str) -> Difference:
+        if not all(name in r and not (name in r.exact and is_rounded(r[name])) for r in (of_a, of_b)):
+            return signals.compare_text(a, b, name, rows, held, has_tolerance=has_tolerance)
+        unit, other = of_a.units.get(name, ""), of_b.units.get(name, "")
+        by = unit_conversion(b, a, name)
         if by is None:
-            return signals.compare_other_units(name, unit, other, self.time, has_tolerance=has_tolerance)
-        first, second = a[name], b[name] if by == Conversion() else by.factor * b[name] + by.offset
-        between = self.between
-        if self.held is None or self.jumps is None:
-            at_times = second[: self.time.size]
-        elif is_held(self.a, self.b, name):
-            between, theirs = self.held
-            at_times = theirs.nearest(second, first)[self.rows]
+            note, far = f"in {unit} in one, in {other} in the other", math.inf
+            return Difference(name, unit, far, float(time[0]), far, 1.0, far, has_tolerance, note, alike=False)
+        first, second = of_a[name], of_b[name] if by == Conversion() else by.factor * of_b[name] + by.offset
+        around = between
+        if held is None or jumps is None:
+            at_times = second[: time.size]
+        elif is_held(a, b, name):
+            around, theirs = held
+            at_times = theirs.nearest(second, first)[rows]
         else:
-            at_times = np.interp(self.time, b.time, second)
-            at_jumps = np.isin(np.arange(a.time.size)[self.rows], self.jumps.rows)
-            at_times = np.where(at_jumps, self.jumps.nearest(second, first)[self.rows], at_times)
-        self.values[name] = first[self.rows], at_times
-        difference = signals.compare_numbers(name, unit or other, self.time, self.values[name], self.allowed, by)
-        difference = replace(difference, note=signals.unit_note(unit, other, difference, by))
-        if between is None:
-            return difference
-        outside, at = between.outside(first, second)
-        return signals.include_rows_between(difference, outside, at, self.allowed)
+            at_jumps = np.isin(np.arange(of_a.time.size)[rows], jumps.rows)
+            at_times = np.interp(time, of_b.time, second)
+            at_times = np.where(at_jumps, jumps.nearest(second, first)[rows], at_times)
+        values[name] = first[rows], at_times
+        found = signals.compare_numbers(name, unit or other, time, values[name], allowed, by)
+        found = replace(found, note=signals.unit_note(unit, other, found, by))
+        if around is None:
+            return found
+        return signals.include_rows_between(found, *around.outside(first, second), allowed)
+
+    step = float(np.max(np.diff(of_a.time))) if of_a.time.size > 1 else 0.0
+    ends = []
+    for verb, row in (("begins", 0), ("ends", -1)):
+        at = [float(r.time[row]) for r in (of_a, of_b)]
+        if abs(at[0] - at[1]) > rounding(max(map(abs, at)), 1e3 * step):
+            earlier, later = (a.path, b.path) if at[0] < at[1] else (b.path, a.path)
+            ends.append(f"{earlier} {verb} at {min(at):.6g} s, {later} at {max(at):.6g} s")
+    differences = tuple(map(difference, common))
+    only_a, only_b = tuple(n for n in in_a if n not in in_b), tuple(n for n in in_b if n not in in_a)
+    return Compared(a, b, differences, only_a, only_b, time, values, aligned, "; ".join(ends), tolerance, absolute)
 
 
 def unit_conversion(of: RecordedRun, to: RecordedRun, name: str) -> Conversion | None:
@@ -359,18 +354,6 @@ def describe_largest(d: Difference) -> str:
     if not math.isfinite(d.share):
         return f"most {d.name}, which has no number in one run at {d.at:.6g} s"
     return f"most {d.name}, by {amount(d.largest, d.unit)} at {d.at:.6g} s ({format_share(d)} of its range)"
-
-
-def _describe_ends(a: RecordedRun, b: RecordedRun) -> str:
-    """Return a phrase on the shorter run; "" if both runs cover the same time."""
-    step = float(np.max(np.diff(a.results.time))) if a.results.time.size > 1 else 0.0
-    parts = []
-    for verb, row in (("begins", 0), ("ends", -1)):
-        at = [float(r.results.time[row]) for r in (a, b)]
-        if abs(at[0] - at[1]) > rounding(max(map(abs, at)), 1e3 * step):
-            first, second = (a.path, b.path) if at[0] < at[1] else (b.path, a.path)
-            parts.append(f"{first} {verb} at {min(at):.6g} s, {second} at {max(at):.6g} s")
-    return "; ".join(parts)
 
 
 def criterion_limit(entry: Mapping[str, Any]) -> str:

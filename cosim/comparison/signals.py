@@ -129,12 +129,6 @@ def include_rows_between(d: Difference, outside: float, at: float, allowed: Tole
     return replace(d, largest=outside, at=at, share=outside / d.scale, beyond=beyond, note=note)
 
 
-def compare_other_units(name: str, unit: str, other: str, time: Array, *, has_tolerance: bool) -> Difference:
-    """Return an infinite difference for incompatible units."""
-    note = f"in {unit} in one, in {other} in the other"
-    return Difference(name, unit, math.inf, float(time[0]), math.inf, 1.0, math.inf, has_tolerance, note, alike=False)
-
-
 def unit_note(unit: str, other: str, d: Difference, by: Conversion) -> str:
     """Return a note on the units of both runs."""
     if unit and unit == other:

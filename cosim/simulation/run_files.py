@@ -44,30 +44,27 @@ class RecordedRun:
 def read_ran(path: Path) -> RecordedRun:
     """Return results of a path; raise InputError if none, also if they are removed meanwhile."""
     try:
-        return _read(newest_run(path))
+        path = newest_run(path)
+        if not path.exists():
+            raise InputError.at(path, f"no such folder or file; give {WANTED}")
+        if not path.is_dir():
+            check_given(path, LOG)
+            return RecordedRun(path, path.stem, read_results(path))
+        rows = rows_in(path)
+        if rows is None:
+            kind = folder_kind(path)
+            if kind is None or "results" not in kind.tables:
+                refuse_folder(path, WANTED)
+            names = " or ".join(f"results{suffix}" for suffix in suffixes())
+            raise InputError.at(path, f"holds no rows{status_in(path)}: no {names}; give {WANTED}")
+        manifest = manifest_in(path)
+        units: Any = manifest.get("units") or replay_record(path).get("units") or {}
+        results = read_results(rows, units, manifest.get("beside", ()), words=manifest.get("texts", ()))
+        return RecordedRun(path, run_name(path), results, manifest, tuple(warnings_on(path)))
     except FileNotFoundError:
         raise InputError.at(
             path, "was removed while it was read; repeat the command with the results that are left"
         ) from None
-
-
-def _read(path: Path) -> RecordedRun:
-    if not path.exists():
-        raise InputError.at(path, f"no such folder or file; give {WANTED}")
-    if not path.is_dir():
-        check_given(path, LOG)
-        return RecordedRun(path, path.stem, read_results(path))
-    rows = rows_in(path)
-    if rows is None:
-        kind = folder_kind(path)
-        if kind is None or "results" not in kind.tables:
-            refuse_folder(path, WANTED)
-        names = " or ".join(f"results{suffix}" for suffix in suffixes())
-        raise InputError.at(path, f"holds no rows{status_in(path)}: no {names}; give {WANTED}")
-    manifest = manifest_in(path)
-    units: Any = manifest.get("units") or replay_record(path).get("units") or {}
-    results = read_results(rows, units, manifest.get("beside", ()), words=manifest.get("texts", ()))
-    return RecordedRun(path, run_name(path), results, manifest, tuple(warnings_on(path)))
 
 
 def report_of(folder: FilePath, *, figures: bool = False, tell: Callable[..., None] = lambda *warnings: None) -> Path:
