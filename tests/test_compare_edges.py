@@ -16,9 +16,7 @@ from matplotlib.text import Text
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.comparison.differences import Compared, compare_runs
-from cosim.comparison.intermediate_rows import rows_between
 from cosim.comparison.several import RunSource
-from cosim.comparison.signals import common_rows, time_tolerance
 from cosim.comparison.workflow import compare
 from cosim.simulation.run_files import RecordedRun
 from cosim.storage.results import Results
@@ -94,40 +92,13 @@ def test_signals_after_one_that_cannot_be_compared_are_compared() -> None:
 
 
 def test_times_within_rounding_are_one_and_others_are_not() -> None:
-    time = 1e6 + 0.01 * np.arange(101)
-    assert time_tolerance(time) == pytest.approx(8 * EPS * 1e6, rel=0.01)  # rounding, more than 1e-9 of a step
-    assert time_tolerance(0.01 * np.arange(11)) == pytest.approx(1e-11)
-    assert time_tolerance(np.array([0.0, 0.0, 0.5, 2.5])) == pytest.approx(5e-10)  # of the shortest step that is one
-    assert time_tolerance(np.array([3.0])) == pytest.approx(1e-9)
-    for shift, aligned in ((0.5, True), (0.9, True), (1.1, False)):
-        other = TIME + shift * time_tolerance(TIME)
-        assert common_rows(ran("a", x=0), ran("b", other, x=0))[1] is aligned
-    rows, aligned = common_rows(ran("a", x=0), ran("b", TIME[10:41:2], x=0))
-    assert (rows, aligned) == (slice(10, 41), False)
-    assert common_rows(ran("a", x=0), ran("b", TIME[:0], x=0)) == (slice(0, 0), False)
-
-
-def test_rows_of_b_that_lie_between_are_those_without_a_time_of_a() -> None:
-    between = rows_between(
-        np.array([0.0, 1.0, 2.0, 3.0]), np.array([-0.5, 0.0, 0.5, 1.0, 1.0, 2.0, 2.5, 3.0, 3.5]), 1e-9
-    )
-    assert between.time.tolist() == [0.5, 1.0, 1.0, 2.5]  # two at one time are none by themselves
-    assert between.first.tolist() == [0, 0, 0, 2]
-    assert between.last.tolist() == [1, 2, 2, 3]
-    a = np.array([0.0, 2.0, 1.0, 5.0])
-    for value, outside in (
-        (1.0, 0.0),
-        (2.0, 0.0),
-        (2.5, 0.5),
-        (-0.75, 0.75),
-        (math.nan, math.inf),
-        (math.inf, math.inf),
-    ):
-        b = np.array([9.0, 0.0, value, 2.0, 2.0, 1.0, 3.0, 5.0, 9.0])
-        found, at = between.outside(a, b)
-        assert found == outside
-        assert at == 0.5 or not outside
-    assert rows_between(TIME, TIME, 1e-9).outside(TIME, TIME) == (0.0, 0.0)
+    # a 10⁻⁹ of a step of 0.01 s, or the rounding of large times
+    for time, tolerance in ((TIME, 1e-11), (1e6 + TIME, 8 * EPS * 1e6)):
+        for shift, aligned in ((0.5, True), (0.8, True), (1.2, False)):
+            found = compare_runs(ran("a", time, x=0), ran("b", time + shift * tolerance, x=0))
+            assert found.aligned is aligned
+    found = compare_runs(ran("a", x=0), ran("b", TIME[10:41:2], x=0))
+    assert (found.time.tolist(), found.aligned) == (TIME[10:41].tolist(), False)
 
 
 def test_a_spike_between_rows_counts_by_its_size_and_its_time() -> None:

@@ -6,7 +6,7 @@ import json
 import math
 import shutil
 from collections.abc import Sequence, Set
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from cosim.ssp.elements import Element
 from cosim.ssp.flatten import read
 from cosim.ssp.levels import Flat
 from cosim.ssp.read import Reader
-from cosim.ssp.ssp_package import Package, open_package
+from cosim.ssp.ssp_package import open_package
 from cosim.ssp.structure import SspStructure
 from cosim.storage.files import check_writable, write_json
 from cosim.storage.folders import remove_earlier
@@ -36,23 +36,6 @@ IMPORTERS = Jacobi()  # the coupling algorithm of libcosim, ecos and FMPy
 def is_ssp(path: Path) -> bool:
     """Return whether a file is an SSP, by name or content."""
     return kind_by_form(path) == SSP
-
-
-@dataclass
-class SspPlaces:
-    """Places in an SSP of the parts of its scenario."""
-
-    package: Package
-    whole: Element
-    elements: dict[Location, Element]
-
-    def fault(self, location: Location, message: str, exit_code: int = 2) -> Fault:
-        """Return the fault of a part at its element of the SSP."""
-        parts = (location[:end] for end in range(len(location), 0, -1))
-        element = next((self.elements[part] for part in parts if part in self.elements), None)
-        if element is None:
-            return Fault(self.package.shown, 0, 0, message, exit_code)
-        return replace(element.fault(message), exit_code=exit_code)
 
 
 def lay_out(path: Path, folder: Path, overrides: Sequence[str] = ()) -> tuple[ScenarioFile, list[str]]:
@@ -75,14 +58,23 @@ def lay_out(path: Path, folder: Path, overrides: Sequence[str] = ()) -> tuple[Sc
         slips = list(dict.fromkeys(package.slips))
         warnings = [*map(str, slips), *reader.warnings]
         keys = frozenset(override.partition("=")[0].strip() for override in overrides)
-        scenario, places = _scenario(package, structure, flat, files, (warnings, keys))
+        scenario, places = _scenario(structure, flat, files, (warnings, keys))
+
+        def fault(location: Location, message: str, exit_code: int = 2) -> Fault:
+            """Return the fault of a part at its element of the SSP."""
+            parts = (location[:end] for end in range(len(location), 0, -1))
+            element = next((places[part] for part in parts if part in places), None)
+            if element is None:
+                return Fault(package.shown, 0, 0, message, exit_code)
+            return replace(element.fault(message), exit_code=exit_code)
+
         trial = scratch / SCENARIO
         named = {name: {**c, "fmu": str(files[c["fmu"]])} for name, c in scenario["components"].items()}
         trial.write_text(json.dumps({**scenario, "components": named}), encoding="utf-8")
         faults = list(reader.faults)
         if named:
             try:
-                build_system(ScenarioFile(trial, overrides, places.fault))
+                build_system(ScenarioFile(trial, overrides, fault))
             except InputError as error:
                 faults += error.faults
         elif not faults:
@@ -101,18 +93,17 @@ def lay_out(path: Path, folder: Path, overrides: Sequence[str] = ()) -> tuple[Sc
             with draft_of(within / name) as draft:
                 shutil.copyfile(source, draft)
         write_json(within / SCENARIO, scenario)
-        return ScenarioFile(within / SCENARIO, overrides, places.fault), warnings
+        return ScenarioFile(within / SCENARIO, overrides, fault), warnings
 
 
 def _scenario(
-    package: Package,
     structure: SspStructure,
     flat: Flat,
     files: dict[str, Path],
     notes: tuple[list[str], frozenset[str]],
-) -> tuple[dict[str, Any], SspPlaces]:
+) -> tuple[dict[str, Any], dict[Location, Element]]:
     """Return the scenario and the places of its parts."""
-    places = SspPlaces(package, structure.experiment, {})
+    places: dict[Location, Element] = {}
     name_of = {path: name for name, path in files.items()}
     components: dict[str, Any] = {}
     for part in flat.parts:
@@ -122,17 +113,17 @@ def _scenario(
         if part.start:
             entry["start"] = {variable: value for variable, (value, _) in part.start.items()}
         components[part.name] = entry
-        places.elements[("components", part.name)] = part.component.element
+        places[("components", part.name)] = part.component.element
         for variable, (_, element) in part.start.items():
-            places.elements[("components", part.name, "start", variable)] = element
+            places[("components", part.name, "start", variable)] = element
     connections = []
     for k, link in enumerate(flat.links):
         linear = {} if link.linear is None else {"factor": link.linear.factor, "offset": link.linear.offset}
         connections.append({"from": link.source, "to": link.target, **linear})
-        places.elements[("connections", k)] = link.element
+        places[("connections", k)] = link.element
     start, duration, step = _times(structure, flat, *notes)
     for key in ("start_time", "duration", "step"):
-        places.elements[(key,)] = structure.experiment
+        places[(key,)] = structure.experiment
     scenario = {
         "name": structure.name,
         "description": structure.description,
