@@ -17,11 +17,11 @@ from cosim.base.version import __version__
 from cosim.calibration import report
 from cosim.calibration.fit_study import _beside
 from cosim.history import entries as listing
+from cosim.pages import runs as page_runs
 from cosim.simulation import run_files
 from cosim.storage.kinds import MANIFEST, kind_of
 from cosim.storage.results import read_results
 from cosim.verbs.cli import app
-from cosim.viewing import viewed_runs
 from tests.test_first_steps import told
 
 ROWS = "time,a.x\n0.0,0.0\n0.5,0.25\n1.0,0.125\n"
@@ -80,7 +80,7 @@ def test_results_that_go_while_they_are_read_are_an_error_if_named_and_left_out_
 ) -> None:
     for module, name, page in (
         (run_files, "read_results", ("compare", "--no-report", "--force", "--out", "out")),
-        (viewed_runs, "open_rows", ("view", "--prepare")),
+        (page_runs, "open_rows", ("view", "--prepare")),
     ):
         monkeypatch.setattr(module, name, change(getattr(module, name), "two"))
         _write(root / "two")

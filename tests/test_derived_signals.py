@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from cosim.base.errors import InputError
-from cosim.viewing.derived_signals import FUNCTIONS, Formula, derivative, integral, lowpass
-from cosim.viewing.pyramid import TIME, Recording
+from cosim.pages.formulas import FUNCTIONS, Formula, derivative, integral, lowpass
+from cosim.pages.rows import TIME, Recording
 from tests.conftest import ROOT
 
 RNG = np.random.default_rng

@@ -18,13 +18,11 @@ import pytest
 
 from cosim.storage.results import read_results
 from tests.live_pages import live_command, slow_scenario
+from tests.test_live_browser import INK
 
 FIREFOX = shutil.which("firefox-esr") or shutil.which("firefox")
 PATIENCE = 60.0  # [s] on a busy machine
 pytestmark = [pytest.mark.thorough, pytest.mark.skipif(FIREFOX is None, reason="no Firefox on this machine")]
-CURVE = (
-    "[...document.querySelectorAll('figure .box .line')].reduce((n, l) => n + (l.getAttribute('d') ?? '').length, 0)"
-)
 
 
 class Page:
@@ -85,9 +83,7 @@ def test_rows_appear_a_change_acts_and_stop_keeps_the_rows(tmp_path: Path) -> No
     with live_command(*arguments, folder=tmp_path) as (process, url), firefox(profile) as page:
         page.call("browsingContext.navigate", context=page.context, url=url, wait="complete")
         page.until("document.documentElement.dataset.live === 'running'")
-        page.until(f"{CURVE} > 20")
-        before = page.evaluate(CURVE)
-        page.until(f"{CURVE} > {before}")  # rows appear
+        page.until(f"{INK} > 20")  # rows appear
         page.evaluate(
             "(() => { const all = [...document.querySelectorAll('.change')];"
             " const f = all.find((e) => e.textContent.includes('mill.gain'));"
@@ -96,8 +92,8 @@ def test_rows_appear_a_change_acts_and_stop_keeps_the_rows(tmp_path: Path) -> No
         )
         page.until("document.querySelector('#log li')?.textContent.includes('mill.gain = 4')")
         page.until(
-            "[...document.querySelectorAll('figure .entry')].some((e) =>"
-            " e.children[1].textContent === 'mill.r_out' && parseFloat(e.children[2].textContent) === 8)"
+            "[...document.querySelectorAll('.legend > .entry')].some((e) =>"
+            " e.children[0].textContent === 'mill.r_out' && parseFloat(e.children[1].textContent) === 8)"
         )  # the effect: r_out = 4·2
         page.evaluate("[...document.querySelectorAll('button')].find((b) => b.textContent.trim() === 'Stop').click()")
         page.until("document.documentElement.dataset.live === 'stopped'")

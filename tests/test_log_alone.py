@@ -13,7 +13,6 @@ import cosim
 from cosim.base.errors import InputError
 from cosim.logs import log_check
 from cosim.storage.table import read_columns, read_header
-from cosim.verbs.check_verb import MOST_ALIKE
 from tests.test_first_steps import told as asked
 from tests.typed import typed_fmu
 
@@ -65,14 +64,13 @@ def test_a_table_without_a_signal_or_a_name_is_a_fault(tmp_path: Path) -> None:
         cosim.check(tmp_path / "b.csv")
 
 
-def test_of_many_alike_warnings_a_few_are_printed_and_json_has_all(tmp_path: Path) -> None:
-    names = [f"x{k}" for k in range(60)]
-    rows = "".join(f"{t}" + ",1" * 60 + "\n" for t in range(50))
+def test_of_very_many_warnings_a_part_is_printed_and_json_has_all(tmp_path: Path) -> None:
+    names = [f"x{k}" for k in range(260)]
+    rows = "".join(f"{t}" + ",1" * 260 + "\n" for t in range(50))
     (tmp_path / "a.csv").write_text(",".join(["time", *names]) + "\n" + rows)
     printed = asked("check", tmp_path / "a.csv")
-    assert printed.count("is constant at") == MOST_ALIKE
-    assert "… and 40 more like the last one" in printed
-    assert asked("check", tmp_path / "a.csv", "--json").count("is constant at") >= 60
+    assert 100 < printed.count("is constant at") < 260
+    assert asked("check", tmp_path / "a.csv", "--json").count("is constant at") >= 260
 
 
 def test_the_wrong_first_column_is_named_with_the_option_that_cures_it(tmp_path: Path) -> None:

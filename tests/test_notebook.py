@@ -55,7 +55,7 @@ def test_a_result_shows_its_charts_in_a_frame_that_reaches_nothing() -> None:
     assert 'sandbox="allow-scripts allow-downloads"' in shown  # without the rights of the notebook
     assert "default-src 'none'" in frame
     assert len(re.findall(r"<figure ", frame)) == 1  # one unit, one panel
-    assert '"rows":500,' in frame
+    assert '"of":500' in frame
     assert not re.findall(r"""(?:src|href)=["']?(?:https?:)?//""", frame)
     assert "rows, which keep" not in shown
 

@@ -43,7 +43,7 @@ from cosim.refinement.search.hypotheses import Attribution, Hypothesis, Support
 from cosim.refinement.search.unnamed import Leftover, UnnamedTerm, find_unnamed_terms
 from cosim.refinement.study import LogLists, Study, StudyFile
 from cosim.refinement.workflow import refine
-from cosim.report.drawing import Charts
+from cosim.report.charts import Charts
 from cosim.residuals.residual_statistics import remaining_excess
 from cosim.residuals.windows import Replay
 from cosim.subject.model_subject import ModelSubject
@@ -216,9 +216,7 @@ def test_names_from_files_never_become_markup(cart: Refinement, tmp_path: Path) 
 
 def test_every_chart_of_the_page_can_be_looked_into(cart: Refinement, tmp_path: Path) -> None:
     text = page(cart, tmp_path).partition("<script")[0]
-    assert text.count("<figure") == text.count(" data-chart ") == text.count(" data-box>") > 5
-    drawn = re.findall(r'data-line="(\w+)"', text)
-    assert len(set(drawn)) == len(drawn)  # each curve has rows of its own
+    assert text.count("<figure") == len(set(re.findall(r'data-chart="(\d+)"', text))) > 5
 
 
 @pytest.mark.thorough
@@ -327,11 +325,13 @@ def test_an_imu_alone_and_no_sealed_log_are_enough(craft: Refinement, tmp_path: 
 
 @pytest.mark.thorough
 def test_each_restart_of_the_model_breaks_its_curve(craft: Refinement) -> None:
-    (run,) = runs(craft, Charts())
+    charts = Charts()
+    (run,) = runs(craft, charts)
     for pair in (*run.channels, *run.quiet):
-        refined = next(c for c in pair.plots[0].curves if c.label == "refined")
-        assert refined.path.count("M") == 5
-        assert pair.plots[0].band_label == "every other replay"
+        refined = next(t for t in pair.plots[0].spec["traces"] if t["label"] == "refined")
+        assert refined["anew"]
+        assert pair.plots[0].spec["band"]["label"] == "every other replay"
+    assert len(json.loads(charts.data())["groups"][0]["breaks"]) == 5
 
 
 NONE = ("", {"process_noise": {"v": {"before": 1e-3, "after": 1e-3, "inflated": True}}})
@@ -378,7 +378,7 @@ def test_a_page_without_a_claim_leads_to_the_nearest_model_and_draws_it(cart: Re
     values = context(r := replace(unclaimed(cart), folder=tmp_path))
     assert values["use_lead"].startswith("Nothing was refined; the model that predicts best is nearest.fmu.")
     assert values["use"].endswith("/nearest.fmu")
-    labels = [curve.label for curve in values["lead"]["plots"][0].curves]
+    labels = [t["label"] for t in values["lead"]["plots"][0].spec["traces"]]
     assert labels == ["measured", "model", "nearest"]
     labels = [row.label for row in values["provenance"]]
     assert labels[-5:-1] == ["Model, unchanged", "FMU, unchanged", "Nearest model", "Nearest FMU"]
@@ -389,7 +389,7 @@ def test_a_page_without_a_claim_leads_to_the_nearest_model_and_draws_it(cart: Re
     neither = context(replace(r, verdict=replace(r.verdict, nearest=Nearest(None))))
     assert neither["use_lead"].startswith("Nothing was refined; the delivered model is the model as it was.")
     assert neither["use"].endswith("/plant.fmu")
-    assert [curve.label for curve in neither["lead"]["plots"][0].curves] == ["measured", "model"]
+    assert [t["label"] for t in neither["lead"]["plots"][0].spec["traces"]] == ["measured", "model"]
     assert context(cart)["use_lead"].startswith("To use the refined model")
 
 
@@ -444,8 +444,8 @@ def test_a_term_is_compared_by_means_where_much_changes_from_row_to_row(cart: Re
     assert effect.share < 0.1
     assert effect.share_of_means > 0.9
     effect = replace(effect, horizon=20 * effect.step)
-    assert "data, mean over" in over_time(effect, Charts()).curves[0].label
-    assert over_time(replace(effect, horizon=0.0), Charts()).curves[0].label == "data"
+    assert "data, mean over" in over_time(effect, Charts()).spec["traces"][0]["label"]
+    assert over_time(replace(effect, horizon=0.0), Charts()).spec["traces"][0]["label"] == "data"
 
 
 CRAFT = ModelSubject.of(Hovercraft())

@@ -13,7 +13,7 @@ from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.innovations import innovations, modes
 from cosim.refinement.report.rankings import noise_rows
 from cosim.refinement.workflow import refine
-from cosim.report.drawing import Charts
+from cosim.report.charts import Charts
 from tests.logs import times, write_log
 
 pytestmark = pytest.mark.optimized

@@ -240,7 +240,7 @@ def test_manifest_and_report_state_steps_and_sizes(tmp_path: Path) -> None:
         ("soon", "step is 'soon'"),
         (
             "{max: 20 ms, min: 1 ms, estimator: residual, bonds: [{effort: wheel.y0, flow: chassis.y0}]}",
-            "leave one of them out",
+            "leave one out",
         ),
         ("{max: 20 ms, min: 1 ms, bonds: [{effort: wheel.y9, flow: chassis.y0}]}", 'no connected output "wheel.y9"'),
         ("{max: 20 ms, min: 1 ms, bonds: [{effort: wheel.y0, flow: wheel.y0}]}", "the other side of the bond"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
 from itertools import pairwise
@@ -20,7 +21,7 @@ from cosim.base.units import read_quantity
 from cosim.logs.finding import Finding
 from cosim.logs.log import Log
 from cosim.logs.model_comparison import delay, delays, scales
-from cosim.report.drawing import Charts
+from cosim.report.charts import Charts
 from cosim.residuals import floor, windows
 from cosim.residuals.compare import ChannelSummary
 from cosim.residuals.comparison_data import as_json
@@ -446,9 +447,9 @@ def test_stems_are_about_as_many_as_asked_for_and_begin_with_one_row() -> None:
     ("rows", "ends"), [([1, 2, 3], (0.01, 0.07)), ([1, 4, 7], (-0.01, 0.17)), ([-4, 0, 4], (-0.12, 0.12)), ([5], None)]
 )
 def test_stems_stand_at_their_lags_with_half_a_lag_free_at_each_end(rows: list[int], ends: Any) -> None:
-    drawing = lag_drawing(Charts(), np.array(rows), 0.02, 1)
-    np.testing.assert_allclose(drawing.series.time, 0.02 * np.array(rows))
-    assert drawing.series.about["ends"] == pytest.approx(ends or (0.09, 0.11))
+    charts = Charts()
+    np.testing.assert_allclose(lag_drawing(charts, np.array(rows), 0.02).x, 0.02 * np.array(rows))
+    assert json.loads(charts.data())["groups"][0]["ends"] == pytest.approx(ends or (0.09, 0.11))
 
 
 @pytest.mark.parametrize(

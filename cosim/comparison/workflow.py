@@ -26,8 +26,7 @@ from cosim.comparison.several import ComparedRuns, RunSource, compare_several, l
 from cosim.comparison.several_page import several_page
 from cosim.comparison.signal_panels import equal_panel, panels_of
 from cosim.comparison.signals import format_share, format_size
-from cosim.report.chart_data import to_json
-from cosim.report.drawing import Drawing
+from cosim.report.charts import Charts
 from cosim.report.template import render
 from cosim.simulation.run_files import RecordedRun
 from cosim.storage.files import FilePath, check_writable, write_json, write_text
@@ -115,9 +114,10 @@ def context(c: Compared) -> Mapping[str, Any]:
     numeric = [d for d in c.ranking if d.name in c.values]
     plotted, equal = [d for d in numeric if d.largest][:MAX_PLOTTED], [d for d in numeric if not d.largest]
     shown = equal[: MAX_PLOTTED - len(plotted)]
-    drawing = Drawing(c.time, 3 * len(plotted) + len(shown))
+    charts = Charts()
+    drawing = charts.over(c.time)
     panels = [panel for d in plotted for panel in panels_of(d.name, d.unit, (c.a.name, c.b.name), c.values[d.name])]
-    plots = drawing.plots(panels)  # before its series
+    plots = drawing.plots(panels)
     equal_plots = drawing.plots([equal_panel(d.name, d.unit, c.values[d.name][0], "a and b") for d in shown])
     return {
         "a": c.a,
@@ -147,7 +147,7 @@ def context(c: Compared) -> Mapping[str, Any]:
         "equal_count": counted(len(equal), "signal"),
         "only_a": c.only_a,
         "only_b": c.only_b,
-        "data": to_json(drawing.series),
+        "data": charts.data(),
         "repeat": shlex.join(["cosim", "compare", str(c.a.path), str(c.b.path), *_options(c.tolerance, c.absolute)]),
         "version": __version__,
     }

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from importlib import import_module
 from typing import Annotated, Any
 
 import typer
@@ -13,11 +12,7 @@ from cosim.base.errors import Terminated
 from cosim.base.messages import Note
 from cosim.verbs.terminal import LAST, say_finding, say_note
 
-PAGES = {  # verb → module and class of its page
-    "run": ("cosim.live.live_run", "LiveRun"),
-    "sweep": ("cosim.live.live_sweep", "LiveSweep"),
-    "refine": ("cosim.live.live_refine", "LiveRefine"),
-}
+PAGES = {"run": "LiveRun", "sweep": "LiveSweep", "refine": "LiveRefine"}  # verb → class of its page
 Live = Annotated[bool, typer.Option("--live", help="Open a page that shows the work while it goes on.")]
 Port = Annotated[
     int | None,
@@ -31,13 +26,13 @@ def live_page(verb: str, title: str, *, live: bool, port: int | None, **settings
     if not live and port is None:
         yield None
         return
-    from cosim.server.browser import open_page
+    from cosim.pages import work_pages
+    from cosim.pages.server import open_page
 
-    module, name = PAGES[verb]
-    page = getattr(import_module(module), name)(title, port or 0, **settings)
+    page = getattr(work_pages, PAGES[verb])(title, port or 0, **settings)
     LAST.append(lambda: _wait(page))
-    is_open = open_page(page.server.url, title)
-    (say_note if is_open else say_finding)(Note(f"live page: {page.server.url}"))
+    is_open = open_page(page.url, title)
+    (say_note if is_open else say_finding)(Note(f"live page: {page.url}"))
     with page:
         yield page
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
@@ -13,16 +14,17 @@ from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.messages import Note
 from cosim.history.entries import Entry, entries
 from cosim.history.selection import Selected, select_groups
+from cosim.pages.rows import Recording
+from cosim.pages.tables import ColumnTypes, Progress, open_rows
 from cosim.storage.folders import manifest_in, replay_record, run_name, status_in, warnings_on
 from cosim.storage.kinds import LOG, check_given, refuse_folder
 from cosim.storage.results import rows_in
-from cosim.viewing.pyramid import Recording
-from cosim.viewing.stored_rows import ColumnTypes, open_rows
 
 NO_ROWS = "has no rows to draw{status}; give folders of runs, or tables with time in the first column"
-
-MOST_RUNS = 20  # shown without names
-MOST_NAMES = 5  # signals in a note
+MAX_RUNS = 20  # shown without names
+MAX_NAMES = 5  # signals in a note
+LOOK = 1.0  # [s] between looks at a file
+SHARE = 5.0  # times the time of reading a growing file, until it is read again
 WANTED = "the folder of a run or a table of its rows"
 Bar = Callable[[str], AbstractContextManager[Callable[[int, int], None] | None]]
 
@@ -45,25 +47,67 @@ class RunPlace:
     entry: Entry | None = None
 
 
-@dataclass
 class ViewedRun:
-    """A run on the page.
+    """A run on the page, whose file may grow.
+
+    Args:
+        rows: Rows that another one adds to; by default those of the file.
 
     Attributes:
-        state: Size and time of the file at its opening.
+        notes: Warnings on its rows.
         lost: Reason why no more rows are read; "" in general.
+
+    Raises:
+        InputError: The table has faults, or no rows.
     """
 
-    place: RunPlace
-    rows: Recording
-    state: tuple[int, int]
-    lost: str = ""
+    def __init__(self, place: RunPlace, progress: Progress = None, rows: Recording | None = None) -> None:
+        self.place, self.lost, self.notes = place, "", list[str]()
+        self._due = 0.0  # [s] next time at which a growing file may be read again
+        self._state, self._is_fed = file_state(place.file), rows is not None
+        self.rows = self._open(progress) if rows is None else rows
+
+    def _open(self, progress: Progress) -> Recording:
+        folder, begin = self.place.file.parent, time.monotonic()
+        manifest = manifest_in(folder)
+        units: Any = manifest.get("units") or replay_record(folder).get("units") or {}
+        columns = ColumnTypes(units, manifest.get("beside", ()), frozenset(manifest.get("texts", ())))
+        rows = open_rows(self.place.file, columns, progress)
+        if self.place.entry is not None and not self._due:
+            self.place.entry.check_current()
+        self.notes = [*warnings_on(folder)]
+        for names, text in (
+            (rows.rounded, "drawn as the nearest double; the cursor shows all digits"),
+            (rows.inexact, "read as the nearest double"),
+        ):
+            if names:
+                some = ", ".join(names[:MAX_NAMES])
+                self.notes.append(Note(f"{self.place.label}: integers of {some} above 2^53 are {text}"))
+        self._due = time.monotonic() + max(LOOK, SHARE * (time.monotonic() - begin))
+        return rows
 
     def check(self) -> bool:
-        """Return whether the file is still the opened one."""
-        if not self.lost and file_state(self.place.file) != self.state:
+        """Return whether the file is still there."""
+        if not self.lost and not self._is_fed and not self.place.file.is_file():
             self.lost = f"{self.place.label} was removed or replaced; what is drawn of it stays, zoom shows the others"
         return not self.lost
+
+    def follow(self) -> bool:
+        """Read a changed file again; return whether there are other rows. A file with other signals is another run."""
+        state = file_state(self.place.file)
+        if self._is_fed or self.lost or state in {self._state, (0, 0)} or time.monotonic() < self._due:
+            return False
+        try:
+            rows = self._open(None)
+        except (InputError, OSError):
+            return False  # it is being written
+        if [*rows.units] != [*self.rows.units] or rows.rows < self.rows.rows:
+            self.lost = f"{self.place.label} was removed or replaced; what is drawn of it stays, zoom shows the others"
+            return False
+        for name, unit in self.rows.added.items():
+            rows.add(name, self.rows.read(name), unit)
+        self._state, self.rows = state, rows
+        return True
 
 
 def file_state(file: Path) -> tuple[int, int]:
@@ -86,9 +130,9 @@ def find_runs(texts: Sequence[str], results: Path) -> tuple[list[RunPlace], list
         found = [place for entry in entries(results) if (place := _of_entry(entry, is_named=False)) is not None]
         if not found:
             raise InputError.at(results, "holds no results with rows; run a scenario first, or name folders and tables")
-        if len(found) > MOST_RUNS:
-            notes.append(Note(f"the newest {MOST_RUNS} of {len(found)} results are shown; name the others"))
-        return _differing(found[-MOST_RUNS:]), notes
+        if len(found) > MAX_RUNS:
+            notes.append(Note(f"the newest {MAX_RUNS} of {len(found)} results are shown; name the others"))
+        return _differing(found[-MAX_RUNS:]), notes
     found, faults = list[RunPlace](), list[Fault]()
     for text, group in zip(texts, select_groups(texts, results), strict=True):
         try:
@@ -107,41 +151,17 @@ def open_runs(places: Iterable[RunPlace], bar: Bar) -> tuple[list[ViewedRun], li
     """
     runs, notes, faults, named = list[ViewedRun](), list[str](), list[Fault](), list[Fault]()
     for place in places:
-        folder = place.file.parent
-        manifest = manifest_in(folder)
-        units: Any = manifest.get("units") or replay_record(folder).get("units") or {}
         try:
-            state = file_state(place.file)
             with bar(f"converting {place.label}") as progress:
-                columns = ColumnTypes(units, manifest.get("beside", ()), frozenset(manifest.get("texts", ())))
-                rows = open_rows(place.file, columns, progress)
-            if place.entry is not None:
-                place.entry.check_current()
-            about = warnings_on(folder)
-            if rows.rounded:
-                about += (
-                    Note(
-                        f"{place.label}: integers of {', '.join(rows.rounded[:MOST_NAMES])} above 2^53 are drawn as "
-                        "the nearest double; the cursor shows all digits"
-                    ),
-                )
-            if rows.inexact:
-                about += (
-                    Note(
-                        f"{place.label}: integers of {', '.join(rows.inexact[:MOST_NAMES])} above 2^53 are read as "
-                        "the nearest double"
-                    ),
-                )
-            runs.append(ViewedRun(place, rows, state))
-            notes += [note for note in about if note not in notes]
+                runs.append(ViewedRun(place, progress))
+            notes += [note for note in runs[-1].notes if note not in notes]
         except (InputError, OSError) as caught:
             if is_full(caught):
                 raise
             error = caught
             if isinstance(error, FileNotFoundError):
-                error = InputError.at(
-                    place.file, "was removed while it was read; repeat the command with the results that are left"
-                )
+                gone = "was removed while it was read; repeat the command with the results that are left"
+                error = InputError.at(place.file, gone)
             elif isinstance(error, OSError):
                 error = InputError.at(place.file, f"cannot be read: {error.strerror}")
             (named if place.is_named else faults).extend(error.faults)

@@ -111,10 +111,8 @@ def _message(fault: Any) -> str:
     reason = fault["msg"]
     for theirs, ours in WORDS.items():
         reason = reason.replace(theirs, ours)
-    return (
-        f"{'.'.join(str(part) for part in fault['loc'] if part != '[key]')}: {reason}; correct it, or save this "
-        "layout again in the page"
-    )
+    place = ".".join(str(part) for part in fault["loc"] if part != "[key]")
+    return f"{place}: {reason}; correct it, or save this layout again in the page"
 
 
 class Layouts:

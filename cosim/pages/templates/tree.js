@@ -43,6 +43,15 @@ class SignalTree {
     this.fill();
   }
 
+  search(words) {
+    this.words = words;
+    this.fill();
+  }
+  regroup(group) {
+    this.group = group;
+    this.fill();
+  }
+
   trie(run) {
     if (!this.tries.has(run.names)) this.tries.set(run.names, trieOf(run.names));
     return this.tries.get(run.names);
@@ -95,7 +104,14 @@ class SignalTree {
     for (const name of derived) this.row(`${place}=${name}`, 2, name, () => [[place, name]], { unit: run.units[name] });
     if (found)
       for (const name of own) this.row(`${place}.${name}`, 2, name, () => [[place, name]], this.about(run, name));
-    else this.fillNode(this.trie(run), `${place}`, 2, (name) => [[place, name]], (name) => this.about(run, name));
+    else
+      this.fillNode(
+        this.trie(run),
+        `${place}`,
+        2,
+        (name) => [[place, name]],
+        (name) => this.about(run, name),
+      );
   }
 
   about({ units, kinds }, name) {
