@@ -200,7 +200,7 @@ def test_a_check_that_is_stopped_tells_no_fault_and_checks_no_more(
         checked.append(system)
         return SteppedRun(None, (), Interrupted("the run", 0.0, "interrupted"))  # type: ignore[arg-type]
 
-    monkeypatch.setattr("cosim.simulation.trial.simulate_apart", interrupted)
+    monkeypatch.setattr("cosim.simulation.trial.simulate_in", interrupted)
     path = str(deeds_scenario(tmp_path, "none", "none"))
     answer = CliRunner().invoke(app, ["check", path, path, str(tmp_path / "none.yaml")])
     assert (answer.exit_code, answer.output, len(checked)) == (130, "", 1)

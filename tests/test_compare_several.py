@@ -90,14 +90,12 @@ def test_a_signal_that_is_equal_in_all_runs_is_folded_with_one_curve() -> None:
     sources = [_source(name, gain) for name, gain in (("a", 1.0), ("b", 2.0), ("c", 3.0))]
     found = compare_several(sources)
     assert found.equal == ["y"]
-    assert [(len(panel.traces)) for panel in found._panels(["x", "y"], slice(None))] == [3, 1]
-    assert [panel.title for panel in found._panels(found._most_different(), slice(None))] == ["x"]
+    assert [[len(axes.lines) for axes in found.plot(name).axes] for name in "xy"] == [[3], [1]]
     page = several_page(found, "", [])
     assert "<summary>1 signal equal in all runs</summary>" in page
     assert "Equal in all runs: y." in page
     assert "Drawn:" not in page  # all that differs is
     same = compare_several([_source(name, 1.0) for name in "abc"])
-    assert same._most_different() == ["x", "y"]
     assert "2 signals equal in all runs" in several_page(same, "", [])
 
 

@@ -12,7 +12,7 @@ import pytest
 from cosim.base.times import MOST, steps_in, whole_steps
 from cosim.blocks.coupling import OWN, Algorithm, Plan, order_by_dependencies
 from cosim.blocks.faults import Hold, fault_function, points
-from cosim.simulation import metrics
+from cosim.simulation import criteria
 from cosim.system.schedule import schedule
 from cosim.system.wiring import Transfer
 from tests.own_blocks import Block
@@ -136,4 +136,4 @@ T = np.array([2.0, 2.5, 3.0, 4.0, 4.5])
     ],
 )
 def test_settling_time_is_that_of_the_last_sample_outside_the_band(signal: list[float], time: float) -> None:
-    assert metrics.settling_time(T, np.array(signal), 1.0, 0.1 + 1e-12) == time
+    assert criteria.settling_time(T, np.array(signal), 1.0, 0.1 + 1e-12) == time

@@ -9,8 +9,7 @@ from typing import Any
 
 from cosim.base.text import counted
 from cosim.base.version import __version__
-from cosim.comparison.criterion_cells import criterion_cell, criterion_limit, tone_of
-from cosim.comparison.differences import Compared
+from cosim.comparison.differences import Compared, criterion_cell, criterion_limit, tone_of
 from cosim.comparison.several import ComparedRuns, sentence
 from cosim.comparison.signal_panels import differences, equal_panel, overlay, styles_of
 from cosim.comparison.signals import Difference, format_share, format_size

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -57,18 +56,16 @@ def compare(
     Raises:
         InputError: No such run, or runs without a common signal or a common time.
     """
-    from cosim.comparison.workflow import compare as compare_two
-    from cosim.comparison.workflow import compare_all
+    from cosim.comparison.workflow import compare as compare_runs
 
     options: dict[str, Any] = {"tolerance": tolerance, "absolute": absolute, "write": out is not None, "force": force}
     if isinstance(a, (list, tuple)):
         sources, place = _sources([*a, *([] if b is None else [b])], baseline)
-        return compare_all(sources, out, baseline=place, **options)[0]
+        return compare_runs(sources, out, baseline=place, **options)[0]
     sources, place = _sources([a, *([] if b is None else [b])], baseline)
     if len(sources) > 2:
         raise InputError.at(Path(str(a)), f"{len(sources)} runs match; give a list to compare them all")
-    first, second = _both(sources, place)
-    return compare_two(first, second, out, **options)[0]
+    return compare_runs(sources, out, baseline=place, as_pair=True, **options)[0]
 
 
 def _is_result(side: Any) -> bool:
@@ -149,22 +146,6 @@ def _result_source(side: Signals) -> RunSource:
     return RunSource(side.title, path, lambda: run)
 
 
-def _both(sources: Sequence[RunSource], baseline: int) -> tuple[RecordedRun, RecordedRun]:
-    """Return the baseline and the other run, with names that differ."""
-    from cosim.comparison.differences import is_one_run
-    from cosim.comparison.several import label_runs
-
-    ordered = [sources[baseline], sources[1 - baseline]]
-    runs = [source.read() for source in ordered]
-    shorts = [source.short for source in ordered]
-    if is_one_run(*runs):
-        runs = [replace(runs[0], name=shorts[0]), replace(runs[1], name="the same run")]
-    elif shorts[0] == shorts[1] or shorts != [run.name for run in runs]:
-        labels, _ = label_runs(runs, shorts, [source.longer or source.short for source in ordered])
-        runs = [replace(run, name=label) for run, label in zip(runs, labels, strict=True)]
-    return runs[0], runs[1]
-
-
 def command(
     runs: Annotated[
         list[str],
@@ -197,21 +178,18 @@ def command(
 
     Example: cosim compare results/one results/two --tol 1e-3
     """
-    from cosim.comparison.workflow import compare as compare_two
-    from cosim.comparison.workflow import compare_all
+    from cosim.comparison.differences import Compared
+    from cosim.comparison.workflow import compare as compare_runs
 
     sources, place = _sources(runs, baseline, results)
     if absolute and tolerance is None:
         tolerance = 0.0
     options: dict[str, Any] = {"tolerance": tolerance, "absolute": absolute, "report": report, "force": force}
-    comparison: Compared | ComparedRuns
-    if len(sources) == 2:
-        shorts = [sources[place].short, sources[1 - place].short]
-        comparison, folder = compare_two(*_both(sources, place), out, **options, shorts=shorts)
+    comparison, folder = compare_runs(sources, out, baseline=place, as_pair=len(sources) == 2, **options)
+    if isinstance(comparison, Compared):
         warn(*comparison.a.warnings, *comparison.b.warnings)
         lines = _lines(comparison)
     else:
-        comparison, folder = compare_all(sources, out, baseline=place, **options)
         warn(*comparison.left_out, *(warning for run in comparison.runs for warning in run.warnings))
         lines = _lines_of_several(comparison)
     if as_json:
