@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cosim.base.errors import CriterionMissed, InputError
-from cosim.base.settings import Count, NotNegative, Runs
+from cosim.base.settings import Count, NotNegative
 from cosim.storage.files import FilePath
 from cosim.verbs.options import Force, Json, Open, Report, ResultsFolder, out_option
 from cosim.verbs.terminal import colour, say, say_json, show, some, table, warn
@@ -27,7 +27,7 @@ MAX_SIGNALS = 12  # on the terminal
 
 
 def compare(
-    a: FilePath | Count | Signals | Runs,
+    a: FilePath | Count | Signals | Sequence[FilePath | Count | Signals],
     b: FilePath | Count | Signals | None = None,
     out: FilePath | None = None,
     *,

@@ -69,13 +69,13 @@ def fit(
     from cosim.calibration.fitted import Fitted
     from cosim.calibration.workflow import fit as fit_logs
 
-    settings = normalize_settings(columns, "columns")
+    settings = normalize_settings(columns)
     pairs = [f"{c}={v}" for c, v in settings.items()] if isinstance(settings, dict) else list(settings)
     request = request_of(
         [logs] if isinstance(logs, (str, os.PathLike)) else list(logs),
         fmu,
-        vary=texts(vary, "vary"),
-        start=texts(start, "start"),
+        vary=texts(vary),
+        start=texts(start),
         sealed=list(sealed),
         columns=pairs,
         limits=limits,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,7 +12,7 @@ import typer
 
 from cosim.base.errors import InputError
 from cosim.base.program import ending_when_stuck
-from cosim.base.settings import Files
+from cosim.base.settings import Files, Values
 from cosim.storage.files import FilePath
 from cosim.storage.folders import name_of_file, new_run
 from cosim.verbs.live_option import Live, Port, live_page
@@ -31,7 +31,7 @@ def refine(
     *,
     logs: FilePath | Files = (),
     validation: FilePath | Files = (),
-    settings: Mapping[str, Any] | None = None,
+    settings: Values | None = None,
     report: bool = True,
     force: bool = False,
     in_process: bool = False,

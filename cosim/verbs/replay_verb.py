@@ -67,7 +67,7 @@ def replay(
 
     with compiling(compile), results_in(out, "cosim replay", force=force) as folder:
         drive = partial(replay_log, in_process=in_process, limits=limits, progress=progress)
-        posed = partial(drive, start=texts(start, "start"), columns=_pairs(columns))
+        posed = partial(drive, start=texts(start), columns=_pairs(columns))
         posed(log, folder, fmu, report=report and out is not None, format_=format)
         result = read_replay(Path(folder), kept=out is not None)
     assert result is not None  # else an error was raised
@@ -75,7 +75,7 @@ def replay(
 
 
 def _pairs(columns: Given | None) -> Sequence[str]:
-    pairs = normalize_settings(columns, "columns")
+    pairs = normalize_settings(columns)
     return [f"{column}={variable}" for column, variable in pairs.items()] if isinstance(pairs, Mapping) else pairs
 
 

@@ -14,7 +14,7 @@ import typer
 
 from cosim.base.errors import InputError
 from cosim.base.scratch import temporary_folder
-from cosim.base.settings import Given, Seed, texts
+from cosim.base.settings import Given, Seed, Values, texts
 from cosim.storage.files import FilePath
 from cosim.verbs.live_option import Live, Port, live_page
 from cosim.verbs.options import (
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 
 def run(
-    scenario: FilePath | Mapping[str, Any],
+    scenario: FilePath | Values,
     out: FilePath | None = None,
     set: Given | None = None,
     *,

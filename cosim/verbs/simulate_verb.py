@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cosim.base.settings import Given, PositiveSeconds, Seconds, normalize_settings
+from cosim.base.settings import Given, Names, PositiveSeconds, Seconds, normalize_settings
 from cosim.storage.files import FilePath
 from cosim.verbs.options import Compile, Force, Format, Json, Open, Report, Texts, out_option, time_option
 from cosim.verbs.outcome import say_outcome, value_lines
@@ -37,7 +37,7 @@ def simulate(
     interpolation: str = "held",
     stop: Seconds | None = None,
     step: PositiveSeconds | None = None,
-    record: Sequence[str] = (),
+    record: Names = (),
     report: bool = True,
     force: bool = False,
     in_process: bool = False,
