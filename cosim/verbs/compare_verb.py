@@ -14,7 +14,7 @@ from cosim.base.errors import CriterionMissed, InputError
 from cosim.base.settings import Count, NotNegative
 from cosim.storage.files import FilePath
 from cosim.verbs.options import Force, Json, Open, Report, ResultsFolder, out_option
-from cosim.verbs.terminal import colour, say, say_json, show, some, table, warn
+from cosim.verbs.terminal import say, say_json, show, some, table, warn
 
 if TYPE_CHECKING:
     from cosim.comparison.differences import Compared
@@ -217,7 +217,8 @@ def command(
     if as_json:
         say_json(comparison.as_json())
     else:
-        say(*lines)
+        say(lines[0], met=comparison.same if comparison.judged else None)
+        say(*lines[1:])
         say(f"differences: {folder / 'comparison.json'}")
         if report:
             say(f"report:      {folder / 'report.html'}")
@@ -232,7 +233,7 @@ def _lines_of_several(c: ComparedRuns) -> list[str]:
     from cosim.comparison.signals import format_share, format_size
     from cosim.history.inputs import input_text
 
-    lines = [colour(c.same, sentence(c)) if c.judged else sentence(c)]
+    lines = [sentence(c)]
     lines += [f"  {label}{'  (baseline)' if k == c.baseline else ''}" for k, label in enumerate(c.labels)]
     shown = c.drawn
     heads = [c.shorts[k] for k in shown]
@@ -265,5 +266,4 @@ def _lines(comparison: Compared) -> list[str]:
         lines.append(f"  … and {len(ranked) - MAX_SIGNALS} more that differ")
     for name, only in (("a", comparison.only_a), ("b", comparison.only_b)):
         lines += [f"  only in {name}: {some(only, MAX_SIGNALS)}"] if only else []
-    verdict = sentence(comparison)
-    return [colour(comparison.same, verdict) if comparison.judged else verdict, *lines]
+    return [sentence(comparison), *lines]

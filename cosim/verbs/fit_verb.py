@@ -11,9 +11,8 @@ import typer
 
 from cosim.base.settings import Files, Given, normalize_settings, texts
 from cosim.storage.files import FilePath
-from cosim.storage.folders import name_of_file, new_run
+from cosim.storage.folders import name_of_file, new_run, results_in
 from cosim.verbs.options import Compile, Force, InProcess, Json, LimitsText, Open, Report, Texts, out_option
-from cosim.verbs.scratch_results import results_in
 from cosim.verbs.terminal import files_in, say, say_json, show, stages, table, warn
 
 if TYPE_CHECKING:

@@ -12,9 +12,8 @@ import typer
 
 from cosim.base.settings import Given, normalize_settings, texts
 from cosim.storage.files import FilePath
-from cosim.storage.folders import name_of_file, new_run
+from cosim.storage.folders import name_of_file, new_run, results_in
 from cosim.verbs.options import Compile, Force, Format, InProcess, Json, LimitsText, Open, Report, Texts, out_option
-from cosim.verbs.scratch_results import results_in
 from cosim.verbs.terminal import files_in, progress_bar, say, say_finding, say_json, show, table
 
 if TYPE_CHECKING:

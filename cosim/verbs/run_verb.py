@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
@@ -12,31 +12,33 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cosim.base.errors import InputError
+from cosim.base.errors import CriterionMissed, InputError
 from cosim.base.scratch import temporary_folder
 from cosim.base.settings import Given, Seed, Values, texts
 from cosim.storage.files import FilePath
-from cosim.verbs.live_option import Live, Port, live_page
+from cosim.storage.folders import results_in
 from cosim.verbs.options import (
     Compile,
     Force,
     Format,
     InProcess,
     Json,
+    Live,
     Nearest,
     Open,
     Overrides,
+    Port,
     Report,
+    live_page,
     out_option,
     time_option,
 )
-from cosim.verbs.outcome import say_outcome
-from cosim.verbs.scratch_results import results_in
-from cosim.verbs.terminal import progress_bar, say, say_finding, warn
+from cosim.verbs.terminal import MANNER, progress_bar, say, say_finding, say_json, say_more, show, warn
 
 if TYPE_CHECKING:
     from cosim.master.observer import NamedFunctions, Observers
     from cosim.simulation.run_signals import Run
+    from cosim.simulation.workflow import Outcome
 
 
 def run(
@@ -230,3 +232,53 @@ def command(
             sentence = coupling_error(source, overrides, nearest=nearest, in_process=in_process).sentence
         say_finding(sentence) if as_json else say(sentence)
     say_outcome(outcome, report=report, open_=open_, as_json=as_json)
+
+
+def say_outcome(
+    outcome: Outcome, *, report: bool, open_: bool = False, as_json: bool = False, lines: Sequence[str] = ()
+) -> None:
+    """Print warnings, `lines`, criteria and files of a run; raise CriterionMissed if a criterion is not met."""
+    from cosim.simulation.criteria import sentence
+    from cosim.simulation.report.time_rows import time_sentence
+
+    criteria: list[dict[str, Any]] = outcome.manifest["criteria"]
+    page = outcome.folder / "report.html"
+    warn(*outcome.manifest["warnings"])
+    if as_json:
+        say_json(_content(outcome))
+    else:
+        say(*lines)
+        for criterion in criteria:
+            say(sentence(criterion), met=criterion["met"])
+        timings = outcome.manifest["timings"]
+        speed = f"simulated in {timings['simulate']:.2f} s ({timings['real_time_factor']:.3g} × real time)"
+        say_more(f"order: {', '.join(outcome.manifest['order'])}; loaded in {timings['load']:.2f} s, {speed}")
+        if times := time_sentence(timings):
+            say_more(times)
+        say(f"results: {outcome.file}")
+        if report:
+            say(f"report:  {page}")
+    show(page, open_=report and open_)
+    if outcome.missed:
+        details = ": " + "; ".join(map(sentence, outcome.missed)) if MANNER.quiet or as_json else ""
+        counts = {"missed": len(outcome.missed), "count": len(criteria)}
+        raise CriterionMissed("{missed} of {count} criteria missed{criteria}".format(**counts, criteria=details))
+
+
+def _content(outcome: Outcome) -> dict[str, Any]:
+    """Return the JSON object of a run."""
+    folder, results = outcome.folder, outcome.results
+    page = folder / "report.html"
+    criteria, missed = outcome.manifest["criteria"], bool(outcome.missed)
+    return {
+        "status": "missed" if missed else outcome.manifest["status"],
+        "exit_code": CriterionMissed.exit_code if missed else 0,
+        "met": not missed if criteria else None,  # nothing was asked for
+        "criteria": criteria,
+        "warnings": outcome.manifest["warnings"],
+        "rows": len(results.time),
+        "end": float(results.time[-1]) if len(results.time) else None,
+        "results": str(outcome.file),
+        "manifest": str(folder / "manifest.json"),
+        "report": str(page) if page.is_file() else None,
+    }
