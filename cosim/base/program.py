@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import gc
 import os
 import signal
@@ -40,9 +41,11 @@ def as_program(entry: Callable[[], None]) -> None:
         if len(received) == 1:  # later ones and those after the end change nothing
             raise Terminated(signal.Signals(number).name)
 
-    for name in ("SIGTERM", "SIGHUP"):
-        if (number := getattr(signal, name, None)) and signal.getsignal(number) is signal.SIG_DFL:  # else nohup
-            signal.signal(number, terminate)
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+        if number := getattr(signal, name, None):
+            atexit.register(signal.signal, number, signal.SIG_IGN)  # Python's own end would let it kill the process
+            if signal.getsignal(number) is signal.SIG_DFL:  # else nohup
+                signal.signal(number, terminate)
     try:
         entry()
     except KeyboardInterrupt:  # during the report of the end

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.messages import Message
 from cosim.storage.kinds import shell_path
 from plant.identification.cells import Cells
 from plant.identification.estimates import Estimate, Result
@@ -39,7 +38,7 @@ class Outcome:
         return by_name
 
     @property
-    def warnings(self) -> list[Message]:
+    def warnings(self) -> list[str]:
         """Return the warnings, preceded by their test's name."""
         return [message.after(f"{r.test}: ") for r in self.results for message in r.warnings]
 
