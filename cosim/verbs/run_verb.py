@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -98,32 +98,19 @@ def run(
     from cosim.simulation.workflow import run as run_file
 
     overrides = [*texts(set), *_options(seed=seed, pace=pace)]
-    if (resume or until is not None) and not isinstance(scenario, Mapping):
-        options = {
-            "out": out is not None,
-            "set": bool(set),
-            "seed": seed is not None,
-            "pace": pace is not None,
-            "nearest": nearest,
-        }
-        _refuse_options(Path(scenario), options)
-        with compiling(compile):
-            outcome = run_file(
-                scenario,
-                report=report,
-                figures=figures,
-                in_process=in_process,
-                progress=progress,
-                observers=observers,
-                resume=resume,
-                until=until,
-            )
-        return run_of(outcome.results, outcome.manifest, outcome.folder)
-    with compiling(compile), results_in(out, "cosim run", force=force) as folder, _scenario_file(scenario) as path:
+    goes_on = (resume or until is not None) and not isinstance(scenario, Mapping)
+    if goes_on:
+        given = {"out": out is not None, "set": bool(set), "seed": seed is not None, "pace": pace is not None}
+        _refuse_options(Path(str(scenario)), {**given, "nearest": nearest})
+    place = nullcontext() if goes_on else results_in(out, "cosim run", force=force)
+    with compiling(compile), place as folder, _scenario_file(scenario) as path:
         steps = partial(run_file, in_process=in_process, progress=progress, observers=observers, inputs=inputs)
-        leaves = partial(steps, report=report and out is not None, figures=figures and out is not None)
-        outcome = leaves(path, folder, overrides, nearest=nearest, format_=format)
-    return run_of(outcome.results, outcome.manifest, None if out is None else outcome.folder)
+        if goes_on:
+            outcome = steps(path, report=report, figures=figures, resume=resume, until=until)
+        else:
+            leaves = partial(steps, report=report and out is not None, figures=figures and out is not None)
+            outcome = leaves(path, folder, overrides, nearest=nearest, format_=format)
+    return run_of(outcome.results, outcome.manifest, outcome.folder if goes_on or out is not None else None)
 
 
 def _refuse_options(path: Path, options: Mapping[str, bool]) -> None:
