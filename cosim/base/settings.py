@@ -177,7 +177,8 @@ def _type_of(annotation: Any, names: dict[str, Any]) -> Any:
         try:
             return eval(annotation, names)
         except NameError as unknown:
-            names[unknown.name] = resolve(LATER[unknown.name]) if unknown.name in LATER else Any
+            name = str(unknown.name)
+            names[name] = resolve(LATER[name]) if name in LATER else Any
     return annotation
 
 
