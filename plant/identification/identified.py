@@ -40,7 +40,7 @@ class Outcome:
     @property
     def warnings(self) -> list[str]:
         """Return the warnings, preceded by their test's name."""
-        return [message.after(f"{r.test}: ") for r in self.results for message in r.warnings]
+        return [f"{r.test}: {message}" for r in self.results for message in r.warnings]
 
     def closing(self, out: Path) -> str:
         """Return a text that names powertrain.yaml and the command that builds its FMU."""
