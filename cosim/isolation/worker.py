@@ -122,8 +122,14 @@ def main() -> None:
 
 def _state_of(*streams: BinaryIO) -> list[tuple[int, int, bool]]:
     """Return the identities of streams, and whether they wait; raise OSError for a closed one."""
-    about = [(os.fstat(stream.fileno()), os.name != "posix" or os.get_blocking(stream.fileno())) for stream in streams]
-    return [(status.st_dev, status.st_ino, waits) for status, waits in about]
+    about = []
+    for number in (stream.fileno() for stream in streams):
+        waits = True
+        if sys.platform != "win32":
+            waits = os.get_blocking(number)
+        status = os.fstat(number)
+        about.append((status.st_dev, status.st_ino, waits))
+    return about
 
 
 def hold_if_abandoned() -> None:
