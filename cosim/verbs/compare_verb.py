@@ -71,12 +71,6 @@ def compare(
     return compare_two(first, second, out, **options)[0]
 
 
-def _is_result(side: Any) -> bool:
-    from cosim.simulation.run_signals import Signals
-
-    return isinstance(side, Signals)
-
-
 def _sources(sides: Sequence[Any], baseline: Any = None, results: Path | None = None) -> tuple[list[RunSource], int]:
     """Return the runs to compare, and the index of the baseline.
 
@@ -108,25 +102,25 @@ def _sources(sides: Sequence[Any], baseline: Any = None, results: Path | None = 
 
 
 def _runs_of(sides: Sequence[Any], results: Path | None) -> list[RunSource]:
-    """Return the runs of paths, numbers, names, patterns and results of functions, in this order."""
+    """Return the runs of paths, numbers, names, patterns and results of functions, in this order.
+
+    Results that a pattern matched although they have no rows, as a sweep, are left out.
+    """
+    from cosim.comparison.several import RunSource
     from cosim.history.selection import select_groups
-
-    groups = iter(select_groups([str(side) for side in sides if not _is_result(side)], results))
-    runs = ([_result_source(s)] if _is_result(s) else map(_named_source, _with_rows(next(groups))) for s in sides)
-    return [run for each in runs for run in each]
-
-
-def _with_rows(group: Sequence[Selected]) -> list[Selected]:
-    """Return results without those that a pattern matched although they have no rows, as a sweep."""
+    from cosim.simulation.run_signals import Signals
     from cosim.storage.results import rows_in
 
-    return [selected for selected in group if not selected.by_pattern or rows_in(selected.path) is not None]
-
-
-def _named_source(selected: Selected) -> RunSource:
-    from cosim.comparison.several import RunSource
-
-    return RunSource(selected.short, selected.path, partial(_read, selected), selected.by_pattern, selected.longer)
+    groups = iter(select_groups([str(side) for side in sides if not isinstance(side, Signals)], results))
+    sources = []
+    for side in sides:
+        if isinstance(side, Signals):
+            sources.append(_result_source(side))
+            continue
+        for s in next(groups):
+            if not s.by_pattern or rows_in(s.path) is not None:
+                sources.append(RunSource(s.short, s.path, partial(_read, s), s.by_pattern, s.longer))
+    return sources
 
 
 def _read(selected: Selected) -> RecordedRun:
