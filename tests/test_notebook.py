@@ -18,7 +18,8 @@ import pytest
 
 import cosim
 from cosim.base.arrays import Array
-from cosim.base.notebook import ProgressLine, shows_progress
+from cosim.base.errors import InputError
+from cosim.base.notebook import shows_progress
 from cosim.calibration.fitted import Fitted
 from cosim.comparison.differences import compare_runs
 from cosim.comparison.several import ComparedRuns
@@ -28,6 +29,7 @@ from cosim.simulation.run_files import RecordedRun
 from cosim.simulation.run_signals import Signals
 from cosim.storage.results import Results
 from tests.conftest import ROOT
+from tests.seen import CHROMIUM
 from tests.test_python import turning
 
 PEAK = 123_457  # row of a single high value
@@ -63,7 +65,9 @@ def test_a_long_run_is_thinned_to_a_bounded_size_and_keeps_its_peaks() -> None:
     shown = long._repr_html_()
     (frame,) = frames(shown)
     assert len(shown) < 700_000
+    assert f"{30 - MAX_CURVES} more signals not drawn" in shown
     rows = rows_to_show([long[name] for name in long.names[:MAX_CURVES]])
+    assert f"{rows.size:,} of 150,000 rows, which keep each peak" in shown
     assert PEAK in rows
     assert rows[0] == 0
     assert rows[-1] == 149_999
@@ -76,6 +80,7 @@ def test_integers_of_64_bits_are_drawn_and_texts_are_named() -> None:
     shown = made._repr_html_()
     (frame,) = frames(shown)
     assert "fmu.id" in frame
+    assert "fmu.mode not drawn: texts; fmu.id above 2⁵³ drawn as the nearest doubles." in shown
     assert f"<td>fmu.id</td><td></td><td>{2**60}</td>" in shown
     assert "<td>fmu.mode</td><td></td><td>on</td>" in shown
     assert len(frames(made.chart("fmu.id")._repr_html_())) == 1
@@ -127,22 +132,48 @@ def test_a_comparison_and_estimates_show_themselves(tmp_path: Path) -> None:
 # -- progress -------------------------------------------------------------------------------------------
 
 
-def test_only_a_notebook_shows_progress_and_a_function_of_your_own_replaces_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    def work(progress: Any = None) -> Any:
+@pytest.mark.parametrize(
+    ("calls", "lines", "most"),
+    [
+        ([(0.001 * k, (k, 10_000)) for k in range(10_000)], ["run: 10.0 s"], 37),  # 1000 calls a second
+        ([(0.5, (1, 2))], [], 0),
+        ([(2.0, ("screening", 0.5))], ["run: 2.0 s"], 1),
+    ],
+)
+def test_progress_in_a_notebook_is_one_line_that_changes_a_few_times_a_second(
+    monkeypatch: pytest.MonkeyPatch, calls: list[tuple[float, Any]], lines: list[str], most: int
+) -> None:
+    now, shown, changes = [0.0], list[str](), [0]
+
+    class Line:
+        def update(self, content: dict[str, str], raw: bool) -> None:
+            shown[-1] = content["text/plain"]
+            changes[0] += 1
+
+    def display(content: dict[str, str], **options: Any) -> Line:
+        shown.append(content["text/plain"])
+        return Line()
+
+    def run(progress: Any = None) -> Any:
+        for time, call in calls if callable(progress) and progress is not print else []:
+            now[0] = time
+            progress(*call)
+        now[0] = round(now[0])
         return progress
 
-    shown = shows_progress(work)
-    python = ModuleType("IPython")
-    shell = type("Shell", (), {})()  # of a terminal
-    monkeypatch.setitem(sys.modules, "IPython", python)
+    python, shell = ModuleType("IPython"), type("Shell", (), {})()  # of a terminal
+    shows = ModuleType("IPython.display")
     monkeypatch.setattr(python, "get_ipython", lambda: shell, raising=False)
-    assert shown() is None
+    monkeypatch.setattr(shows, "display", display, raising=False)
+    monkeypatch.setitem(sys.modules, "IPython", python)
+    monkeypatch.setitem(sys.modules, "IPython.display", shows)
+    monkeypatch.setattr("time.monotonic", lambda: now[0])
+    assert shows_progress(run)() is None
     shell.kernel = object()
-    display = ModuleType("IPython.display")
-    monkeypatch.setattr(display, "display", print, raising=False)
-    monkeypatch.setitem(sys.modules, "IPython.display", display)
-    assert isinstance(shown(), ProgressLine)
-    assert shown(progress=print) is print
+    assert shows_progress(run)(progress=print) is print
+    shows_progress(run)()
+    assert shown == lines
+    assert changes[0] <= most
 
 
 # -- within an event loop, and in a kernel --------------------------------------------------------------
@@ -188,3 +219,36 @@ def test_a_kernel_shows_the_chart_and_one_line_of_progress(tmp_path: Path) -> No
     assert kinds == ["display_data", "execute_result"]
     assert re.search(r"run: \d+\.\d s", done.stdout)  # the line of progress at its end
     assert "<iframe" in done.stdout
+
+
+@pytest.mark.thorough
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
+def test_the_charts_in_a_cell_follow_the_pointer(tmp_path: Path) -> None:
+    api = pytest.importorskip("playwright.sync_api", reason="no playwright")
+    path = tmp_path / "cell.html"
+    path.write_text(f"<!DOCTYPE html><body>{signals(500, 3)._repr_html_()}", encoding="utf-8")
+    with api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
+        page = browser.new_page(viewport={"width": 1000, "height": 600})
+        faults: list[str] = []
+        page.on("pageerror", lambda error: faults.append(str(error)))
+        page.goto(path.as_uri())
+        frame = page.frames[1]
+        frame.wait_for_function("document.documentElement.dataset.ready === 'yes'")
+        box = frame.locator("[data-box]").first.bounding_box()
+        assert box is not None
+        page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+        frame.wait_for_function("document.querySelector('.when').textContent.startsWith('2.')")
+        first = frame.locator("output").first.inner_text()
+        assert float(first.replace("\u2212", "-")) == pytest.approx(np.sin(2.5 / 3.0), abs=0.01)
+        with pytest.raises(api.Error, match=r"cross-origin|SecurityError|Blocked a frame"):
+            frame.evaluate("parent.document.title")
+        browser.close()
+    assert faults == []
+
+
+def test_a_faulty_input_is_a_message_in_a_notebook_without_the_frames_of_the_package() -> None:
+    with pytest.raises(InputError) as caught:
+        cosim.run("nothing.yaml")
+    shown = caught.value._render_traceback_()  # IPython shows these lines in place of the frames
+    assert shown == ["InputError: nothing.yaml: no such file; give a scenario or a manifest"]

@@ -159,7 +159,6 @@ def test_every_argument_that_does_not_fit_is_named_at_once(material: Path) -> No
     with pytest.raises(InputError) as refused:
         cosim.simulate(material / "typed.fmu", "a\0b", {"r_in": Decimal(1)}, stop=10**400, step="4 furlong", report=2)
     assert [str(f).partition(":")[0] for f in refused.value.faults] == ["out", "report", "set", "step", "stop"]
-    assert "step: is '4 furlong'; it is a number [s], or text with a unit: 3 s, 3 ms" in str(refused.value)
 
 
 def test_the_entry_keeps_name_signature_and_identity() -> None:

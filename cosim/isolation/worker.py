@@ -24,7 +24,7 @@ from typing import Any, BinaryIO
 from zlib import crc32
 
 from cosim.base.errors import CosimError, InputError
-from cosim.base.garbage import collect_seldom
+from cosim.base.program import collect_seldom
 from cosim.base.scratch import remove
 from cosim.isolation.rows import Progress, mapped_progress
 

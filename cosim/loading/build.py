@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from shutil import copyfile
 
 from cosim.base.drafts import draft_of
 from cosim.base.registry import entry_of, is_model, resolve
 from cosim.base.scratch import temporary_folder
-from cosim.base.settings import ModelName
+from cosim.base.settings import ModelName, Names
 from cosim.loading.file import designed_starts, meant_model
 from cosim.loading.substep import with_substep
 from cosim.storage.files import FilePath, check_folder, named_path
@@ -24,7 +24,7 @@ def build(
     nearest: bool = False,
     native: bool = False,
     fmi: int = 2,
-    platforms: Sequence[str] = (),
+    platforms: Names = (),
     design: FilePath | None = None,
     tell: Callable[[str], None] = lambda text: None,
 ) -> list[Path]:

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cosim.base.errors import CriterionMissed, InputError
-from cosim.base.settings import Count, NotNegative, Runs
+from cosim.base.settings import Count, NotNegative
 from cosim.storage.files import FilePath
 from cosim.verbs.options import Force, Json, Open, Report, ResultsFolder, out_option
-from cosim.verbs.terminal import colour, say, say_json, show, some, table, warn
+from cosim.verbs.terminal import say, say_json, show, some, table, warn
 
 if TYPE_CHECKING:
     from cosim.comparison.differences import Compared
@@ -26,7 +26,7 @@ MAX_SIGNALS = 12  # on the terminal
 
 
 def compare(
-    a: FilePath | Count | Signals | Runs,
+    a: FilePath | Count | Signals | Sequence[FilePath | Count | Signals],
     b: FilePath | Count | Signals | None = None,
     out: FilePath | None = None,
     *,
@@ -68,12 +68,6 @@ def compare(
     return compare_runs(sources, out, baseline=place, as_pair=True, **options)[0]
 
 
-def _is_result(side: Any) -> bool:
-    from cosim.simulation.run_signals import Signals
-
-    return isinstance(side, Signals)
-
-
 def _sources(sides: Sequence[Any], baseline: Any = None, results: Path | None = None) -> tuple[list[RunSource], int]:
     """Return the runs to compare, and the index of the baseline.
 
@@ -105,25 +99,25 @@ def _sources(sides: Sequence[Any], baseline: Any = None, results: Path | None = 
 
 
 def _runs_of(sides: Sequence[Any], results: Path | None) -> list[RunSource]:
-    """Return the runs of paths, numbers, names, patterns and results of functions, in this order."""
+    """Return the runs of paths, numbers, names, patterns and results of functions, in this order.
+
+    Results that a pattern matched although they have no rows, as a sweep, are left out.
+    """
+    from cosim.comparison.several import RunSource
     from cosim.history.selection import select_groups
-
-    groups = iter(select_groups([str(side) for side in sides if not _is_result(side)], results))
-    runs = ([_result_source(s)] if _is_result(s) else map(_named_source, _with_rows(next(groups))) for s in sides)
-    return [run for each in runs for run in each]
-
-
-def _with_rows(group: Sequence[Selected]) -> list[Selected]:
-    """Return results without those that a pattern matched although they have no rows, as a sweep."""
+    from cosim.simulation.run_signals import Signals
     from cosim.storage.results import rows_in
 
-    return [selected for selected in group if not selected.by_pattern or rows_in(selected.path) is not None]
-
-
-def _named_source(selected: Selected) -> RunSource:
-    from cosim.comparison.several import RunSource
-
-    return RunSource(selected.short, selected.path, partial(_read, selected), selected.by_pattern, selected.longer)
+    groups = iter(select_groups([str(side) for side in sides if not isinstance(side, Signals)], results))
+    sources = []
+    for side in sides:
+        if isinstance(side, Signals):
+            sources.append(_result_source(side))
+            continue
+        for s in next(groups):
+            if not s.by_pattern or rows_in(s.path) is not None:
+                sources.append(RunSource(s.short, s.path, partial(_read, s), s.by_pattern, s.longer))
+    return sources
 
 
 def _read(selected: Selected) -> RecordedRun:
@@ -195,7 +189,8 @@ def command(
     if as_json:
         say_json(comparison.as_json())
     else:
-        say(*lines)
+        say(lines[0], met=comparison.same if comparison.judged else None)
+        say(*lines[1:])
         say(f"differences: {folder / 'comparison.json'}")
         if report:
             say(f"report:      {folder / 'report.html'}")
@@ -210,7 +205,7 @@ def _lines_of_several(c: ComparedRuns) -> list[str]:
     from cosim.comparison.signals import format_share, format_size
     from cosim.history.inputs import input_text
 
-    lines = [colour(c.same, sentence(c)) if c.judged else sentence(c)]
+    lines = [sentence(c)]
     lines += [f"  {label}{'  (baseline)' if k == c.baseline else ''}" for k, label in enumerate(c.labels)]
     shown = c.drawn
     heads = [c.shorts[k] for k in shown]
@@ -243,5 +238,4 @@ def _lines(comparison: Compared) -> list[str]:
         lines.append(f"  … and {len(ranked) - MAX_SIGNALS} more that differ")
     for name, only in (("a", comparison.only_a), ("b", comparison.only_b)):
         lines += [f"  only in {name}: {some(only, MAX_SIGNALS)}"] if only else []
-    verdict = sentence(comparison)
-    return [colour(comparison.same, verdict) if comparison.judged else verdict, *lines]
+    return [sentence(comparison), *lines]
