@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
 import re
 import shlex
 import shutil
 import subprocess
 import sys
-import tomllib
 import webbrowser
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -101,86 +99,6 @@ def test_the_parser_accepts_every_command_of_a_document(document: str) -> None:
 
 
 # -- lines of make, python, pip, pipx and uv ------------------------------------------------------------
-
-OTHERS = re.compile(r"(?:\S*/)?(make|python3?|pip|pipx|uv) (.*)")
-INLINE = re.compile(r"`((?:\S*/)?(?:make|python3? -m|pip|pipx|uv) [^`]+)`")
-MAKEFILE = (ROOT / "Makefile").read_text(encoding="utf-8")
-EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
-OF_OTHERS = {"estim8", "fmpy", "ecospy", "tbb", "libcosimpy", "omsimulator"}  # packages that pages compare with
-OWN = re.compile(r"fmu-cosim|dist/\*\.whl|(\$\(ls )?dist/fmu_cosim-\*\.whl\)?|\.")  # what pip, pipx and uv take
-
-
-def other_lines() -> list[tuple[str, str, str]]:
-    """Document, program and arguments of all lines that call make, python or an installer."""
-    found = []
-    for path in (*DOCUMENTS.values(), ROOT / "CONTRIBUTING.md", ROOT / "examples" / "README.md"):
-        text = path.read_text(encoding="utf-8")
-        lines = [
-            line.strip() for block in re.findall(r"```\w*\n(.*?)```", text, re.DOTALL) for line in block.splitlines()
-        ]
-        lines += re.findall(r"^ {4}(\S.*)$", text, re.MULTILINE) + INLINE.findall(text)
-        found += [(path.name, match[1], match[2]) for line in lines if (match := OTHERS.fullmatch(line))]
-    return found
-
-
-def _fault_of_make(words: list[str]) -> str:
-    """Return the target or variable that the Makefile has not."""
-    for word in words:
-        name, is_variable, _ = word.partition("=")
-        pattern = rf"\$\({name}\)|^{name} \?=" if is_variable else rf"^{name}:"
-        if not word.startswith("-") and not re.search(pattern, MAKEFILE, re.MULTILINE):
-            return word
-    return ""
-
-
-def _fault_of_python(words: list[str]) -> str:
-    """Return the module, file or option that is not there."""
-    if words[0] == "-m":
-        name = words[1]
-        found = importlib.util.find_spec(name)
-        if found is not None and found.submodule_search_locations:
-            found = importlib.util.find_spec(f"{name}.__main__")
-        if found is None or found.origin is None:
-            return name
-        file, rest = Path(found.origin), words[2:]
-    else:
-        file, rest = ROOT / words[0], words[1:]
-    if not file.is_file():
-        return words[0]
-    if not file.is_relative_to(ROOT) or "site-packages" in file.parts:
-        return ""  # its options are another project's
-    source = file.read_text(encoding="utf-8")
-    for module in re.findall(r"^from ([\w.]+) import", source, re.MULTILINE):
-        name = f"{module.replace('.', '/')}.py"
-        for imported in (ROOT / name, ROOT / "examples" / name):
-            source += imported.read_text(encoding="utf-8") if imported.is_file() else ""
-    return next((word for word in rest if word.startswith("--") and f'"{word}"' not in source), "")
-
-
-def _fault_of_installer(words: list[str]) -> str:
-    """Return the extra or package that is not there."""
-    for word in words:
-        _, bracket, extras = word.partition("[")
-        if bracket and not {*extras.rstrip("]").split(",")} <= EXTRAS.keys():
-            return word
-    if "install" not in words[:3]:
-        return ""
-    named = [word.partition("[")[0] for word in words[words.index("install") + 1 :] if not word.startswith("-")]
-    return next((name for name in named if name not in OF_OTHERS | {"wheels"} and not OWN.fullmatch(name)), "")
-
-
-@pytest.mark.parametrize(("program", "count"), [("make", 40), ("python", 60), ("pip", 12)])
-def test_targets_modules_files_options_and_extras_of_all_other_lines_are_there(program: str, count: int) -> None:
-    judge = {"make": _fault_of_make, "python": _fault_of_python}.get(program, _fault_of_installer)
-    others = {"pipx": "pip", "uv": "pip", "python3": "python"}
-    lines = [(name, text) for name, kind, text in other_lines() if others.get(kind, kind) == program]
-    assert len(lines) >= count  # they are found
-    faults = [
-        f"{name}: {program} {text}: {fault}"
-        for name, text in lines
-        if (fault := judge(shlex.split(re.split(r" [>|&]+( |$)", text)[0], comments=True)))
-    ]
-    assert faults == []
 
 
 def test_each_document_with_commands_is_run_or_has_a_reason_why_not() -> None:

@@ -10,20 +10,15 @@ from typing import Any
 import fmpy
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 import cosim
-from controller.closed_loop import ClosedLoop
 from controller.design_model import design_model
 from controller.gains import GAINS, Settings
-from controller.synthesis import lqr_gain, numbers_of
+from controller.synthesis import numbers_of
 from cosim.base.errors import InputError
-from cosim.base.registry import rig_of
 from cosim.fmi.fmu_build import build
 from cosim.loading.build_native import build_native
-from cosim.loading.file import own_model
 from cosim.sweeps.store import TABLE, read_table
-from cosim.verbs.cli import app
 from fmus.recipes import plant_recipe
 from plant.hovercraft import Hovercraft
 from tests.cases import some
@@ -58,34 +53,6 @@ def test_the_base_craft_gives_the_design_model_of_the_thesis() -> None:
         assert found == pytest.approx(printed, rel=1e-5, abs=1e-12)
 
 
-def test_a_lag_of_second_order_counts_by_its_mean_delay_and_a_delay_adds_to_it() -> None:
-    slow = {"actuator_second_order.natural_frequency": 14.0, "actuator_second_order.damping_ratio": 0.5}
-    assert numbers_of(CRAFT.with_values(slow))["lag"] == pytest.approx(2 * 0.5 / 14.0, rel=1e-9)  # 2ζ/ωₙ
-    late = CRAFT.with_values(slow | {"actuator_delay.time": 0.06})
-    assert numbers_of(late)["lag"] == pytest.approx(2 * 0.5 / 14.0 + 0.06, rel=1e-9)
-
-
-def test_what_opposes_motion_counts_by_force_over_speed_at_the_working_speed() -> None:
-    # at 0.4 m/s and 1 rad/s: 0.25 + 0.5·0.4 + 0.04/0.4 N s/m and 0.004 + 0.003/1 N m s; a slope is no friction
-    craft = CRAFT.with_values(
-        {
-            "quadratic_drag.coefficient": 0.5,
-            "coulomb_friction.force": 0.04,
-            "yaw_damping.coefficient": 0.004,
-            "yaw_coulomb_friction.moment": 0.003,
-            "table_tilt.x": 0.003,
-        }
-    )
-    numbers = numbers_of(craft)
-    assert numbers["friction"] == pytest.approx(0.55, rel=1e-9)
-    assert numbers["yaw_damping"] == pytest.approx(0.007, rel=1e-9)
-
-
-def test_yaw_that_is_damped_already_is_damped_less_by_the_controller() -> None:
-    damped = CRAFT.with_values({"yaw_damping.coefficient": 0.02})
-    assert abs(lqr_gain(settings_of(damped))[0, 3]) < abs(lqr_gain(Settings())[0, 3])
-
-
 def test_the_shipped_design_gives_the_gains_of_the_thesis(tmp_path: Path) -> None:
     cosim.build(tmp_path, "hovercraft", design=ROOT / "examples" / "hovercraft" / "design.yaml")
     starts, K = starts_of(tmp_path / "controller.fmu"), np.array(Settings().gain_matrix).ravel()
@@ -109,16 +76,6 @@ def test_each_law_is_designed_for_a_refined_craft(controller: str, tmp_path: Pat
     changed = "k_1_4" if controller in (POLES, INTEGRAL) else "ixx"
     assert (refined["mass"], refined["izz"]) == (0.9, 0.02)
     assert refined[changed] != designed(tmp_path, "", controller=controller)[changed]
-
-
-def test_a_class_derived_from_the_craft_is_designed_for_as_the_craft(tmp_path: Path) -> None:
-    (tmp_path / "mine.py").write_text(
-        "from plant.hovercraft import Hovercraft\n\n\nclass Mine(Hovercraft):\n    pass\n"
-    )
-    mine = designed(tmp_path, "", f"{tmp_path}/mine.py:Mine")
-    assert mine["thrust_nominal"] == pytest.approx(2.4973, rel=1e-5)
-    assert mine["k_1_1"] == pytest.approx(0.7071067811865476)
-    assert rig_of(type(own_model("mine.py:Mine", tmp_path)), None) is ClosedLoop
 
 
 def test_a_designed_fmu_flies_as_one_that_is_given_its_start_values(project: Path, native_fmus: Path) -> None:
@@ -203,51 +160,6 @@ def test_a_value_that_a_key_cannot_have_is_one_fault_at_its_place(controller: st
     assert (fault.line, fault.column) == (2, column)
     assert key in fault.message
     assert not (tmp_path / "built" / "plant.fmu").exists()
-
-
-def test_faults_of_several_keys_are_reported_at_once(tmp_path: Path) -> None:
-    with pytest.raises(InputError) as refusal:
-        designed(tmp_path, "horizon: 50\nduty_limits: [6, 200]\nR: [1, 2]\nlag: 99\n", controller=PREDICTIVE)
-    assert sorted(fault.line for fault in refusal.value.faults) == [2, 3, 4, 5]
-
-
-@pytest.mark.parametrize(
-    ("controller", "refused", "cured"),
-    [
-        (POLES, "poles: [-2, -4, -11, -15, -16]", "poles: [-2, -4, -11, -9, -9.6]"),
-        (POLES, "poles: [-2, -4, -11, 0, -5]", "poles: [-2, -4, -11, -0.001, -5]"),
-        ("controller.fmu", "Q: [1000, 500, 100, 10, 0]", "Q: [1000, 500, 100, 10, 0]\nR: [100, 100]"),
-    ],
-)
-def test_the_cure_of_a_refused_design_flies(controller: str, refused: str, cured: str, tmp_path: Path) -> None:
-    with pytest.raises(InputError) as refusal:
-        designed(tmp_path, refused, controller=controller)
-    if "\n" in cured:
-        assert any(cured.partition("\n")[2] in fault.message for fault in refusal.value.faults)
-    assert designed(tmp_path, cured, controller=controller)["warnings"] == []
-
-
-def test_poles_that_hardly_damp_are_a_warning_of_the_build(tmp_path: Path) -> None:
-    (warning,) = designed(tmp_path, "poles: [-2, -4, -11, -10, -12]", controller=POLES)["warnings"]
-    assert warning.startswith(f"{tmp_path / 'design.yaml'}:2:")
-    assert "0.073" in warning
-    done = CliRunner().invoke(
-        app, ["build", "--model", "hovercraft", "--design", str(tmp_path / "design.yaml"), "--out", str(tmp_path)]
-    )
-    assert done.exit_code == 0
-    assert "0.073" in done.stderr
-
-
-@pytest.mark.parametrize("native", [False, True])
-@pytest.mark.parametrize("model", ["bench", f"{ROOT}/examples/drive/drive.py:Drive"])
-def test_a_model_without_controller_is_refused(model: str, native: bool, tmp_path: Path) -> None:
-    design = ROOT / "examples" / "hovercraft" / "design.yaml"
-    with pytest.raises(InputError) as refusal:
-        cosim.build(tmp_path / "out", model, design=design, native=native)
-    (fault,) = refusal.value.faults
-    assert (str(fault.file), refusal.value.exit_code) == ("--design", 2)
-    assert "hovercraft" in fault.message
-    assert not (tmp_path / "out" / "plant.fmu").exists()
 
 
 def test_a_scenario_with_a_design_names_the_command_instead(project: Path) -> None:

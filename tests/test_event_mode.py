@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.base.errors import FmuError, InputError, SimulationError
+from cosim.base.errors import FmuError, InputError
 from cosim.blocks.clocks import Timer
 from cosim.blocks.compiling import compiling
 from cosim.blocks.description import read_description
@@ -103,17 +103,6 @@ def test_an_event_of_one_fmu_reaches_the_others_at_its_own_time(folder: Path) ->
     assert not results.notes
 
 
-def test_an_event_is_located_as_the_solver_of_model_exchange_locates_it(folder: Path) -> None:
-    """The same FMU, alone and beside one that ends its steps elsewhere, falls at the analytic times."""
-    alone = simulated(folder, {"a": RISES})
-    beside = simulated(folder, {"a": RISES, "b": {"fmu": "states.fmu", "event_mode": True, "start": {"u": 7.0}}})
-    for results in (alone, beside):
-        assert [t for t, *cause in results.events if cause == ["a", "event"]] == pytest.approx(
-            [1 / 3, 2 / 3, 1], abs=1e-9
-        )
-    assert len(beside.events) > len(alone.events)
-
-
 def test_errors_of_location_do_not_add_up_over_chained_events(folder: Path) -> None:
     """140 events that each begin where the last one ended, and a bouncing ball within its solver's tolerance."""
     bounce_fmu(folder / "ball.fmu")
@@ -141,14 +130,6 @@ def test_events_of_two_fmus_are_exact_if_one_of_them_goes_back(folder: Path, kin
         assert len(times) == rate
     assert bool(results.notes) is (kind == "plain.fmu")
     assert all(" was up to 0.0" in note for note in results.notes)
-
-
-def test_an_fmu_that_was_late_once_steps_after_the_one_that_returned(folder: Path) -> None:
-    target = RISES | {"start": {"level": 9.0}}
-    results = simulated(folder, {"b": target, "a": RISES}, ["a.events → b.kick"], algorithm="jacobi")
-    assert results["b.at"][[4, 7]] == pytest.approx([0.4, 2 / 3], abs=1e-9)
-    assert "b was up to 0.0667 s ahead of an event" in results.notes[0]
-    assert "it got 1 such events" in results.notes[0]
 
 
 def test_intermediate_updates_bound_the_lead_of_fmus_that_cannot_go_back(folder: Path) -> None:
@@ -212,14 +193,6 @@ def test_a_component_with_steps_of_one_length_is_named_and_gets_events_at_the_en
     results = simulate(system, file.scenario.steps, file.scenario.step)
     assert results["a.at"][4] == pytest.approx(1 / 3, abs=1e-9)
     assert results["r.at"][4] == pytest.approx(0.4)
-
-
-def test_discrete_inputs_are_set_in_event_mode(folder: Path) -> None:
-    signal = {"block": "reference", "signals": {"n": {"start": 0, "changes": [{"at": 0.3, "to": 2}]}}}
-    components = {"r": signal, "a": RISES | {"start": {}}}
-    results = simulated(folder, components, ["r.n → a.kick"])
-    assert results["a.x"].tolist() == [0] * 3 + [2] * 8
-    assert results["a.at"][3] == pytest.approx(0.3)
 
 
 def test_events_of_the_scenario_act_in_event_mode(folder: Path) -> None:
@@ -384,18 +357,6 @@ def test_a_run_in_a_worker_tells_its_events_in_the_manifest(folder: Path, tmp_pa
     assert record["loop"] == "Python: event mode"
     assert record["event_counts"]["b"] == {"clock sample": 11, **record["event_counts"]["b"]}
     assert record["first_events"][0][0] == 0.0
-
-
-def test_an_fmu_that_breaks_the_rules_of_event_mode_stops_the_run_with_its_words(folder: Path) -> None:
-    system = system_of(folder, {"b": {"fmu": "clocked.fmu"}})
-    fmu = system.stages[0].component
-    assert isinstance(fmu, EventFmu)
-    fmu.bind_nothing()
-    fmu.open(0.0, 1.0)
-    fmu.start()
-    with pytest.raises(SimulationError, match="a clocked variable is read while its clock does not tick"):
-        fmu._values.get_from(next(e for e in fmu._ports.read if "y" in e.names))
-    fmu.close()
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import re
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -186,38 +185,6 @@ def test_a_fault_of_a_parquet_file_has_its_place(tmp_path: Path, columns: dict[s
     assert told in "\n".join(faults_of(path))
 
 
-def test_rows_with_a_fault_are_no_results(tmp_path: Path) -> None:
-    """A run has text and holes where a log has none, but its times are known and in order."""
-    wrong: list[dict[str, Any]] = [
-        {"x": TIME},
-        {"time": TIME, "x": [[1.0]] * 5},
-        {"time": TIME[::-1]},
-        {"time": [0.0, None]},
-        {"time": ["0", "1"]},
-    ]
-    for k, columns in enumerate(wrong):
-        with pytest.raises(InputError):
-            read_results(parquet(tmp_path / f"{k}.parquet", columns))
-
-
-def test_two_columns_of_one_name_are_a_fault(tmp_path: Path) -> None:
-    path = tmp_path / "a.parquet"
-    pq.write_table(pa.Table.from_arrays([pa.array(TIME)] * 3, ["time", "x", "x"]), path)
-    assert faults_of(path) == [': column "x" stands twice, first as column 2; keep one']
-
-
-def test_all_faults_of_a_parquet_file_are_told_at_once(tmp_path: Path) -> None:
-    path = parquet(tmp_path / "a.parquet", {"time": [0.0, None, 1.0], "x": ["a"] * 3, "y": [math.inf, 1.0, 2.0]})
-    assert len(faults_of(path)) == 3
-
-
-def test_nobody_is_told_of_columns_that_nobody_needs(tmp_path: Path) -> None:
-    path = parquet(tmp_path / "a.parquet", {"time": TIME, "u": TIME, "note": list("abcde"), "deep": [[1.0]] * 5})
-    table = read_columns(path, ["u"])
-    assert [*table.by_name] == ["time", "u"]
-    assert {*table.spoiled} == {"note", "deep"}
-
-
 def test_a_torn_file_is_one_message(tmp_path: Path) -> None:
     whole = as_parquet(RECORDED, tmp_path / "whole.parquet").read_bytes()
     torn = tmp_path / "torn.parquet"
@@ -283,26 +250,6 @@ def test_mat_is_read_by_scipy_and_variables_of_other_tools_become_columns(tmp_pa
     assert other["level"].tolist() == (TIME**2).tolist()
 
 
-def test_mat_is_read_by_octave(tmp_path: Path) -> None:
-    octave = shutil.which("octave-cli")
-    if octave is None:
-        pytest.skip("no Octave")
-    path = _results(tmp_path, ".mat")
-    code = f"load('{path}'); printf('%s %g\\n', names{{1}}, values(end, 1))"
-    done = subprocess.run([octave, "--no-gui", "--eval", code], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["tank.level", "4"]
-    values = "time = [0; 1]; n = int8([1; 2]); x = [0.5; 2]"
-    for option, reason in (("-v7", ""), ("-v6", ""), ("-text", "save('-v7'"), ("-binary", "save('-v7'")):
-        code = f"cd('{tmp_path}'); {values}; save('{option}', 'o.mat', 'time', 'n', 'x')"
-        subprocess.run([octave, "--no-gui", "--eval", code], capture_output=True, check=True)
-        if reason:
-            assert reason in faults_of(tmp_path / "o.mat")[0]
-            continue
-        read = read_results(tmp_path / "o.mat")
-        assert {name: read[name].tolist() for name in read.columns} == {"n": [1.0, 2.0], "x": [0.5, 2.0]}
-        assert read.whole == {"n"}
-
-
 def test_hdf5_is_read_by_h5py_and_datasets_of_other_tools_become_columns(tmp_path: Path) -> None:
     h5py = pytest.importorskip("h5py")
     with h5py.File(_results(tmp_path, ".h5")) as file:
@@ -347,24 +294,6 @@ def test_the_index_of_a_pandas_table_is_its_time(
     read = read_results(tmp_path / "a.parquet")
     assert (list(read.columns), read.time.tolist()) == (names, TIME.tolist())
     assert [*read_columns(tmp_path / "a.parquet").by_name] == ["time", *names] == read_header(tmp_path / "a.parquet")
-
-
-@pytest.mark.parametrize(
-    ("index", "says"),
-    [
-        ({None: [0, 2, 4, 6, 8]}, "column time is the index of a pandas table and has no name"),
-        ({"stamp": TIME}, 'the first column is "stamp"'),
-        ({None: np.array([0, 1, 2, 3, 4], dtype="datetime64[s]")}, "column time holds moments or durations"),
-    ],
-)
-def test_an_index_that_may_not_be_the_time_is_named(tmp_path: Path, index: dict[str, Any], says: str) -> None:
-    pandas = pytest.importorskip("pandas")
-    ((name, values),) = index.items()
-    pandas.DataFrame({"x": TIME}, index=pandas.Index(values, name=name)).to_parquet(tmp_path / "a.parquet")
-    (fault,) = faults_of(tmp_path / "a.parquet")
-    assert says in fault
-    with pytest.raises(InputError, match=re.escape(says)):
-        read_results(tmp_path / "a.parquet")
 
 
 def test_a_time_that_is_not_the_first_column_is_named_and_does_not_stand_twice(tmp_path: Path) -> None:

@@ -141,45 +141,6 @@ def test_jumps_of_a_turn_are_told_though_they_are_undone(tmp_path: Path, flight:
     assert found.numbers["count"] >= 1
 
 
-def test_a_fault_of_the_gate_is_a_fault_of_the_file(tmp_path: Path, flight: Flight) -> None:
-    log = log_of(tmp_path / "a.csv", columns(flight, psi_dot=-columns(flight)["psi_dot"]))
-    (fault,) = gate_faults(log, gate(log, STEP, traits=CRAFT))
-    assert str(fault).startswith(f"{log.path}:1:7: psi_dot: has the opposite sign")  # the seventh column
-    assert fault.exit_code == 2
-
-
-@pytest.mark.parametrize(
-    ("rate", "severity"),
-    [
-        (0.02, None),
-        (0.04, "note"),
-        (0.1, "note"),
-        (0.03, "note"),
-        (0.0131, "warning"),
-        (0.01, "warning"),
-        (2.0, "warning"),
-        (1.2, "warning"),  # sixty rows a step; in minutes the log would be over in a second
-        (20e-6, "fault"),
-    ],
-)
-def test_a_log_may_be_faster_or_slower_than_its_model_but_not_in_other_units(
-    tmp_path: Path, flight: Flight, rate: float, severity: str | None
-) -> None:
-    log = log_of(tmp_path / "a.csv", columns(flight))
-    assert [f.severity for f in gate(log, rate) if f.kind == "rate"] == ([] if severity is None else [severity])
-
-
-def test_a_slow_log_is_a_fault_where_its_step_is_insisted_on(tmp_path: Path, flight: Flight) -> None:
-    log = log_of(tmp_path / "a.csv", columns(flight))
-    assert [f.severity for f in gate(log, 0.01, strict=True) if f.kind == "rate"] == ["fault"]
-
-
-def test_who_says_that_time_is_in_seconds_is_believed(tmp_path: Path, flight: Flight) -> None:
-    c = columns(flight)
-    log = log_of(tmp_path / "a.csv", {"time [s]": c.pop("time"), **c})
-    assert [f.severity for f in gate(log, 20e-6) if f.kind == "rate"] == ["warning"]
-
-
 def test_in_a_slow_log_a_pause_and_a_short_run_are_slower_too(tmp_path: Path) -> None:
     def kinds(step: float, rows: int, hole: int) -> set[str]:
         kept = np.delete(np.arange(rows), np.arange(50, 50 + hole))
@@ -192,56 +153,6 @@ def test_in_a_slow_log_a_pause_and_a_short_run_are_slower_too(tmp_path: Path) ->
     for step, rows, hole in ((0.5, 401, 12), (0.02, 601, 30)):
         assert "gaps" in kinds(step, rows, hole)
         assert "short" not in kinds(step, rows, hole)
-
-
-def test_jitter_is_measured(tmp_path: Path) -> None:
-    time = times(20.0)
-    time[1:-1] += np.random.default_rng(1).uniform(-0.004, 0.004, time.size - 2)
-    found = one(log_of(tmp_path / "a.csv", columns(fly(time))), "jitter")
-    # differences of uniform ±0.2 steps: standard deviation 0.2·√(2/3) = 0.163; 3 % of that is its standard error
-    assert found.numbers["spread"] == pytest.approx(0.163, rel=0.1)
-    assert found.severity == "warning"
-
-
-def test_excitation_is_that_of_the_sine_that_was_played(tmp_path: Path, flight: Flight) -> None:
-    log = log_of(tmp_path / "a.csv", columns(flight, tilt_right=0.1 * np.sin(2.0 * math.pi * 1.5 * flight.time)))
-    found = next(f for f in gate(log) if f.kind == "excitation" and f.channel == "tilt_right")
-    assert found.numbers["rms"] == pytest.approx(0.1 / math.sqrt(2.0), rel=1e-3)  # 1001 rows: not quite whole periods
-    assert found.numbers["bandwidth"] == pytest.approx(1.5, abs=1 / 20)  # resolution of 20 s
-
-
-def test_share_at_the_limits_is_that_of_the_clipping(tmp_path: Path, flight: Flight) -> None:
-    clipped = np.clip(np.sin(2.0 * math.pi * 0.5 * flight.time), -0.5, 0.5) * 0.2
-    log = log_of(tmp_path / "a.csv", columns(flight, tilt_right=clipped))
-    found = next(f for f in gate(log) if f.kind == "excitation" and f.channel == "tilt_right")
-    assert found.numbers["saturated"] == pytest.approx(
-        2.0 / 3.0, abs=0.03
-    )  # |sin| > ½ two thirds of the time; a row a flank
-
-
-def test_inputs_that_stand_still_or_move_together_excite_less(tmp_path: Path, flight: Flight) -> None:
-    c = columns(flight)
-    still = {n: np.full(flight.time.size, 6.4) for n in ("duty_right", "duty_left")}
-    found = gate(log_of(tmp_path / "a.csv", c | still | {"tilt_left": c["tilt_right"]}))
-    assert {f.channel for f in found if f.kind == "constant"} == set(still)
-    assert [f.channel for f in found if f.kind == "alike"] == ["tilt_right"]
-    stands = {n: np.full(flight.time.size, 0.0) for n in ("tilt_right", "tilt_left")}
-    assert ("warning", "no_excitation", "") in serious(log_of(tmp_path / "b.csv", c | still | stands))
-
-
-def test_a_biased_gyro_is_noticed_with_its_bias(tmp_path: Path, flight: Flight) -> None:
-    c = columns(flight)
-    found = one(log_of(tmp_path / "a.csv", c | {"psi_dot": c["psi_dot"] + 0.05}), "drift")
-    # heading noise over blocks of 0.5 s telescopes: about √2·5.1e-3/20 s and the gyro's 0.021·√(0.02/20): 0.8 mrad/s
-    assert -found.numbers["drift"] == pytest.approx(0.05, abs=0.004)
-
-
-def test_a_share_of_rows_measured_is_a_note(tmp_path: Path, flight: Flight) -> None:
-    c = columns(flight)
-    c["x_world"] = np.where(np.arange(c["time"].size) % 10 == 0, c["x_world"], np.nan)
-    log = log_of(tmp_path / "a.csv", c)
-    assert serious(log) == []
-    assert one(log, "missing").numbers["every"] == pytest.approx(0.2, rel=1e-9)
 
 
 @pytest.mark.parametrize("late", [0.06, 0.01, 0.0])
@@ -358,12 +269,6 @@ def test_a_clock_that_was_set_costs_no_memory(tmp_path: Path, flight: Flight) ->
     c = columns(flight)
     c["time"] = np.where(np.arange(c["time"].size) > 400, c["time"] + 9e8, c["time"])
     assert ("warning", "gaps", "time") in serious(log_of(tmp_path / "a.csv", c))
-
-
-def test_a_pure_number_has_no_unit(tmp_path: Path) -> None:
-    log = turned(tmp_path, 1.0)
-    (found,) = (f for f in gate(log) if f.kind == "excitation" and f.channel == "voltage")
-    assert found.sentence.startswith("moves 0.712 (rms)")  # a cosine of 1, 3.2 periods
 
 
 def test_a_fault_stands_at_the_line_of_the_header(tmp_path: Path, flight: Flight) -> None:

@@ -12,14 +12,10 @@ import jsonschema
 import numpy as np
 import pytest
 import scipy.io
-import sympy
 
-from controller.design_model import design_model, measurement_matrix
-from controller.gains import Settings
 from cosim.base.errors import InputError
-from cosim.linearization.linear_model import Linear, Point
-from cosim.linearization.report import bode_panels
-from cosim.linearization.system_structure import poles, structure
+from cosim.linearization.linear_model import Linear
+from cosim.linearization.system_structure import structure
 from cosim.linearization.workflow import linearize
 from cosim.verbs.cli import entry
 from tests.conftest import ROOT
@@ -95,28 +91,6 @@ def test_the_eight_states_are_three_chains_of_integrators() -> None:
 
 
 # The time-invariant model of §5.5.
-
-
-def design() -> Linear:
-    A, B = design_model(Settings())
-    H, names = measurement_matrix(Settings(), "appendix_f"), ("x", "vx", "psi", "psi_dot", "a")
-    point = Point(0.0, np.zeros(5), np.zeros(2))
-    return Linear(
-        A, B, H, np.zeros((3, 2)), names, ("tilt_right", "tilt_left"), ("psi", "psi_dot", "ax"), point, np.zeros(5),
-        np.zeros(3), {}, "eqs 5.33 and 5.34",
-    )  # fmt: skip
-
-
-def test_the_time_invariant_model_is_controllable_and_its_jordan_form_has_a_double_integrator() -> None:
-    found = structure(design())
-    assert (found.controllable, found.observable) == (5, 3)
-    assert found.condition == pytest.approx(224_256, abs=0.5)  # §5.5 prints 22425
-    values = {round(p.value.real, 4): (p.count, p.observable) for p in found.poles}
-    assert values == {0.0: (3, False), -0.3546: (1, False), -11.3122: (1, True)}
-    A = sympy.Matrix(5, 5, lambda i, j: sympy.nsimplify(repr(float(design().A[i, j])), rational=True))
-    _, J = A.jordan_form()
-    assert sum(J[k, k + 1] == 1 for k in range(4)) == 1  # one block of size 2, at 0
-    assert sorted(float(J[k, k]) for k in range(5)) == pytest.approx(sorted(poles(design().A).real), rel=1e-12)
 
 
 # Other systems: every one by the same verb.
@@ -196,28 +170,6 @@ def test_a_point_without_a_derivative_is_refused(servo: str, tmp_path: Path, at:
     assert not (tmp_path / "out" / "linear.json").exists()
 
 
-def test_kinks_of_what_is_left_out_do_not_matter(servo: str) -> None:
-    assert linearize(servo, at=["command=0.05,trim=0.05"], outputs=["shown"]).first.C.tolist() == [[1.0, 0.0]]
-
-
-def test_a_curve_however_strong_is_no_kink(tmp_path: Path) -> None:
-    (tmp_path / "servo.py").write_text(SERVO.replace("20.0 * beyond", "3e7 * speed * speed"), encoding="utf-8")
-    assert linearize(f"{tmp_path / 'servo.py'}:Servo", at=["command=1,trim=2"]).first.A[1, 1] == -2.0
-
-
-def test_effects_that_shape_inputs_are_left_out_with_a_note() -> None:
-    shaped = linearize("base", at=["tilt_right=0.01"], set=["servo_dead_band.width=0.02"])
-    plain = linearize("base", at=["tilt_right=0.01"])
-    assert len(shaped.notes) == len(plain.notes) + 1
-    assert np.array_equal(shaped.first.B, plain.first.B)
-
-
-def test_one_value_is_given_once(servo: str) -> None:
-    for at in (["command=1,command=2"], ["angle=1", "trim=3,angle=1"]):
-        with pytest.raises(InputError):
-            linearize(servo, at=at)
-
-
 def test_the_exports_hold_the_same_numbers(tank: Path, tmp_path: Path) -> None:
     outcome = linearize(f"{tank}:Tank", tmp_path / "out", at=["level=0.25"])
     content = json.loads((tmp_path / "out" / "linear.json").read_text(encoding="utf-8"))
@@ -238,49 +190,6 @@ def test_the_exports_hold_the_same_numbers(tank: Path, tmp_path: Path) -> None:
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert f"{outcome.first.outputs[0]}: magnitude" in page
     assert "Imaginary part of the poles" in page
-
-
-def test_a_point_at_which_an_input_moves_nothing_is_told() -> None:
-    # upright, the bench's servo is in the middle of its dead band
-    outcome = linearize("bench", inputs=["duty", "servo_duty"])
-    assert "servo_duty moves nothing at this point: a dead band or a stop, perhaps" in outcome.notes
-    moving = linearize("bench", at=["servo_duty=8.5"], inputs=["duty", "servo_duty"])
-    assert not any(note.startswith("servo_duty") for note in moving.notes)
-
-
-def test_an_unstable_pole_and_a_pole_without_an_input_are_seen() -> None:
-    A = np.array([[0.5, 0.0], [0.0, -2.0]])
-    point, none = Point(0.0, np.zeros(2), np.zeros(1)), np.zeros(2)
-    B, C, D = np.array([[1.0], [0.0]]), np.array([[1.0, 1.0]]), np.zeros((1, 1))
-    found = structure(Linear(A, B, C, D, ("a", "b"), ("u",), ("y",), point, none, np.zeros(1), {}, "by hand"))
-    assert not found.stable
-    assert [(p.value.real, p.controllable, p.observable) for p in found.poles] == [
-        (0.5, True, True),
-        (-2.0, False, True),
-    ]
-    assert (found.controllable, found.observable, found.condition) == (1, 2, math.inf)
-
-
-def linear_of(A: list[list[float]], B: list[list[float]], C: list[list[float]]) -> Linear:
-    """A model at rest, whose states are a, b, …, inputs u0, … and outputs y0, …"""
-    a, b, c = np.array(A), np.array(B), np.array(C)
-    n, m, p = len(a), b.shape[1], len(c)
-    names = tuple("abcdef"[:n]), tuple(f"u{k}" for k in range(m)), tuple(f"y{k}" for k in range(p))
-    point = Point(0.0, np.zeros(n), np.zeros(m))
-    return Linear(a, b, c, np.zeros((p, m)), *names, point, np.zeros(n), np.zeros(p), {}, "by hand")
-
-
-def test_bode_plots_are_drawn_of_the_inputs_that_act() -> None:
-    # y0 answers u0 alone, y1 both, y2 none
-    m = linear_of([[-1.0, 0.0], [1.0, -2.0]], [[1.0, 0.0], [0.0, 1.0]], [[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]])
-    panels = bode_panels(m, np.array([1.0, 10.0]))
-    assert [(name, [t.label for t in size.traces]) for name, size, _ in panels] == [
-        ("y0", ["u0"]),
-        ("y1", ["u0", "u1"]),
-    ]
-    # 1/(s + 1) at s = j: −3.01 dB, −45°
-    assert panels[0][1].traces[0].values[0] == pytest.approx(-20 * math.log10(math.sqrt(2.0)), rel=1e-12)
-    assert panels[0][2].traces[0].values[0] == pytest.approx(-45.0, rel=1e-12)
 
 
 # FMUs and scenarios.
@@ -314,12 +223,6 @@ def test_a_moment_of_a_scenario_is_the_state_that_the_run_has_there(project: Pat
     assert outcome.notes == ()  # driven alike, the equations and the FMU show the same
     assert last.point.states[0] < 1.0
     assert not np.array_equal(first.A, last.A)
-
-
-def test_another_model_than_the_one_that_flew_is_told(project: Path) -> None:
-    scenario = project / "scenarios" / "regulate.yaml"
-    outcome = linearize("base", at=[f"{scenario}@0.4"], set=["mass=1.4"])
-    assert any("plant is not this model" in note for note in outcome.notes)
 
 
 # Bad input.

@@ -81,26 +81,6 @@ def test_the_loop_of_omsimulator_808_is_solved_in_eight_iterations(
     assert loop["points"] == 5
 
 
-def test_the_loop_of_omsimulator_808_is_solved_in_eight_iterations_from_all_starts() -> None:
-    """The same loop as a function: c = sqrt(5 − a² − b²) with a = 1.8 − c and b = −1.8."""
-
-    def g(z: Any) -> Any:
-        rest = 1.76 - (1.8 - z[0]) ** 2
-        return None if rest < 0.0 else np.array([math.sqrt(rest)])
-
-    def slopes(z: Any, value: Any, *, fresh: bool) -> Any:
-        return np.array([[(1.8 - z[0]) / value[0]]])
-
-    counts = []
-    for start in np.linspace(-10.0, 10.0, 501):  # defined from 0.473 to 3.127
-        if g([start]) is not None:
-            outcome = RootFinding(1e-8, 20, np.ones(1)).newton(g, np.array([start]), slopes)
-            assert abs(g(outcome.z) - outcome.z) < 1e-8
-            counts.append(outcome.iterations)
-    assert len(counts) > 60
-    assert max(counts) <= 8
-
-
 @pytest.mark.parametrize("order", ["ab", "ba"])
 @pytest.mark.parametrize("refused", [0.0, 3.0])
 def test_a_loop_is_measured_where_an_fmu_refuses_its_start_values_or_those_of_the_other(
@@ -122,12 +102,6 @@ def test_a_refusal_in_initialization_names_the_possible_loop_and_the_cure(tmp_pa
         ran(tmp_path, {"a": {}, "b": {"u0": 1e6}}, LOOP_808)
     results, _ = ran(tmp_path, {"a": {}, "b": {"u0": 1e6}}, LOOP_808, "loops: {}\n")
     assert results["a.y1"][-1] == -1.8
-
-
-def test_anderson_acceleration_solves_where_a_fixed_point_diverges(tmp_path: Path) -> None:
-    results, manifest = linear(tmp_path, 5.0, "loops: {method: anderson}\n")
-    assert results["a.y0"] == pytest.approx(-0.25, rel=1e-7)
-    assert manifest["loops"][0]["method"] == "anderson"
 
 
 @pytest.mark.parametrize("method", ["newton", "anderson"])
@@ -221,13 +195,6 @@ def test_undeclared_inputs_without_feedthrough_cost_neither_warning_nor_bytes(tm
     assert results.values.tobytes() == ordered.values.tobytes()
 
 
-def test_a_component_with_measured_feedthrough_steps_behind_the_one_without(tmp_path: Path) -> None:
-    results, manifest = moving(tmp_path, "ab")
-    assert manifest["order"] == ["b", "a"]  # by the file it was a, one step late
-    assert manifest["warnings"] == []
-    assert results["a.y0"] == pytest.approx(0.5 * results["b.y0"] + 1.0)
-
-
 def test_feedthrough_stated_in_the_scenario_is_not_measured(tmp_path: Path) -> None:
     for name in "ab":
         coupled_fmu(tmp_path / f"{name}.fmu", LINEAR, declares=False)
@@ -265,26 +232,6 @@ def test_a_measured_loop_that_cannot_be_solved_is_left_open_with_a_warning(tmp_p
     assert "loops" not in manifest
 
 
-def test_an_undeclared_loop_without_solution_is_named_with_the_measured_facts_and_the_residual(tmp_path: Path) -> None:
-    coupled_fmu(tmp_path / "a.fmu", SQUARE, declares=False)
-    coupled_fmu(tmp_path / "b.fmu", LINEAR, declares=False)
-    with pytest.raises(SimulationError) as failure:
-        ran(tmp_path, {"a": {"p0": 1.0}, "b": {"p0": 1.0}}, TWO)
-    assert failure.value.exit_code == 4
-    facts = "a → b → a is an algebraic loop that no FMU declares: measured before the run, a.y0 follows a.u0"
-    cure = "If it has a solution, start values near it help"
-    for part in ("it still changes after", facts, "t = 0 s: a → b → a does not converge", "loop returns +0.75", cure):
-        assert part in str(failure.value)
-
-
-def test_growth_of_a_loop_that_is_stated_to_be_none_names_it(tmp_path: Path) -> None:
-    linear(tmp_path, 5.0, declares=False)
-    stated = ["components.a.feedthrough=[]", "components.b.feedthrough=[]"]
-    words = r"a → b → a is no algebraic loop at the start.*loops: \{\} without feedthrough solves it"
-    with pytest.raises(SimulationError, match=words):
-        run(tmp_path / "loop.yaml", tmp_path / "out", stated, report=False, in_process=True)
-
-
 @pytest.mark.parametrize("kind", ["i", "b", "e"])
 def test_a_loop_of_whole_numbers_is_measured_and_the_stated_cure_works(tmp_path: Path, kind: str) -> None:
     fmu = without_dependencies(typed_fmu(tmp_path))
@@ -298,18 +245,6 @@ def test_a_loop_of_whole_numbers_is_measured_and_the_stated_cure_works(tmp_path:
     assert "State the order of the components" in warnings[-1]
     ordered = run(file, tmp_path / "ordered", ["order=[a, b]"], report=False, in_process=True).manifest["warnings"]
     assert ordered == warnings[:-1]
-
-
-def test_text_in_a_possible_loop_is_not_measured_and_the_stated_cure_works(tmp_path: Path) -> None:
-    fmu = without_dependencies(typed_fmu(tmp_path))
-    file = tmp_path / "text.yaml"
-    components = f"components: {{a: {{fmu: {fmu.name}}}, b: {{fmu: {fmu.name}}}}}\n"
-    wires = "connections: [{from: a.s_out, to: b.s_in}, {from: b.s_out, to: a.s_in}]\n"
-    file.write_text(f"name: text\nduration: 1\nstep: 0.1\n{components}{wires}")
-    warnings = run(file, tmp_path / "out", report=False, in_process=True).manifest["warnings"]
-    assert type(warnings[-1]) is CheckWarning
-    stated = ["components.a.feedthrough=[]"]
-    assert run(file, tmp_path / "a", stated, report=False, in_process=True).manifest["warnings"] == warnings[:-1]
 
 
 def test_fmus_in_event_mode_are_measured(tmp_path: Path) -> None:
@@ -424,11 +359,6 @@ def test_a_loop_of_gain_one_has_no_solution_and_no_cure(offset: float, declares:
     assert f"returns {offset:+.3g} more" in str(failure.value)
 
 
-def test_a_tolerance_below_rounding_is_named(tmp_path: Path) -> None:
-    with pytest.raises(SimulationError, match=r"or a larger tolerance: this residual is rounding"):
-        linear(tmp_path, -0.99, "loops: {tolerance: 1e-17}\n")
-
-
 @pytest.mark.parametrize("method", ["newton", "anderson"])
 def test_more_iterations_are_proposed_where_they_ran_out(tmp_path: Path, method: str) -> None:
     coupled_fmu(tmp_path / "a.fmu", SQUARE)
@@ -443,14 +373,6 @@ def late(folder: Path, gain: float, more: str, late: float = 1.0, steps: int = 5
     for name in "ab":
         coupled_fmu(folder / f"{name}.fmu", LINEAR, **options)
     return ran(folder, {"a": {"p0": gain, "p1": 1.0, "late": late}, "b": {"p0": 1.0}}, TWO, more, steps)
-
-
-def test_a_late_fmu_without_states_is_named_with_a_cure_that_works(tmp_path: Path) -> None:
-    words = r"a at t = 0 s: a\.y0 follows a\.u0 only after a step.* order: .* leaves it open.* loop gain is 0\.5"
-    with pytest.raises(SimulationError, match=words) as failure:
-        late(tmp_path, 0.5, "", saves=False)
-    assert failure.value.exit_code == 4
-    assert late(tmp_path, 0.5, "order: [a, b]\n", saves=False)[0]["a.y0"][-1] == pytest.approx(2.0)
 
 
 def test_a_late_fmu_without_states_in_a_growing_loop_has_no_circular_cures(tmp_path: Path) -> None:
@@ -555,24 +477,6 @@ def test_a_newton_step_that_leaves_the_domain_is_shortened() -> None:
     outcome = RootFinding(1e-10, 20, np.ones(1)).newton(g, np.array([0.999]), slopes)
     assert outcome.converged
     assert outcome.z[0] == pytest.approx(0.5 * math.sqrt(1.0 - outcome.z[0]), rel=1e-9)
-
-
-@pytest.mark.parametrize("method", ["newton", "anderson"])
-def test_tiny_unknowns_that_rounding_keeps_from_their_solution_are_rough(method: str) -> None:
-    rng = np.random.default_rng(1)
-
-    def g(z: Any) -> Any:  # with rounding errors of large inner values
-        return 0.5 * z + 1e-9 + rng.normal(scale=1e-10)
-
-    roots = RootFinding(1e-8, 20, np.ones(1), np.array([True]))
-    start = np.zeros(1)
-    outcome = roots.newton(g, start, lambda z, value, fresh: np.array([[0.5]])) if method == "newton" else None
-    outcome = outcome or roots.anderson(g, start)
-    assert outcome.converged
-    assert outcome.is_rough
-    assert abs(outcome.residual[0]) < 5e-10
-    declared = RootFinding(1e-8, 20, np.ones(1)).newton(g, start, lambda z, value, fresh: np.array([[0.5]]))
-    assert (declared.iterations, declared.is_rough) == (0, False)
 
 
 def test_a_residual_that_is_small_beside_a_huge_unknown_is_no_solution_where_slopes_are_singular() -> None:
