@@ -11,10 +11,9 @@ import numpy as np
 from controller.consistency import CONSISTENT, CaseResult, ConsistencyRow, by_case, headline, worst
 from cosim.base.text import counted, percent, plain
 from cosim.base.version import __version__
-from cosim.report.drawing import Charts
+from cosim.report.charts import Charts, Plot
 from cosim.report.html_tables import Badge
 from cosim.report.panels import Band, Panel, Trace
-from cosim.report.svg import Plot
 from cosim.report.template import render
 
 TEMPLATE = Path(__file__).with_name("templates") / "consistency.html.j2"
@@ -81,5 +80,5 @@ def _plot(row: ConsistencyRow, charts: Charts) -> Plot:
     traces = (Trace(f"mean of {counted(r.runs, 'run')}", r.at_times, "true"),)
     band = Band("95 % range of a consistent estimator", low, high)
     panel = Panel(row.of, "1", traces, band, (float(r.degrees),), "expected mean")
-    (plot,) = charts.over(row.at, 1).plots([panel])
+    (plot,) = charts.over(row.at).plots([panel])
     return plot

@@ -10,7 +10,7 @@ import typer
 from cosim.storage.files import write_json, write_text
 from cosim.storage.folders import new_run, remove_earlier
 from cosim.verbs.options import Force, Json, Open, Report, out_option
-from cosim.verbs.terminal import colour, progress_bar, say, say_json, show, table
+from cosim.verbs.terminal import progress_bar, say, say_json, show, table
 
 VERB, FILES = "cosim consistency", ("consistency.json", "report.html")
 
@@ -64,5 +64,5 @@ def command(
     head, *body = table(header, lines)
     say(head)
     for row, line in zip(rows, body, strict=True):
-        say(colour(row.result.verdict == CONSISTENT, line))
+        say(line, met=row.result.verdict == CONSISTENT)
     say(f"numbers: {out / 'consistency.json'}" + (f"; report: {out / 'report.html'}" if report else ""))

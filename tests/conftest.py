@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from cosim.base.garbage import collect_seldom
+from cosim.base.program import collect_seldom
 from cosim.fmi.fmu_build import Recipe, build
 from cosim.fmi.native import compiler as c_compiler
 from cosim.fmi.native.compiler import compiler

@@ -61,7 +61,7 @@ def test_a_step_above_that_of_the_log_is_refused(folder: Path) -> None:
     (fault,) = refused.value.faults
     assert fault.exit_code == 2
     assert "of about 0.05 s, above the 0.02 s of the logs" in fault.message
-    assert not (folder / "out_hidden_own_step").exists()
+    assert not (folder / "out_hidden_own_step" / "fit.json").exists()
 
 
 @pytest.mark.thorough

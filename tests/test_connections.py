@@ -65,7 +65,7 @@ def refine_drive(folder: Path, candidates: list[str]) -> dict[str, Any]:
     logs = [folder / f"{n}.csv" for n in ("e1", "e2")]
     keys = {"noise": NOISE, "candidates": candidates, "tolerance": {"shaft.c": 0.02}}
     study = write_study(folder, folder / "drive.fmu", logs, [folder / "v1.csv"], **keys)
-    cosim.refine(study, folder / "refined")
+    cosim.refine(study, folder / "refined", force=True)
     return dict(json.loads((folder / "refined" / "refine.json").read_text()))
 
 

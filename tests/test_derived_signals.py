@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from cosim.base.errors import InputError
-from cosim.viewing.derived_signals import Formula, derivative, integral, lowpass
-from cosim.viewing.pyramid import TIME, Recording
+from cosim.pages.formulas import Formula, derivative, integral, lowpass
+from cosim.pages.rows import TIME, Recording
 
 RNG = np.random.default_rng
 Array = np.ndarray[Any, np.dtype[np.float64]]

@@ -11,6 +11,7 @@ import pytest
 import cosim
 from cosim.base.errors import InputError
 from cosim.logs import log_check
+from tests.test_first_steps import told as asked
 
 ROWS = "".join(
     f"{k * 0.02:.2f},{20 + math.sin(k / 9)},{90 * math.sin(k / 7)},5,RUN,{k * k % 17}\n"
@@ -57,6 +58,15 @@ def test_a_table_without_a_signal_or_a_name_is_a_fault(tmp_path: Path) -> None:
     (tmp_path / "b.csv").write_text("time,,x\n0,1,2\n1,1,3\n")
     with pytest.raises(InputError, match=r"b.csv:1:2: the column has no name"):
         cosim.check(tmp_path / "b.csv")
+
+
+def test_of_very_many_warnings_a_part_is_printed_and_json_has_all(tmp_path: Path) -> None:
+    names = [f"x{k}" for k in range(260)]
+    rows = "".join(f"{t}" + ",1" * 260 + "\n" for t in range(50))
+    (tmp_path / "a.csv").write_text(",".join(["time", *names]) + "\n" + rows)
+    printed = asked("check", tmp_path / "a.csv")
+    assert 100 < printed.count("is constant at") < 260
+    assert asked("check", tmp_path / "a.csv", "--json").count("is constant at") >= 260
 
 
 @pytest.mark.parametrize(

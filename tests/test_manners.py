@@ -85,19 +85,6 @@ def test_json_of_wrong_usage_is_alone_on_stdout(
     assert (code, out) == (2, "")
 
 
-def test_a_quiet_run_names_the_criteria_it_missed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("s.yaml").write_text(
-        "name: s\nduration: 1\nstep: 0.1\ncomponents: {r: {block: reference, signals: {x: {start: 1}}}}\n"
-        "criteria: {peak: {of: r.x, max: 0.5}}\n"
-    )
-    code, out, err = told(monkeypatch, capsys, "run", "s.yaml", "-q", "--in-process", "--no-report")
-    assert (code, out) == (5, "")
-    assert "r.x" in err
-
-
 # -- folders ----------------------------------------------------------------------------------------
 
 
@@ -148,9 +135,7 @@ def test_a_command_to_go_on_with_can_be_pasted_whatever_the_names(
     assert code == 0
     assert "cosim run 'mein fall.yaml'" in out
     assert "Groesse_1:" in Path("mein fall.yaml").read_text()
-    code, _, err = told(monkeypatch, capsys, "init", fmu, "--out", tmp_path)
-    assert code == 2
-    assert "is a folder; name the file to write" in err
+    assert told(monkeypatch, capsys, "init", fmu, "--out", tmp_path)[0] == 2
 
 
 def test_linearize_leaves_results_of_its_own_and_refuses_those_of_another(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -14,11 +13,9 @@ from typer.testing import CliRunner
 from cosim.base.errors import Fault, InputError
 from cosim.blocks.fmu import read_description
 from cosim.loading.declared import make_model
-from cosim.loading.file import load_model, own_model, read_model
+from cosim.loading.file import own_model, read_model
 from cosim.loading.source import ModelText
-from cosim.model import Model
 from cosim.simulation.trial import check_fmu
-from cosim.storage.yaml_file import YamlFile
 from cosim.verbs.check_verb import check as check_files
 from cosim.verbs.cli import app
 from plant.hovercraft import Hovercraft
@@ -178,25 +175,6 @@ def test_a_fault_of_a_model_has_its_line(tmp_path: Path, change: tuple[str, str,
     assert all(fault.column >= 1 for fault in faults)
 
 
-def test_all_faults_of_a_model_are_told_at_once(tmp_path: Path) -> None:
-    changes = [(FORCED, 'forced = ("rat",)'), ('"damping")', '"dampin")'), ("parameter(0.02,", "parameter(2.02,")]
-    assert len(faults_of(tmp_path, *changes, ('unit="N.m/rad"', 'unit="lbf.ft"'))) == 4
-    both = faults_of(tmp_path, ("return rate, total /", "return rate, totl /"), ("return state\n", "return stat\n"))
-    assert [re.findall("'(.*?)'", fault.message) for fault in both] == [["totl"], ["stat"]]
-
-
-def test_a_frame_that_is_none_hides_no_other_fault(tmp_path: Path) -> None:
-    wrong = [(FORCED, 'forced = ("rat",); planar = ("x", "y")'), ('unit="N.m/rad"', 'unit="lbf.ft"')]
-    told = " ".join(fault.message for fault in faults_of(tmp_path, *wrong))
-    assert all(words in told for words in ("planar is a PlanarFrame(", 'no state "rat"', 'unknown unit "lbf.ft"'))
-
-
-def test_a_model_may_have_neither_title_nor_catalogue(tmp_path: Path) -> None:
-    table(tmp_path, ('    title = "Rotary table"\n', ""), (f"    {CATALOGUE}\n", ""))
-    model = own_model("table.py:Table", tmp_path)
-    assert (model.title, model.catalogue) == ("Table", ())
-
-
 def test_the_models_of_this_project_have_no_fault() -> None:
     make_model(Hovercraft, ModelText(ROOT / "plant" / "hovercraft.py"))
     own_model("drive.py:Drive", ROOT / "examples" / "drive")
@@ -292,25 +270,6 @@ class Late(Delay, TableEffect):
 # -- what a study, a model.yaml and the command line say ------------------------------------------
 
 
-def test_every_command_tells_the_same_faults(tmp_path: Path) -> None:
-    table(tmp_path, (FORCED, 'forced = ("rat",)'))
-    study, out = tmp_path / "study.yaml", str(tmp_path / "out")
-    study.write_text("model: table.py:Table\nlogs:\n  estimation: [a.csv]\n")
-    model = tmp_path / "model.yaml"
-    model.write_text("model: table.py:Table\nparameters: {}\n")
-    own = f"{tmp_path / 'table.py'}:Table"
-    for call in (
-        ["check", str(study)],
-        ["refine", str(study), "--out", out],
-        ["build", "--model", own, "--out", out],
-        ["build", "--model", str(model), "--out", out],
-    ):
-        result = CliRunner().invoke(app, call)
-        assert isinstance(result.exception, InputError), call
-        assert result.exception.exit_code == 2
-        assert 'no state "rat"' in str(result.exception)
-
-
 @pytest.mark.thorough
 @pytest.mark.parametrize("of_class", ["", ":Table"])
 def test_check_tells_every_fault_of_a_model_file(tmp_path: Path, of_class: str) -> None:
@@ -367,30 +326,6 @@ def test_a_model_yaml_with_something_wrong(tmp_path: Path, text: str, place: tup
     assert (fault.line, fault.column) == place
 
 
-def test_all_faults_of_a_model_yaml_are_told_at_once(tmp_path: Path) -> None:
-    path = tmp_path / "model.yaml"
-    path.write_text(
-        "parameters:\n  mass: .nan\n  izz: -1\n  lagg: 0.1\n  arm: heavy\nsensors:\n  gyro_bias.valu: 0.1\n"
-    )
-    with pytest.raises(InputError) as caught:
-        read_model(path)
-    assert [(f.line, f.message.partition(":")[0].partition(";")[0]) for f in caught.value.faults] == [
-        (2, "parameters.mass is nan"),
-        (3, "izz is -1.0"),
-        (4, 'base has no parameter "lagg"'),
-        (5, "parameters.arm is 'heavy'"),
-        (7, 'base has no sensor "gyro_bias.valu"'),
-    ]
-
-
-def test_faults_of_a_model_yaml_and_of_the_class_it_names_are_told_at_once(tmp_path: Path) -> None:
-    table(tmp_path, (FORCED, 'forced = ("rat",)'))
-    (tmp_path / "model.yaml").write_text("model: table.py:Table\nparameters: {inertia: .nan}\n")
-    with pytest.raises(InputError) as caught:
-        read_model(tmp_path / "model.yaml")
-    assert [f.file.name for f in caught.value.faults] == ["model.yaml", "table.py"]
-
-
 def test_a_study_in_place_of_a_model_is_refused_by_its_kind(tmp_path: Path) -> None:
     (study := tmp_path / "study.yaml").write_text("logs: {estimation: [a.csv]}\n")
     out = ["--out", str(tmp_path / "out")]
@@ -399,25 +334,6 @@ def test_a_study_in_place_of_a_model_is_refused_by_its_kind(tmp_path: Path) -> N
         assert isinstance(refused, InputError)
         (fault,) = refused.faults
         assert (fault.file, refused.exit_code) == (study, 2)
-
-
-@pytest.mark.parametrize(
-    ("name", "message"),
-    [
-        ("table.py", "table.py:Table"),
-        ("car", "a model is base, a model.yaml, or FILE.py:Class"),
-        ("car.py:Car", "no such model"),
-    ],
-)
-def test_a_model_that_is_none_says_what_is_one(tmp_path: Path, name: str, message: str) -> None:
-    table(tmp_path)
-    with pytest.raises(InputError, match=re.escape(message)):
-        load_model(name, tmp_path)
-    study = tmp_path / "study.yaml"
-    study.write_text(f"logs:\n  estimation: [a.csv]\nmodel: {name}\n")
-    with pytest.raises(InputError, match=re.escape(message)) as caught:
-        load_model(name, tmp_path, YamlFile(study))
-    assert [(f.file, f.line, f.column) for f in caught.value.faults] == [(study, 3, 8)]
 
 
 def test_the_fmu_of_a_model_in_volts_and_amperes_defines_its_units(tmp_path: Path) -> None:
@@ -431,18 +347,3 @@ def test_the_fmu_of_a_model_in_volts_and_amperes_defines_its_units(tmp_path: Pat
     assert found["V"] == (1, 2, -3, -1, 1.0)
     assert found["V.A.s2/rad"] == (1, 2, -1, 0, 1.0)
     assert found["kΩ.A.s/rad"] == (1, 2, -2, -1, 1000.0)
-
-
-def test_a_class_that_is_misspelt_is_told_with_those_there_are(tmp_path: Path) -> None:
-    table(tmp_path)
-    with pytest.raises(InputError, match=r'no model class "Tabel"; did you mean "Table"\? \(models here: Table\)'):
-        own_model("table.py:Tabel", tmp_path)
-
-
-def test_a_model_goes_by_its_class_where_it_has_no_title() -> None:
-    @dataclass(frozen=True, kw_only=True)
-    class Nameless(Model):
-        pass
-
-    assert Nameless.title == "Nameless"
-    assert Hovercraft.title == "Thrust-vectoring hovercraft"

@@ -95,22 +95,3 @@ def test_a_run_takes_the_nearest_plant(project: Path, plant_fmu: Path) -> None:
     assert as_it_was["fmus"]["plant"]["path"] == str(refined / "plant.fmu")
     again = run(project / "out" / "manifest.json", project / "again", report=False).manifest
     assert again["scenario"] == as_it_was["scenario"]
-
-
-def test_a_run_that_names_no_refine_or_repeats_another_is_told(project: Path, plant_fmu: Path) -> None:
-    scenario = project / "scenarios" / "regulate.yaml"
-    done = CliRunner().invoke(app, ["run", str(scenario), "--nearest", "--out", str(project / "out")])
-    assert isinstance(done.exception, InputError)
-    assert done.exception.exit_code == 2
-    assert str(done.exception).startswith(f"{scenario}: ")
-    refine_left(project / "refined", fmu=plant_fmu)
-    settings = ["duration=0.1", "criteria={}", f"components.plant.fmu={project}/refined/plant.fmu"]
-    run(scenario, project / "first", settings, report=False)
-    with pytest.raises(InputError, match="a manifest repeats its run as it was; leave --nearest out"):
-        run(project / "first" / "manifest.json", project / "again", nearest=True, report=False)
-    (project / "refined" / "nearest.fmu").unlink()
-    with pytest.raises(InputError) as refused:
-        run(scenario, project / "again", [*settings, "sed=3"], nearest=True, report=False)
-    told = str(refused.value)
-    assert "holds no nearest.fmu; refine its study again, or leave nearest out" in told
-    assert 'unknown key "sed"; did you mean "seed"?' in told  # every fault at once

@@ -14,7 +14,7 @@ from cosim.blocks.profile import Change, Profile, profile_function
 from cosim.blocks.sources import playback
 from cosim.master.master import simulate
 from cosim.scenario.scenario_file import ScenarioFile
-from cosim.simulation import metrics
+from cosim.simulation import criteria
 from cosim.system.system import build_system
 
 
@@ -113,13 +113,13 @@ def test_a_faulty_playback_file_is_told_cell_by_cell(tmp_path: Path) -> None:
 def test_metrics_on_a_signal_known_by_hand() -> None:
     t = np.arange(6) * 0.5
     signal = np.array([0.0, 0.6, 1.3, 0.9, 1.05, 1.0])
-    assert metrics.settling_time(t, signal, 1.0, 0.1) == 1.0  # 0.9 at 1.5 s is on the band's edge
-    assert metrics.settling_time(t, signal, 1.0, 0.01) == 2.0
-    assert metrics.settling_time(t, signal, 1.0, 2.0) == 0.0
-    assert metrics.settling_time(t, signal, 0.0, 0.1) == math.inf
-    assert metrics.overshoot(signal, 1.0) == pytest.approx(0.3)
-    assert metrics.overshoot(-signal, -1.0) == pytest.approx(0.3)
-    assert metrics.rms_error(signal, 1.0) == pytest.approx(math.sqrt((1 + 0.16 + 0.09 + 0.01 + 0.0025) / 6))
-    assert metrics.final_error(signal, 1.2) == pytest.approx(0.2)
-    assert metrics.peak(-signal) == 1.3
-    assert metrics.effort(t, signal) == pytest.approx(0.5 * (0.6 + 1.3 + 0.9 + 1.05))
+    assert criteria.settling_time(t, signal, 1.0, 0.1) == 1.0  # 0.9 at 1.5 s is on the band's edge
+    assert criteria.settling_time(t, signal, 1.0, 0.01) == 2.0
+    assert criteria.settling_time(t, signal, 1.0, 2.0) == 0.0
+    assert criteria.settling_time(t, signal, 0.0, 0.1) == math.inf
+    assert criteria.overshoot(signal, 1.0) == pytest.approx(0.3)
+    assert criteria.overshoot(-signal, -1.0) == pytest.approx(0.3)
+    assert criteria.rms_error(signal, 1.0) == pytest.approx(math.sqrt((1 + 0.16 + 0.09 + 0.01 + 0.0025) / 6))
+    assert criteria.final_error(signal, 1.2) == pytest.approx(0.2)
+    assert criteria.peak(-signal) == 1.3
+    assert criteria.effort(t, signal) == pytest.approx(0.5 * (0.6 + 1.3 + 0.9 + 1.05))

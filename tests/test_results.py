@@ -17,9 +17,7 @@ import pytest
 from typer.testing import CliRunner
 
 import cosim
-from cosim.base.drafts import draft_of
 from cosim.base.errors import CosimError, InputError
-from cosim.history.inputs import changes_between, input_leaves
 from cosim.verbs.cli import app
 from tests.conftest import ROOT
 from tests.deeds import deeds_scenario
@@ -169,17 +167,6 @@ def test_a_refused_or_faulty_command_leaves_no_folder(here: Path) -> None:
     assert [p.name for p in here.iterdir()] == ["tank.yaml"]
     with pytest.raises(InputError):
         cosim.run("tank.yaml", " ")
-
-
-def test_what_cannot_take_its_place_is_kept_beside_it(tmp_path: Path) -> None:
-    def write() -> None:
-        with draft_of(tmp_path / "results.csv") as draft:
-            draft.write_text("rows")
-            (tmp_path / "results.csv").mkdir()
-
-    with pytest.raises(OSError, match=r"results-kept\.csv"):
-        write()
-    assert (tmp_path / "results-kept.csv").read_text() == "rows"
 
 
 # -- kills ----------------------------------------------------------------------------------------
@@ -340,28 +327,6 @@ def test_what_means_no_results_is_an_error_of_the_input(runs: Path, words: list[
     assert len(listed()) == 3
 
 
-def test_numbers_are_given_once(runs: Path) -> None:
-    do("list")
-    shutil.rmtree(runs / "0002")
-    run()
-    assert [(e["number"], e["name"]) for e in listed()] == [(1, "tank/0001"), (3, "tank/0003"), (4, "tank/0004")]
-    do("open", "2", code=2)
-    (runs.parent / ".run-numbers").unlink()
-    (runs.parent / ".run-numbers").mkdir()  # cannot be written
-    assert [e["number"] for e in listed()] == [1, 2, 3]
-
-
-def test_runs_of_a_number_are_compared_in_a_folder_of_their_numbers(runs: Path) -> None:
-    for number in ("0001", "0002"):
-        do("compare", "1", "3")
-        page = (runs.parent / "runs-1-3" / number / "report.html").read_text()
-    assert "run 3 (ref.signals.x.start = 2, seed = 7)" in page
-    do("compare", "1", "2", "3", "--no-report")
-    runs.parent.rename("other")
-    done = json.loads(do("compare", "1", "2", "--results", "other", "--json", "--no-report", "--out", "c"))
-    assert done["signals"][0]["largest"] == 1.0
-
-
 def test_removal_takes_earlier_runs_and_never_the_newest(runs: Path) -> None:
     (runs.parent / "mine").mkdir()
     (runs.parent / "mine" / "notes.txt").write_text("of the user")
@@ -417,13 +382,6 @@ def test_records_that_are_damaged_or_missing_are_listed_as_such(runs: Path) -> N
     assert listed("areas")[0]["outcome"] == "50 runs, 2 failed, 40 met all criteria"
     record(runs / "0003", time.time(), {"schema_version": 99, "cosim_version": "9"})
     assert listed("tank")[0]["other_version"] == "9 (schema 99)"
-
-
-def test_changes_are_inputs_that_differ() -> None:
-    before = {"a": {"b": 1, "c": {"d": 2}}, "rows": [{"x": 1}, {"x": 2}], "gone": {"e": 3}, "kind": {"f": 1}}
-    after = {"a": {"b": 1, "c": {"d": 5}}, "rows": [{"x": 1}, {"x": 3}], "new": 0, "kind": "plain"}
-    expected = {"a.c.d": 5, "rows[1].x": 3, "new": 0, "kind": "plain", "gone.e": None, "kind.f": None}
-    assert changes_between(*(input_leaves({"scenario": tree}) for tree in (before, after))) == expected
 
 
 @pytest.mark.parametrize("words", [["--version"], ["list"], ["list", "-h"], ["list", "tank*", "--results", "results"]])

@@ -20,7 +20,7 @@ from cosim.base.messages import Note
 from cosim.base.version import __version__
 from cosim.master.observer import ObservedRun, Observer
 from cosim.simulation.workflow import run
-from cosim.storage.state_file import BadState, pack, unpack
+from cosim.storage.state_file import pack, unpack
 from tests.conftest import ROOT
 from tests.instants import CONSTANT, instants_fmu
 from tests.walker import walker_fmu, walker_scenario
@@ -84,16 +84,6 @@ def walk(request: pytest.FixtureRequest) -> Walk:
     return loaded
 
 
-@pytest.mark.parametrize(("more", "names"), [((), "other"), (("interpolate=linear",), "saving, three, other")])
-def test_a_run_with_checkpoints_tells_beforehand_whose_states_are_not_saved(
-    in_c: Walk, more: tuple[str, ...], names: str, tmp_path: Path
-) -> None:
-    said: list[str] = []
-    run(in_c[0], tmp_path / "out", ["checkpoint=10 min", *more], report=False, tell=said.append)
-    (note,) = [text for text in said if "no checkpoint has the state of" in text]
-    assert f"the state of {names}:" in note
-
-
 def test_a_run_stopped_from_the_keyboard_goes_on_to_the_same_bytes(walk: Walk, tmp_path: Path) -> None:
     _, whole, part = walk
     said: list[str] = []
@@ -133,16 +123,6 @@ def test_a_finished_run_is_extended_with_and_without_its_last_state(walk: Walk, 
     run(kept, until=1.3, report=False, tell=said.append)
     assert (kept / "results.csv").read_bytes() == (longer / "results.csv").read_bytes()
     assert "saving" not in said[0]
-
-
-def test_a_run_is_stopped_again_and_again(walk: Walk, tmp_path: Path) -> None:
-    scenario, whole, _ = walk
-    part = stopped(scenario, tmp_path / "part", ["checkpoint=40 ms"], after=0.2)
-    for after in (0.4, 0.6):
-        with pytest.raises(Interrupted):
-            run(part, resume=True, observers=[Stop(after)], report=False)
-    run(part, resume=True, report=False)
-    assert (part / "results.csv").read_bytes() == (whole / "results.csv").read_bytes()
 
 
 @pytest.mark.thorough  # small FMUs that save their state go on above
@@ -212,14 +192,6 @@ def test_an_fmu_whose_state_holds_the_end_is_stepped_again_in_a_longer_run(versi
     check_equal(short, longer)
     assert [*map(type, told)] == [Note] * 4
     assert all("bound" in text and "free" not in text for text in told)
-
-
-def test_an_fmu_of_a_stopped_run_whose_state_holds_the_end_is_stepped_again_beyond_it(tmp_path: Path) -> None:
-    scenario = bound_scenario(tmp_path, "2")
-    slow = ["components.free.start.pause=3000"]
-    part = stopped(scenario, tmp_path / "part", slow, after=0.2)
-    run(part, until=0.8, report=False)
-    check_equal(part, run(scenario, tmp_path / "whole", [*slow, "duration=0.8"], report=False).folder)
 
 
 @pytest.mark.parametrize("checkpoint", ["10 min", "null"])
@@ -389,12 +361,6 @@ def test_a_state_file_gives_its_content_back_bit_for_bit() -> None:
     content = {"a": [1, -0.0, 1e-300, float("inf"), None, "é"], "b": {"state": b"\0\1{}", "more": [b"", b"x" * 999]}}
     assert repr(unpack(pack(content))) == repr(content)
     assert __version__
-
-
-@pytest.mark.parametrize("damage", [lambda d: d[:-1], lambda d: b"x" + d, lambda d: d[:90] + b"?" + d[91:]])
-def test_a_damaged_state_file_is_refused(damage: Callable[[bytes], bytes]) -> None:
-    with pytest.raises(BadState):
-        unpack(damage(pack({"a": b"1234567890" * 20})))
 
 
 # -- changes while a run is stepped, and event mode -----------------------------------------------

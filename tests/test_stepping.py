@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import json
-import os
 import re
 import signal
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -15,22 +12,15 @@ import numpy as np
 import pytest
 import yaml
 
-from benchmarks.bench_native import native_figures
 from cosim.base.errors import InputError, Interrupted
 from cosim.blocks.coupling import OWN
 from cosim.blocks.description import read_description
 from cosim.blocks.fmu import FmuBlock
-from cosim.blocks.profile import Change, Profile, profile_function
-from cosim.blocks.sources import Recorded
-from cosim.blocks.stepping import library
-from cosim.fmi.native import compiler as native_compiler
 from cosim.isolation.rows import Rows
 from cosim.master.master import StoppedRun, simulate
 from cosim.scenario.scenario_file import ScenarioFile
-from cosim.simulation.workflow import run
 from cosim.storage.results import Results
 from cosim.system.system import build_system
-from cosim.verbs.schema_verb import schema_of
 from tests.conftest import ROOT
 from tests.deeds import deeds_fmu, deeds_scenario
 from tests.lag import lag_fmu
@@ -38,24 +28,6 @@ from tests.native import NEEDS_COMPILER, is_subnormal
 from tests.typed import TYPED2, numbers_fmu, typed_fmu
 
 pytestmark = NEEDS_COMPILER
-
-
-def test_sources_over_many_times_give_what_they_give_at_each() -> None:
-    rng = np.random.default_rng(6)
-    changes = [
-        Change(at=a, to=to, rate=r)
-        for a, to, r in ((0.0, 1.0, None), (0.3, -0.7, 0.9), (0.5, 2.0, 7.0), (1.1, 2.0, 1.0))
-    ]
-    times = np.sort(
-        np.concatenate([0.1 * np.arange(20), rng.uniform(-0.1, 2.0, 200), 0.3 + 1e-9 * rng.uniform(-2, 2, 20)])
-    )
-    recorded = np.sort(rng.uniform(0, 2, 30)).tolist()
-    for function in (
-        profile_function(Profile(start=0.2, changes=changes), 0.1),
-        profile_function(Profile(start=-0.0)),
-        Recorded(recorded, rng.standard_normal(30).tolist()),
-    ):
-        assert np.array([function(t) for t in times.tolist()]).tobytes() == function.over(times).tobytes()
 
 
 # -- whole runs -------------------------------------------------------------------------------------
@@ -136,7 +108,6 @@ def test_an_algorithm_of_a_third_party_is_stepped_by_both_loops(
     order = [stage.component.name for stage in build_system(ScenarioFile(path)).stages]
     assert order == ["rec", "r", "b", "a"]  # known signals come first
     assert not np.array_equal(backwards.values, same(two(tmp_path, order=["r", "rec", "a", "b"])).values)
-    assert "reversed steps one after the other, the last one first" in str(schema_of("scenario"))
 
 
 def test_events_and_progress_come_at_their_points(tmp_path: Path) -> None:
@@ -149,27 +120,6 @@ def test_events_and_progress_come_at_their_points(tmp_path: Path) -> None:
     file = ScenarioFile(path)
     simulate(build_system(file), 300, 0.01, told.append)
     assert told == [50, 100, 150, 200, 250, 300]
-
-
-def test_the_craft_flies_the_same_bytes(native_fmus: Path, tmp_path: Path) -> None:
-    from tests.conftest import ROOT
-
-    text = (ROOT / "scenarios" / "manoeuvre.yaml").read_text()
-    for name in ("plant", "controller"):
-        text = text.replace(f"../build/{name}.fmu", str(native_fmus / f"{name}-native.fmu"))
-    (tmp_path / "manoeuvre.yaml").write_text(text)
-    same(tmp_path / "manoeuvre.yaml")
-    same(tmp_path / "manoeuvre.yaml", "noise=off", "algorithm=jacobi")
-
-
-def test_a_long_flight_without_noise_has_no_subnormal_number(native_fmus: Path, tmp_path: Path) -> None:
-    text = (ROOT / "scenarios" / "regulate.yaml").read_text()
-    for name in ("plant", "controller"):
-        text = text.replace(f"../build/{name}.fmu", str(native_fmus / f"{name}-native.fmu"))
-    (tmp_path / "regulate.yaml").write_text(text)
-    results = same(tmp_path / "regulate.yaml", "noise=off", "duration=120", "criteria={}")
-    assert not is_subnormal(results.values).any()
-    assert np.abs(results["plant.phi"][-1]) < 1e-200  # it has come to where they lie
 
 
 def test_a_foreign_fmu_beside_a_native_one_keeps_its_subnormal_numbers(native_plant: Path, tmp_path: Path) -> None:
@@ -292,47 +242,6 @@ def test_an_end_that_one_fmu_alone_asks_for_leaves_a_row_of_that_time(tmp_path: 
     assert "ended the simulation" in in_c[0]
 
 
-def test_the_manifest_names_the_loop_and_why_it_is_in_python(
-    tmp_path: Path, project: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = two(tmp_path, duration=0.1, faults=[])
-
-    def loop(scenario: Path, *overrides: str, **more: Any) -> str:
-        run(scenario, tmp_path / "out", overrides, report=False, **more)
-        return str(json.loads((tmp_path / "out" / "manifest.json").read_text())["loop"])
-
-    assert loop(path, in_process=True) == "C"
-    assert loop(path) == "C"
-    assert loop(path, "components.b.process=own") == "Python: b has a process of its own"
-    regulate = project / "scenarios" / "regulate.yaml"
-    assert (
-        loop(regulate, "duration=0.1", "criteria={}", in_process=True)
-        == "Python: plant is made of Python, by pythonfmu"
-    )
-    monkeypatch.setenv("CC", "none")
-    monkeypatch.setattr(native_compiler, "can_cross", lambda: False)
-    library.cache_clear()
-    try:
-        assert loop(path, in_process=True) == "Python: no C compiler"
-    finally:
-        library.cache_clear()
-
-
-@pytest.mark.thorough
-@pytest.mark.skipif(sys.platform == "win32", reason="the compiler here is a shell script")
-@pytest.mark.parametrize(("does", "told"), [("sleep 1.2; exec cc", "C"), ("exit 1; :", "Python: the C compiler fails")])
-def test_no_limit_counts_the_time_of_a_compiler_and_none_needs_one(tmp_path: Path, does: str, told: str) -> None:
-    path = two(tmp_path, duration=0.1, faults=[], limits={"step": "0.6 s"})
-    slow = tmp_path / "slowcc"
-    slow.write_text(f'#!/bin/sh\n{does} "$@"\n')
-    slow.chmod(0o755)
-    environment = {**os.environ, "CC": str(slow), "XDG_CACHE_HOME": str(tmp_path / "cache"), "PYTHONPATH": str(ROOT)}
-    command = [sys.executable, "-m", "cosim", "run", str(path), "--out", str(tmp_path / "out"), "--no-report", "-q"]
-    subprocess.run(command, env=environment, check=True, timeout=60)
-    manifest = json.loads((tmp_path / "out" / "manifest.json").read_text())
-    assert manifest["loop"].startswith("C" if native_compiler.can_cross() else told)
-
-
 @pytest.mark.skipif(sys.platform == "win32", reason="has no such signal")
 @pytest.mark.parametrize("deed", ["slow", "warning"])
 def test_ctrl_c_in_process_is_seen_within_seconds_and_leaves_the_rows(tmp_path: Path, deed: str) -> None:
@@ -366,13 +275,3 @@ def test_what_stops_the_process_while_an_fmu_speaks_is_raised_behind_it(
     with pytest.raises(KeyboardInterrupt):
         block.set_time(1.0)
     block.set_time(1.0)
-
-
-def test_the_benchs_native_lines_say_so_where_there_is_no_compiler(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("CC", "none")
-    monkeypatch.setattr(native_compiler, "can_cross", lambda: False)
-    figures = native_figures(tmp_path)
-    assert "native_over_c" in figures
-    assert set(figures.values()) == {"no C compiler"}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -102,27 +101,3 @@ def test_a_large_log_is_refused_unread(tmp_path: Path, flown: bytes, monkeypatch
     monkeypatch.setattr(Path, "read_bytes", read)
     (fault,) = told(study(tmp_path))
     assert "pieces" in fault
-
-
-def test_names_that_no_file_can_have_are_told(tmp_path: Path, flown: bytes) -> None:
-    (tmp_path / "e.csv").write_bytes(flown)
-    os.mkfifo(tmp_path / "v.csv")
-    assert told(study(tmp_path)) == [f"{tmp_path / 'v.csv'}: is no file"]
-    fault, pipe = told(study(tmp_path, r'["a\0b.csv"]'))
-    assert pipe.endswith("v.csv: is no file")
-    assert fault.startswith(":3:16: ")
-    assert "NUL" in fault
-
-
-def test_what_a_study_leaves_out_is_told_once(tmp_path: Path, flown: bytes) -> None:
-    header, *rows = flown.decode().splitlines()
-    place = header.split(",").index("psi")
-    cells = rows[300].split(",")
-    cells[place] = str(float(cells[place]) + 2.0)
-    rows[300] = ",".join(cells)
-    (tmp_path / "e.csv").write_text("\n".join([header, *rows]) + "\n")
-    (tmp_path / "v.csv").write_bytes(flown)
-    told = [text for text in read_study(study(tmp_path)).warnings if "psi " in text]
-    assert told == [
-        "e.csv: 1 reading of psi left out as outlying, far from the neighbouring readings and from the model"
-    ]

@@ -63,16 +63,6 @@ def told(folder: Path, files: dict[str, str], study: str) -> list[str]:
     return [str(f).removeprefix(f"{folder}/").replace("\u00a0", " ") for f in refused.value.faults]
 
 
-def test_a_tolerance_that_is_none_is_told_wherever_it_stands(tmp_path: Path, tanks: dict[str, str]) -> None:
-    study = "model: tank.py:Tank\ntolerance: {area: -0.1, aera: 0.1}\nlogs: {estimation: [a.csv]}\ncandidates: [leek]\n"
-    assert told(tmp_path, tanks, study) == [
-        "study.yaml:2:19: tolerance.area is -0.1: a tolerance is a share of the parameter, "
-        "at least 1e-06 and at most 2: 0.1 for 10 %",
-        'study.yaml:2:25: no base parameter "aera"; did you mean "area"?',
-        'study.yaml:4:14: no candidate "leek"; did you mean "leak"?',
-    ]
-
-
 @pytest.mark.parametrize("value", some(["0", "30", "1e-300", ".nan", ".inf", "true", "ten", "[0.1]"], every=3))
 def test_a_tolerance_that_is_absurd_is_told_in_one_line(tmp_path: Path, tanks: dict[str, str], value: str) -> None:
     study = f"model: tank.py:Tank\ntolerance: {value}\nlogs: {{estimation: [a.csv]}}\n"
@@ -87,14 +77,6 @@ def test_noise_that_no_sensor_has_is_told(tmp_path: Path, tanks: dict[str, str],
     (line,) = told(tmp_path, tanks, study)
     assert line.startswith("study.yaml:2:16: noise.level: 1.00e")
     assert line.endswith("; state it in their unit")
-
-
-def test_a_way_of_an_input_that_is_none_is_told(tmp_path: Path, tanks: dict[str, str]) -> None:
-    study = "model: tank.py:Tank\ninputs: {inflow: linear, outflow: held}\nlogs: {estimation: [a.csv]}\n"
-    assert told(tmp_path, tanks, study) == [
-        "study.yaml:2:18: inputs.inflow is 'linear': it should be 'held' or 'interpolated'",
-        'study.yaml:2:26: no input "outflow"; did you mean "inflow"?',
-    ]
 
 
 def test_a_unit_that_cannot_be_converted_is_told_of_every_log(tmp_path: Path, tanks: dict[str, str]) -> None:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import html
 import json
 import os
-import re
 import shlex
 import signal
 import sqlite3
@@ -26,7 +24,7 @@ from cosim.fmi.fmu_build import build
 from cosim.loading.file import load_model
 from cosim.simulation.workflow import run
 from cosim.sweeps.reading import read_sweep
-from cosim.sweeps.run_statistics import sensitivity, share_interval
+from cosim.sweeps.run_statistics import sensitivity
 from cosim.sweeps.sampling import Factor, columns_of, distribution
 from cosim.sweeps.store import read_table, signal_of
 from cosim.sweeps.sweep_result import repeat_command
@@ -261,23 +259,6 @@ def test_the_runs_of_another_sweep_are_not_gone_on_with(tanks: Callable[..., Pat
     assert swept(path, "out", force=True).made == 6
 
 
-@pytest.mark.skipif(os.name == "nt", reason="links and pipes of POSIX")
-@pytest.mark.parametrize("kind", ["link", "pipe", "text"])
-def test_a_database_that_is_none_is_refused(tanks: Callable[..., Path], kind: str) -> None:
-    path = tanks(FEW)
-    base = path.parent / "out" / "runs.sqlite"
-    base.parent.mkdir()
-    if kind == "pipe":
-        os.mkfifo(base)
-    elif kind == "link":
-        base.symlink_to(path.parent / "elsewhere.sqlite")
-    else:
-        base.write_text("no database" * 100)
-    with pytest.raises(InputError):
-        swept(path, "out", resume=True)
-    assert not (path.parent / "elsewhere.sqlite").exists()
-
-
 @pytest.mark.skipif(os.name == "nt", reason="no limits of files")
 def test_a_sweep_on_a_full_disk_keeps_its_runs_and_goes_on_when_there_is_room(tanks: Callable[..., Path]) -> None:
     path = tanks("scenario: tanks.yaml\nruns: 40\nvary: {tank.level_start: {normal: [2, 0.2]}}\n")
@@ -293,7 +274,6 @@ def test_a_sweep_on_a_full_disk_keeps_its_runs_and_goes_on_when_there_is_room(ta
 
 # -- a cluster ---------------------------------------------------------------------------------------
 
-SCHEDULER = "import asyncio\nfrom distributed import Scheduler\n"
 SERVED = """
 import asyncio, sys
 {before}
@@ -405,18 +385,6 @@ def test_each_row_that_is_drawn_goes_with_every_listed_value_and_seeds_are_count
     assert columns["seed"] == list(range(7, 31))
 
 
-def test_a_normal_distribution_is_cut_where_it_is_told_to() -> None:
-    values = distribution("normal", (0, 1), (-0.5, 2))(np.linspace(0.001, 0.999, 99))
-    assert -0.5 < values.min() < -0.4
-    assert 1.5 < values.max() < 2
-
-
-def test_the_interval_of_a_share_is_wilsons() -> None:
-    # 8 of 10, by the formula: (p + z²/2n ± z·√(p(1 − p)/n + z²/4n²))/(1 + z²/n), z = 1.96
-    assert share_interval(8, 10) == pytest.approx((0.4902, 0.9433), abs=1e-4)
-    assert share_interval(0, 0) == (0.0, 1.0)
-
-
 @pytest.mark.parametrize("saltelli", [True, False])
 def test_a_sensitivity_names_what_an_outcome_depends_on(saltelli: bool) -> None:
     columns = columns_of(uniform("strong", "weak", "idle"), 640, "saltelli" if saltelli else "latin-hypercube", 4)
@@ -457,69 +425,3 @@ def test_a_faulty_factor_is_refused_at_its_place(tanks: Callable[..., Path], ent
     (place,) = places_of(tanks(f"scenario: tanks.yaml\nvary:\n  {entry}\n"))
     assert place[0] == 3
     assert f"  {entry}"[place[1] - 1 :].startswith(at)
-
-
-def test_every_fault_of_a_sweep_is_told_at_once(tanks: Callable[..., Path]) -> None:
-    entries = dict([entry.split(": ", 1) for entry, _ in FAULTS[:13]])
-    text = "".join(f"  {name}: {varied}\n" for name, varied in entries.items())
-    lines = {line for line, _ in places_of(tanks(f"scenario: tanks.yaml\nsignals: [tank.levl]\nvary:\n{text}"))}
-    assert lines == {2, *range(4, 4 + len(entries))}
-
-
-@pytest.mark.parametrize("vary", ["tank.area: {uniform: [1, 2]}", "seed: {each: 1}"])
-def test_a_sweep_of_a_thousand_million_runs_is_refused(tanks: Callable[..., Path], vary: str) -> None:
-    assert places_of(tanks(f"scenario: tanks.yaml\nruns: 1000000000\nvary: {{{vary}}}\n")) == [(2, 7)]
-
-
-def test_two_entries_that_lead_to_one_value_are_a_fault(tanks: Callable[..., Path]) -> None:
-    path = tanks(
-        "scenario: tanks.yaml\n"
-        "set: {components.tank.start.area: 2, seed: 3, components.next.start.area: 3,"
-        " components.next.start: {area: 2}}\n"
-        "vary:\n"
-        "  tank.area: {values: [1, 2]}\n"
-        "  components.tank.start.area: {values: [3]}\n"
-        "  connections.1.noise.variance: {uniform: [1.0e-6, 2.0e-6]}\n"
-        "  connections.1.noise: {values: [off]}\n"
-        "  connections.0.factor: {values: [1, 2]}\n"
-        "  next.area: {values: [1, 2]}\n"
-        "  seed: {count: 2}\n"
-    )
-    assert sorted(places_of(path)) == [(2, 7), (2, 7), (2, 47), (2, 78), (5, 3), (7, 3), (7, 34)]
-    study = read_sweep(tanks("scenario: tanks.yaml\nset: {components.tank.start: {area: 2, level_start: 1}}\n"
-                             "vary: {tank.area: {values: [1, 2]}}\n"))  # fmt: skip
-    blocks: dict[str, Any] = {stage.component.name: stage.component for stage in study.system.stages}
-    assert blocks["tank"].start_values["level_start"] == 1.0  # A part of what is set may vary.
-
-
-def test_faults_of_the_scenario_are_told_at_their_own_place(tanks: Callable[..., Path]) -> None:
-    path = tanks(VARY, "noize: on\n")
-    with pytest.raises(InputError) as told:
-        read_sweep(path)
-    assert [(f.file.name, f.line, f.column) for f in told.value.faults] == [("tanks.yaml", 16, 1)]
-    tanks()
-    with pytest.raises(InputError):  # a scenario is no sweep
-        read_sweep(path.parent / "tanks.yaml")
-
-
-# -- the page ----------------------------------------------------------------------------------------
-
-
-def test_the_page_of_a_sweep_opens_with_its_answer_and_links_to_runs_that_fail(tanks: Callable[..., Path]) -> None:
-    study = swept(tanks(), "out", report=True)
-    record = json.loads((study.folder / "sweep.json").read_text())
-    table, _ = read_table(study.folder / TABLE)
-    met = np.all([table.column(f"{c['name']} met").to_pylist() for c in record["criteria"]], axis=0)
-    assert record["met_all"] == int(met.sum()) not in (0, 60)
-    page = html.unescape((study.folder / "report.html").read_text())
-    opening = page[page.index("<h1>") : page.index("<section")]
-    assert f"{record['met_all']} of 60 runs" in opening
-    linked = [int(k) for k in re.findall(r'href="#run-(\d+)"', opening)]
-    assert linked
-    assert all(not met[k] and f'id="run-{k}"' in page for k in linked)
-    for words in (f"{record['criteria'][0]['met']} of 60", "5 … 95 % of the runs", "PAWN", "tank.area"):
-        assert words in page
-    assert page.count('class="share"') >= len(record["criteria"])
-    assert re.search(r"data-title=\"peak of next.level over (tank|next)\.", page)  # a scatter plot
-    few = swept(tanks(FEW), "few", report=True)
-    assert "50 are needed" in (few.folder / "report.html").read_text()

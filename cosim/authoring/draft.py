@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -199,8 +199,12 @@ def write_draft(path: Path, fmus: Sequence[Path]) -> Draft:
     algorithm = _algorithm(parts, matches.connections)
     with draft_of(path) as draft:
         system = _write_sound(draft, scenario_text(path.parent, parts, matches, times, algorithm), parts[0].path)
-    warnings = (*_platform_warnings(parts), *times.notes, *system.warnings)
-    return Draft(matches, algorithm.name, warnings)
+    warnings = []
+    for part in parts:
+        here, there = platform_of(part.description), platforms_of(part.path)
+        if here not in there:
+            warnings.append(f"{part.name} does not run on this machine: {no_library(here, there)}")
+    return Draft(matches, algorithm.name, (*warnings, *times.notes, *system.warnings))
 
 
 def _write_sound(path: Path, lines: str, fmu: Path) -> System:
@@ -213,14 +217,6 @@ def _write_sound(path: Path, lines: str, fmu: Path) -> System:
         return build_system(ScenarioFile(path))
     except InputError as error:
         raise InputError([Fault(fmu, 0, 0, f.message, f.exit_code) for f in error.faults]) from None
-
-
-def _platform_warnings(parts: Sequence[DraftPart]) -> Iterator[str]:
-    """Yield a warning for each FMU without a library for this machine."""
-    for part in parts:
-        here, there = platform_of(part.description), platforms_of(part.path)
-        if here not in there:
-            yield f"{part.name} does not run on this machine: {no_library(here, there)}"
 
 
 def _drop_loops(parts: Sequence[DraftPart], matches: Matches) -> Matches:

@@ -13,6 +13,7 @@ from typing import Any
 from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.messages import Note
 from cosim.base.scratch import temporary_folder
+from cosim.base.settings import Names
 from cosim.base.units import computed_in
 from cosim.blocks.coupling import algorithms
 from cosim.blocks.description import enumeration_items, ways
@@ -41,7 +42,7 @@ class Exported:
 
 
 def export_ssp(
-    scenario: FilePath, path: FilePath | None = None, overrides: tuple[str, ...] = (), *, nearest: bool = False
+    scenario: FilePath, path: FilePath | None = None, overrides: Names = (), *, nearest: bool = False
 ) -> Exported:
     """Write a scenario as an SSP 1.0 without noise; reference components become FMUs in C.
 

@@ -11,7 +11,7 @@ import pkgutil
 import warnings
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, version
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,6 @@ MODELS, PAGES, VERBS = "cosim.models", "cosim.pages", "cosim.verbs"  # entry poi
 SOURCES = "cosim.sources"  # table formats: `cosim.storage.table.Source`
 ALGORITHMS = "cosim.algorithms"  # coupling algorithms: `cosim.blocks.coupling.Algorithm`
 BASE = "base"  # model used by default
-FORMER = "cosim-hovercraft"  # earlier distribution with framework and example in one, without entry points
 
 
 class ExtensionWarning(UserWarning):
@@ -98,23 +97,15 @@ def model_entry(name: str = BASE) -> ModelEntry:
     """Return a model by name; raise InputError if unknown."""
     entry = load(MODELS, name) if name in names(MODELS) else None
     if not isinstance(entry, ModelEntry):
-        raise InputError.at(Path("model"), f'no model "{name}" is installed; {_cure_without_base()}')
+        raise InputError.at(
+            Path("model"), f'no model "{name}" is installed; name a model.yaml or FILE.py:Class of your own'
+        )
     return entry
 
 
 def is_model(name: str) -> bool:
     """Return whether a model is registered under a name."""
     return name in names(MODELS)
-
-
-def _cure_without_base() -> str:
-    """Return the remedy for a missing `base` model."""
-    cure = "name a model.yaml or FILE.py:Class of your own"
-    try:
-        version(FORMER)
-    except PackageNotFoundError:
-        return cure
-    return f"{FORMER} of an earlier release is installed, which registers nothing: pip uninstall {FORMER}; or {cure}"
 
 
 def entry_of(kind: type) -> ModelEntry | None:

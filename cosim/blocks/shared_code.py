@@ -234,7 +234,7 @@ def own_symbols_first(path: Path, library: Path) -> Iterator[None]:
     share the symbols of the process.
     """
     handle, folder = None, os.getcwd()
-    if _needs_own_symbols(code_of(path)):
+    if sys.platform == "linux" and _needs_own_symbols(code_of(path)):
         library = library.resolve()
         os.chdir(library.parent)  # as FMPy does
         with suppress(OSError):  # FMPy's load reports it.
@@ -243,18 +243,20 @@ def own_symbols_first(path: Path, library: Path) -> Iterator[None]:
     try:
         yield  # Another load of the library gets the same one.
     finally:
-        if handle is not None:
+        if sys.platform == "linux" and handle is not None:
             from _ctypes import dlclose
 
             dlclose(handle)
 
 
 def _needs_own_symbols(code: Code) -> bool:
+    if sys.platform != "linux":
+        return False
     if not hasattr(os, "RTLD_DEEPBIND") or "LD_PRELOAD" in os.environ:
         return False
     if code.symbols & ALLOCATORS or any(name.startswith("libpython") for name in code.needed):
         return False
-    from _ctypes import dlsym
+    from _ctypes import dlsym  # type: ignore[attr-defined, unused-ignore]
 
     process = ctypes.CDLL(None)._handle
     for symbol in code.symbols:

@@ -7,7 +7,7 @@ influence on the choice.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from shutil import copyfile
@@ -17,7 +17,7 @@ import numpy as np
 from cosim.base import registry
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
-from cosim.base.settings import Count, ModelName, PositiveSeconds, Seed
+from cosim.base.settings import Count, ModelName, Names, PositiveSeconds, Seed
 from cosim.estimation.posing import build_problem
 from cosim.experiment.chosen_input import Excitation, merit_of
 from cosim.experiment.excitation import draw_signals
@@ -44,11 +44,11 @@ Progress = Callable[[str, float], None]
 def excite(
     text: ModelName,
     folder: FilePath,
-    against: Sequence[str] = (),
+    against: Names = (),
     *,
-    limits: Sequence[str] = (),
-    ranges: Sequence[str] = (),
-    measured: Sequence[str] = (),
+    limits: Names = (),
+    ranges: Names = (),
+    measured: Names = (),
     duration: PositiveSeconds | None = None,
     seed: Seed = 1,
     experiments: Count = EXPERIMENTS,

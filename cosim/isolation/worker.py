@@ -24,7 +24,7 @@ from typing import Any, BinaryIO
 from zlib import crc32
 
 from cosim.base.errors import CosimError, InputError
-from cosim.base.garbage import collect_seldom
+from cosim.base.program import collect_seldom
 from cosim.base.scratch import remove
 from cosim.isolation.rows import Progress, mapped_progress
 
@@ -122,8 +122,14 @@ def main() -> None:
 
 def _state_of(*streams: BinaryIO) -> list[tuple[int, int, bool]]:
     """Return the identities of streams, and whether they wait; raise OSError for a closed one."""
-    about = [(os.fstat(stream.fileno()), os.name != "posix" or os.get_blocking(stream.fileno())) for stream in streams]
-    return [(status.st_dev, status.st_ino, waits) for status, waits in about]
+    about = []
+    for number in (stream.fileno() for stream in streams):
+        waits = True
+        if sys.platform != "win32":
+            waits = os.get_blocking(number)
+        status = os.fstat(number)
+        about.append((status.st_dev, status.st_ino, waits))
+    return about
 
 
 def hold_if_abandoned() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -17,11 +16,9 @@ from cosim.linearization.descriptions import headline, number, pole_rows
 from cosim.linearization.linear_model import Linear
 from cosim.linearization.system_structure import Pole, poles
 from cosim.linearization.write import Outcome
-from cosim.report.chart_data import Abscissa
-from cosim.report.drawing import Charts
+from cosim.report.charts import Abscissa, Charts, Plot
 from cosim.report.html_tables import Badge
 from cosim.report.panels import Panel, Trace
-from cosim.report.svg import Plot, make_axis
 from cosim.report.template import render
 
 TEMPLATE = Path(__file__).with_name("templates") / "linearize.html.j2"
@@ -48,15 +45,14 @@ def page(outcome: Outcome) -> str:
     bode = bode_panels(linear, omega)
     shown = bode[:MAX_PAIRS]
     if shown:
-        curves = sum(2 * len(size.traces) for _, size, _ in shown)
-        drawing = charts.over(omega, curves, Abscissa(("frequency", "rad/s"), log=True))
+        drawing = charts.over(omega, Abscissa(("frequency", "rad/s"), log=True))
     plots = [(name, tuple(drawing.plots(pair))) for name, *pair in shown]
     pole_plot = pole_map(structure.poles, charts) if structure.poles else None
     along = None  # the poles' real parts over several times
     if len(times) > 1:
         real = np.array([sorted(poles(m.A).real) for m in outcome.linear]).reshape(len(times), -1)
         traces = [Trace(f"{j + 1}", real[:, j], f"s{j % 6}") for j in range(real.shape[1])]
-        (along,) = charts.over(times, len(traces)).plots([Panel("Real parts of the poles", "1/s", traces)])
+        (along,) = charts.over(times).plots([Panel("Real parts of the poles", "1/s", traces)])
     stable = "asymptotically stable" if linear.at_rest else "all poles to the left"
     rates = [number(v) for v in linear.rates]
     at_point = [
@@ -117,7 +113,6 @@ def pole_map(every: Sequence[Pole], charts: Charts) -> Plot:
     reach = max(float(np.abs(imag).max()), 0.1 * float(np.abs(real).max()), 1e-3)
     low, high = min(float(real.min()), 0.0), max(float(real.max()), 0.0)
     margin = 0.06 * (high - low or reach)
-    axes = make_axis(low - margin, high + margin, 6), make_axis(-1.15 * reach, 1.15 * reach, 5)
     panel = Panel("Imaginary part of the poles", "rad/s", [Trace("imaginary part", imag, "s0 crosses", x=real)])
     also = {
         "real part [1/s]": real,
@@ -125,9 +120,8 @@ def pole_map(every: Sequence[Pole], charts: Charts) -> Plot:
         "ζ": np.array([p.damping_ratio for p in inward]),
         "times": np.array([p.count for p in inward], float),
     }
-    plot = charts.points(panel, axes, ("real part", "1/s"), also)
-    values = ", ".join(f"{p.value:.4g}" for p in every)
-    return replace(plot, uprights=(0.0,), limit_label="imaginary axis", summary=f"Poles at {values}.")
+    ends, shown = (low - margin, high + margin), {"uprights": (0.0,), "limit": "imaginary axis"}
+    return charts.points(panel, ends, ("real part", "1/s"), also, reach=(-1.15 * reach, 1.15 * reach), **shown)
 
 
 def frequencies(linear: Linear) -> Array:

@@ -12,7 +12,7 @@ import numpy as np
 from cosim.authoring.single import start_pairs
 from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.registry import BASE, is_model
-from cosim.base.settings import Given, Positive, texts
+from cosim.base.settings import Given, Names, Positive, texts
 from cosim.blocks.compiling import compiling
 from cosim.linearization.linear_model import Linear, Point, missing_states, select
 from cosim.linearization.linear_model import residualize as residualize_states
@@ -42,10 +42,10 @@ def linearize(
     *,
     at: Given = (),
     set: Given = (),
-    states: Sequence[str] = (),
-    inputs: Sequence[str] = (),
-    outputs: Sequence[str] = (),
-    residualize: Sequence[str] = (),
+    states: Names = (),
+    inputs: Names = (),
+    outputs: Names = (),
+    residualize: Names = (),
     component: str = "",
     step: Positive | None = None,
     report: bool = True,
@@ -78,7 +78,7 @@ def linearize(
         SimulationError: The simulation failed.
     """
     values = texts(set)
-    where, folder = read_at(texts(at, "at")), None if out is None else named_path(out)
+    where, folder = read_at(texts(at)), None if out is None else named_path(out)
     with ExitStack() as stack:
         stack.enter_context(compiling(compile))
         source = _source(stack, Path(model), values, step)

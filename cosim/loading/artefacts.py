@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from cosim.storage.artefact import Artefact
-from cosim.storage.kind_names import CODE, MODEL
+from cosim.storage.artefact import CODE, MODEL, Artefact
 
 SCENARIO_KEYS = frozenset({"components", "connections", "step", "vary"})
 STUDY_KEYS = frozenset({"logs", "noise", "tolerance", "inputs", "candidates", "columns", "per_log", "groups"})

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from shutil import copyfile
 
 from cosim.base.drafts import draft_of
-from cosim.base.errors import InputError
-from cosim.base.registry import entry_of, is_model, models, resolve
+from cosim.base.registry import entry_of, is_model, resolve
 from cosim.base.scratch import temporary_folder
-from cosim.base.settings import ModelName
-from cosim.fmi.ports import Value
-from cosim.loading.file import meant_model
+from cosim.base.settings import ModelName, Names
+from cosim.loading.file import designed_starts, meant_model
 from cosim.loading.substep import with_substep
-from cosim.model.model import Model
 from cosim.storage.files import FilePath, check_folder, named_path
-from cosim.storage.yaml_file import YamlFile
 
 PLANT = "plant.fmu"
 
@@ -28,7 +24,7 @@ def build(
     nearest: bool = False,
     native: bool = False,
     fmi: int = 2,
-    platforms: Sequence[str] = (),
+    platforms: Names = (),
     design: FilePath | None = None,
     tell: Callable[[str], None] = lambda text: None,
 ) -> list[Path]:
@@ -80,24 +76,3 @@ def build(
             with draft_of(folder / name) as target:
                 copyfile(draft, target)
     return [folder / name for name in recipes]
-
-
-def designed_starts(
-    design: FilePath | None, model: Model, tell: Callable[[str], None]
-) -> Mapping[str, Mapping[str, Value]]:
-    """Return the start values that a design file gives to controllers, by file of an FMU; none without a file.
-
-    Raises:
-        InputError: Every fault of the file, or a model without a controller to design.
-    """
-    if design is None:
-        return {}
-    entry = entry_of(type(model))
-    if entry is None or not entry.design:
-        names = ", ".join(sorted(e.name for e in models().values() if e.design)) or "none is installed"
-        reason = f"{model.title} has no controller to design. Models with a controller: {names}"
-        raise InputError.at(Path("--design"), reason)
-    starts, warnings = resolve(entry.design)(YamlFile(named_path(design)), model)
-    for warning in warnings:
-        tell(warning)
-    return dict(starts)

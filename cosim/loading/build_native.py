@@ -13,8 +13,7 @@ from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.registry import is_model, model_entry, resolve
 from cosim.base.scratch import temporary_folder
 from cosim.fmi.ports import Value
-from cosim.loading.build import designed_starts
-from cosim.loading.file import LoadedModel, meant_model
+from cosim.loading.file import LoadedModel, designed_starts, meant_model
 from cosim.loading.source import ModelText
 from cosim.loading.substep import with_substep
 from cosim.model.model import Model

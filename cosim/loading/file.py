@@ -6,7 +6,7 @@ import linecache
 import os.path
 import re
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidatorFunctionWrapHandler, WrapValidator
 
 from cosim.base.errors import Fault, InputError, NotExecuted, refuse
-from cosim.base.registry import BASE, is_model, model_entry, resolve
+from cosim.base.registry import BASE, entry_of, is_model, model_entry, models, resolve
 from cosim.base.registry import MODELS as MODEL_GROUP
 from cosim.base.registry import names as registered_names
 from cosim.loading.declared import make_model
@@ -25,13 +25,14 @@ from cosim.loading.refined import NoNearest, names_refine, refined_file
 from cosim.loading.source import ModelText
 from cosim.model.model import Model
 from cosim.storage.artefact import kind_by_keys
-from cosim.storage.files import write_text
+from cosim.storage.files import FilePath, named_path, write_text
 from cosim.storage.kinds import CODE, MODEL, check_form, refuse_other
 from cosim.storage.yaml_file import UNIT_OF_KEY, YamlFile, did_you_mean
 from cosim.terms.language import Term
 
 if TYPE_CHECKING:
     from cosim.fmi.fmu_build import Recipe
+    from cosim.fmi.ports import Value as StartValue
 
 SUBCLASS = "a model is a subclass of cosim.model.Model"
 ALLOWED = f"a model is {BASE}, a model.yaml, or FILE.py:Class of a model of one's own"
@@ -166,8 +167,6 @@ def read_model(path: Path, readers: tuple[Path, ...] = ()) -> LoadedModel:
     kind = kind_by_keys(yaml.root)
     refuse_other(path, kind, MODEL)
     content, faults = yaml.partly(ModelFile, "model")
-    if content is None:
-        raise InputError(faults)
     try:
         model = _named_model(yaml, content)
     except InputError as error:
@@ -393,3 +392,24 @@ def meant_model(model: str | None, *, nearest: bool) -> LoadedModel:
     except NoNearest as error:
         raise InputError.at(Path(model), str(error)) from None
     return load_model(str(file), Path())
+
+
+def designed_starts(
+    design: FilePath | None, model: Model, tell: Callable[[str], None]
+) -> Mapping[str, Mapping[str, StartValue]]:
+    """Return the start values that a design file gives to controllers, by file of an FMU; none without a file.
+
+    Raises:
+        InputError: Every fault of the file, or a model without a controller to design.
+    """
+    if design is None:
+        return {}
+    entry = entry_of(type(model))
+    if entry is None or not entry.design:
+        names = ", ".join(sorted(e.name for e in models().values() if e.design)) or "none is installed"
+        reason = f"{model.title} has no controller to design. Models with a controller: {names}"
+        raise InputError.at(Path("--design"), reason)
+    starts, warnings = resolve(entry.design)(YamlFile(named_path(design)), model)
+    for warning in warnings:
+        tell(warning)
+    return dict(starts)

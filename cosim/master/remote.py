@@ -231,24 +231,25 @@ def _store_loop(loop: str) -> None:
 # -- in the caller -----------------------------------------------------------------------------------
 
 
-def simulate_apart(
-    worker: Worker,
+def simulate_in(
+    worker: Worker | None,
     system: System,
     steps: int,
     h: float,
-    folder: Path,
     limits: Limits | None = None,
     *,
+    folder: Path | None = None,
     observers: Sequence[Observer] = (),
     keeping: Keeping | None = None,
     measure_times: bool = False,
     recording: RecordedPart | None = None,
 ) -> SteppedRun:
-    """Step a system in a worker process.
+    """Step a system in a worker process, or in this process without one.
 
     The rows are in a file within `folder` until the end, or in the folder of the checkpoints.
 
     Args:
+        folder: By default that of temporary files.
         measure_times: Whether to sum the wall time of components.
         recording: Signals of the results, by default all; the others are not read into memory.
 
@@ -256,6 +257,9 @@ def simulate_apart(
         FmuError: An FMU does not load.
     """
     columns, limits, kept = len(system.columns), limits or Limits(), keeping or Keeping()
+    if worker is None:
+        stepped = simulate_here(system, steps, h, observers, start=kept.start)
+        return replace(stepped, results=take_signals(recording, stepped.results))
 
     def give(rows: int) -> None:
         feed(rows)
@@ -299,7 +303,7 @@ def simulate_apart(
     return SteppedRun(results, end.log, end.failure or feed.failure, changes, state, component_times)
 
 
-def _begin_rows(stack: ExitStack, worker: Worker, folder: Path, size: int, kept: Keeping) -> Path:
+def _begin_rows(stack: ExitStack, worker: Worker, folder: Path | None, size: int, kept: Keeping) -> Path:
     """Create and return the file of the rows of a run, in the folder of the checkpoints, or until the stack ends.
 
     Without checkpoints the folder is beside the results, or elsewhere for lack of space.
@@ -307,7 +311,8 @@ def _begin_rows(stack: ExitStack, worker: Worker, folder: Path, size: int, kept:
     Raises:
         DiskFull: The rows do not fit.
     """
-    parents = (folder, Path(tempfile.gettempdir())) if kept.folder is None else (kept.folder,)
+    elsewhere = Path(tempfile.gettempdir())
+    parents = (folder or elsewhere, elsewhere) if kept.folder is None else (kept.folder,)
     for parent in parents:
         if kept.folder is None:
             temporary = scratch(PREFIX, parent)

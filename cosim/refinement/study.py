@@ -258,8 +258,6 @@ def keys_of(path: Path) -> tuple[YamlFile, StudyFile, list[Fault]]:
     yaml = YamlFile(path)
     refuse_other(path, kind_by_keys(yaml.root), STUDY)
     content, faults = yaml.partly(StudyFile, "model")
-    if content is None:
-        raise InputError(faults)
     return yaml, content, faults
 
 

@@ -3,28 +3,31 @@
 from __future__ import annotations
 
 import copy
+import hashlib
 import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import islice
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 from typing import Any
 
 from pydantic import ValidationError
 
-from cosim.base.errors import Fault, InputError
+from cosim.base.errors import Fault, InputError, refuse
 from cosim.loading.refined import NEAREST, REFINED, NoNearest, folder_of, names_refine, refined_file
-from cosim.scenario.pinned import with_files_beside
-from cosim.scenario.scenario import FmuComponent, Recording, Scenario, StepControl
+from cosim.scenario.scenario import Component, FmuComponent, Recording, Scenario, StepControl
 from cosim.scenario.signal_units import convert_quantities
 from cosim.storage.artefact import kind_by_keys
 from cosim.storage.folders import SCHEMA_VERSION, other_version
 from cosim.storage.kinds import MANIFEST, SCENARIO, check_form, refuse_other
-from cosim.storage.yaml_file import Origin, YamlFile, did_you_mean, location_in, short
+from cosim.storage.yaml_file import MOST_FAULTS, Origin, YamlFile, did_you_mean, location_in, short
 from cosim.storage.yaml_nodes import Document, Location, NotYaml
 
 MOST_STEPS = 2e7
 ROUNDING = 1e-9  # relative tolerance for a whole number of steps
+SYSTEM = "system"  # folder with scenario and FMUs in the run folder of an SSP
+LONGEST = 2000  # of a message [characters]
+Place = tuple[str | int, ...]  # keys of a part of the scenario
 TICKS = 1000  # spacings of floating-point times in the shortest controlled step
 
 
@@ -175,6 +178,27 @@ class ScenarioFile:
             yield ("step", "estimator"), "estimator: energy needs bonds: [{effort: a.force, flow: b.velocity}]"
 
 
+class Diagnosis:
+    """Collected faults and warnings, reported all at once; faults of form come first."""
+
+    def __init__(self, file: ScenarioFile) -> None:
+        self.file = file
+        self.faults: list[Fault] = list(file.faults)
+        self.warnings: list[str] = list(file.warnings)
+
+    def note(self, where: Place, message: str, exit_code: int = 2) -> None:
+        """Note a fault at a place of the scenario; raise InputError at the limit of faults."""
+        if len(message) > LONGEST:
+            message = f"{message[: LONGEST - 1]}…"
+        self.faults.append(self.file.fault(where, message, exit_code=exit_code))
+        if len(self.faults) >= MOST_FAULTS:
+            raise InputError([*self.faults, Fault(self.file.path, 0, 0, f"the first {MOST_FAULTS} faults are shown")])
+
+    def raise_any(self) -> None:
+        """Raise InputError if any fault was noted."""
+        refuse(self.faults)
+
+
 def _is_whole(count: float) -> bool:
     """Return whether a number of steps is whole within rounding, and at least 1."""
     return abs(count - round(count)) <= ROUNDING * max(1.0, count) and round(count) >= 1
@@ -303,6 +327,42 @@ def from_here(data: Mapping[str, Any]) -> dict[str, Any]:
             for name, c in components.items()
         }
     return scenario
+
+
+# -- files of a repeated run, which must have the content hash in the manifest ---------------------
+
+
+def sha256(path: Path) -> str:
+    """Return the SHA-256 of a file."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def key_of(component: Component) -> str:
+    """Return the key for a component's file."""
+    return "fmu" if isinstance(component, FmuComponent) else "file"
+
+
+def with_files_beside(scenario: Scenario, folder: Path) -> Scenario:
+    """Return a manifest's scenario with missing or changed files replaced by those beside the manifest.
+
+    A file missing at its path is taken by name from `folder` or from the system of an SSP there. A file with different
+    content is replaced too, if the file in `folder` has the content of the run.
+    """
+    components: dict[str, Any] = {}
+    for name, component in scenario.components.items():
+        key = key_of(component)
+        pinned, named = getattr(component, "sha256", None), getattr(component, key, None)
+        file = PureWindowsPath(named or "").name  # file name from a path of any operating system
+        substitute = next((each for each in (file, f"{SYSTEM}/{file}") if (folder / each).is_file()), "")
+        if pinned is None or not named or not substitute:
+            continue
+        original = folder / named
+        if not original.is_file() or (sha256(original) != pinned and sha256(folder / substitute) == pinned):
+            components[name] = component.model_copy(update={key: substitute})
+    return scenario.model_copy(update={"components": {**scenario.components, **components}}) if components else scenario
+
+
+# -- nearest models --------------------------------------------------------------------------------
 
 
 def take_nearest(file: ScenarioFile) -> None:

@@ -6,6 +6,7 @@ Quantities with a fixed unit, such as `duration`, are converted by `cosim.storag
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,7 +14,7 @@ from cosim.base.errors import FmuError, InputError
 from cosim.base.units import allowed_quantity, computed_in, has_unit, read_quantity, split_quantity, square_unit
 from cosim.blocks.description import read_description, unit_of
 from cosim.blocks.sources import playback
-from cosim.scenario.start_values import Misfit, convert_quantity
+from cosim.scenario.start_values import convert_quantity
 from cosim.storage.yaml_file import format_value, wrong_value
 from cosim.storage.yaml_nodes import Location
 
@@ -87,7 +88,12 @@ def _measure(data: Mapping[str, Any], signal: str, resolve: Resolve) -> Measure 
         return None
     try:
         if isinstance(file := component.get("fmu"), str):
-            return _of_fmu(resolve(file), name)
+            description = read_description(resolve(file))
+            names = {v.name: v for v in description.modelVariables}
+            variable = names.get(name) or names.get(name.rpartition("[")[0])
+            if variable is None:
+                return None
+            return Measure(unit_of(variable), partial(convert_quantity, description, variable))
         if component.get("block") == "playback" and isinstance(file := component.get("file"), str):
             units = {s.name: s.unit for s in playback(owner, resolve(file), (name,)).outputs}
             return _measure_in(units[name]) if name in units else None
@@ -97,22 +103,6 @@ def _measure(data: Mapping[str, Any], signal: str, resolve: Resolve) -> Measure 
     unit = about.get("unit", "") if isinstance(about, dict) else None
     is_reference = component.get("block") == "reference"
     return _measure_in(computed_in(unit)[0] if is_reference else unit) if isinstance(unit, str) else None
-
-
-def _of_fmu(path: Path, name: str) -> Measure | None:
-    description = read_description(path)
-    names = {v.name: v for v in description.modelVariables}
-    variable = names.get(name) or names.get(name.rpartition("[")[0])
-    if variable is None:
-        return None
-
-    def number(text: str, difference: bool) -> float:
-        value = convert_quantity(description, variable, text, difference=difference)
-        if isinstance(value, Misfit):
-            raise ValueError(value.reason)
-        return value
-
-    return Measure(unit_of(variable), number)
 
 
 def _measure_in(unit: str) -> Measure:

@@ -111,7 +111,7 @@ def _scalar(description: Any, variable: Any, value: Any) -> Any:
             raise ValueError(f"it is one of {', '.join(items)}{did_you_mean(value, items)}")
         value = items[value]
     elif isinstance(value, str):
-        value = _quantity(description, variable, value, difference=False)
+        value = convert_quantity(description, variable, value)
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise ValueError(f"it is a number [{unit or '1'}]")
     if kind.low is not None and not float(value).is_integer():
@@ -151,19 +151,12 @@ def _bounds(variable: Any, kind: FmiType) -> tuple[float, float]:
     return max(lowest, bound("min", -math.inf)), min(highest, bound("max", math.inf))
 
 
-def convert_quantity(description: Any, variable: Any, text: str, *, difference: bool = False) -> float | Misfit:
-    """Return text such as `12 deg` in the unit of the variable.
+def convert_quantity(description: Any, variable: Any, text: str, difference: bool = False) -> float:
+    """Return text such as `12 deg` in the unit of the variable; raise ValueError with the reason if that is impossible.
 
     Args:
         difference: Whether to ignore the unit's offset.
     """
-    try:
-        return _quantity(description, variable, text, difference=difference)
-    except ValueError as error:
-        return Misfit(str(error))
-
-
-def _quantity(description: Any, variable: Any, text: str, *, difference: bool) -> float:
     unit, relative = unit_of(variable), difference or is_difference(variable)
     units: list[Any] = next((d.displayUnits for d in description.unitDefinitions if d.name == unit), [])
     displays, quantity = {d.name: d for d in units}, split_quantity(text)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from cosim.storage.artefact import Artefact
-from cosim.storage.kind_names import FMU, LOG, MANIFEST, RESULTS, SCENARIO, SSP
+from cosim.storage.artefact import FMU, LOG, MANIFEST, RESULTS, SCENARIO, SSP, Artefact
 
 ARTEFACTS = (
     Artefact(

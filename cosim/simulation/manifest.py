@@ -17,9 +17,8 @@ from cosim.base.times import first_point
 from cosim.base.units import is_as_known
 from cosim.base.version import __version__
 from cosim.master.inbox import Change
-from cosim.scenario.pinned import key_of, sha256
 from cosim.scenario.scenario import FmuComponent, Scenario, resolve_defaults
-from cosim.scenario.scenario_file import ScenarioFile
+from cosim.scenario.scenario_file import ScenarioFile, key_of, sha256
 from cosim.storage.folders import COMMAND, SCHEMA_VERSION
 from cosim.system.system import System
 
@@ -146,27 +145,14 @@ def software_versions() -> dict[str, Any]:
 
     The call takes a while, because it starts git.
     """
-    return {
-        "versions": {"python": platform.python_version(), "platform": platform.platform(), **_versions()},
-        "git": _git(Path(__file__).resolve().parent.parent),
-    }
-
-
-def _versions() -> dict[str, str]:
-    versions = {}
+    versions = {"python": platform.python_version(), "platform": platform.platform()}
     for package in PACKAGES:
         with suppress(PackageNotFoundError):
             versions[package.lower()] = version(package)
-    return versions
-
-
-def _git(folder: Path) -> dict[str, Any] | None:
-    """Return the git revision of this package, if in a checkout."""
-    if not (folder / ".git").exists():
-        return None
-    try:
+    git, folder = None, Path(__file__).resolve().parent.parent
+    if (folder / ".git").exists():
         command = ["git", "-C", str(folder), "describe", "--always", "--abbrev=40", "--exclude=*", "--dirty"]
-        text = subprocess.check_output(command, stderr=subprocess.DEVNULL, text=True, timeout=10).strip()
-    except (OSError, subprocess.SubprocessError):
-        return None
-    return {"revision": text.removesuffix("-dirty"), "dirty": text.endswith("-dirty")}
+        with suppress(OSError, subprocess.SubprocessError):
+            text = subprocess.check_output(command, stderr=subprocess.DEVNULL, text=True, timeout=10).strip()
+            git = {"revision": text.removesuffix("-dirty"), "dirty": text.endswith("-dirty")}
+    return {"versions": versions, "git": git}

@@ -13,7 +13,7 @@ import math
 import os
 import shutil
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -23,14 +23,12 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.arrays import Array
 from cosim.base.drafts import remove_drafts
 from cosim.base.errors import InputError
 from cosim.base.messages import Note
 from cosim.base.scratch import lock_file
 from cosim.base.times import rounding, roundings
 from cosim.base.version import __version__
-from cosim.blocks.component import Signal
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.model_exchange import LONGEST, ModelExchange2
 from cosim.isolation.rows import read_exact, read_table
@@ -41,9 +39,9 @@ from cosim.scenario.scenario import Scenario
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.storage.files import write_json
 from cosim.storage.folders import content_of, new_run, newest_run
-from cosim.storage.record_types import EACH, fault_of, sound_part
+from cosim.storage.record_types import fault_of, sound_part
 from cosim.storage.results import Results, read_results, rows_in
-from cosim.storage.state_file import BadState, sync, unpack, write_durable
+from cosim.storage.state_file import sync, unpack
 from cosim.system.system import System
 
 NOTHING_TO_RESUME = (
@@ -65,14 +63,6 @@ FOLDER, RUN, MANIFEST = "checkpoint", "run.json", "manifest.json"
 PATIENCE, PAUSE = 15.0, 0.05  # time [s] for the worker of a killed command to end, and between two looks
 EXTRA = "files"  # key of run.json beside those of a manifest: name of the rows file, warnings of an SSP, notes
 EXTRA_KIND = {"rows": str, "warnings": [str], "notes": [str]}
-CHECKPOINT = {
-    "point": int,
-    "time": float,
-    "elapsed": float,
-    "components": dict,
-    "links": {EACH: list},
-    "changes": [list],
-}
 
 
 @dataclass(frozen=True)
@@ -83,7 +73,8 @@ class StoppedRun:
         source: File of the record: checkpoint/run.json or manifest.json.
         record: Manifest.
         rows_file: Name of the file of the rows.
-        state: Content of the last checkpoint, if any.
+        state: File of the last checkpoint as bytes, if any.
+        checkpoint: Its content.
         lasted: Wall time [s] of the steps so far, if known.
     """
 
@@ -92,6 +83,7 @@ class StoppedRun:
     record: dict[str, Any]
     rows_file: str
     state: bytes | None
+    checkpoint: Mapping[str, Any]
     lasted: float
 
     def base(self, warnings: Sequence[str] | None) -> dict[str, Any]:
@@ -116,17 +108,6 @@ class StoppedRun:
     def changes(self) -> Sequence[Change]:
         """Return the changes by observers so far."""
         return [Change(point, values) for point, values in self.checkpoint.get("changes", ())]
-
-    @property
-    def has_outcome(self) -> bool:
-        """Return whether the record has an outcome."""
-        return EXTRA not in self.record
-
-    @property
-    def checkpoint(self) -> Mapping[str, Any]:
-        """Return the content of the last checkpoint."""
-        checkpoint: Mapping[str, Any] = {} if self.state is None else unpack(self.state)
-        return checkpoint
 
     def solver_steps(self, system: System) -> dict[str, float]:
         """Return the longest steps [s] that solvers of model exchange had so far, where they depend on the end."""
@@ -200,7 +181,10 @@ class StoppedRun:
         if (kept / ROWS).is_file():
             if not count:
                 raise InputError.at(kept, STOPPED_BEFORE_ROWS)
-            start = Continuation(_kept_rows(kept / ROWS, count, width), read_exact(kept / BESIDE, count), self.state)
+            if (kept / ROWS).stat().st_size < 8 * count * width:
+                raise InputError.at(kept / ROWS, ROWS_OF_ANOTHER_RUN)
+            values = read_table(kept / ROWS, count, width)
+            start = Continuation(values, read_exact(kept / BESIDE, count), self.state)
         elif system.recording is not None:
             self._check_unfinished(scenario)
             return None
@@ -229,34 +213,12 @@ class StoppedRun:
             raise InputError.at(rows, STOPPED_BEFORE_ROWS)
         if results.columns != system.columns or complete < count:
             raise InputError.at(rows, ROWS_OF_ANOTHER_RUN)
-        columns = [[_exact(v, system.signals[n]) for v in results.exact[n][:count]] for n in system.beside]
+        readers: dict[str, Callable[[str], Any]] = {"Binary": bytes.fromhex, "String": str}
+        columns = [
+            [readers.get(system.signals[name].kind, int)(str(value)) for value in results.exact[name][:count]]
+            for name in system.beside
+        ]
         return Continuation(np.ascontiguousarray(results.values[:count]), [*zip(*columns, strict=True)], self.state)
-
-
-def _exact(value: Any, signal: Signal) -> Any:
-    """Return an exact value from its text."""
-    if signal.kind == "Binary":
-        return bytes.fromhex(str(value))
-    return str(value) if signal.kind == "String" else int(value)
-
-
-def _record_of(folder: Path) -> tuple[Path, dict[str, Any]]:
-    """Return the record of the run in a folder, and its file.
-
-    Raises:
-        InputError: There is none, or it is damaged or of another version.
-    """
-    source = next((file for file in (folder / FOLDER / RUN, folder / MANIFEST) if file.is_file()), None)
-    record = {} if source is None else content_of(source)
-    if source is None or (source.name == MANIFEST and "scenario" not in record):
-        raise InputError.at(folder, NOTHING_TO_RESUME)
-    sound, _ = sound_part(folder / MANIFEST, record)
-    wrong = [key for key in record if key not in sound or (key == EXTRA and fault_of(record[key], EXTRA_KIND, key))]
-    if wrong or "scenario" not in sound:
-        raise InputError.at(source, DAMAGED_CHECKPOINT.format(reason=f"it has no {[*wrong, 'scenario'][0]}"))
-    if (version := record.get("cosim_version")) != __version__:
-        raise InputError.at(source, OTHER_VERSION.format(version=version, own=__version__))
-    return source, record
 
 
 def open_stopped(path: Path, stack: ExitStack) -> StoppedRun:
@@ -270,35 +232,37 @@ def open_stopped(path: Path, stack: ExitStack) -> StoppedRun:
         raise InputError.at(
             path, "not the folder of a run; --resume and --until take the folder of an earlier run, as results/NAME"
         )
-    source, record = _record_of(folder)
+    source = next((file for file in (folder / FOLDER / RUN, folder / MANIFEST) if file.is_file()), None)
+    record = {} if source is None else content_of(source)
+    if source is None or (source.name == MANIFEST and "scenario" not in record):
+        raise InputError.at(folder, NOTHING_TO_RESUME)
+    sound, _ = sound_part(folder / MANIFEST, record)
+    wrong = [key for key in record if key not in sound or (key == EXTRA and fault_of(record[key], EXTRA_KIND, key))]
+    if wrong or "scenario" not in sound:
+        raise InputError.at(source, DAMAGED_CHECKPOINT.format(reason=f"it has no {[*wrong, 'scenario'][0]}"))
+    if (version := record.get("cosim_version")) != __version__:
+        raise InputError.at(source, OTHER_VERSION.format(version=version, own=__version__))
     stack.enter_context(new_run(folder, "", "cosim run", force=True))
     kept = folder / FOLDER
     wait_for_worker(kept)
     remove_drafts(kept, (STATE, BESIDE, RUN))
-    simulated = record.get("timings", {}).get("simulate")
-    lasted = simulated if isinstance(simulated, float) else 0.0
+    lasted = record.get("timings", {}).get("simulate", 0.0)
+    checkpoint: dict[str, Any] = {}
     state = read_state(kept / STATE)
     if state is not None:
-        checkpoint = _unpack(kept / STATE, state)
-        lasted = float(checkpoint["elapsed"])
+        try:
+            checkpoint = unpack(state)
+            if checkpoint["format"] != FORMAT:
+                form = f"format {checkpoint['format']}"
+                raise InputError.at(kept / STATE, OTHER_VERSION.format(version=form, own=FORMAT))
+            lasted = float(checkpoint["elapsed"])
+        except (ValueError, LookupError, TypeError, RecursionError) as error:  # also BadState
+            raise InputError.at(kept / STATE, DAMAGED_CHECKPOINT.format(reason=str(error))) from None
     rows = rows_in(folder)
     rows_file = record.get(EXTRA, {}).get("rows", "results.csv" if rows is None else rows.name)
-    return StoppedRun(folder, source, record, rows_file, state, lasted)
-
-
-def _unpack(path: Path, state: bytes) -> Mapping[str, Any]:
-    """Return a checkpoint; raise InputError if it is unusable."""
-    try:
-        checkpoint = unpack(state)
-        if checkpoint["format"] != FORMAT:
-            raise InputError.at(path, OTHER_VERSION.format(version=f"format {checkpoint['format']}", own=FORMAT))
-        if fault := fault_of({**dict.fromkeys(CHECKPOINT), **checkpoint}, CHECKPOINT, "checkpoint"):
-            raise BadState(f"{fault.name} is not {fault.wanted}")
-        if checkpoint["point"] < 0 or any(len(change) != 2 for change in checkpoint["changes"]):
-            raise BadState("it has no row to go on from")
-    except (BadState, ValueError, LookupError, TypeError, RecursionError) as error:
-        raise InputError.at(path, DAMAGED_CHECKPOINT.format(reason=str(error))) from None
-    return dict(checkpoint)
+    return StoppedRun(
+        folder, source, record, rows_file, state, checkpoint, lasted if isinstance(lasted, float) else 0.0
+    )
 
 
 def wait_for_worker(kept: Path) -> None:
@@ -315,11 +279,10 @@ def wait_for_worker(kept: Path) -> None:
     raise InputError.at(kept, "a process of the killed run still writes into it; try again in a moment")
 
 
-def begin_keeping(folder: Path, record: Mapping[str, Any], rows_file: str, warnings: Sequence[str]) -> Path:
-    """Prepare and return the folder of checkpoints."""
+def remove_checkpoints(folder: Path) -> None:
+    """Remove the checkpoints of another run, once its worker has ended."""
     wait_for_worker(folder / FOLDER)
     shutil.rmtree(folder / FOLDER, ignore_errors=True)
-    return write_run(folder, record, rows_file, warnings)
 
 
 def write_run(folder: Path, record: Mapping[str, Any], rows_file: str, warnings: Sequence[str]) -> Path:
@@ -352,20 +315,8 @@ def end_keeping(folder: Path, *, is_kept: bool, keeps_rows: bool = False) -> Non
             (kept / name).unlink(missing_ok=True)
 
 
-def keep_state(rows: Path, record: Mapping[str, Any], warnings: Sequence[str], state: bytes) -> None:
-    """Write a stopped run's checkpoint beside its rows."""
-    write_durable(write_run(rows.parent, record, rows.name, warnings) / STATE, state)
-
-
 def unsaved_names(system: System) -> Sequence[str]:
     """Return the components whose state no checkpoint has."""
     again = system.fmus if system.reruns else {}
     components = [stage.component for stage in system.stages]
     return [c.name for c in components if c.name in again or not getattr(c, "saves", False)]
-
-
-def _kept_rows(path: Path, rows: int, columns: int) -> Array:
-    """Return the first rows of a checkpoint; raise InputError if the file is shorter."""
-    if path.stat().st_size < 8 * rows * columns:
-        raise InputError.at(path, ROWS_OF_ANOTHER_RUN)
-    return read_table(path, rows, columns)

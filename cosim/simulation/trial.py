@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tempfile
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +18,7 @@ from cosim.blocks.fmu import read_description
 from cosim.blocks.guard import validation
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
-from cosim.master.remote import simulate_apart
+from cosim.master.remote import simulate_in
 from cosim.probing.misbehaviour import misbehaviour
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.manifest import check_pinned
@@ -134,7 +133,7 @@ def _run_once(file: ScenarioFile, system: System, path: Path, worker: Worker) ->
     limits = file.scenario.limits or Limits(step=MAX_CALL_TIME, load=load_limit)
     worker.start()
     try:
-        stepped = simulate_apart(worker, system, 1, file.scenario.step, Path(tempfile.gettempdir()), limits)
+        stepped = simulate_in(worker, system, 1, file.scenario.step, limits)
     except FmuError as error:
         return [error.fault(path, path.resolve())], ()
     except errors.DiskFull as error:

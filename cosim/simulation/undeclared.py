@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import tempfile
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from threading import Timer
 from typing import Any
 
@@ -20,7 +17,7 @@ from cosim.blocks.fmu import FmuBlock
 from cosim.isolation.limits import LOADING, Limits
 from cosim.isolation.process import Worker
 from cosim.master.beforehand import Feedthrough, Pair, examine, measure_feedthrough, undeclared_inputs
-from cosim.master.remote import simulate_apart, simulate_here
+from cosim.master.remote import simulate_in
 from cosim.scenario.scenario import Scenario
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.system.schedule import Loop
@@ -51,13 +48,14 @@ def with_feedthrough(
     if not undeclared:
         return _with_notes(system, [])
     limits, spent = _limits(file.scenario), [0.0]
-    with _with_note_if_long(
-        tell,
-        Note(
-            f"measuring which outputs of {join_names([*undeclared])} follow their inputs at once, which these FMUs "
-            f"do not declare: at most {limits.total:g} s"
-        ),
-    ):
+    note = Note(
+        f"measuring which outputs of {join_names([*undeclared])} follow their inputs at once, which these FMUs "
+        f"do not declare: at most {limits.total:g} s"
+    )
+    timer = Timer(SILENT, tell, (note,))
+    timer.daemon = True
+    timer.start()
+    try:
         try:
             measured = examine(measure_feedthrough, system, (1, file.scenario.step), worker, limits, spent=spent)
         except (Interrupted, Signalled):
@@ -67,8 +65,16 @@ def with_feedthrough(
             if isinstance(error, TimedOut) and spent[0] > (limits.total or LONGEST):
                 reason = Note(f"it takes longer than {limits.total:g} s in all, at last in {error.component}")
             measured = Feedthrough(failure=f": {reason}")
-        declared = _declared(measured, undeclared)
+        followed = {name: sorted({i for _, i in measured.pairs if i in inputs}) for name, inputs in undeclared.items()}
+        known = measured.inputs - {entry for _, entry in measured.at_start}
+        declared = {  # where all inputs are known or some of them followed
+            n: [i.partition(".")[2] for i in followed[n]]
+            for n, inputs in undeclared.items()
+            if followed[n] or inputs <= known
+        }
         planned, failure = _planned(file, system, worker, declared, spent) if declared else (system, "")
+    finally:
+        timer.cancel()
     unknown = frozenset[str]().union(*undeclared.values()) - measured.inputs
     held = {transfer.name for transfer in planned.held}
     facts = measured, unknown & held, failure, held
@@ -81,27 +87,6 @@ def _limits(scenario: Scenario, spent: float = 0.0) -> Limits:
     limits = scenario.limits or Limits()
     load = limits.load or LOADING + (LIMIT if permission.get() else 0.0)
     return limits.model_copy(update={"total": max(min(limits.total or LONGEST, LONGEST) - spent, LEAST), "load": load})
-
-
-@contextmanager
-def _with_note_if_long(tell: Callable[[str], None], text: str) -> Iterator[None]:
-    """Show a note if a `with` block takes longer than SILENT seconds."""
-    timer = Timer(SILENT, tell, (text,))
-    timer.daemon = True
-    timer.start()
-    try:
-        yield
-    finally:
-        timer.cancel()
-
-
-def _declared(measured: Feedthrough, undeclared: Mapping[str, frozenset[str]]) -> dict[str, list[str]]:
-    """Return component → inputs with feedthrough, of components whose inputs are all known or some of them followed."""
-    followed = {name: sorted({i for _, i in measured.pairs if i in inputs}) for name, inputs in undeclared.items()}
-    known = measured.inputs - {entry for _, entry in measured.at_start}
-    return {
-        n: [i.partition(".")[2] for i in followed[n]] for n, each in undeclared.items() if followed[n] or each <= known
-    }
 
 
 def _planned(
@@ -119,25 +104,18 @@ def _planned(
     file.scenario = scenario.model_copy(update={"components": components})
     try:
         planned = build_system(file)
-        failure = _first_step(scenario, planned, worker, spent[0]) if planned.loops != system.loops else ""
-    except InputError as error:
-        failure = error.faults[0].message
+        failure = ""
+        if planned.loops != system.loops:
+            error = simulate_in(worker, planned, 1, scenario.step, _limits(scenario, spent[0])).failure
+            if isinstance(error, (Interrupted, Signalled)):
+                raise error
+            failure = "" if error is None else str(error)
+    except InputError as fault:
+        failure = fault.faults[0].message
     if not failure:
         return planned, ""
     file.scenario = scenario
     return system, failure
-
-
-def _first_step(scenario: Scenario, system: System, worker: Worker | None, spent: float) -> str:
-    """Return why the first step of a system fails, "" if it succeeds."""
-    if worker is None:
-        failure = simulate_here(system, 1, scenario.step).failure
-    else:
-        place, limits = Path(tempfile.gettempdir()), _limits(scenario, spent)
-        failure = simulate_apart(worker, system, 1, scenario.step, place, limits).failure
-    if isinstance(failure, (Interrupted, Signalled)):
-        raise failure
-    return "" if failure is None else str(failure)
 
 
 def _note(
@@ -166,9 +144,14 @@ def _note(
             f"{failure}"
         )
     if pairs := [pair for pair in measured.at_start if is_part(pair[1]) and pair[1] in held]:
+        members = [stage.component for stage in system.stages if stage.component.name in loop.members]
+        is_real = all(not any(t.beside) and not system.signals[t.name].is_whole for t in loop.transfers)
+        can_repeat = is_real and all(
+            isinstance(m, FmuBlock) and not isinstance(m, EventFmu) and m.instance.rolls_back for m in members
+        )
         cure = (
             Note("loops: {} solves it by repeated steps")
-            if _has_repeatable_steps(system, loop)
+            if can_repeat
             else Note(
                 "an FMU that saves and restores its state, or one without direct feedthrough, would be a cure; "
                 "order: [...] states that it is open, without this warning"
@@ -187,15 +170,6 @@ def _note(
             "[...] states the order instead"
         )
     return ""
-
-
-def _has_repeatable_steps(system: System, loop: Loop) -> bool:
-    """Return whether a loop of real signals can be solved by steps that are taken back."""
-    members = [stage.component for stage in system.stages if stage.component.name in loop.members]
-    is_real = all(not any(t.beside) and not system.signals[t.name].is_whole for t in loop.transfers)
-    return is_real and all(
-        isinstance(m, FmuBlock) and not isinstance(m, EventFmu) and m.instance.rolls_back for m in members
-    )
 
 
 def _with_notes(system: System, opened: Sequence[Loop]) -> System:

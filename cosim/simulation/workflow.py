@@ -5,9 +5,9 @@ from __future__ import annotations
 import copy
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,23 +18,20 @@ from cosim.blocks.compiling import compiling, permission
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.master.beforehand import without_ended_states
-from cosim.master.checkpoint import Continuation, Keeping
+from cosim.master.checkpoint import STATE, Continuation, Keeping
 from cosim.master.inbox import Change, with_changes
 from cosim.master.observer import InputFunctions, NamedFunctions, Observer, ProgressObserver
-from cosim.master.remote import MODULES, SteppedRun, simulate_apart, simulate_here
-from cosim.scenario.pinned import sha256
-from cosim.scenario.scenario import Scenario
-from cosim.scenario.scenario_file import ScenarioFile, take_nearest
+from cosim.master.remote import MODULES, SteppedRun, simulate_in
+from cosim.scenario.scenario_file import ScenarioFile, sha256, take_nearest
 from cosim.simulation.criteria import evaluate, missed_tolerance
 from cosim.simulation.manifest import add_changes, check_pinned, manifest, software_versions
 from cosim.simulation.packaged import is_ssp, lay_out
 from cosim.simulation.stopped_run import (
+    EXTRA,
     MANIFEST,
-    StoppedRun,
-    begin_keeping,
     end_keeping,
-    keep_state,
     open_stopped,
+    remove_checkpoints,
     unsaved_names,
     write_run,
 )
@@ -51,7 +48,7 @@ from cosim.storage.files import (
 from cosim.storage.folders import STARTED, describe_run, new_run, remove_earlier
 from cosim.storage.kinds import check_form, shell_path
 from cosim.storage.results import Results, rows_in, rows_name
-from cosim.system.recording import take_signals
+from cosim.storage.state_file import write_durable
 from cosim.system.system import System, build_system
 
 MANY_ROWS = 1_000_000  # rows of CSV, beyond which a note offers Parquet
@@ -82,66 +79,26 @@ class _Prepared:
     """A run before its steps.
 
     Attributes:
-        record: Manifest without timings and outcome; None before `begin` of a new run.
+        record: Manifest without timings and outcome.
+        warnings: Warnings from outside the scenario.
         changes: Changes by observers before the run was stopped.
         start: Where a stopped run goes on; None for a new run.
-        command: Command that made the scenario, if it is not `cosim run`.
     """
 
     file: ScenarioFile
     place: Path
     system: System
     rows_file: str
-    software: Future[dict[str, Any]]
-    warnings: list[str] = field(default_factory=list)
-    ssp: Path | None = None
+    record: dict[str, Any]
+    warnings: Sequence[str] = ()
     start: Continuation | None = None
-    record: dict[str, Any] | None = None
     changes: Sequence[Change] = ()
-    command: str = ""
-
-    @property
-    def interval(self) -> float | None:
-        """Return the wall time between two checkpoints [s]."""
-        return self.file.scenario.checkpoint
-
-    @property
-    def file_of_rows(self) -> Path:
-        """Return the file of the rows."""
-        return self.place / self.rows_file
 
     @property
     def rows(self) -> int:
         """Return the number of rows of a complete run."""
         count, part = self.file.scenario.steps + 1, self.system.recording
         return count if part is None else len(part.rows(count))
-
-    def begin(self) -> None:
-        """Write the record by which an interrupted run can be repeated, without versions, which take a while."""
-        if self.record is None:
-            self.record = manifest(self.file, self.system, self.command)
-            if self.ssp is not None:
-                self.record["ssp"] = {"path": str(self.ssp.resolve()), "sha256": sha256(self.ssp)}
-            self.record["warnings"] += self.warnings
-            if permission.get():
-                self.record[COMPILED] = True
-        describe_run(self.place, self.record)
-
-    def base(self) -> dict[str, Any]:
-        """Return the manifest without timings and outcome."""
-        assert self.record is not None
-        if self.record.get("versions") == {}:
-            self.record |= self.software.result()
-        return copy.deepcopy(self.record)
-
-    def keeping(self) -> Keeping:
-        """Return the settings of the checkpoints."""
-        if self.interval is None:
-            return Keeping(start=self.start)
-        if self.start is not None:
-            folder = write_run(self.place, self.base(), self.rows_file, self.warnings)
-            return Keeping(folder, self.interval, self.start)
-        return Keeping(begin_keeping(self.place, self.base(), self.rows_file, self.warnings), self.interval)
 
 
 @one_stop()
@@ -200,88 +157,111 @@ def run(
             worker.start()  # The worker starts up while files are read.
         software = stack.enter_context(ThreadPoolExecutor(1)).submit(software_versions)  # parallel to the loading
         if goes_on:
-            prepared = _prepare_stopped(path, until, software, worker, tell, stack)
+            prepared = _prepare_stopped(path, until, worker, tell, stack)
         else:
-            options = force, nearest, rows_name("results", format_)
-            prepared = _prepare_new(path, folder, overrides, options, worker, (software, stack), tell=tell)
-            prepared.command = command
-            if prepared.rows > MANY_ROWS and prepared.rows_file.endswith(".csv"):
+            is_package, warnings = is_ssp(path), list[str]()
+            if not is_package:
+                file = ScenarioFile(path, overrides)
+            name = path.stem if is_package else file.scenario.name
+            place = stack.enter_context(new_run(folder, name, "cosim run", force=force))
+            if is_package:
+                file, warnings = lay_out(path, place, overrides)
+            if nearest:
+                take_nearest(file)
+            check_pinned(file)
+            system, rows_file = build_system(file), rows_name("results", format_)
+            if not is_package:
+                remove_earlier(place, read=file.files)
+            check_writable(place, (rows_file, MANIFEST, "report.html"), file.files)
+            system = replace(with_feedthrough(file, system, worker, tell), pace=file.scenario.pace)
+            record = manifest(file, system, command)
+            if is_package:
+                record["ssp"] = {"path": str(path.resolve()), "sha256": sha256(path)}
+            record["warnings"] += warnings
+            if permission.get():
+                record[COMPILED] = True
+            prepared = _Prepared(file, place, system, rows_file, record, warnings)
+            if prepared.rows > MANY_ROWS and rows_file.endswith(".csv"):
                 cure = "--format parquet writes, reads and stores so many much faster than CSV"
                 tell(Note(f"the run has {prepared.rows} rows; {cure}"))
         if inputs:
             functions = InputFunctions(inputs)
             functions.check(prepared.system)
             observers.append(functions)
-        prepared.begin()
+        place, start, scenario_, system = prepared.place, prepared.start, prepared.file.scenario, prepared.system
+        describe_run(place, prepared.record)  # so that an interrupted run can be repeated
+
+        def base() -> dict[str, Any]:
+            """Return the manifest without timings and outcome."""
+            if prepared.record.get("versions") == {}:  # which take a while
+                prepared.record |= software.result()
+            return copy.deepcopy(prepared.record)
+
         loaded = time.perf_counter()
-        stepped = _step(prepared, worker, observers, tell)
+        keeping = Keeping(start=start)
+        if scenario_.checkpoint is not None and worker is None:
+            tell("no checkpoints are made where FMUs run in this process")
+        elif scenario_.checkpoint is not None:
+            if start is None:
+                remove_checkpoints(place)
+            kept = write_run(place, base(), prepared.rows_file, prepared.warnings)
+            keeping = Keeping(kept, scenario_.checkpoint, start)
+            if start is None and (names := unsaved_names(system)):
+                tell(
+                    Note(
+                        f"no checkpoint has the state of {', '.join(names)}: a resumed run makes all steps again from "
+                        "the start, which takes as long as they took"
+                    )
+                )
+        stepped = simulate_in(
+            worker,
+            system,
+            scenario_.steps,
+            scenario_.step,
+            folder=place,
+            limits=scenario_.limits,
+            observers=observers,
+            keeping=keeping,
+            measure_times=True,
+            recording=system.recording,
+        )
         stepping = time.perf_counter() - loaded
-        words = prepared.system.texts & {*stepped.results.exact}
+        words = system.texts & {*stepped.results.exact}
         stepped = replace(stepped, results=replace(stepped.results, words=words))
-        place, start, scenario_ = prepared.place, prepared.start, prepared.file.scenario
         is_longer = start is None or len(stepped.results.time) > start.count
         if stepped.failure is not None and not is_longer and rows_in(place) is not None:
             stepped.failure.left = place
             raise stepped.failure  # What is there stays.
-        record = prepared.base()
+        record = base()
         record["loop"] = stepped.results.loop
         simulated = scenario_.duration if start is None else (scenario_.steps + 1 - start.count) * scenario_.step
         speed = simulated / stepping
         record["timings"] = {"load": loaded - begin, "simulate": stepping, "real_time_factor": speed, **stepped.times}
         add_changes(record, scenario_, [*prepared.changes, *stepped.changes])
-        _add_outcome(record, scenario_, stepped)
-        if (part := prepared.system.recording) is not None:
+        record |= stepped.results.details
+        if stepped.failure is None:
+            record["criteria"] = [*evaluate(scenario_, stepped.results), *missed_tolerance(stepped.results)]
+        else:
+            record["status"] = f"failed: {stepped.failure}"
+        record["warnings"] += [*stepped.results.notes, *stepped.log]
+        if stepped.results.event_counts:
+            record["event_counts"] = stepped.results.event_counts
+            record["first_events"] = [list(event) for event in stepped.results.events]
+        if (part := system.recording) is not None:
             stepped = replace(stepped, results=part.thin(stepped.results))
         if worker is None and scenario_.limits is not None:
             record["warnings"].append("limits are not watched where FMUs run in this process")
-        is_kept = worker is not None and prepared.interval is not None
-        failure = _write_files(prepared, stepped, record, is_kept=is_kept, report=report, figures=figures)
+        is_kept = keeping.folder is not None
+        failure = _write_files(prepared, stepped, record, base, is_kept=is_kept, report=report, figures=figures)
     if failure is not None:
         failure.left = place
         raise failure
-    return Outcome(stepped.results, record, prepared.file_of_rows)
-
-
-def _prepare_new(
-    path: Path,
-    folder: FilePath | None,
-    overrides: Sequence[str],
-    options: tuple[bool, bool, str],
-    worker: Worker | None,
-    resources: tuple[Future[dict[str, Any]], ExitStack],
-    *,
-    tell: Callable[[str], None],
-) -> _Prepared:
-    """Return a new run.
-
-    Args:
-        options: Whether the folder may have files, whether to use the nearest models, and the name of the rows file.
-        resources: Versions of software, and what keeps the folder from other commands.
-    """
-    (force, nearest, rows_file), (software, stack) = options, resources
-    is_package, warnings = is_ssp(path), list[str]()
-    if is_package:
-        place = stack.enter_context(new_run(folder, path.stem, "cosim run", force=force))
-        file, warnings = lay_out(path, place, overrides)
-    else:
-        file = ScenarioFile(path, overrides)
-        place = stack.enter_context(new_run(folder, file.scenario.name, "cosim run", force=force))
-    if nearest:
-        take_nearest(file)
-    check_pinned(file)
-    system = build_system(file)
-    if not is_package:
-        remove_earlier(place, read=file.files)
-    check_writable(place, (rows_file, MANIFEST, "report.html"), file.files)
-    system = replace(with_feedthrough(file, system, worker, tell), pace=file.scenario.pace)
-    ssp = path if is_package else None
-    return _Prepared(file, place, system, rows_file, software, warnings, ssp)
+    return Outcome(stepped.results, record, place / prepared.rows_file)
 
 
 def _prepare_stopped(
     path: Path,
     until: float | None,
-    software: Future[dict[str, Any]],
     worker: Worker | None,
     tell: Callable[[str], None],
     stack: ExitStack,
@@ -318,84 +298,34 @@ def _prepare_stopped(
     if changes := stopped.changes:
         system = replace(system, events=with_changes(system.events, changes))
         start = start and replace(start, changes=changes)
-    record = stopped.base(system.warnings if until is not None or stopped.has_outcome else None)
+    record = stopped.base(system.warnings if until is not None or EXTRA not in stopped.record else None)
     record["scenario"]["duration"] = file.scenario.duration
     for name, longest in steps.items():
         record["scenario"]["components"][name]["solver_step"] = longest
-    tell(_how_it_goes_on(stopped, system, start, file.scenario))
-    files, extra = stopped.rows_file, stopped.warnings
-    prepared = _Prepared(file, stopped.folder, system, files, software, extra, start=start, record=record)
-    return replace(prepared, changes=changes)
-
-
-def _how_it_goes_on(stopped: StoppedRun, system: System, start: Continuation | None, scenario: Scenario) -> str:
-    """Return the note on start and cost."""
     if start is None:
-        return Note(
-            f"record leaves out signals or rows, so the run is made again from t = {scenario.start_time:g} s; "
+        note = (
+            f"record leaves out signals or rows, so the run is made again from t = {file.scenario.start_time:g} s; "
             "checkpoint: keeps all of them"
         )
-    time = scenario.start_time + (start.count - 1) * scenario.step
-    names = start.unsaved(system)
-    cost = (
-        f"; as the state of {', '.join(names)} is not saved, all steps are made again, which takes about "
-        f"{stopped.lasted:.2g} s"
-        if names
-        else ""
-    )
-    return Note(f"the run goes on from t = {time:g} s, row {start.count} of {scenario.steps + 1}{cost}")
-
-
-def _step(
-    prepared: _Prepared, worker: Worker | None, observers: Sequence[Observer], tell: Callable[[str], None]
-) -> SteppedRun:
-    """Make the steps of a run."""
-    scenario, system, place = prepared.file.scenario, prepared.system, prepared.place
-    if worker is None:
-        if prepared.interval is not None:
-            tell("no checkpoints are made where FMUs run in this process")
-        stepped = simulate_here(system, scenario.steps, scenario.step, observers, start=prepared.start)
-        return replace(stepped, results=take_signals(system.recording, stepped.results))
-    keeping = prepared.keeping()
-    if keeping.folder is not None and prepared.start is None and (names := unsaved_names(system)):
-        tell(
-            Note(
-                f"no checkpoint has the state of {', '.join(names)}: a resumed run makes all steps again from "
-                "the start, which takes as long as they took"
-            )
-        )
-    stepped = simulate_apart(
-        worker,
-        system,
-        scenario.steps,
-        scenario.step,
-        place,
-        scenario.limits,
-        observers=observers,
-        keeping=keeping,
-        measure_times=True,
-        recording=system.recording,
-    )
-    return stepped
-
-
-def _add_outcome(record: dict[str, Any], scenario: Scenario, stepped: SteppedRun) -> None:
-    """Add the outcome of the steps to the manifest."""
-    record |= stepped.results.details
-    if stepped.failure is None:
-        record["criteria"] = [*evaluate(scenario, stepped.results), *missed_tolerance(stepped.results)]
     else:
-        record["status"] = f"failed: {stepped.failure}"
-    record["warnings"] += [*stepped.results.notes, *stepped.log]
-    if stepped.results.event_counts:
-        record["event_counts"] = stepped.results.event_counts
-        record["first_events"] = [list(event) for event in stepped.results.events]
+        time_ = file.scenario.start_time + (start.count - 1) * file.scenario.step
+        note = f"the run goes on from t = {time_:g} s, row {start.count} of {file.scenario.steps + 1}"
+        if names := start.unsaved(system):
+            note += (
+                f"; as the state of {', '.join(names)} is not saved, all steps are made again, which takes about "
+                f"{stopped.lasted:.2g} s"
+            )
+    tell(Note(note))
+    return _Prepared(
+        file, stopped.folder, system, stopped.rows_file, record, stopped.warnings, start=start, changes=changes
+    )
 
 
 def _write_files(
     prepared: _Prepared,
     stepped: SteppedRun,
     record: dict[str, Any],
+    base: Callable[[], dict[str, Any]],
     *,
     is_kept: bool,
     report: bool,
@@ -404,12 +334,13 @@ def _write_files(
     """Write all files of a run, or as many as fit on a full disk.
 
     Args:
+        base: Returns the manifest before the outcome.
         is_kept: Whether the folder has checkpoints of the run.
 
     Returns:
         The failure of the run or of the disk, if any.
     """
-    rows, results, failure = prepared.file_of_rows, stepped.results, stepped.failure
+    rows, results, failure = prepared.place / prepared.rows_file, stepped.results, stepped.failure
     record["rows"], has_rows = len(results.time), False
     hold_stops()  # also where no worker made the steps
     try:
@@ -420,7 +351,7 @@ def _write_files(
         is_part = prepared.system.recording is not None
         end_keeping(rows.parent, is_kept=is_kept, keeps_rows=is_part)
         if stepped.state is not None and failure is not None and not is_part:
-            keep_state(rows, prepared.base(), prepared.warnings, stepped.state)
+            write_durable(write_run(rows.parent, base(), rows.name, prepared.warnings) / STATE, stepped.state)
         release_stops()
         if report:
             from cosim.simulation.report import write_report
@@ -456,7 +387,7 @@ def _write_what_fits(prepared: _Prepared, stepped: SteppedRun, record: dict[str,
     Args:
         has_rows: Whether all rows are written.
     """
-    rows, failure, time = prepared.file_of_rows, stepped.failure, stepped.results.time
+    rows, failure, time = prepared.place / prepared.rows_file, stepped.failure, stepped.results.time
     count, manifest_ = len(time), rows.with_name(MANIFEST)
     rows.with_name("report.html").unlink(missing_ok=True)
     record["status"] = f"failed: {failure or 'the disk is full'}"

@@ -41,7 +41,7 @@ def _user_folder(variable: str) -> Path | None:
         return None
     folder = (Path(variable) if variable else Path(home) / ".cache").absolute() / "cosim"
     try:
-        _make(folder)
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         status = folder.resolve().stat()
     except OSError:
         return None
@@ -62,20 +62,13 @@ def cache_folder() -> Path:
     if folder := _user_folder(os.environ.get(VARIABLE, "")):
         return folder
     folder = process_folder() / "cache" / "cosim"
-    _make(folder)
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     return folder
 
 
 def cache_environment() -> Mapping[str, str]:
     """Return environment variables for sharing this process's cache."""
     return {} if _user_folder(os.environ.get(VARIABLE, "")) else {VARIABLE: str(cache_folder().parent)}
-
-
-def _make(folder: Path) -> None:
-    """Create a folder and its missing parents, accessible to this user only."""
-    if not folder.is_dir():
-        _make(folder.parent)
-        folder.mkdir(mode=0o700, exist_ok=True)
 
 
 def load_or_make(source: str, make: Callable[[], Any]) -> Any:

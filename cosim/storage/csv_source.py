@@ -61,14 +61,12 @@ class Csv(Source):
             return []
         return [split_heading(text)[0] for text in rows.header]
 
-    def write(self, path: Path, columns: Sequence[Column], go_on: Callable[[int], bool] = lambda count: True) -> None:
-        """Write columns with exactly reproducible numbers, to the row after which `go_on` returns False."""
+    def write(self, path: Path, columns: Sequence[Column]) -> None:
+        """Write columns with exactly reproducible numbers."""
         is_plain = all(isinstance(column.values, np.ndarray) for column in columns)
 
         def rows() -> Iterator[tuple[Any, ...]]:
             for first in range(0, len(columns[0].values), CHUNK):  # Python floats need four times the memory.
-                if first and not go_on(first):
-                    return
                 parts = (column.values[first : first + CHUNK] for column in columns)
                 yield from zip(*(p.tolist() if isinstance(p, np.ndarray) else p for p in parts), strict=True)
 

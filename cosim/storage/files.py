@@ -20,8 +20,8 @@ from typing import Any, TextIO
 from cosim.base.drafts import draft_of
 from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.scratch import ScratchFolder, scratch
+from cosim.base.settings import FilePath as FilePath
 
-FilePath = str | os.PathLike[str]
 NOT_BLANK = "give a name, or . for the current folder"
 STOPPING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 MOST_HOLES, SMALL = 1000, 1 << 26  # size over stored bytes, more than any file system compresses; [bytes] always read

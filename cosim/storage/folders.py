@@ -20,6 +20,7 @@ from typing import Any
 
 from cosim.base.errors import InputError
 from cosim.base.messages import Note
+from cosim.base.scratch import temporary_folder
 from cosim.base.version import __version__
 from cosim.storage.artefact import artefacts
 from cosim.storage.files import FilePath, check_writable, delay_stops, named_path, open_regular, parse_json, write_json
@@ -293,3 +294,14 @@ def replay_record(folder: Path) -> dict[str, Any]:
     Keys are `log`, `fmu`, `units` and `sentence`; values of wrong types are left out, and all if unreadable.
     """
     return sound_part(folder / REPLAY, content_of(folder / REPLAY))[0]
+
+
+@contextmanager
+def results_in(out: FilePath | None, verb: str, *, force: bool = False) -> Iterator[Path]:
+    """Yield the folder `out`, which must be empty without `force`, or a temporary folder."""
+    if out is not None:
+        with new_run(out, "", verb, force=force) as folder:
+            yield folder
+        return
+    with temporary_folder("run") as scratch:
+        yield scratch

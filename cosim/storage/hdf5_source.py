@@ -69,7 +69,10 @@ class Hdf5(Source):
         h5py = optional("h5py", "--format hdf5")
         with h5py.File(path.name, "w", driver="core", backing_store=False) as file:
             for number, column in enumerate(columns):
-                place = column.name if column.name == "time" else _place(column.name)
+                component, _, variable = column.name.partition(".")
+                place = f"{component}/{variable.replace('/', '|') or 'value'}"  # a group for a component
+                if column.name == "time":
+                    place = "time"
                 if place in file or place.startswith("time/"):  # beside the dataset of the time no group has its name
                     place = f"signal {number}"
                 values: Any = column.values
@@ -85,12 +88,6 @@ class Hdf5(Source):
 
 
 HDF5 = Hdf5()
-
-
-def _place(name: str) -> str:
-    """Return the path of a signal: a group for its component."""
-    component, _, variable = name.partition(".")
-    return f"{component}/{variable.replace('/', '|') or 'value'}"
 
 
 def _values(item: Any) -> Any:

@@ -9,9 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from cosim.base.errors import InputError
-from cosim.storage.artefact import Artefact, artefacts, folder_kind, kind_by_keys, kind_where, of_kind
-from cosim.storage.files import open_bytes
-from cosim.storage.kind_names import (
+from cosim.storage.artefact import (
     ANSWER,
     BINARY,
     CODE,
@@ -27,7 +25,14 @@ from cosim.storage.kind_names import (
     SWEEP,
     TABLE,
     TEXT,
+    Artefact,
+    artefacts,
+    folder_kind,
+    kind_by_keys,
+    kind_where,
+    of_kind,
 )
+from cosim.storage.files import open_bytes
 from cosim.storage.table import sources, suffixes
 from cosim.storage.yaml_file import YamlFile
 
@@ -160,8 +165,7 @@ def refuse_other(path: Path, kind: str | None, *wanted: str) -> None:
         return
     artefact = of_kind(kind)
     if {kind, artefact.taken_as if artefact is not None else kind}.isdisjoint(wanted):
-        step = next_step(kind, path)
-        raise InputError.at(path, f"is {kind}, not {' or '.join(wanted)}: {step}")
+        raise InputError.at(path, f"is {kind}, not {' or '.join(wanted)}: {next_step(kind, path)}")
 
 
 def refuse_unreadable(path: Path, *wanted: str) -> None:
@@ -170,7 +174,10 @@ def refuse_unreadable(path: Path, *wanted: str) -> None:
     try:
         if path.is_dir():
             refuse_folder(path, kinds)
-            raise InputError.at(path, f"is a folder, not {kinds}; in it: {_likely_files(path, kinds)}")
+            endings = {ending for a in artefacts() if a.kind in kinds for ending in a.endings} or {".yaml", ".yml"}
+            names = sorted(p.name for p in path.iterdir() if p.suffix.lower() in endings and p.is_file())
+            some = f"{', '.join(names[:3])}{', …' if names[3:] else ''}" or "none by its ending"
+            raise InputError.at(path, f"is a folder, not {kinds}; in it: {some}")
         if not path.exists():
             raise InputError.at(path, f"no such file; give {kinds}")
         if not path.is_file():  # A pipe would block.
@@ -204,10 +211,3 @@ def refuse_folder(path: Path, kinds: str) -> None:
     if artefact is not None and artefact.folder not in kinds:
         step = artefact.folder_step.format(file=shell_path(path))
         raise InputError.at(path, f"is {artefact.folder}, not {kinds}: {step}")
-
-
-def _likely_files(path: Path, kinds: str) -> str:
-    """Return the files of a folder that may be of the wanted kinds."""
-    endings = {ending for a in artefacts() if a.kind in kinds for ending in a.endings} or {".yaml", ".yml"}
-    names = sorted(p.name for p in path.iterdir() if p.suffix.lower() in endings and p.is_file())
-    return f"{', '.join(names[:3])}{', …' if names[3:] else ''}" or "none by its ending"

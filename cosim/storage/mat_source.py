@@ -17,8 +17,6 @@ from cosim.base.errors import InputError
 from cosim.storage.files import open_bytes
 from cosim.storage.table import HEAD, Column, Source, Table, as_text, split_heading, time_among, whole_numbers
 
-BAD_TABLE = "is no {format} file that can be read: {reason}; write it again"
-
 MAGIC = b"MATLAB 5.0 MAT-file"
 OF_OCTAVE = b"# Created by Octave", b"Octave-1-"
 MOST_BYTES = 2**31 - 1  # of a variable
@@ -55,14 +53,16 @@ class Mat(Source):
         texts = [c for c in others if not isinstance(c.values, np.ndarray)]
         rows = len(time.values)
         if 8 * rows * max(1, len(numbers)) > MOST_BYTES:
-            raise InputError.at(
-                path,
-                (
-                    f"{rows} rows of {len(numbers)} columns are more than the 2 GB of a MAT variable; take another "
-                    "format"
-                ),
-            )
-        content = {"time": np.asarray(time.values, dtype=np.float64).reshape(-1, 1), **_numbers(numbers, rows)}
+            size = f"{rows} rows of {len(numbers)} columns"
+            raise InputError.at(path, f"{size} are more than the 2 GB of a MAT variable; take another format")
+        values = [np.asarray(c.values) for c in numbers]
+        content = {
+            "time": np.asarray(time.values, dtype=np.float64).reshape(-1, 1),
+            "values": np.column_stack(values).astype(np.float64) if values else np.empty((rows, 0)),
+            "whole": np.array([[v.dtype.kind == "i" for v in values]], dtype=bool),
+            "names": _cells([c.name for c in numbers]),
+            "units": _cells([c.unit for c in numbers]),
+        }
         if texts:
             cells = _cells([as_text(value) for c in texts for value in c.values]).reshape(len(texts), rows).T
             content |= {"text": cells, "text_names": _cells([c.name for c in texts])}
@@ -74,37 +74,22 @@ class Mat(Source):
 MAT = Mat()
 
 
-def _numbers(columns: Sequence[Column], rows: int) -> dict[str, Any]:
-    """Return the variables that hold columns of numbers."""
-    values = [np.asarray(c.values) for c in columns]
-    return {
-        "values": np.column_stack(values).astype(np.float64) if values else np.empty((rows, 0)),
-        "whole": np.array([[v.dtype.kind == "i" for v in values]], dtype=bool),
-        "names": _cells([c.name for c in columns]),
-        "units": _cells([c.unit for c in columns]),
-    }
-
-
 def _content(path: Path) -> Mapping[str, Any]:
     from scipy.io import loadmat
 
     try:
         with open_bytes(path) as stream:
-            if stream.read(HEAD).startswith(OF_OCTAVE):
-                raise InputError.at(
-                    path, "is a file in a format of Octave's own; write it as save('-v7', 'NAME.mat', 'time', …)"
-                )
-        content: Mapping[str, Any] = loadmat(path)
+            head = stream.read(HEAD)
+        content: Mapping[str, Any] = {} if head.startswith(OF_OCTAVE) else loadmat(path)
     except NotImplementedError:  # version 7.3
-        raise InputError.at(
-            path, "is a MAT file of version 7.3; write it with -v7, or as HDF5 with one dataset a signal"
-        ) from None
-    except InputError:
-        raise
-    except OSError as error:
-        raise InputError.at(path, BAD_TABLE.format(format="MAT", reason=error.strerror or error)) from None
+        cure = "write it with -v7, or as HDF5 with one dataset a signal"
+        raise InputError.at(path, f"is a MAT file of version 7.3; {cure}") from None
     except Exception as error:  # scipy reports damage by many kinds of errors
-        raise InputError.at(path, BAD_TABLE.format(format="MAT", reason=str(error)[:200])) from None
+        reason = getattr(error, "strerror", None) or str(error)[:200]
+        raise InputError.at(path, f"is no MAT file that can be read: {reason}; write it again") from None
+    if head.startswith(OF_OCTAVE):
+        cure = "write it as save('-v7', 'NAME.mat', 'time', …)"
+        raise InputError.at(path, f"is a file in a format of Octave's own; {cure}")
     return content
 
 

@@ -145,19 +145,13 @@ def _column(name: str, unit: str, column: Any, *, is_text: bool) -> Column:
     if is_whole and not column.null_count:
         return Column(name, unit, whole_numbers(column.to_numpy()))
     if not (is_whole or types.is_floating(kind) or types.is_null(kind)):
-        return Column(name, unit, fault=_no_numbers(kind))
+        fault = f"holds {kind}; write numbers"
+        if types.is_temporal(kind):
+            fault = f"holds moments or durations ({kind}); write seconds as numbers"
+        elif types.is_decimal(kind):
+            fault = f"holds decimals ({kind}); write them as double"
+        elif types.is_nested(kind):
+            fault = f"is nested ({str(kind)[:60]}); write one column a number"
+        return Column(name, unit, fault=fault)
     values = column.cast("float64", safe=False).to_numpy()  # with NaN for missing ones
     return Column(name, unit, np.asarray(values, dtype=np.float64))
-
-
-def _no_numbers(kind: Any) -> str:
-    """Return why a column type cannot be read as numbers, and a remedy."""
-    from pyarrow import types
-
-    if types.is_temporal(kind):
-        return f"holds moments or durations ({kind}); write seconds as numbers"
-    if types.is_decimal(kind):
-        return f"holds decimals ({kind}); write them as double"
-    if types.is_nested(kind):
-        return f"is nested ({str(kind)[:60]}); write one column a number"
-    return f"holds {kind}; write numbers"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from array import array
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -14,17 +14,16 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.drafts import is_full
-from cosim.storage.csv_source import CSV
 from cosim.storage.table import (
-    MOST_TIME,
     Column,
     Faults,
     Table,
+    Use,
     as_text,
     is_there,
     is_time,
-    note_distant,
     note_wrong_first,
+    numbers_of,
     source_named,
     source_of,
     suffixes,
@@ -92,22 +91,15 @@ class Results:
     def _places(self) -> Mapping[str, int]:
         return {name: k for k, name in enumerate(self.columns)}
 
-    def write(self, path: Path, go_on: Callable[[int], bool] = lambda count: True) -> None:
-        """Write time and all columns in the format of the suffix.
-
-        Args:
-            go_on: Function that returns whether CSV goes on after so many rows.
-        """
+    def write(self, path: Path) -> None:
+        """Write time and all columns in the format of the suffix."""
         columns = [Column("time", "s", self.time)]
         for k, name in enumerate(self.columns):
             values = self.values[:, k]
             unit = self.units.get(name, "")
             columns.append(Column(name, unit, values.astype(np.int64) if name in self.whole else values))
         columns += [Column(name, self.units.get(name, ""), list(values)) for name, values in self.exact.items()]
-        if path.suffix == ".csv":
-            CSV.write(path, columns, go_on)
-        else:
-            source_named(path.suffix).write(path, columns)
+        source_named(path.suffix).write(path, columns)
 
     def write_what_fits(self, path: Path) -> int:
         """Write as many first rows as fit on the disk and return their number; raise OSError if none fits."""
@@ -165,7 +157,14 @@ def read_results(
         table = source_of(path).read(path, units, text)
     faults.items += table.faults
     faults.raise_any()
-    time = _time_of(table, faults)
+    first = table.columns[0] if table.columns else Column("")
+    time: Array | None = None
+    if is_time(first.name):
+        use = Use("time", time_scale(faults, table.header, first.unit), role="the time")
+        time = numbers_of(replace(first, name="time", cell=1), use, table, faults, jumps=True)
+    else:
+        place = next((cell for cell, column in enumerate(table.columns, 1) if is_time(column.name)), 0)
+        note_wrong_first(faults, table.header, first.name, place)
     numbers: dict[str, Array] = {}
     exact, whole = dict[str, list[Any]](), set[str]()
     for cell, column in enumerate(table.columns[1:], 2):
@@ -181,40 +180,12 @@ def read_results(
             numbers[column.name] = values.astype(np.float64)
             whole |= {column.name} if values.dtype.kind == "i" else set()
     faults.raise_any()
+    assert time is not None  # else there was a fault
     values = np.column_stack(list(numbers.values())) if numbers else np.empty((time.size, 0))
     own_units = {c.name: c.unit for c in table.columns[1:] if c.unit}
     own_units |= {name: unit for name, unit in units.items() if name in numbers or name in exact}
     words = frozenset(exact) & {*words, *(c.name for c in table.columns[1:] if c.is_text)}
     return Results(time, tuple(numbers), values, own_units, exact, frozenset(whole), words=words)
-
-
-def _time_of(table: Table, faults: Faults) -> Array:
-    """Return the first column in seconds, checked for order.
-
-    Equal times are allowed, because some tools write several rows per event.
-    """
-    first = table.columns[0] if table.columns else Column("")
-    lines = table.row_lines
-    if not is_time(first.name):
-        place = next((cell for cell, column in enumerate(table.columns, 1) if is_time(column.name)), 0)
-        note_wrong_first(faults, table.header, first.name, place)
-        return np.empty(0)
-    scale = time_scale(faults, table.header, first.unit)
-    if not first.numeric:
-        if len(lines):
-            fault = f"column time {first.fault}" if first.fault else "a time is no number; write seconds"
-            faults.note(lines[0], 1, fault)
-        return np.empty(0)
-    time = np.asarray(first.values, dtype=np.float64) * scale
-    missing = np.flatnonzero(~np.isfinite(time))
-    faults.note_cells(missing, lines, 1, lambda row: "the row has no time; fill the cell or leave the row out")
-    note_distant(time, lines, faults)
-    time = np.clip(time, -MOST_TIME, MOST_TIME)
-    back = np.flatnonzero(np.diff(time) < 0.0) + 1
-    faults.note_cells(
-        back, lines, 1, lambda row: f"time {time[row]:g} s comes after {time[row - 1]:g} s; sort the rows"
-    )
-    return time
 
 
 def rows_name(stem: str, format_: str) -> str:

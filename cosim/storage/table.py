@@ -265,13 +265,11 @@ def read_table(
         return None
     columns, spoiled = list[Column](), list[str]()
     for use, column in uses.values():
-        values = _numbers(column, use, table, faults)
+        values = numbers_of(column, use, table, faults, jumps=jumps)
         if values is None:
             spoiled.append(use.name)
-            continue
-        if use.name == "time" and not use.spare:
-            values = _checked_times(values, table.row_lines, faults, jumps=jumps)
-        columns.append(replace(column, name=use.name, values=values))
+        else:
+            columns.append(replace(column, name=use.name, values=values))
     return replace(table, columns=columns, lines=table.row_lines, first=table.columns[0].name, spoiled=spoiled)
 
 
@@ -305,8 +303,11 @@ def _chosen(
     return uses
 
 
-def _numbers(column: Column, use: Use, table: Table, faults: Faults) -> Array | None:
-    """Return a column's numbers in the wanted unit, and note its faulty cells; None for a spoiled spare column."""
+def numbers_of(column: Column, use: Use, table: Table, faults: Faults, *, jumps: bool = False) -> Array | None:
+    """Return a column's numbers in the wanted unit, and note its faulty cells; None for a spoiled spare column.
+
+    Times beyond `MOST_TIME`, or that do not increase, are faults too; equal times are allowed if they are `jumps`.
+    """
     lines, cell = table.row_lines, column.cell
     wrong = np.zeros(len(lines), bool)
     values = np.full(len(lines), np.nan)
@@ -342,6 +343,8 @@ def _numbers(column: Column, use: Use, table: Table, faults: Faults) -> Array | 
             )
         values[infinite] = np.nan
     scaled: Array = values * use.factor
+    if use.name == "time" and not use.spare:
+        return _checked_times(scaled, lines, faults, jumps=jumps)
     return scaled + use.offset if use.offset else scaled  # Without offset, a negative zero keeps its sign.
 
 
@@ -363,7 +366,10 @@ def _wrong_cell(cell: str, use: Use) -> str:
 
 def _checked_times(time: Array, lines: Sequence[int], faults: Faults, *, jumps: bool) -> Array:
     """Note times that are too large or do not increase; return times clipped to `MOST_TIME`."""
-    note_distant(time, lines, faults)
+    cure = "too large to count differences of times; write seconds, or leave the row out"
+    faults.note_cells(
+        np.flatnonzero(np.abs(time) > MOST_TIME), lines, 1, lambda row: f"time is {time[row]:g} s, {cure}"
+    )
     time = np.clip(time, -MOST_TIME, MOST_TIME)
     rows = np.flatnonzero(np.isfinite(time))
     steps = np.diff(time[rows])
@@ -383,14 +389,6 @@ def _checked_times(time: Array, lines: Sequence[int], faults: Faults, *, jumps: 
 
     faults.note_cells(rows[late], lines, 1, message)
     return time
-
-
-def note_distant(time: Array, lines: Sequence[int], faults: Faults) -> None:
-    """Note times [s] beyond `MOST_TIME`."""
-    cure = "too large to count differences of times; write seconds, or leave the row out"
-    faults.note_cells(
-        np.flatnonzero(np.abs(time) > MOST_TIME), lines, 1, lambda row: f"time is {time[row]:g} s, {cure}"
-    )
 
 
 def note_wrong_first(faults: Faults, line: int, name: str, time: int = 0) -> None:
@@ -449,8 +447,6 @@ def is_there(faults: Faults) -> bool:
         faults.note(0, 0, "is no file" if path.exists() else "no such file")
     except OSError as error:
         faults.note(0, 0, f"cannot be read: {error.strerror}")
-    except ValueError:  # an impossible file name
-        faults.note(0, 0, "no such file")
     return False
 
 

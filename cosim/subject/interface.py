@@ -15,7 +15,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, runtime_checkable
 
 from cosim.base.arrays import Array, Rows
 from cosim.isolation.limits import Limits
@@ -86,6 +86,7 @@ class Replayer(Protocol):
         """
 
 
+@runtime_checkable
 class Subject(Protocol):
     """An object that can be refined.
 

@@ -116,12 +116,14 @@ class Factors:
             return None
 
         def value(where: Location, entry: Any) -> Any:
-            if where != STANDARD_DEVIATION:
-                number = convert_value(block.description, variable, entry)
-            elif isinstance(entry, str):  # The bounds and the unit's offset do not apply to a standard deviation.
-                number = convert_quantity(block.description, variable, entry, difference=True)
-            else:
-                number = entry
+            number = entry
+            try:
+                if where != STANDARD_DEVIATION:
+                    number = convert_value(block.description, variable, entry)
+                elif isinstance(entry, str):  # The bounds and the unit's offset do not apply to a standard deviation.
+                    number = convert_quantity(block.description, variable, entry, difference=True)
+            except ValueError as error:
+                number = Misfit(str(error))
             if isinstance(number, Misfit):
                 self._note(("vary", name, *where), f"{name} is {entry!r}; {number.reason}")
                 return None

@@ -103,8 +103,6 @@ def read_sweep(path: Path, *, loads: bool = False) -> Sweep:
     check_given(path, SWEEP)
     yaml = YamlFile(path)
     file, faults = yaml.partly(SweepFile, "vary")
-    if file is None:
-        raise InputError(faults)
     scenario_path = path.parent / file.scenario
     if not scenario_path.is_file():
         raise InputError([*faults, yaml.fault(("scenario",), f"no such scenario: {short(file.scenario)}")])

@@ -11,10 +11,9 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.text import append_unit, counted, display, percent, plain, written
 from cosim.base.version import __version__
-from cosim.report.drawing import Charts
+from cosim.report.charts import Charts, Plot
 from cosim.report.html_tables import Badge
 from cosim.report.panels import Band, Panel, Trace
-from cosim.report.svg import TICKS_UP, Plot, make_axis
 from cosim.report.template import render
 from cosim.storage.kinds import shell_path
 from cosim.sweeps.run_statistics import MIN_RUNS, Sensitivity, quantiles, sensitivity
@@ -39,7 +38,7 @@ def page(swept: Swept) -> str:
     table, _ = read_table(swept.folder / TABLE)
     record, charts, study = swept.record, Charts(), swept.sweep
     names = study.job.signals[:MOST_BANDS]
-    drawing = charts.over(np.array(record["times"], float), 5 * len(names))
+    drawing = charts.over(np.array(record["times"], float))
     failed, completed = record["failed"], record["runs"] - record["failed"]
     values = {c["name"]: np.array(table.column(c["name"]).to_pylist(), float) for c in record["criteria"]}
     indices = _sensitivities(swept, table, values)
@@ -156,11 +155,8 @@ def _worst(swept: Swept, table: Any, values: Mapping[str, Array]) -> list[Mappin
 
 def _scatters(
     swept: Swept, table: Any, values: Mapping[str, Array], indices: Sequence[Sensitivity], charts: Charts
-) -> list[tuple[Plot, str]]:
-    """Draw criteria over their most important factors, criteria that every run meets only if there are no others.
-
-    Returns each plot with the label of its axis.
-    """
+) -> list[Plot]:
+    """Draw criteria over their most important factors, criteria that every run meets only if there are no others."""
     ranked = {s.outcome: s.factors for s in indices}
     units = {factor.name: factor.unit for factor in swept.sweep.factors}
     columns = {name: column for name, column in swept.sweep.columns.items() if name != "seed" and are_numbers(column)}
@@ -179,14 +175,11 @@ def _scatters(
             order, y, limit = np.argsort(x, kind="stable"), values[c["name"]][good] * factor, c["max"] * factor
             low, high = min(float(y.min()), limit), max(float(y.max()), limit)
             room, edge = 0.06 * (high - low) or 1.0, 0.04 * float(np.ptp(x))
-            axes = (
-                make_axis(float(x.min()) - edge, float(x.max()) + edge, 6),
-                make_axis(low - room, high + room, TICKS_UP),
-            )
+            ends = float(x.min()) - edge, float(x.max()) + edge
             trace = Trace(c["name"], y[order], "s0 dots", x=x[order])
             panel = Panel(f"{c['name']} over {name}", unit or "1", [trace], None, (limit,), "limit")
             also = {"run": runs[good][order].astype(float)}
-            plots.append((charts.points(panel, axes, (name, x_unit or "1"), also), f"{name} [{x_unit or '1'}]"))
+            plots.append(charts.points(panel, ends, (name, x_unit or "1"), also, reach=(low - room, high + room)))
     return plots
 
 

@@ -11,8 +11,8 @@ from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.sources import SourceBlock
 from cosim.fmi.sampled import sampled_by
-from cosim.scenario.diagnosis import Diagnosis
 from cosim.scenario.scenario import Bond, FixComponent, Scenario, StepControl
+from cosim.scenario.scenario_file import Diagnosis
 from cosim.storage.yaml_file import did_you_mean
 from cosim.system.wiring import Components, RowLayout, Transfer
 

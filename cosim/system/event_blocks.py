@@ -18,9 +18,8 @@ from cosim.blocks.model_exchange import ModelExchange2
 from cosim.blocks.scheduled import ScheduledFmu
 from cosim.blocks.sources import SourceBlock
 from cosim.fmi.sampled import sampled_by
-from cosim.scenario.diagnosis import Diagnosis
 from cosim.scenario.scenario import ClockTiming, FmuComponent
-from cosim.scenario.scenario_file import ScenarioFile
+from cosim.scenario.scenario_file import Diagnosis, ScenarioFile
 from cosim.scenario.start_values import Misfit
 from cosim.storage.yaml_file import did_you_mean
 from cosim.system.schedule import Loop, Schedule, Stage

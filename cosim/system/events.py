@@ -10,9 +10,8 @@ from cosim.base.times import first_point
 from cosim.blocks.description import enumeration_items, unit_of
 from cosim.blocks.fmi_types import input_aliases
 from cosim.blocks.fmu import FmuBlock
-from cosim.scenario.diagnosis import Diagnosis
 from cosim.scenario.scenario import FmuComponent
-from cosim.scenario.scenario_file import ScenarioFile
+from cosim.scenario.scenario_file import Diagnosis, ScenarioFile
 from cosim.scenario.start_values import Misfit, bounds_of, convert_value
 from cosim.storage.yaml_file import did_you_mean
 from cosim.system.event_blocks import clock_interval

@@ -17,8 +17,8 @@ from cosim.base.text import join_names
 from cosim.blocks.component import Component
 from cosim.blocks.description import matches
 from cosim.blocks.fmu import FmuBlock
-from cosim.scenario.diagnosis import Diagnosis
 from cosim.scenario.scenario import Recording, Scenario
+from cosim.scenario.scenario_file import Diagnosis
 from cosim.storage.results import Results
 from cosim.storage.yaml_file import did_you_mean
 from cosim.system.wiring import RowLayout

@@ -15,8 +15,8 @@ from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fixes import Fixes
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.sources import SourceBlock
-from cosim.scenario.diagnosis import Diagnosis, Place
 from cosim.scenario.scenario import Scenario
+from cosim.scenario.scenario_file import Diagnosis, Place
 from cosim.storage.yaml_file import did_you_mean
 from cosim.system.wiring import Components, Transfer
 

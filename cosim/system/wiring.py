@@ -17,7 +17,6 @@ from cosim.blocks.faults import Addition, LinkFunction, Scaling, fault_function,
 from cosim.blocks.fmi_types import input_aliases, is_compatible, negative
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.stepping import ConvertedLink, LinkKind, link
-from cosim.scenario.diagnosis import Diagnosis, Place
 from cosim.scenario.scenario import (
     Connection,
     Disturbance,
@@ -27,7 +26,7 @@ from cosim.scenario.scenario import (
     PlaybackComponent,
     ReferenceComponent,
 )
-from cosim.scenario.scenario_file import ScenarioFile
+from cosim.scenario.scenario_file import Diagnosis, Place, ScenarioFile
 from cosim.scenario.start_values import Misfit
 from cosim.storage.yaml_file import did_you_mean
 

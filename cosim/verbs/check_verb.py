@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -26,7 +25,7 @@ from cosim.base.errors import (
 from cosim.base.messages import with_prefix
 from cosim.base.program import STOPPED
 from cosim.base.registry import resolve
-from cosim.base.settings import Files, ModelName
+from cosim.base.settings import Files, ModelName, Values
 from cosim.storage.artefact import Checking, kind_by_keys, of_kind
 from cosim.storage.files import FilePath
 from cosim.verbs.options import Compile, Json, Texts
@@ -42,7 +41,7 @@ def check(
     *,
     load: bool = True,
     compile: bool = False,
-    columns: Mapping[str, str] | None = None,
+    columns: Values | None = None,
 ) -> list[str]:
     """Find every fault of files.
 

@@ -8,7 +8,6 @@ from typing import Annotated
 
 import typer
 
-from cosim.base.program import ending_when_stuck
 from cosim.storage.folders import name_of, new_run
 from cosim.verbs.options import Force, Json, Open, Report, Texts, out_option, time_option
 from cosim.verbs.terminal import files_in, say, say_json, show, stages, warn
@@ -59,7 +58,7 @@ def command(
     from cosim.experiment.excite import excite as choose_input
 
     folder = new_run(out, f"{name_of(model)}-excitation", "cosim excite", force=force, goes_on=True)
-    with folder as place, stages() as progress, ending_when_stuck():
+    with folder as place, stages() as progress:
         choice = choose_input(
             model,
             place,

@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cosim.base.settings import Files, Given, normalize_settings, texts
+from cosim.base.settings import Files, Given, column_names, texts
 from cosim.storage.files import FilePath
-from cosim.storage.folders import name_of_file, new_run
+from cosim.storage.folders import name_of_file, new_run, results_in
 from cosim.verbs.options import Compile, Force, InProcess, Json, LimitsText, Open, Report, Texts, out_option
-from cosim.verbs.scratch_results import results_in
 from cosim.verbs.terminal import files_in, say, say_json, show, stages, table, warn
 
 if TYPE_CHECKING:
@@ -69,15 +68,13 @@ def fit(
     from cosim.calibration.fitted import Fitted
     from cosim.calibration.workflow import fit as fit_logs
 
-    settings = normalize_settings(columns, "columns")
-    pairs = [f"{c}={v}" for c, v in settings.items()] if isinstance(settings, dict) else list(settings)
     request = request_of(
         [logs] if isinstance(logs, (str, os.PathLike)) else list(logs),
         fmu,
-        vary=texts(vary, "vary"),
-        start=texts(start, "start"),
+        vary=texts(vary),
+        start=texts(start),
         sealed=list(sealed),
-        columns=pairs,
+        columns=column_names(columns),
         limits=limits,
     )
     with compiling(compile), results_in(out, "cosim fit", force=force) as folder:

@@ -9,8 +9,7 @@ import typer
 
 from cosim.base.errors import InputError
 from cosim.verbs.options import Json, Open, Overrides
-from cosim.verbs.streams import echo
-from cosim.verbs.terminal import say, say_json, show
+from cosim.verbs.terminal import echo, say, say_json, show
 
 
 def command(

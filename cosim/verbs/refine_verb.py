@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -11,12 +11,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cosim.base.errors import InputError
-from cosim.base.program import ending_when_stuck
-from cosim.base.settings import Files
+from cosim.base.settings import Files, Values
 from cosim.storage.files import FilePath
 from cosim.storage.folders import name_of_file, new_run
-from cosim.verbs.live_option import Live, Port, live_page
-from cosim.verbs.options import Force, InProcess, Json, LimitsText, Open, Report, out_option
+from cosim.verbs.options import Force, InProcess, Json, LimitsText, Live, Open, Port, Report, live_page, out_option
 from cosim.verbs.terminal import files_in, say, say_json, show, stages, table, warn
 
 if TYPE_CHECKING:
@@ -31,7 +29,7 @@ def refine(
     *,
     logs: FilePath | Files = (),
     validation: FilePath | Files = (),
-    settings: Mapping[str, Any] | None = None,
+    settings: Values | None = None,
     report: bool = True,
     force: bool = False,
     in_process: bool = False,
@@ -106,7 +104,6 @@ def command(
     with (
         new_run(out, name_of_file(study), "cosim refine", force=force) as place,
         stages(stage_number) as progress,
-        ending_when_stuck(),
         live_page("refine", study.stem, live=live, port=port, progress=progress) as page,
     ):
         told = progress if page is None else page

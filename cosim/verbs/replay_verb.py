@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cosim.base.settings import Given, normalize_settings, texts
+from cosim.base.settings import Given, column_names, texts
 from cosim.storage.files import FilePath
-from cosim.storage.folders import name_of_file, new_run
+from cosim.storage.folders import name_of_file, new_run, results_in
 from cosim.verbs.options import Compile, Force, Format, InProcess, Json, LimitsText, Open, Report, Texts, out_option
-from cosim.verbs.scratch_results import results_in
 from cosim.verbs.terminal import files_in, progress_bar, say, say_finding, say_json, show, table
 
 if TYPE_CHECKING:
@@ -67,16 +66,11 @@ def replay(
 
     with compiling(compile), results_in(out, "cosim replay", force=force) as folder:
         drive = partial(replay_log, in_process=in_process, limits=limits, progress=progress)
-        posed = partial(drive, start=texts(start, "start"), columns=_pairs(columns))
+        posed = partial(drive, start=texts(start), columns=column_names(columns))
         posed(log, folder, fmu, report=report and out is not None, format_=format)
         result = read_replay(Path(folder), kept=out is not None)
     assert result is not None  # else an error was raised
     return result
-
-
-def _pairs(columns: Given | None) -> Sequence[str]:
-    pairs = normalize_settings(columns, "columns")
-    return [f"{column}={variable}" for column, variable in pairs.items()] if isinstance(pairs, Mapping) else pairs
 
 
 def command(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
@@ -10,15 +10,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cosim.base.settings import Given, PositiveSeconds, Seconds, normalize_settings
+from cosim.base.settings import Given, Names, PositiveSeconds, Seconds, normalize_settings
 from cosim.storage.files import FilePath
+from cosim.storage.folders import results_in
 from cosim.verbs.options import Compile, Force, Format, Json, Open, Report, Texts, out_option, time_option
-from cosim.verbs.outcome import say_outcome, value_lines
-from cosim.verbs.scratch_results import results_in
-from cosim.verbs.terminal import progress_bar, say, warn
+from cosim.verbs.run_verb import say_outcome
+from cosim.verbs.terminal import progress_bar, say, table, warn
 
 if TYPE_CHECKING:
     from cosim.simulation.run_signals import Run
+    from cosim.storage.results import Results
+
+MAX_SIGNALS = 12  # signals whose values are printed
 
 
 class Interpolation(StrEnum):
@@ -37,7 +40,7 @@ def simulate(
     interpolation: str = "held",
     stop: Seconds | None = None,
     step: PositiveSeconds | None = None,
-    record: Sequence[str] = (),
+    record: Names = (),
     report: bool = True,
     force: bool = False,
     in_process: bool = False,
@@ -136,3 +139,15 @@ def command(
     if not as_json:
         say(f"scenario: {outcome.folder / 'scenario.yaml'} (change it, and `cosim run` it)")
     say_outcome(outcome, report=report, open_=open_, as_json=as_json, lines=value_lines(outcome.results))
+
+
+def value_lines(results: Results) -> list[str]:
+    """Return a line for each signal with first, last, smallest and largest value."""
+    if not len(results.time):
+        return []
+    rows = []
+    for name in results.columns[:MAX_SIGNALS]:
+        v = results[name]
+        rows.append((f"  {name}", results.units.get(name, ""), *(f"{x:.6g}" for x in (v[0], v[-1], v.min(), v.max()))))
+    more = [f"  … and {len(results.columns) - MAX_SIGNALS} more signals"] if len(results.columns) > MAX_SIGNALS else []
+    return [*table(("  signal", "unit", "first", "last", "least", "largest"), rows), *more]

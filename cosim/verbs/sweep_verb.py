@@ -11,9 +11,8 @@ from typing import Annotated
 
 import typer
 
-from cosim.verbs.live_option import Live, Port, live_page
-from cosim.verbs.options import Force, Json, Open, Report, out_option
-from cosim.verbs.terminal import MANNER, progress_bar, say, say_json, say_more, show, warn
+from cosim.verbs.options import Force, Json, Live, Open, Port, Report, live_page, out_option
+from cosim.verbs.terminal import progress_bar, say, say_json, say_more, show, warn
 
 LINE_INTERVAL = 10.0  # [s] between lines with -v
 
@@ -78,25 +77,14 @@ def command(
 def _progress() -> Iterator[Callable[[int, int], None]]:
     """Show a progress bar on a terminal; with -v, lines elsewhere."""
     with progress_bar("sweeping") as bar:
-        start = printed = time.monotonic()
-        first: int | None = None
+        printed = -LINE_INTERVAL
 
         def advance(done: int, total: int) -> None:
-            nonlocal printed, first
+            nonlocal printed
             if bar is not None:
-                bar(done * 1000, total * 1000)  # a short sweep may take long
-            now = time.monotonic()
-            if MANNER.verbose and (first is None or now - printed >= LINE_INTERVAL or done == total):
-                say_more(f"{done} of {total} runs{remaining_time(done - (first or 0), total - done, now - start)}")
-                printed = now
-            first = done if first is None else first
+                bar(done, total)
+            if time.monotonic() - printed >= LINE_INTERVAL or done == total:
+                say_more(f"{done} of {total} runs")
+                printed = time.monotonic()
 
         yield advance
-
-
-def remaining_time(done: int, remaining: int, elapsed: float) -> str:
-    """Return the remaining time at the average rate so far; "" before the first run."""
-    if done <= 0 or remaining <= 0:
-        return ""
-    seconds = elapsed * remaining / done
-    return f", about {seconds:.0f} s left" if seconds < 120 else f", about {seconds / 60:.0f} min left"

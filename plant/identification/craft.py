@@ -16,7 +16,6 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from cosim.base.errors import Fault, InputError, NotExecuted, refuse
-from cosim.base.messages import Message
 from cosim.base.registry import BASE
 from cosim.loading.file import LoadedModel, load_model
 from cosim.logs.log import Log, read_log
@@ -118,7 +117,7 @@ class CraftOutcome:
         return [*lines, *(note for r in self.results for note in r.notes)]
 
     @property
-    def warnings(self) -> list[Message]:
+    def warnings(self) -> list[str]:
         """Return the warnings about the estimates."""
         return [text for r in self.results for text in r.warnings]
 
@@ -134,8 +133,6 @@ def read_craft(yaml: YamlFile) -> CraftUnderTest:
         InputError: Every fault of the file and its logs.
     """
     content, faults = yaml.partly(CraftFile, "rest")
-    if content is None:
-        raise InputError(faults)
     if content.rest is None and content.distance is None:
         faults.append(yaml.fault((), messages.NEITHER_REST_NOR_DISTANCE(), key=True))
     try:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from cosim.base.text import counted
 from cosim.base.version import __version__
-from cosim.report.drawing import Charts
+from cosim.report.charts import Charts
 from cosim.report.html_tables import Badge
 from cosim.report.template import render
 from cosim.storage.files import check_writable
@@ -72,7 +72,7 @@ def page(outcome: CraftOutcome) -> str:
                     "name": r.test,
                     "title": TITLES[r.test],
                     "notes": r.notes,
-                    "plots": [(plot_of(f, charts), f.x_label) for f in r.figures],
+                    "plots": [plot_of(f, charts) for f in r.figures],
                 }
                 for r in outcome.results
             ],

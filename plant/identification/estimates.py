@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array, Rows
-from cosim.base.messages import Message
 from plant.bench import Bench
 from plant.identification.cells import Cells, force_of
 from plant.identification.command_response import tilt_response
@@ -65,10 +64,10 @@ class Result:
 
     test: str
     estimates: list[Estimate]
-    notes: list[Message] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
     figures: list[Figure] = field(default_factory=list)
     details: dict[str, Any] = field(default_factory=dict)
-    warnings: list[Message] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,18 @@
 """Messages of bench and craft identification."""
 
-from cosim.base.messages import Template
+from typing import Any, NamedTuple
+
+
+class Template(NamedTuple):
+    """A message with fields in braces, as for `str.format`."""
+
+    code: str
+    text: str
+
+    def __call__(self, **fields: Any) -> str:
+        """Return the message with these values."""
+        return self.text.format_map(fields)
+
 
 PULSE = "such as 7.5 for a pulse of 1500 µs in a frame of 20 ms"
 

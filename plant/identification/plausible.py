@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from cosim.base.errors import Fault
-from cosim.base.messages import Message
 from plant.bench import Bench
 from plant.identification import messages
 from plant.identification.command_response import LAGS
@@ -49,7 +48,7 @@ def _unit(e: Estimate) -> str:
     return "" if e.unit == "1" else f" {e.unit}"
 
 
-def _reason_against(e: Estimate) -> Message | None:
+def _reason_against(e: Estimate) -> str | None:
     """Return the message on an impossible number, else None."""
     low, high = bounds_of(e.name)
     is_lag = e.name.startswith("lag")
@@ -64,7 +63,7 @@ def _reason_against(e: Estimate) -> Message | None:
     return None if low <= e.value <= high else messages.IMPOSSIBLE_VALUE(**fields, low=low, high=high)
 
 
-def _doubts(e: Estimate) -> Iterator[Message]:
+def _doubts(e: Estimate) -> Iterator[str]:
     """Yield warnings about a possible number: a wide interval, or a projection factor far from 1."""
     low, high = bounds_of(e.name)
     if e.low < low or e.high > high:

@@ -12,7 +12,6 @@ import numpy as np
 
 from cosim.base.arrays import Array, Rows
 from cosim.base.errors import Fault
-from cosim.base.messages import Message
 from cosim.base.units import square_unit
 from cosim.logs.log import Log
 from cosim.model import Model
@@ -30,7 +29,7 @@ def noise(logs: Sequence[Log], model: Model, window: Window = None) -> Result:
     """Return the variance of every output measured at rest."""
     units = {q.name: q.unit for q in model.outputs}
     names = [q.name for q in model.outputs if any(q.name in log.outputs for log in logs)]
-    estimates, notes, figures = [], list[Message](), list[Figure]()
+    estimates, notes, figures = [], list[str](), list[Figure]()
     for name in names:
         parts = [(log.time[rows], log.outputs[name][rows]) for log, rows in _rows(logs, name, window)]
         estimate = variance(name, units[name], parts)
@@ -75,7 +74,7 @@ def rest_faults(yaml: YamlFile, logs: Sequence[Log], window: Window) -> Iterator
                 yield Fault(log.path, 0, 0, message)
 
 
-def _reason_against(name: str, values: Array) -> Message | None:
+def _reason_against(name: str, values: Array) -> str | None:
     """Return the message against an output's rows, or None."""
     if values.size < MIN_ROWS:
         return messages.TOO_FEW_ROWS_AT_REST(rows=values.size, output=name, least=MIN_ROWS)

@@ -189,7 +189,7 @@ def check_protocol(path: Path, checking: Checking) -> list[str]:
     if not measured or not all(cell.points for cell in protocol.file.cells.values()):
         return []
     results = checked_results(protocol, calibrate(protocol, {}), measured, draw=False)
-    return [message.after(f"warning: {r.test}: ") for r in results for message in r.warnings]
+    return [f"warning: {r.test}: {message}" for r in results for message in r.warnings]
 
 
 def _in_bounds(bench: Bench, e: Estimate) -> float:

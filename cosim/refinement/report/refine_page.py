@@ -39,7 +39,6 @@ from cosim.refinement.report.plots import (
     Pairs,
     Run,
     against_signal,
-    axis_label,
     over_time,
     rows_shown,
     runs,
@@ -52,7 +51,7 @@ from cosim.refinement.report.rankings import (
     parameter_tables,
     ranking_tables,
 )
-from cosim.report.drawing import Charts
+from cosim.report.charts import Charts
 from cosim.report.html_tables import Badge, Row
 from cosim.report.template import render
 from cosim.residuals.windows import SKIPPED
@@ -235,7 +234,6 @@ def _term(s: EffectComparison, charts: Charts) -> Mapping[str, Any]:
         "title": s.effect or s.where,
         "sentence": _term_sentence(s),
         "against": against_signal(s, charts),
-        "label": axis_label(s),
         "time": over_time(s, charts),
     }
 
