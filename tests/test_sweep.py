@@ -205,7 +205,7 @@ def command(*words: object) -> Iterator[subprocess.Popen[bytes]]:
 def test_a_stopped_sweep_is_gone_on_with_and_its_table_is_that_of_one_that_was_not(
     tanks: Callable[..., Path], how: str
 ) -> None:
-    path = tanks(VARY.replace("runs: 30", "runs: 12") + "set: {duration: 500}\n")
+    path = tanks(VARY.replace("runs: 30", "runs: 12") + "set: {duration: 5000}\n")
     folder = path.parent / "out"
     with command("sweep", path, "--out", folder, "--workers", 2, "--no-report") as process:
         deadline = time.monotonic() + 100

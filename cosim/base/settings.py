@@ -39,8 +39,8 @@ def of_python(value: Any) -> Any:
             break
     if isinstance(value, float) and not math.isfinite(value):
         raise ValueError("give a finite number")
-    if type(value) is int and not -(2**63) <= value < 2**63:
-        raise ValueError("give a whole number of at most 18 digits")
+    if type(value) is int and not -(2**63) <= value < 2**64:
+        raise ValueError("give a whole number of 64 bits")
     if isinstance(value, (str, os.PathLike)) and isinstance(text := os.fspath(value), str):
         if "\0" in text:
             raise ValueError("it holds a NUL character; leave it out")
