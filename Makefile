@@ -56,10 +56,10 @@ $(RELEASING): $(RUNTIME)
 	$(call install,--editable '.[release]')
 
 fmus: $(RUNTIME)
-	$(BIN)/cosim build --out build
+	$(BIN)/cosim build --model hovercraft --design examples/hovercraft/design.yaml --out build
 
 run: fmus
-	$(BIN)/cosim run scenarios/manoeuvre.yaml --out results/manoeuvre --figures
+	$(BIN)/cosim run scenarios/manoeuvre.yaml --figures
 
 test: $(TESTING)
 	$(BIN)/python -m pytest -n 3 --dist loadscope --no-loadscope-reorder -m "not thorough"
@@ -69,7 +69,7 @@ thorough: $(TESTING)
 	$(BIN)/python -m pytest -n 2 --dist loadscope --no-loadscope-reorder -m thorough
 
 refine: $(RUNTIME)
-	$(BIN)/cosim refine examples/hovercraft/study.yaml --out results/refine
+	$(BIN)/cosim refine examples/hovercraft/study.yaml
 
 blind: $(TESTING)
 	$(BIN)/python -m tests.blind.harness $(N)

@@ -23,8 +23,7 @@ from controller.gains import Settings
 from controller.loop import Loop
 from cosim.base.arrays import Array
 from cosim.base.errors import Interrupted
-from cosim.blocks.fmu import FmuBlock
-from cosim.blocks.noise import gaussian, stream
+from cosim.blocks.faults import gaussian, stream
 from cosim.fmi.fmu_build import build
 from cosim.fmi.native.compiler import compiler
 from cosim.isolation import worker
@@ -37,7 +36,6 @@ from cosim.master.observer import Observer
 from cosim.model import Stepper
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.workflow import run
-from cosim.sweeps.batch import Batch, kinds_of
 from cosim.system.system import System, build_system
 from fmus.recipes import controller_recipe, plant_recipe
 from plant.hovercraft import SENSOR_VARIANCE, Hovercraft
@@ -46,7 +44,6 @@ H = 0.02
 STEPS = 1000
 MANY = 100_000  # steps of FMUs with next to no computation
 ROUNDS = 9
-RUNS = 512  # simultaneous runs of a sweep
 IMPORTS = "import numpy, fmpy, filterpy.kalman"
 NOISE = {name: SENSOR_VARIANCE[name] for name in ("psi", "psi_dot", "ax")}
 
@@ -55,7 +52,6 @@ name: bench
 duration: {duration}
 step: 0.02
 seed: 1
-design: {{estimator: appendix_f}}
 components:
   plant: {{fmu: plant.fmu, start: {{x_start: 1, psi_start: 1}}}}
   controller: {{fmu: controller.fmu, start: {{x_hat_start: 1, psi_hat_start: 1}}}}
@@ -107,13 +103,9 @@ def bench() -> dict[str, float | str]:
             "startup_over_import": startup_over_import(place),
             "ten_times_the_steps": ten_times_the_steps(place),
             "resume_equal": resume_equal(place),
-            "sweep_over_fmpy_without_compiler": sweep_over_fmpy(place, compiled=False),
         }
         if compiler() is not None:
             figures["isolated_over_inprocess"] = isolated_over_inprocess(place)
-            figures["sweep_over_fmpy"] = sweep_over_fmpy(place, compiled=True)
-        else:
-            figures["sweep_over_fmpy"] = "no C compiler"
         figures |= native_figures(place) | library_figures(place) | coupling_figures(place)
     return {name: value if isinstance(value, str) else round(value, 3) for name, value in figures.items()}
 
@@ -236,7 +228,7 @@ def dormant_over_base() -> float:
 
 def startup_over_import(place: Path) -> float:
     """Compare a one-step run with its imports."""
-    options = ["--no-report", "--out", str(place / "out")]
+    options = ["--no-report", "--force", "--out", str(place / "out")]
     run = [sys.executable, "-m", "cosim.verbs.cli", "run", str(place / "one.yaml"), *options]
     # As installed: with this variable set, each run would compile this package's modules, but no others.
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
@@ -277,58 +269,6 @@ def resume_equal(place: Path) -> float:
         run(scenario, place / "part", observers=[_Stop()], report=False)
     part = run(place / "part", resume=True, report=False)
     return float(part.file.read_bytes() == whole.file.read_bytes())
-
-
-def sweep_over_fmpy(place: Path, *, compiled: bool) -> float:
-    """Compare runs per second of a sweep and of a warm FMPy loop.
-
-    Both use one core, the same noise and 15 recorded outputs.
-    """
-    system = build_system(ScenarioFile(place / "loop.yaml"))
-    kinds = kinds_of(system)
-    assert not isinstance(kinds, str), kinds
-    columns = [system.columns.index(f"plant.{q.name}") for q in Hovercraft.outputs]
-    batch = Batch(system, kinds, STEPS, H, compiled)
-    blocks = [s.component for s in system.stages if isinstance(s.component, FmuBlock)]
-    starts = [
-        {b.name: {**b.start_values, **({"mass": 0.7 + 1e-5 * k} if b.name == "plant" else {})} for b in blocks}
-        for k in range(RUNS)
-    ]
-
-    def ours() -> float:
-        begin = time.perf_counter()
-        table = batch.run(starts, range(RUNS), columns)
-        assert np.isfinite(table).all()
-        return (time.perf_counter() - begin) / RUNS
-
-    return 1.0 / ratio(ours, lambda: fmpy_craft_seconds(place), rounds=5)
-
-
-def fmpy_craft_seconds(place: Path) -> float:
-    """Return the seconds of a loaded FMPy run of plant and controller."""
-    starts = {
-        place / "plant.fmu": {"x_start": 1.0, "psi_start": 1.0},
-        place / "controller.fmu": {"x_hat_start": 1.0, "psi_hat_start": 1.0},
-    }
-    places = [[q.name for q in Hovercraft.outputs].index(name) for name in NOISE]
-    noise = [gaussian(stream(1, name), variance, 0.0, STEPS + 1) for name, variance in NOISE.items()]
-    table = np.zeros((STEPS + 1, len(Hovercraft.outputs)))
-    with fmpy_slaves(starts) as ((plant, controller), numbers):
-        outputs = [numbers[0][q.name] for q in Hovercraft.outputs]
-        commands = [[references[q.name] for q in Hovercraft.inputs] for references in numbers]
-        measured = [numbers[1][name] for name in NOISE]
-        command = controller.getReal(commands[1])
-        begin = time.perf_counter()
-        for k in range(1, STEPS + 1):
-            t = (k - 1) * H
-            plant.setReal(commands[0], command)
-            plant.doStep(t, H)
-            y = plant.getReal(outputs)
-            controller.setReal(measured, [y[i] + samples[k] for i, samples in zip(places, noise, strict=True)])
-            controller.doStep(t, H)
-            command = controller.getReal(commands[1])
-            table[k] = y
-        return time.perf_counter() - begin
 
 
 def isolated_over_inprocess(place: Path) -> float:

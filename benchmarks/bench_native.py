@@ -38,7 +38,6 @@ SCENARIO = """name: native
 duration: {duration}
 step: 0.02
 algorithm: jacobi
-design: {{estimator: appendix_f}}
 components:
   plant: {{fmu: plant-native.fmu, start: {{x_start: 1, psi_start: 1}}}}
   controller: {{fmu: controller-native.fmu, start: {{x_hat_start: 1, psi_hat_start: 1}}}}

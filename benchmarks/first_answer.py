@@ -66,7 +66,7 @@ def first_answer(fmus: Sequence[Path], folder: Path) -> dict[str, Any]:
         way.take("cosim", "run", "first.yaml", "--set", f"components.{name}={factor * value:g}")
     way.take("cosim", "list")
     way.take("cosim", "compare", "1", "2", "3")
-    page = folder / "results" / "runs-1-2-3" / "report.html"
+    page = folder / "results" / "runs-1-2-3" / "0001" / "report.html"
     curves = _browse(way, page)
     return {
         "commands": len(way.seconds),

@@ -16,7 +16,7 @@ from statistics import median
 from typing import Any
 
 from benchmarks.bench_native import native_scenario
-from cosim.live.live_run import LiveRun
+from cosim.pages.work_pages import LiveRun
 from cosim.simulation.workflow import run
 
 H, ROWS, ROUNDS = 0.02, 100_000, 3
@@ -43,7 +43,7 @@ def live_figures(place: Path, rows: int) -> dict[str, object]:
             times["without_s"].append(processor_time(scenario, place / f"bare{number}", ()))
             with LiveRun("native", 0) as page:
                 tab = browser.new_page()
-                tab.goto(page.server.url)
+                tab.goto(page.url)
                 times["with_page_s"].append(processor_time(scenario, place / f"page{number}", (page,)))
                 drawn = tab.evaluate("document.documentElement.dataset")
                 tab.close()

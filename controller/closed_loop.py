@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 
-from controller import messages
 from controller.gains import Settings
 from controller.loop import Loop
 from cosim.base.arrays import Array
@@ -22,7 +21,7 @@ from cosim.blocks.profile import Change, Profile, profile_function
 from cosim.experiment.rigs import FASTEST, SLOWEST, Ranges, RigAxis, Signals, Trial, clip, played_lines, trial_of
 from cosim.fmi.fmu_build import build
 from cosim.model import Model, Values
-from cosim.storage.table import write_columns
+from cosim.storage.csv_source import write_columns
 from fmus.recipes import controller_recipe
 
 REFERENCE_BAND = (0.05, 0.5)  # [Hz]
@@ -60,7 +59,9 @@ class ClosedLoop:
         for name in self.commanded:
             low, high = self.ranges.get(name, (-math.inf, math.inf))
             if not low < 0.0 < high:
-                raise InputError.at(Path("--range"), messages.ONE_SIDED_RANGE(name=name, low=low, high=high))
+                raise InputError.at(
+                    Path("--range"), f"{name}={low:g}..{high:g}: the controller tilts both ways; give a range about 0"
+                )
             yield min(limits[name], -low, high)
 
     def play(self, model: Model, signals: Signals) -> Trial:

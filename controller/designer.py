@@ -1,15 +1,22 @@
-"""Design of the craft's controllers for `design:` of a scenario, from options and craft parameters."""
+"""Start values of the craft's controllers from a design file: the work of `cosim build --design`."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Annotated, Any, Literal
 
-from controller import messages
-from controller.gains import ESTIMATORS, GAINS, Settings
+from pydantic import AfterValidator, Field
+
+from controller.gains import GAINS, Settings
+from controller.judging import Objection, designed_gains, judged_gains
 from controller.placement import POLES as PLACED
+from controller.placement import pole_faults
+from controller.synthesis import Q_INTEGRAL, Q_THESIS, R_THESIS, numbers_of, roll_numbers_of
+from controller.time_variant_settings import OF_CRAFT, TimeVariantSettings, craft_faults
 from controller.variants import (
     INTEGRAL,
     INTEGRALS,
@@ -17,177 +24,183 @@ from controller.variants import (
     PREDICTIONS,
     PREDICTIVE,
     TIME_VARIANT,
+    IntegralSettings,
     PredictiveSettings,
     conflicts,
 )
+from cosim.base.errors import Fault, refuse
 from cosim.model import Model, parameters_of
-from cosim.model.design import Judged, Objection, Option
+from cosim.storage.artefact import Checking
+from cosim.storage.yaml_file import InUnit, NotNegative, Part, Positive, PositiveSeconds, YamlFile
 from plant.hovercraft import Hovercraft
 
-LISTS = {  # option → start values of a predictive law, which has no fifth state
+Controller = Literal[
+    "controller.fmu", "controller-pole.fmu", "controller-lqi.fmu", "controller-mpc.fmu", "controller-ltv-mpc.fmu"
+]
+LAWS: Mapping[Controller, tuple[str, type[Settings]]] = {  # law and parameters
+    "controller.fmu": ("", Settings),
+    "controller-pole.fmu": (POLES, Settings),
+    "controller-lqi.fmu": (INTEGRAL, IntegralSettings),
+    "controller-mpc.fmu": (PREDICTIVE, PredictiveSettings),
+    "controller-ltv-mpc.fmu": (TIME_VARIANT, TimeVariantSettings),
+}
+LISTS = {  # key → start values of a predictive law, which has no fifth state
     "Q": ("weight_x", "weight_vx", "weight_psi", "weight_psi_dot"),
     "Q_lateral": ("weight_y", "weight_vy"),
     "R": ("weight_tilt",),
     "duty_limits": ("duty_min", "duty_max"),
 }
-DESIGN_NUMBERS = ("mass", "izz", "arm", "friction", "lag", "thrust_nominal", "yaw_damping")  # for `design_model`
-BY_WEIGHTS = ("", INTEGRAL, *PREDICTIONS)
 Place = tuple[str | int, ...]
 
 
-class LqrDesigner:
-    """Design of gains by eqs 6.2-6.4, or for another law, with parameters of a craft or given values.
+def _complex(value: Any) -> Any:
+    """Return a number, or a complex number as text; raise ValueError for other values."""
+    try:
+        number = complex(value.replace(" ", "").replace("i", "j") if isinstance(value, str) else value)
+    except (TypeError, ValueError):
+        number = complex("nan")
+    if isinstance(value, bool) or not (math.isfinite(number.real) and math.isfinite(number.imag)):
+        raise ValueError(f"{value!r} is not a number; write a complex pole like -4+1j")
+    return str(number).strip("()") if number.imag else number.real
 
-    Q and R have the same meaning in all laws with weights, so that a scenario changes its controller in one line.
+
+Complex = Annotated[Any, AfterValidator(_complex)]
+
+
+class DesignFile(Part):
+    """Weights and numbers of a design; each law takes its own keys.
+
+    controllers: FMUs that get designed start values
+    Q: weights of the five states, diagonal, eq 6.4
+    R: weights of the two tilts, diagonal, eq 6.4
+    poles: poles [rad/s]: three of the forward axis, then two of the turn
+    Q_integral: weights of the integrals of x and ψ
+    Q_lateral: weights of y and its rate
+    R_duty: weight of the duty of each motor [1/%²]
+    duty_limits: least and greatest duty [%]
+    speed_max: greatest speed forward or back [m/s]
+    horizon: how far is predicted [s]
+    estimator: Kalman filter of the controller
+    thrust_nominal: thrust per propeller in ground effect T_N [N], in place of the model's
+    lag: lag of the design model [s], in place of the model's
     """
 
-    version = 6
-    options: Mapping[str, Option] = {
-        "Q": Option(
-            "weights of the five states, diagonal, eq 6.4",
-            (1.0, 0.5, 0.1, 0.01, 0.0),
-            5,
-            positive=False,
-            laws=BY_WEIGHTS,
-        ),
-        "R": Option("weights of the two tilts, diagonal, eq 6.4", (1.0, 1.0), 2, laws=BY_WEIGHTS),
-        "poles": Option(
-            "poles [rad/s]: three of the forward axis, then two of the turn", PLACED, 5, complex=True, laws=(POLES,)
-        ),
-        "Q_integral": Option("weights of the integrals of x and ψ", (0.3, 0.05), 2, laws=(INTEGRAL,)),
-        "Q_lateral": Option("weights of y and its rate", (1.0, 0.5), 2, positive=False, laws=PREDICTIONS),
-        "R_duty": Option("weight of the duty of each motor [1/%²]", 1.0, laws=PREDICTIONS),
-        "duty_limits": Option("least and greatest duty [%]", (6.0, 7.0), 2, laws=PREDICTIONS),
-        "speed_max": Option("greatest speed forward or back [m/s]", laws=PREDICTIONS),
-        "horizon": Option("how far is predicted [s]", 2.0, laws=PREDICTIONS),
-        "estimator": Option(
-            "Kalman filter of the controller", choices=ESTIMATORS, laws=("", POLES, INTEGRAL, PREDICTIVE)
-        ),
-        "thrust_nominal": Option("thrust per propeller in ground effect T_N [N], over the model's"),
-        "lag": Option("lag of the design model [s], over the model's"),
-    }
-
-    def depends_on(self, model: Model | None) -> Mapping[str, Any]:
-        """Return the craft's parameters with its effects, or the controller's."""
-        if model is None:
-            return {p.name: getattr(Settings(), p.name) for p in parameters_of(Settings)}
-        if not isinstance(model, Hovercraft):
-            raise ValueError(messages.OTHER_MODEL(model=model.title, craft=Hovercraft.title))
-        owners = {"": model} | {f"{e.name}.": e for e in model.awake}
-        return {
-            prefix + p.name: getattr(owner, p.name) for prefix, owner in owners.items() for p in parameters_of(owner)
-        }
-
-    def values(self, options: Mapping[str, Any], model: Model | None, law: str = "") -> dict[str, float]:
-        """Return the start values of the law, with the craft's parameters."""
-        from controller.synthesis import numbers_of
-
-        numbers = numbers_of(model) if isinstance(model, Hovercraft) else {}
-        if law in PREDICTIONS:
-            return self._predictive(options, model, numbers, law)
-        settings = replace(Settings(), **{**numbers, **self.collect_start_values(options, law)})
-        return self._gains(options, settings, law) | numbers
-
-    def objections(self, options: Mapping[str, Any], law: str) -> list[Objection]:
-        """Return messages on design options out of bounds, impossible poles, and unequal weights of the two tilts."""
-        from controller.placement import pole_faults
-
-        declared = {p.name: p for p in parameters_of(_settings(law))}
-        objections = []
-        for name, (about, value) in _values_of(options, law).items():
-            low, high = declared[name].bounds
-            if not low <= value <= high:
-                unit = f" {declared[name].unit}".rstrip()
-                objections.append(
-                    Objection(about, messages.OPTION_OUT_OF_BOUNDS(value=value, low=low, high=high, unit=unit))
-                )
-        if law == POLES:
-            poles = [complex(pole) for pole in options["poles"]]
-            objections += [Objection(("poles", k), message) for k, message in pole_faults(poles)]
-        if law in PREDICTIONS and options["R"][0] != options["R"][1]:
-            objections.append(Objection(("R",), messages.UNEQUAL_TILT_WEIGHTS(weights=options["R"])))
-        return objections
-
-    def _gains(self, options: Mapping[str, Any], settings: Settings, law: str) -> dict[str, float]:
-        """Return the designed gains by parameter name: feedback gains, and integral gains if the law has any."""
-        from controller.judging import designed_gains
-
-        K, K_i = designed_gains(options, settings, law)
-        gains = {name: float(K[divmod(k, 5)]) for k, name in enumerate(GAINS)}
-        return gains | ({} if K_i is None else {name: float(K_i[divmod(k, 2)]) for k, name in enumerate(INTEGRALS)})
-
-    def _predictive(
-        self, options: Mapping[str, Any], model: Model | None, numbers: Mapping[str, float], law: str
-    ) -> dict[str, float]:
-        """Return the weights and limits of a predictive law, and the craft parameters that its prediction needs."""
-        values = {**numbers, **{name: float(value) for name, (_, value) in _values_of(options, law).items()}}
-        if isinstance(model, Hovercraft) and law == TIME_VARIANT:
-            from controller.time_variant_settings import OF_CRAFT
-
-            values |= {name: getattr(model, name) for name in OF_CRAFT if name not in values}
-        elif isinstance(model, Hovercraft):
-            from controller.synthesis import roll_numbers_of
-
-            values |= roll_numbers_of(model)
-        return values
-
-    def judged(self, values: Mapping[str, Any], own: Mapping[str, Any], options: Mapping[str, Any], law: str) -> Judged:
-        """Return reasons against a solution of the predictive law, or unstable gains."""
-        own = {name: v for name, v in own.items() if name == "estimator" or not isinstance(v, str)}  # without units
-        if law in PREDICTIONS:
-            settings = SimpleNamespace(**{p.name: p.default for p in parameters_of(_settings(law))} | {**values, **own})
-            faults = conflicts(settings)
-            if law == TIME_VARIANT:
-                from controller.time_variant_settings import craft_faults
-
-                faults += craft_faults(settings)
-            places = {name: place for name, (place, _) in _values_of(options, law).items()}
-            objections = []
-            for names, reason in faults:
-                place = next((places[name] for name in names if name in places), ())
-                objections.append(Objection(place, messages.INVALID_PARAMETERS.around(reason), names))
-            return Judged(objections)
-        from controller.judging import judged_gains
-
-        return judged_gains(values, own, options, law)
-
-    def collect_start_values(self, options: Mapping[str, Any], law: str) -> dict[str, Any]:
-        """Return estimator, thrust and lag; the estimator only for laws with a choice."""
-        names = ("thrust_nominal", "lag", *(["estimator"] if law in self.options["estimator"].laws else []))
-        return {k: v for k in names if (v := options.get(k)) is not None}
-
-    def rests_on(self, designed: Mapping[str, Any], law: str) -> Mapping[str, float]:
-        """Return the parameters of eqs 5.33/5.34.
-
-        A predictive law is designed at its start with its own parameters.
-        """
-        defaults = {} if law in PREDICTIONS else {name: getattr(Settings(), name) for name in DESIGN_NUMBERS}
-        return {**defaults, **{n: v for n, v in designed.items() if n in DESIGN_NUMBERS}}
+    controllers: list[Controller] = Field(["controller.fmu"], min_length=1)
+    Q: list[NotNegative] = Field([*Q_THESIS], min_length=5, max_length=5)
+    R: list[Positive] = Field([*R_THESIS], min_length=2, max_length=2)
+    poles: list[Complex] = Field([*PLACED], min_length=5, max_length=5)
+    Q_integral: list[Positive] = Field([*Q_INTEGRAL], min_length=2, max_length=2)
+    Q_lateral: list[NotNegative] = Field([1.0, 0.5], min_length=2, max_length=2)
+    R_duty: Positive = 1.0
+    duty_limits: list[Positive] = Field([6.0, 7.0], min_length=2, max_length=2)
+    speed_max: Positive | None = None
+    horizon: PositiveSeconds = 2.0
+    estimator: Literal["appendix_f", "lagged", "consistent"] | None = None
+    thrust_nominal: Annotated[Positive, InUnit("N")] | None = None
+    lag: PositiveSeconds | None = None
 
 
-def _settings(law: str) -> Any:
-    """Return the settings class of a predictive law."""
-    if law == TIME_VARIANT:
-        from controller.time_variant_settings import TimeVariantSettings
+def design(yaml: YamlFile, model: Model) -> tuple[dict[str, dict[str, Any]], list[str]]:
+    """Design the controllers of a craft.
 
-        return TimeVariantSettings
+    The craft as registered has the numbers of the controllers' own parameters; those of another are computed from it.
 
-    return PredictiveSettings
+    Returns:
+        Start values by file of an FMU, and warnings.
+
+    Raises:
+        InputError: Every fault of the file, and weights or poles without a stable control loop.
+    """
+    file = yaml.validate(DesignFile)
+    craft = model if isinstance(model, Hovercraft) and model != Hovercraft() else None
+    starts: dict[str, dict[str, Any]] = {}
+    faults: list[Fault] = []
+    warnings: list[Fault] = []
+
+    def fault(objection: Objection) -> Fault:
+        option = next(iter(objection.place), None)
+        place = objection.place if option in yaml.root else ()
+        return yaml.fault(place, objection.message if option is None else f"{option}: {objection.message}")
+
+    for name in file.controllers:
+        try:
+            starts[name], objections, remarks = controller_starts(name, file, craft)
+        except ValueError as error:
+            objections, remarks = [getattr(error, "objection", Objection((), str(error)))], []
+        faults += map(fault, objections)
+        warnings += map(fault, remarks)
+    refuse(dict.fromkeys(faults))
+    return starts, [*map(str, dict.fromkeys(warnings))]
 
 
-def _values_of(options: Mapping[str, Any], law: str) -> dict[str, tuple[Place, float]]:
-    """Return start value → option place and number, for options used unchanged."""
-
-    def same(*names: str) -> dict[str, tuple[Place, float]]:
-        """Return options with the name of their start value."""
-        return {name: ((name,), options[name]) for name in names if options.get(name) is not None}
-
-    values = same("thrust_nominal", "lag")
-    if law not in PREDICTIONS:
-        return values
-    for option, names in LISTS.items():
-        values |= {name: ((option, k), options[option][k]) for k, name in enumerate(names)}
-    return {**values, "weight_duty": (("R_duty",), options["R_duty"]), **same("horizon", "speed_max")}
+def check_design(path: Path, checking: Checking) -> list[str]:
+    """Return the warnings of a design for the craft as registered; InputError lists its faults."""
+    return [f"warning: {warning}" for warning in design(YamlFile(path), Hovercraft())[1]]
 
 
-DESIGNER = LqrDesigner()
+def controller_starts(
+    name: Controller, file: DesignFile, craft: Hovercraft | None
+) -> tuple[dict[str, Any], list[Objection], list[Objection]]:
+    """Return start values of a controller, objections and warnings; raise ValueError if there are none.
+
+    Args:
+        craft: Source of the numbers of the design model; None takes those of the controller's own parameters.
+    """
+    (law, kind), options = LAWS[name], file.model_dump()
+    placed = _placed_values(options, law)
+    values: dict[str, Any] = numbers_of(craft) if craft is not None else {}
+    if craft is not None and law == TIME_VARIANT:
+        values = {name: getattr(craft, name) for name in OF_CRAFT} | values
+    elif craft is not None and law == PREDICTIVE:
+        values |= roll_numbers_of(craft)
+    values |= {name: float(value) for name, (_, value) in placed.items()}
+    if law != TIME_VARIANT and options["estimator"] is not None:
+        values["estimator"] = options["estimator"]
+    if objections := _refused_options(options, law, kind, placed):
+        return values, objections, []
+    if law in PREDICTIONS:
+        settings = SimpleNamespace(**{p.name: p.default for p in parameters_of(kind)} | values)
+        reasons = conflicts(settings) + (craft_faults(settings) if law == TIME_VARIANT else [])
+        for names, reason in reasons:
+            place: Place = next((placed[name][0] for name in names if name in placed), ())
+            objections.append(Objection(place, f"the settings are not possible together: {reason}"))
+        if not objections:
+            replace(kind(), **values)  # raises ValueError for a number of the craft out of its bounds
+        return values, objections, []
+    K, K_i = designed_gains(options, replace(Settings(), **values), law)
+    values |= {name: float(K[divmod(k, 5)]) for k, name in enumerate(GAINS)}
+    if K_i is not None:
+        values |= {name: float(K_i[divmod(k, 2)]) for k, name in enumerate(INTEGRALS)}
+    return values, *judged_gains(values, options, law)
+
+
+def _refused_options(
+    options: Mapping[str, Any], law: str, kind: type[Settings], placed: Mapping[str, tuple[Place, float]]
+) -> list[Objection]:
+    """Return objections to options out of bounds, impossible poles, and unequal weights of the two tilts."""
+    declared = {p.name: p for p in parameters_of(kind)}
+    objections = []
+    for name, (place, value) in placed.items():
+        low, high = declared[name].bounds
+        if not low <= value <= high:
+            unit = f" {declared[name].unit}".rstrip()
+            reason = f"{value:g} lies outside [{low:g}, {high:g}]{unit}; take a value inside"
+            objections.append(Objection(place, reason))
+    if law == POLES:
+        poles = [complex(pole) for pole in options["poles"]]
+        objections += [Objection(("poles", k), message) for k, message in pole_faults(poles)]
+    if law in PREDICTIONS and options["R"][0] != options["R"][1]:
+        reason = f"{options['R']} weighs one tilt more; the predictive law takes one weight for both"
+        objections.append(Objection(("R",), f"{reason}: write the same number twice"))
+    return objections
+
+
+def _placed_values(options: Mapping[str, Any], law: str) -> dict[str, tuple[Place, float]]:
+    """Return start value → place in the file and number, for options used unchanged."""
+    names = ("thrust_nominal", "lag", *(("horizon", "speed_max") if law in PREDICTIONS else ()))
+    values: dict[str, tuple[Place, float]] = {n: ((n,), options[n]) for n in names if options[n] is not None}
+    if law in PREDICTIONS:
+        for option, starts in LISTS.items():
+            values |= {name: ((option, k), options[option][k]) for k, name in enumerate(starts)}
+        values["weight_duty"] = (("R_duty",), options["R_duty"])
+    return values

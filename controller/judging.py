@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from controller import messages
 from controller.design_model import Matrix, ModelNumbers
 from controller.gains import GAINS, Settings
 from controller.placement import POLES as PLACED
@@ -16,13 +15,27 @@ from controller.stability import FlownLoop, swing_ratio, worst_modes
 from controller.synthesis import Q_INTEGRAL, Q_THESIS, R_THESIS, integral_gain, lqr_gain
 from controller.variants import INTEGRAL, INTEGRALS, POLES, FullSettings, IntegralSettings
 from cosim.model import parameters_of
-from cosim.model.design import Judged, Objection, Undesigned
 
 AXES = {"forward": (0, 1, 2), "turning": (3, 4)}  # indices of the five poles
 SLOWER_FIRST = (0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.05, 0.02, 0.01, 0.001, 1.25, 1.5, 2.0, 3.0, 5.0, 10.0)
 TURNING = "347"  # columns of K and K_i for ψ
-WEIGHTS = {"Q": list(Q_THESIS), "R": list(R_THESIS), "Q_integral": list(Q_INTEGRAL)}
+WEIGHTS = {"Q": [*Q_THESIS], "R": [*R_THESIS], "Q_integral": [*Q_INTEGRAL]}
 Place = tuple[str | int, ...]
+
+
+class Objection(NamedTuple):
+    """A reason against a design, or a warning of it, with the place of the option."""
+
+    place: Place
+    message: str
+
+
+class Undesigned(ValueError):
+    """Error: no controller design exists for these options."""
+
+    def __init__(self, objection: Objection) -> None:
+        super().__init__(objection.message)
+        self.objection = objection
 
 
 def designed_gains(options: Mapping[str, Any], p: ModelNumbers, law: str) -> tuple[Matrix, Matrix | None]:
@@ -41,46 +54,39 @@ def designed_gains(options: Mapping[str, Any], p: ModelNumbers, law: str) -> tup
         raise Undesigned(Objection(_place_of("forward", options, law)[:1], error.args[0])) from None
 
 
-def judged_gains(values: Mapping[str, Any], own: Mapping[str, Any], options: Mapping[str, Any], law: str) -> Judged:
-    """Return the judgement of designed gains with a scenario's `own` values: bounds and stability."""
-    objections = _too_large(values, options, law)
-    return Judged(objections) if objections else _judge_loop(values, own, options, law)
-
-
-def _too_large(values: Mapping[str, Any], options: Mapping[str, Any], law: str) -> list[Objection]:
-    """Return objections to gains out of bounds."""
+def judged_gains(
+    values: Mapping[str, Any], options: Mapping[str, Any], law: str
+) -> tuple[list[Objection], list[Objection]]:
+    """Return objections to designed gains, and warnings: bounds, then stability and damping of the sampled loop."""
     gains = [p for p in parameters_of(IntegralSettings) if p.name.startswith("k_") and p.name in values]
-    large = [p for p in gains if p.fault(values[p.name])]
-    if not large:
-        return []
-    message = messages.LARGE_GAIN(size=max(abs(values[p.name]) for p in large), limit=large[0].bounds[1])
-    axis = "turning" if large[0].name[-1] in TURNING else "forward"
-    return [Objection(_place_of(axis, options, law), message, tuple(p.name for p in large))]
-
-
-def _judge_loop(values: Mapping[str, Any], own: Mapping[str, Any], options: Mapping[str, Any], law: str) -> Judged:
-    """Return the judgement of stability and damping in the sampled loop with lag and filter."""
+    if large := [p for p in gains if p.fault(values[p.name])]:
+        size, limit = max(abs(values[p.name]) for p in large), large[0].bounds[1]
+        axis = "turning" if large[0].name[-1] in TURNING else "forward"
+        reason = f"asks for a gain of {size:.3g}, and the controller takes {limit:g} at most; ask for a slower loop"
+        return [Objection(_place_of(axis, options, law), reason)], []
     names = {p.name for p in parameters_of(FullSettings)} | {"estimator"}
-    every = {**values, **own}
+    p = FullSettings(**{n: v for n, v in values.items() if n in names})
     try:
-        craft, p = (FullSettings(**{n: v for n, v in numbers.items() if n in names}) for numbers in (values, every))
-        loop = FlownLoop(craft, p)
-    except (ValueError, np.linalg.LinAlgError):  # The FMU refuses such values with its own message.
-        return Judged()
-    K = np.array([every[name] for name in GAINS]).reshape(2, 5)
-    K_i = np.array([every[name] for name in INTEGRALS]).reshape(2, 2) if law == INTEGRAL else None
+        loop = FlownLoop(p, p)
+    except np.linalg.LinAlgError:  # The estimator has no steady gain.
+        return [], []
+    K = np.array([values[name] for name in GAINS]).reshape(2, 5)
+    K_i = np.array([values[name] for name in INTEGRALS]).reshape(2, 2) if law == INTEGRAL else None
     objections, warnings = [], []
     for mode in worst_modes(loop.modes(K, K_i)):
-        place = _place_of(mode.axis, options, law)
-        cure = "" if any(name in own for name in (*GAINS, *INTEGRALS)) else _cure(loop, craft, mode.axis, options, law)
-        fields = {"lag": craft.lag, "sample": p.sample_time, "estimator": p.estimator, "axis": mode.axis, "cure": cure}
-        fields["pole"] = _short(mode.pole)
+        place, cure = _place_of(mode.axis, options, law), _cure(loop, p, mode.axis, options, law)
+        loop_text = (
+            f"with the lag of {p.lag:g} s, a sample of {p.sample_time:g} s and the estimator {p.estimator} the "
+            f"{mode.axis} axis has a pole at {_short(mode.pole)} rad/s"
+        )
         if mode.grows:
-            objections.append(Objection(place, messages.UNSTABLE_LOOP(**fields), (*GAINS, *INTEGRALS)))
+            reason = f"is not stable as it flies, {loop_text}{cure}"
+            objections.append(Objection(place, reason))
         else:
-            swing = {"damping": mode.damping, "ratio": 100 * swing_ratio(mode.damping)}
-            warnings.append(messages.WEAK_DAMPING(option=place[0], **fields, **swing))
-    return Judged(objections, warnings)
+            ratio = 100 * swing_ratio(mode.damping)
+            reason = f"{loop_text}, hardly damped by {mode.damping:.2g}: a swing keeps {ratio:.0f} % of its size{cure}"
+            warnings.append(Objection(place, reason))
+    return objections, warnings
 
 
 def _place_of(axis: str, options: Mapping[str, Any], law: str) -> Place:

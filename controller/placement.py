@@ -6,9 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from controller import messages
 from controller.design_model import STATES, Matrix, ModelNumbers, design_model
-from cosim.base.messages import Message, join
 
 # Section 6.2 prints no poles. Forward: those of the LQR (-10.68, -3.39, -1.56), the slow ones moved slightly left;
 # turn: its pair (-4.26 ± 0.77j) made real. -4 occurs in both axes, but only once in each.
@@ -36,7 +34,7 @@ def placed_gain(p: ModelNumbers, poles: Sequence[complex] = POLES) -> Matrix:
     check_controllable(A, B)
     numbers = [complex(pole) for pole in poles]
     if faults := pole_faults(numbers):
-        raise ValueError(messages.INVALID_POLES.around(join("; ", (reason for _, reason in faults))))
+        raise ValueError(f"the poles cannot be placed: {'; '.join((reason for _, reason in faults))}")
     K = np.zeros((2, 5))
     for states, own, signs in zip((FORWARD, TURN), (numbers[:3], numbers[3:]), SIGNS, strict=True):
         axis = np.ix_(states, states)
@@ -57,26 +55,36 @@ def check_controllable(A: Matrix, B: Matrix, names: Sequence[str] = STATES) -> N
         scale = np.linalg.norm(reach, axis=1)[:, None]
         if np.linalg.matrix_rank(reach / np.where(scale > 0, scale, 1.0), tol=1e-9) < len(A):
             states = ", ".join(n for n, v in zip(names, vector, strict=True) if abs(v) > 1e-6)
-            raise ValueError(messages.UNCONTROLLABLE_POLE(pole=format_pole(complex(pole)), states=states))
+            raise ValueError(
+                f"no input moves the pole {format_pole(complex(pole))} rad/s, of {states}; correct the craft's "
+                "parameters"
+            )
 
 
-def pole_faults(poles: Sequence[complex]) -> list[tuple[int, Message]]:
+def pole_faults(poles: Sequence[complex]) -> list[tuple[int, str]]:
     """Return index and fault of each invalid pole."""
     of_axes = ("forward", 0, poles[:3]), ("turning", 3, poles[3:])
     return [(first + k, reason) for axis, first, of in of_axes for k, reason in _faults(axis, of)]
 
 
-def _faults(axis: str, poles: Sequence[complex]) -> Iterator[tuple[int, Message]]:
+def _faults(axis: str, poles: Sequence[complex]) -> Iterator[tuple[int, str]]:
     for k, a in enumerate(poles):
         pole = format_pole(a)
         if a.real >= 0.0:
-            yield k, messages.UNSTABLE_POLE(pole=pole)
+            yield k, f"{pole} rad/s is not stable; the real part of a pole is below 0"
         elif a.real > -MIN_DECAY:
-            yield k, messages.SLOW_POLE(pole=pole, time=1.0 / -a.real, least=MIN_DECAY)
+            yield (
+                k,
+                (
+                    f"{pole} rad/s is too slow: what it moves takes {1.0 / -a.real:.0f} s to fall to 37 %, and "
+                    f"nearer to 0 than {MIN_DECAY:g} rad/s it cannot be distinguished from one that grows; take "
+                    f"-{MIN_DECAY:g} rad/s or further left"
+                ),
+            )
         if any(abs(a - b) <= ALIKE * abs(a) for b in poles[:k]):
-            yield k, messages.REPEATED_POLE(pole=pole, axis=axis)
+            yield k, f"{pole} stands twice in the {axis} axis; one input places a pole once"
         if a.imag and not any(abs(a.conjugate() - b) <= ALIKE * abs(a) for b in poles):
-            yield k, messages.POLE_WITHOUT_CONJUGATE(pole=pole, conjugate=format_pole(a.conjugate()))
+            yield k, f"{pole} needs {format_pole(a.conjugate())} in the same axis"
 
 
 def format_pole(pole: complex) -> str:

@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from controller import messages
 from controller.design_model import Matrix, ModelNumbers, design_model
 from cosim.model import SCALAR, Values
 from cosim.model.symbolic.linearize import LinearModel, linearize
 from plant.hovercraft import Hovercraft
+
+NO_STABILISING_GAIN = "no stabilising gain for these weights: {reason}; weigh every position above 0"
 
 Q_THESIS = (1.0, 0.5, 0.1, 0.01, 0.0)  # diagonal, eq 6.4
 R_THESIS = (1.0, 1.0)
@@ -104,7 +105,7 @@ def lqr_gain(p: ModelNumbers, Q: Sequence[float] = Q_THESIS, R: Sequence[float] 
         ValueError: No stabilising gain exists, or the weights are invalid.
     """
     if len(Q) != 5 or len(R) != 2 or min(Q) < 0 or min(R) <= 0:
-        raise ValueError(messages.INVALID_WEIGHTS())
+        raise ValueError("Q has five diagonal entries ≥ 0 and R two > 0; correct them")
     return _lqr(*design_model(p), np.diag(Q), np.diag(R))
 
 
@@ -122,7 +123,7 @@ def integral_gain(
         ValueError: No stabilising gain exists, or the weights are invalid.
     """
     if len(Q) != 5 or len(R) != 2 or len(Q_integral) != 2 or min(Q) < 0 or min(*R, *Q_integral) <= 0:
-        raise ValueError(messages.INVALID_INTEGRAL_WEIGHTS())
+        raise ValueError("Q has five diagonal entries ≥ 0, R two > 0 and Q_integral two > 0; correct them")
     import control
 
     system = control.ss(*design_model(p), np.eye(5), 0)
@@ -141,8 +142,8 @@ def _lqr(*problem: Any, **options: Any) -> Matrix:
     try:
         K, _, poles = control.lqr(*problem, **options)
     except np.linalg.LinAlgError as error:
-        raise ValueError(messages.NO_STABILISING_GAIN(reason=str(error))) from error
+        raise ValueError(NO_STABILISING_GAIN.format(reason=str(error))) from error
     # An integrator without weight remains uncontrolled, and the solver does not report it.
     if (slowest := max(np.real(poles))) > -STABLE:
-        raise ValueError(messages.NO_STABILISING_GAIN(reason=f"a pole stays at {slowest:.2g} rad/s"))
+        raise ValueError(NO_STABILISING_GAIN.format(reason=f"a pole stays at {slowest:.2g} rad/s"))
     return np.asarray(K, dtype=float)

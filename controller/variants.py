@@ -9,8 +9,8 @@ from typing import Any
 from controller.gains import GAINS, Settings
 from cosim.model import parameter
 
-# names in `design:`; "" is the LQR
-POLES, INTEGRAL, PREDICTIVE, TIME_VARIANT = LAWS = ("poles", "integral", "predictive", "time_variant")
+# control laws; "" is the LQR
+POLES, INTEGRAL, PREDICTIVE, TIME_VARIANT = ("poles", "integral", "predictive", "time_variant")
 PREDICTIONS = (PREDICTIVE, TIME_VARIANT)
 INTEGRALS = tuple(f"k_{i}_{j}" for i in (1, 2) for j in (6, 7))  # K_i, row by row
 

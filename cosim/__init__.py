@@ -1,7 +1,7 @@
 """Co-simulation of FMUs, and their refinement with measured logs.
 
-`run`, `simulate`, `replay`, `fit`, `refine`, `check`, `build`, `excite`, `linearize`, `compare`, `consistency`,
-`export_ssp` and `sweep` are the verbs of the command line as functions; `read` reads their results. Installed packages
+`run`, `simulate`, `replay`, `fit`, `refine`, `check`, `build`, `excite`, `linearize`, `compare`, `export_ssp`
+and `sweep` are the verbs of the command line as functions; `read` reads their results. Installed packages
 add more. Each is imported at its first use. docs/python.md has examples.
 """
 

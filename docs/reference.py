@@ -17,11 +17,10 @@ from cosim.comparison.differences import Compared
 from cosim.refinement.refined_result import Refined
 from cosim.residuals.replay_signals import Replay
 from cosim.simulation.run_signals import Run, Signals
+from cosim.sweeps.store import Runs
 from cosim.sweeps.sweep_result import Swept
-from cosim.sweeps.sweep_table import Runs
 from cosim.verbs import verbs
 from cosim.verbs.cli import app
-from cosim.verbs.help import OTHERS, format_description, format_names
 
 RESULTS = (Run, Signals, Replay, Fitted, Refined, Compared, Swept, Runs)
 ALIASES = {"Number", "Values"}  # of types: they have no docstring
@@ -32,12 +31,14 @@ def format_command_line() -> str:
     """Return the reference of all verbs, by group."""
     parts, group = [], ""
     for name, command in typer.main.get_command(app).commands.items():  # type: ignore[attr-defined]
-        if (command.rich_help_panel or OTHERS) != group:
-            group = command.rich_help_panel or OTHERS
+        if command.rich_help_panel != group:
+            group = command.rich_help_panel
             parts.append(f"## {group}")
         text, _, example = inspect.cleandoc(command.help).partition("Example: ")
         parts += [f"### {name}", text.strip(), f"```sh\n{example}\n```"]
-        rows = [(f"`{format_names(p)}`", format_description(p)) for p in command.params]
+        with command.make_context(name, [], resilient_parsing=True) as context:
+            records = [p.get_help_record(context) for p in command.params]
+        rows = [(f"`{names}`", meaning) for names, meaning in filter(None, records)]
         parts.append(format_table(("argument or option", "meaning"), rows))
     return "\n\n".join(parts)
 

@@ -94,7 +94,8 @@ class HovercraftController(Slave):
     def initialize(self, given: dict[str, Value]) -> None:
         """Start the control loop; its filter starts at `*_hat_start` with P = 0, without an update."""
         names = {p.name for p in parameters_of(self.settings)} | {"estimator"}
-        values: dict[str, Any] = {name: v for name, v in given.items() if name in names}
+        every = dict(zip((port.name for port in self.ports), self.values, strict=True))
+        values: dict[str, Any] = {name: v for name, v in every.items() if name in names}
         settings = replace(self.settings, **values)
         x_hat = [float(given.get(f"{name}_start", 0.0)) for name in ESTIMATE]
         _, _, _, x_ref, psi_ref, _, _, fix, *y_ref = self.inputs

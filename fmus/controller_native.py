@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -12,6 +12,7 @@ from controller.kalman import discrete_model
 from cosim.fmi.native.layout import VariableLayout
 from cosim.fmi.native.package import Native, part
 from cosim.fmi.native.printing import LANGUAGE, GeneratedSources, quote, variable_tables
+from cosim.fmi.ports import Value
 from cosim.model import parameters_of
 from fmus.craft_ports import ESTIMATE
 from fmus.recipes import controller_recipe
@@ -66,9 +67,9 @@ static void hold(double dt, double A[NX][NX], double B[NX][NU], double F[NX][NX]
 """
 
 
-def controller_native() -> Native:
-    """Return the native controller."""
-    recipe = controller_recipe()
+def controller_native(starts: Mapping[str, Value] | None = None) -> Native:
+    """Return the native controller, optionally with other start values."""
+    recipe = controller_recipe().with_starts(starts or {})
     ports = recipe.about.ports
     tables, texts = variable_tables(ports)
     place = {port.name: k for k, port in enumerate(ports)}

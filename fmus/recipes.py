@@ -51,61 +51,56 @@ def controller_recipe() -> Recipe:
 
 def poles_recipe() -> Recipe:
     """Return the recipe of the controller by pole placement."""
-    from controller.variants import POLES
     from fmus.controller_fmu import DEPENDENCIES, INITIAL_DEPENDENCIES
     from fmus.controller_laws import HovercraftPolesController
 
     text = "Flight controller of the hovercraft: Kalman filter and poles placed, with tilt saturation"
-    return _controller(HovercraftPolesController, text, (DEPENDENCIES, INITIAL_DEPENDENCIES), POLES)
+    return _controller(HovercraftPolesController, text, (DEPENDENCIES, INITIAL_DEPENDENCIES))
 
 
 def integral_recipe() -> Recipe:
     """Return the recipe of the controller with integrals."""
     from controller.laws import IntegralFeedback
-    from controller.variants import INTEGRAL
     from fmus.controller_laws import HovercraftIntegralController, integral_dependencies
 
     text = "Flight controller of the hovercraft: Kalman filter and LQR with integrals of position and heading"
-    return _controller(HovercraftIntegralController, text, integral_dependencies(), INTEGRAL, IntegralFeedback)
+    return _controller(HovercraftIntegralController, text, integral_dependencies(), IntegralFeedback)
 
 
 def predictive_recipe() -> Recipe:
     """Return the recipe of the predictive controller."""
     from controller.predictive import PredictiveLaw
-    from controller.variants import PREDICTIVE
     from fmus.controller_laws import HovercraftPredictiveController, predictive_dependencies
 
     text = "Flight controller of the hovercraft: Kalman filter and model predictive control with limits"
     depends = predictive_dependencies(HovercraftPredictiveController)
-    return _controller(HovercraftPredictiveController, text, depends, PREDICTIVE, PredictiveLaw)
+    return _controller(HovercraftPredictiveController, text, depends, PredictiveLaw)
 
 
 def time_variant_recipe() -> Recipe:
     """Return the recipe of the predictive controller with A(t), B(t)."""
     from controller.extended import ExtendedFilter, FilterEquations
     from controller.time_variant import TimeVariantLaw
-    from controller.variants import TIME_VARIANT
     from fmus.controller_laws import HovercraftTimeVariantController, time_variant_dependencies
     from fmus.estimator_recipes import jacobians
 
     text = "Flight controller of the hovercraft: extended Kalman filter and predictive control along the planned motion"
     more = TimeVariantLaw, ExtendedFilter, FilterEquations
     slave = HovercraftTimeVariantController
-    recipe = _controller(slave, text, time_variant_dependencies(), TIME_VARIANT, *more)
+    recipe = _controller(slave, text, time_variant_dependencies(), *more, linear=False)
     return replace(recipe, printed=(("controller.printed", jacobians()),))
 
 
 def _controller(
-    slave: Any, about: str, dependencies: tuple[Dependencies, Dependencies], law: str = "", *more: object
+    slave: Any, about: str, dependencies: tuple[Dependencies, Dependencies], *more: object, linear: bool = True
 ) -> Recipe:
-    """Return the recipe of a controller: slave, dependencies, law and documentation."""
+    """Return the recipe of a controller; `linear` if its filter predicts by the linear model."""
     from controller.kalman import discrete_model
     from controller.loop import Loop
-    from controller.variants import TIME_VARIANT
 
     times = {"step": slave.settings.sample_time, "stop": 10.0, "variable_step": False, "sampled": "sample_time"}
-    description = Description(about, slave.ports, *dependencies, **times, law=law)
-    own = () if law == TIME_VARIANT else (discrete_model,)
+    description = Description(about, slave.ports, *dependencies, **times)
+    own = (discrete_model,) if linear else ()
     text = docstrings_html(Loop, *own, *more, slave)
     return Recipe((slave.__module__, slave.__name__), PACKAGES, description, text)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from cosim.base.registry import ModelEntry, Page, Verb
+from cosim.storage.artefact import Artefact
 
 LAWS = {  # controllers with other laws and the same ports
     "controller-pole.fmu": "fmus.recipes:poles_recipe",
@@ -25,9 +26,7 @@ HOVERCRAFT = ModelEntry(
     beside={"controller.fmu": "fmus.recipes:controller_recipe", **LAWS},
     native={"controller": "fmus.controller_native:controller_native"},
     rig="controller.closed_loop:ClosedLoop",
-    design="controller.designer:DESIGNER",
-    cases="controller.monte_carlo:CASES",
-    estimators="controller.monte_carlo:squares_of",
+    design="controller.designer:design",
 )
 BENCH = ModelEntry(name="bench", model="plant.bench:Bench", recipe="fmus.recipes:bench_recipe")
 RUN_PAGE = Page(
@@ -40,4 +39,32 @@ IDENTIFY = Verb(
     function="plant.identification.workflow:identify",
     artefacts="plant.identification.artefacts:ARTEFACTS",
     group="Craft example",
+)
+CONSISTENCY = Verb(
+    command="controller.consistency_verb:command",
+    function="controller.consistency:consistency",
+    artefacts="fmus.registered:ARTEFACTS",
+    group="Craft example",
+)
+ARTEFACTS = (
+    Artefact(
+        "an answer of `cosim consistency`",
+        "scripts read it; `cosim consistency` makes one",
+        keys=(frozenset({"runs", "steps", "seed", "rows"}),),
+        verb="cosim consistency",
+        marks=("consistency.json",),
+        files=("consistency.json", "report.html"),
+        folder="the folder of a consistency test",
+        folder_step="its report.html opens in a browser, scripts read consistency.json",
+    ),
+    Artefact(
+        "a design of controllers",
+        "`cosim build --model hovercraft --design {file}` builds its controllers",
+        keys=tuple(frozenset({key}) for key in ("controllers", "Q", "R", "poles")),
+        without=frozenset({"components", "model"}),
+        schema="controller.designer:DesignFile",
+        schema_name="design",
+        title="cosim design of controllers",
+        check="controller.designer:check_design",
+    ),
 )

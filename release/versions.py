@@ -19,7 +19,7 @@ from release.dist import ROOT, program
 
 PYTHONS = ("3.11", "3.12", "3.13", "3.14")
 PLATFORMS = ("x86_64-manylinux_2_28", "aarch64-manylinux_2_28", "x86_64-pc-windows-msvc", "aarch64-apple-darwin")
-EXTRAS = ("refine", "sweep", "hdf5", "mcap", "mqtt", "remote")
+EXTRAS = ("refine", "sweep", "hdf5")
 TEST_TOOLS = (
     "pytest>=8",
     "pytest-xdist>=3.7",
@@ -33,7 +33,7 @@ TESTS = tuple(  # each dependency is used by one of these
     f"tests/test_{name}.py"
     for name in (
         *("units", "scenario", "run", "formats", "loading", "report", "linearize", "sweep", "ssp", "exchange", "cli"),
-        *("help", "lqr", "kalman", "remote", "live_values", "notebook", "fit"),
+        *("help", "lqr", "kalman", "notebook", "fit"),
     )
 )
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from cosim.base.garbage import collect_seldom
+from cosim.base.program import collect_seldom
 from cosim.fmi.fmu_build import Recipe, build
 from cosim.fmi.native import compiler as c_compiler
 from cosim.fmi.native.compiler import compiler
@@ -57,8 +57,8 @@ LONGEST = (
     "test_refine", "test_refine_fmu", "test_verbs", "test_misbehaving", "test_live_browser", "test_resume",
     "test_fit", "test_view_browser", "test_identify", "test_extensions", "test_blind_fmu", "test_kernel",
     "test_effects", "test_sweep", "test_refine_report", "test_run", "test_replay", "test_python_arguments",
-    "test_controllers", "test_report", "test_wrapping", "test_step_control", "test_wrapped_calls", "test_live_values",
-    "test_report_charts", "test_subject", "test_shared_machine", "test_release", "test_static", "test_recording",
+    "test_controllers", "test_report", "test_wrapping", "test_step_control", "test_wrapped_calls",
+    "test_report_charts", "test_subject", "test_shared_machine", "test_release", "test_recording",
     "test_commands_of_docs",
 )  # fmt: skip
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.designer import DESIGNER
+from controller.designer import DesignFile, controller_starts
 from controller.gains import ESTIMATORS, Settings
 from controller.laws import IntegralFeedback, Law, LawInput, StateFeedback
 from controller.loop import Loop
@@ -26,10 +26,6 @@ from controller.stability import FlownLoop, LoopMode
 from controller.time_variant import TimeVariantLaw
 from controller.time_variant_settings import TimeVariantSettings
 from controller.variants import (
-    INTEGRAL,
-    POLES,
-    PREDICTIVE,
-    TIME_VARIANT,
     FullSettings,
     IntegralSettings,
     PredictiveSettings,
@@ -228,11 +224,10 @@ def figure_6_2() -> dict[str, tuple[float, float, float]]:
 
 
 def designed(name: str, craft: Hovercraft) -> tuple[Settings, Callable[[Any], Law]]:
-    """Return a law designed for a craft, as by `design: {model: …}`."""
+    """Return a law designed for a craft, as by `cosim build --design`."""
     settings, make = LAWS[name]
-    law = {"LQR": "", "poles": POLES, "LQI": INTEGRAL, "MPC": PREDICTIVE, "LTV": TIME_VARIANT}[name]
-    options = {n: o.default for n, o in DESIGNER.options.items() if not o.laws or law in o.laws}
-    values = DESIGNER.values({n: options.get(n) for n in DESIGNER.options}, craft, law)
+    suffix = {"LQR": "", "poles": "-pole", "LQI": "-lqi", "MPC": "-mpc", "LTV": "-ltv-mpc"}[name]
+    values, *_ = controller_starts(f"controller{suffix}.fmu", DesignFile(), craft)  # type: ignore[arg-type]
     return replace(settings, **values), make
 
 

@@ -228,7 +228,7 @@ def table(rows: list[dict[str, Any]]) -> str:
 
 
 def page(rows: list[dict[str, Any]]) -> str:
-    """Return the table with a row per FMU, as in docs/foreign-fmus.md."""
+    """Return the table with a row per FMU; docs/foreign-fmus.md has the sums by tool."""
     lines = ["| FMU | made by | FMI | co-simulation | model exchange |", "|---|---|---|---|---|"]
     fmus: dict[str, dict[str, dict[str, Any]]] = {}
     for row in rows:

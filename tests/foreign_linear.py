@@ -28,7 +28,7 @@ def main(folder: Path) -> int:
             counts["without a library for this machine"] += 1
             continue
         try:
-            outcome = linearize(path, side="above")
+            outcome = linearize(path)
         except CosimError as error:
             counts["fails"] += 1
             print(f"{path.name}: {error}")

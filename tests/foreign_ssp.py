@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from cosim.base.errors import CosimError, InputError
-from cosim.simulation.packaged import open_scenario
+from cosim.simulation.packaged import lay_out
 from cosim.simulation.workflow import run
 from cosim.ssp.flatten import read
 from cosim.ssp.levels import FmuPart
@@ -37,8 +37,8 @@ def parts_of(path: Path) -> tuple[FmuPart, ...]:
 def ours(path: Path, folder: Path) -> tuple[Any, float]:
     """Results over the first steps, and the step."""
     try:
-        with open_scenario(path) as found:
-            step = found.scenario["step"]
+        with tempfile.TemporaryDirectory() as laid_out:
+            step = lay_out(path, Path(laid_out))[0].scenario.step
         if step >= 2.0**-9:  # whose sums are exact in hosts that add, and which is a whole number of ns
             step = 2.0 ** round(math.log2(step))
         whole = run(path, folder, [f"step={step!r}", f"duration={step * STEPS!r}", "limits.total=60 s"], report=False)

@@ -76,40 +76,6 @@ SCENARIO: dict[str, Any] = {
         "peak": [{"of": "plant.psi", "to": "steps.tilt", "after": 0.1, "until": 0.3, "max": 9}],
     },
 }  # fmt: skip
-STUDY: dict[str, Any] = {
-    "model": "base", "logs": {"estimation": ["log.csv", "other.csv"], "validation": ["sealed.csv"]},
-    "noise": {"psi": 0.01}, "tolerance": {"mass": 0.1}, "inputs": {"tilt_left": "interpolated"},
-    "candidates": ["coulomb_friction", "lag"], "per_log": ["mass"], "groups": {"a": ["log.csv"], "b": ["other.csv"]},
-    "columns": {"angle": "psi"},
-}  # fmt: skip
-MODEL: dict[str, Any] = {
-    "schema_version": 1, "model": "hovercraft", "parameters": {"mass": 0.8, "coulomb_friction.force": 0.05},
-    "sensors": {"gyro_bias.value": 0.01},
-}  # fmt: skip
-SWEEP: dict[str, Any] = {
-    "name": "many", "scenario": "small.yaml", "sampling": "sobol", "runs": 16, "seed": 1,
-    "vary": {
-        "plant.mass": {"uniform": [0.7, 0.8]}, "plant.lag": {"normal": [0.09, 0.005], "within": [0.07, 0.11]},
-        "plant.psi_start": {"grid": {"from": "-3 deg", "to": "3 deg", "count": 3}},
-        "plant.friction": {"values": [0.2, 0.3]}, "seed": {"each": 2},
-        "connections.0.noise.variance": {"log_uniform": [1e-8, 1e-6]},
-    },
-}  # fmt: skip
-PROTOCOL: dict[str, Any] = {
-    "schema_version": 1, "name": "bench", "bench": "bench", "model": "hovercraft", "seed": 1, "step": 0.02,
-    "draws": {"thrust": 0.015, "tare": {"z": 0.003, "x": 0.003, "m": 0.001}},
-    "cells": {
-        "z": {"unit": "gf", "full_scale": 816, "error": 0.0025, "loads": [0, 85, 140, 200, 225, 270, 285]},
-        "x": {"unit": "gf", "full_scale": 816, "error": 0.0025, "loads": [-60, -30, 0, 25, 50, 75, 105, 135]},
-        "m": {"unit": "N.m", "full_scale": 0.0282, "error": 0.0025, "loads": [-0.0282, -0.0113, 0, 0.0113, 0.0282]},
-    },
-    "tests": {
-        "step": {
-            "repetitions": 3, "low_pass": 0, "height": 0.095, "rest": [0, 1], "at": 6, "window": [6, 8],
-            "phases": [[0, 5, 0], [1, 5, 0], [3, 6.4, 0], [6, 6.4, 0], [6, 6.4, 25], [9, 6.4, 25]],
-        },
-    },
-}  # fmt: skip
 DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="2.0" modelName="m" guid="{1}" numberOfEventIndicators="0">
 <CoSimulation modelIdentifier="m" canHandleVariableCommunicationStepSize="true"/>
@@ -375,42 +341,7 @@ def scenario(draw: Callable[[Any], Any], folder: Path) -> Iterator[list[str]]:
     path.write_bytes(written(draw, SCENARIO))
     yield ["check", path.name]
     if short(path):
-        yield ["run", path.name, "--out", "out", "--no-report"]
-
-
-def manifest(draw: Callable[[Any], Any], folder: Path) -> Iterator[list[str]]:
-    content = {"schema_version": 1, "cosim_version": "0", "status": "ok", "scenario": SCENARIO, "seed": 1}
-    path = folder / "case.json"
-    path.write_bytes(written(draw, content))
-    yield ["check", path.name]
-    if short(path):
-        yield ["run", path.name, "--out", "out", "--no-report"]
-
-
-def study(draw: Callable[[Any], Any], folder: Path) -> Iterator[list[str]]:
-    path = folder / "study.yaml"
-    path.write_bytes(written(draw, STUDY))
-    yield ["check", path.name]
-
-
-def model(draw: Callable[[Any], Any], folder: Path) -> Iterator[list[str]]:
-    path = folder / "model.yaml"
-    path.write_bytes(written(draw, MODEL))
-    yield ["check", path.name]
-    yield ["check", "log.csv", "--model", path.name]
-
-
-def sweep(draw: Callable[[Any], Any], folder: Path) -> Iterator[list[str]]:
-    (folder / "small.yaml").write_text(as_text(SCENARIO, True))
-    path = folder / "sweep.yaml"
-    path.write_bytes(written(draw, SWEEP))
-    yield ["check", path.name]
-
-
-def protocol(draw: Callable[[Any], Any], folder: Path) -> Iterator[list[str]]:
-    path = folder / "protocol.yaml"
-    path.write_bytes(written(draw, PROTOCOL))
-    yield ["check", path.name]
+        yield ["run", path.name, "--out", "out", "--force", "--no-report"]
 
 
 def log(draw: Callable[[Any], Any], folder: Path) -> Iterator[list[str]]:
@@ -418,28 +349,6 @@ def log(draw: Callable[[Any], Any], folder: Path) -> Iterator[list[str]]:
     text = draw(st.sampled_from((recelled, mangled)))(draw, table(draw(st.sampled_from((0, 1, 2, 3, 40, 40)))))
     path.write_bytes(raw(draw, text))
     yield ["check", path.name]
-
-
-def replay(draw: Callable[[Any], Any], folder: Path) -> Iterator[list[str]]:
-    """Yield commands on a mostly readable log: repeated columns, empty cells, missing rows."""
-    rows = [line.split(",") for line in table(draw(st.sampled_from((2, 3, 30, 160)))).splitlines()]
-    for _ in range(draw(st.integers(0, 3))):
-        column = draw(st.integers(1, len(NAMES) - 1))
-        value = draw(st.sampled_from(("0", "-1", "1e-300", "1e6", "5", "", "nan", "1e20")))
-        every = draw(st.sampled_from((1, 2, 7)))
-        for row in rows[1::every]:
-            row[column] = value
-    kept = [row for k, row in enumerate(rows) if k < 3 or draw(st.sampled_from((True, True, True, False)))]
-    path = folder / "case.csv"
-    path.write_text("\n".join(map(",".join, kept if draw(st.booleans()) else rows)) + "\n")
-    start = draw(
-        st.sampled_from(
-            ("mass=0.9", "mass=900 g", "x=1", "mass=", "psi_start=1e9", "roll_ground_effect=off", "=", "mass=nan")
-        )
-    )
-    options = [f"--start={start}"] if draw(st.booleans()) else []
-    options += ["--column=battery=phi"] if draw(st.booleans()) else []
-    yield ["replay", path.name, "--plant", "plant.fmu", "--out", "out", *options]
 
 
 def description(draw: Callable[[Any], Any], folder: Path) -> Iterator[list[str]]:
@@ -462,7 +371,7 @@ def description(draw: Callable[[Any], Any], folder: Path) -> Iterator[list[str]]
         "connections": [{"from": "r.x", "to": "m.u"}],
     }  # fmt: skip
     (folder / "with.yaml").write_text(json.dumps(content))
-    yield ["run", "with.yaml", "--out", "out", "--no-report"]
+    yield ["run", "with.yaml", "--out", "out", "--force", "--no-report"]
 
 
 def structure(draw: Callable[[Any], Any], folder: Path) -> Iterator[list[str]]:
@@ -482,28 +391,10 @@ def structure(draw: Callable[[Any], Any], folder: Path) -> Iterator[list[str]]:
             (folder / each).write_bytes(data)
     yield ["check", path.name, "--no-load"]
     short_run = ("--no-report", "--in-process", "--set", "step=0.02", "--set", "duration=0.04")
-    yield ["run", path.name, "--out", "out", *short_run]
+    yield ["run", path.name, "--out", "out", "--force", *short_run]
 
 
-def setting(draw: Callable[[Any], Any], folder: Path) -> Iterator[list[str]]:
-    path = folder / "case.yaml"
-    path.write_text(as_text(SCENARIO, True))
-    options = []
-    for _ in range(draw(st.integers(1, 2))):
-        where = draw(st.sampled_from(list(places(SCENARIO))[1:]))
-        value = draw(st.sampled_from((*ODD, found_at(SCENARIO, where), 0.1, 0.2, 0.02)))
-        text = f"{'.'.join(map(str, where))}={value if draw(st.booleans()) else json.dumps(value)}"
-        options.append((mangled(draw, text) if draw(st.booleans()) else text).replace("\0", "").replace("\ud7ff", ""))
-    if short(path, options):
-        yield ["run", path.name, "--out", "out", "--no-report", *(a for o in options for a in ("--set", o))]
-
-
-KINDS = {
-    "scenario": scenario, "manifest": manifest, "study": study, "model": model, "log": log,
-    "sweep": sweep, "protocol": protocol, "description": description, "ssp": structure, "set": setting,
-    "replay": replay,
-}  # fmt: skip
-SLOW = {"replay": 20}  # kind → times fewer are tried
+KINDS = {"scenario": scenario, "log": log, "description": description, "ssp": structure}
 
 
 def short(path: Path, options: list[str] | None = None) -> bool:
@@ -617,13 +508,13 @@ def main() -> None:
     first = int(sys.argv[2]) if len(sys.argv) > 2 else time.time_ns() % 1_000_000
     kinds = sys.argv[3].split(",") if len(sys.argv) > 3 else list(KINDS)
     wrong: list[str] = []
-    share = total / sum(1 / SLOW.get(kind, 1) for kind in kinds)
+    share = total / len(kinds)
     with tempfile.TemporaryDirectory() as folder:
         plant = build(plant_recipe(), Path(folder) / "plant.fmu")
         for kind in kinds:
             found = fuzz(
                 kind,
-                math.ceil(share / SLOW.get(kind, 1)),
+                math.ceil(share),
                 first,
                 Path(folder) / kind,
                 plant,

@@ -30,7 +30,6 @@ SEED = 27
 PAUSE, STEPS = 6000.0, 100  # wall time of a step [us], and steps of a run
 LONGEST = 60.0  # [s] of a command
 MOST_KILLS = 5  # of one run
-NOT_YET = ("E-SIM-060", "E-SIM-066", "E-SIM-074")  # nothing is there to resume, or no folder
 
 
 class Fork:
@@ -103,7 +102,8 @@ class Killed:
         scenario = walker_scenario(
             folder, python=python, duration=0.01 * STEPS, pause=PAUSE, checkpoint="15 ms"
         )  # fmt: skip
-        self.begin, self.resume = [str(scenario), "--out", str(folder / "part")], [str(folder / "part"), "--resume"]
+        self.begin = [str(scenario), "--out", str(folder / "part"), "--force"]
+        self.resume = [str(folder / "part"), "--resume"]
         command = self.command([str(scenario), "--out", str(folder / "whole")])
         assert command.wait(LONGEST) == 0, self._said(command)
 
@@ -127,24 +127,31 @@ class Killed:
             process = self.command(arguments)
             self._kill(process, rng, counts)
             code, said = process.poll(), self._said(process)
-            if code == 2 and said.get("code") in NOT_YET:
+            if code == 2 and not self._is_finished():
                 counts["nothing to resume"] += 1
                 arguments = self.begin
                 continue
-            if code == 0 or said.get("code") == "E-SIM-061":
+            if code in (0, 2):
                 counts["ended before"] += 1
             elif code not in (-signal.SIGKILL, 4):
                 return [f"exit {code}: {said}"]
             arguments = self.resume
         return self._end(arguments)
 
+    def _is_finished(self) -> bool:
+        try:
+            status: str = json.loads((self.folder / "part" / "manifest.json").read_text())["status"]
+        except (OSError, ValueError):
+            return False
+        return status == "ok"
+
     def _end(self, arguments: list[str]) -> list[str]:
         part = self.folder / "part"
         for _ in range(2):
             process = self.command(arguments)
             code, said = process.wait(LONGEST), self._said(process)
-            arguments = self.begin if code == 2 and said.get("code") in NOT_YET else self.resume
-        if code and said.get("code") != "E-SIM-061":
+            arguments = self.begin if code == 2 and not self._is_finished() else self.resume
+        if code and not (code == 2 and self._is_finished()):
             return [f"exit {code}: {said}"]
         return self._differences(part)
 
@@ -159,7 +166,6 @@ class Killed:
         keys = [key for key in {**manifests[0], **manifests[1]} if manifests[0].get(key) != manifests[1].get(key)]
         found += [f"manifest.json differs in {', '.join(keys)}"] if keys else []
         names = sorted(path.relative_to(part).as_posix() for path in part.rglob("*") if path.is_file())
-        names = [name for name in names if not name.startswith("runs/")]  # runs killed before their first checkpoint
         if names != ["checkpoint/run.json", "checkpoint/state", "manifest.json", "results.csv"]:
             found.append(f"files: {names}")
         return found

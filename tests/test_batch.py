@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 import sympy
 
-from cosim.model import Stepper, parameters_of
+from cosim.model import Stepper
 from cosim.model.namespaces import SCALAR, SymbolNamespace, arrays
-from cosim.model.symbolic.symbols import symbolic
 from plant.effects import CATALOGUE
 from plant.hovercraft import Hovercraft
 from tests.independent import HOLD, excitation, flown
@@ -66,33 +65,6 @@ def test_a_batch_of_craft_equals_the_craft_one_by_one(group: str) -> None:
         assert got == pytest.approx({name: trace[-1] for name, trace in expected.items()}, rel=1e-12, abs=1e-13)
 
 
-def test_a_batch_covers_the_catalogue() -> None:
-    assert all(GROUPS[kind.name] for kind in CATALOGUE)
-
-
-def test_one_effect_for_many_craft_may_be_given_once() -> None:
-    # scalars and arrays mix: a thousand craft of one kind, one parameter apart
-    craft = Hovercraft(mass=np.linspace(0.6, 0.8, 1000)).with_values(
-        {"actuator_delay.time": 0.04, "coriolis.gain": 1.0}
-    )  # type: ignore[arg-type]
-    stepper = Stepper(craft, arrays())
-    moment = stepper.start()
-    for _ in range(10):
-        moment = stepper.step(moment, (6.4, 6.4, 0.1, 0.1), HOLD)
-    vx = moment.state[5]
-    assert vx.shape == (1000,)
-    assert np.all(np.diff(vx) < 0.0)  # the heavier, the slower
-
-
-def test_scalar_body_returns_floats_of_python() -> None:
-    # a NumPy scalar that leaks in makes every operation ten times slower
-    craft = Hovercraft().with_values({name: values[0] for name, values in BATCH.items()})
-    stepper = Stepper(craft)
-    moment = stepper.step(stepper.start(), (6.4, 6.3, 0.1, -0.1), HOLD)
-    assert {type(v) for v in moment.state} == {float}
-    assert {type(v) for v in stepper.output(moment.t, moment.state, ())} == {float}
-
-
 STATE = (0.3, -0.2, 1.0, -2.0, 0.7, 0.4, -0.3, 0.2, 0.05, -0.3, 2.0, 2.5, 0.15, -0.1)
 COMMAND = (6.5, 6.3, 0.2, -0.1)
 
@@ -115,26 +87,3 @@ def test_symbolic_derivative_evaluates_to_the_scalar_one(group: str) -> None:
         # sympy orders sums and products its own way: rounding, over a few cancelling terms
         got = evaluated(symbols(t, tuple(x), tuple(u)), numbers)
         assert got == pytest.approx(scalars(2.5, state, COMMAND), rel=1e-12, abs=1e-13)
-
-
-@pytest.mark.parametrize("own_height", [True, False])
-def test_model_of_symbols_alone_becomes_any_craft(own_height: bool) -> None:
-    # all parameters of all effects are symbols; numbers put in give the craft with those numbers, neutral ones too
-    whole = symbolic(Hovercraft(), flags=own_height)
-    defaults = {p.name: p.default for p in parameters_of(Hovercraft) if not isinstance(p.default, bool)}
-    defaults |= {f"{kind.name}.{p.name}": p.default for kind in CATALOGUE for p in parameters_of(kind)}
-    assert set(whole.parameters) == set(defaults)
-    servo = (0.1, 0.2)
-    symbols = [whole.time, *whole.parameters.values(), *whole.state, *whole.command]
-    bound = whole.model.equations(SymbolNamespace())
-    expressions = [*bound.derivative(whole.time, whole.state, whole.command)]
-    code = sympy.lambdify(symbols, [sympy.sympify(e) for e in expressions], modules="math", cse=True)
-    for index in range(COUNT):
-        values = defaults | {name: row[index] for name, row in BATCH.items()}
-        given = {name: row[index] for name, row in BATCH.items()}
-        craft = Hovercraft(roll_ground_effect=own_height).with_values(given)
-        state = STATE + servo[: len(craft.states) - 14]
-        expected = craft.equations(SCALAR).derivative(2.5, state, COMMAND)
-        got = code(2.5, *(values[name] for name in whole.parameters), *STATE, *servo, *COMMAND)
-        # as above; and effects asleep here are sums with zero there
-        assert got[: len(expected)] == pytest.approx(expected, rel=1e-12, abs=1e-12)

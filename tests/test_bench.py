@@ -7,19 +7,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import sympy
 from fmpy.validation import validate_fmu
 
 from cosim.loading.build import build
 from cosim.model import Stepper
-from cosim.model.namespaces import SCALAR, SymbolNamespace, arrays
+from cosim.model.namespaces import SCALAR
 from plant.bench import Bench
 from plant.identification.recordings import FmuPlayer, SimulatedRecording
 from plant.powertrain import ground_effect, servo_angle, thrust_out_of_ground
 from tests.bench_runs import play_plain
 
 REST = (5.0, 7.5, 10.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-GRAM = 9.81e-3  # [N]
 
 
 def after(bench: Bench, seconds: float, **inputs: float) -> dict[str, float]:
@@ -56,10 +54,6 @@ def test_the_fmu_reads_what_the_equations_read_as_arrays(fmu: Path) -> None:
         np.testing.assert_allclose(by_fmu.volts[cell], plain.volts[cell], atol=1e-9)
 
 
-def test_a_servo_has_the_angle_of_eq_3_1() -> None:
-    assert servo_angle(9.5, 7.5, 0.3927) == pytest.approx(math.radians(45), rel=1e-4)  # 45° per 400 µs of 20 ms
-
-
 def test_the_servo_stops_within_its_dead_band_from_either_side() -> None:
     bench = Bench()
     told = servo_angle(8.5, bench.servo_neutral, bench.servo_slope)
@@ -74,14 +68,6 @@ def test_the_servo_stops_within_its_dead_band_from_either_side() -> None:
     assert after(bench, 3.0, servo_duty=within)["tilt_actual"] == 0.0
 
 
-def test_the_servo_is_never_faster_than_60_degrees_in_140_ms() -> None:
-    bench = Bench()
-    target = bench.servo_neutral + math.radians(80) / bench.servo_slope  # 1.4 rad over 0.0884 s would be 16 rad/s
-    assert after(bench, 0.04, servo_duty=target)["tilt_actual"] == pytest.approx(
-        0.04 * math.radians(60) / 0.14, rel=1e-9
-    )
-
-
 def test_forces_are_thrust_times_ground_effect_projected() -> None:
     bench = Bench()
     out = after(bench, 3.0, duty=6.3, servo_duty=8.0, height=0.095)
@@ -90,36 +76,3 @@ def test_forces_are_thrust_times_ground_effect_projected() -> None:
     assert out["force_x"] == pytest.approx(thrust * math.sin(out["tilt_actual"]), rel=1e-9)  # 4.8
     assert out["force_z"] == pytest.approx(thrust * math.cos(out["tilt_actual"]), rel=1e-9)  # 4.7
     assert out["moment"] == pytest.approx(0.145 * 9.81 * -1.170e-4 * math.sin(out["tilt_actual"]), rel=1e-9)  # 4.10
-
-
-def test_the_vertical_cell_of_app_c_ends_at_285_gf_and_so_test_1_saturates() -> None:
-    bench = Bench()
-    step = 3.3 / 4095
-    assert after(bench, 0.1, load_z=280 * GRAM)["volts_z"] > 5 * step
-    assert after(bench, 0.1, load_z=286 * GRAM)["volts_z"] == 0.0
-    assert after(bench, 3.0, duty=6.53)["volts_z"] > 0.0  # 274 gf
-    assert after(bench, 3.0, duty=7.0)["volts_z"] == 0.0  # 443 gf
-
-
-def test_a_reading_is_a_whole_number_of_steps_of_12_bit() -> None:
-    steps = after(Bench(), 1.0, load_x=0.7)["volts_x"] / (3.3 / 4095)
-    assert steps == pytest.approx(round(steps), abs=1e-9)
-
-
-def test_the_low_pass_lets_63_percent_through_after_its_time() -> None:
-    bench = Bench(filter_time=0.5)
-    rest, end = after(bench, 1.0)["volts_x"], after(bench, 10.0, load_x=1.0)["volts_x"]
-    now = after(bench, 0.5, load_x=1.0)["volts_x"]
-    assert (now - rest) / (end - rest) == pytest.approx(1.0 - math.exp(-1.0), abs=0.002)  # steps of the converter
-
-
-@pytest.mark.parametrize("value", [-0.3, 0.2, 0.5, 1.5, 2.49, 7.0])
-def test_clip_and_rint_are_one_function_of_floats_arrays_and_printed_code(value: float) -> None:
-    m, x = SymbolNamespace(), sympy.Symbol("x", real=True)
-    scalar = SCALAR.rint(SCALAR.clip(value, 0.0, 3.0))
-    assert arrays().rint(arrays().clip(np.array([value]), 0.0, 3.0)) == [scalar]
-    printed = m.rint(m.clip(x, 0.0, 3.0))
-    assert eval(sympy.pycode(printed), {"x": value}) == scalar
-    assert sympy.ccode(printed) == "rint(fmin(fmax(x, 0.0), 3.0))"
-    slope = eval(sympy.pycode(printed.diff(x)), {"x": value})
-    assert slope == (1.0 if 0.0 <= value <= 3.0 else 0.0)

@@ -6,10 +6,8 @@ import json
 from pathlib import Path
 from typing import Any
 
-import pytest
-
 from tests.blind import baseline
-from tests.blind.harness import ARM, FIELD, FMU, LABORATORY, MIXED
+from tests.blind.harness import ARM, FIELD, LABORATORY
 
 CHANNELS = [f"channel_with_a_name_{k}" for k in range(5)]
 
@@ -64,30 +62,3 @@ def test_studies_with_a_line_of_the_revision_are_not_done_again(tmp_path: Path) 
     assert (ARM, first[ARM]) not in baseline.missing(lines, "abc+")
     assert baseline.missing(lines, "abc+", [ARM])[0] == (ARM, first[ARM] + 1)
     assert len(baseline.missing(lines, "another")) == 270
-
-
-def test_figures_are_of_all_studies_and_of_those_without_near_ties(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(baseline, "is_near_tie", lambda seed: seed == 2)
-    path = tmp_path / "lines.jsonl"
-    lines = [
-        baseline.line_of(FMU, told(FMU, 1), found("drag", 0.3)),
-        baseline.line_of(FMU, told(FMU, 2), found("friction", 0.3)),
-        baseline.line_of(FMU, told(FMU, 3), found("drag", 9.0)),
-        baseline.line_of(FMU, told(FMU, 4), {"verdict": "failed", "failure": "no verdict within 1200 s"}),
-        baseline.line_of(MIXED, told(MIXED, 5), found("drag", 0.3)),
-    ]
-    counted = baseline.counts(FMU, lines[:4])
-    assert (counted["right"], counted["wrong"], counted["coverage"]) == ((2, 4), (1, 4), (1, 2))
-    apart = baseline.counts(FMU, [line for line in lines[:4] if not line["near_tie"]])
-    assert (apart["right"], apart["wrong"]) == ((2, 3), (0, 3))
-    assert baseline.counts(MIXED, lines[4:])["parts_named"] == (1, 1)
-    for seconds, line in enumerate(lines):
-        baseline.append(path, line | {"revision": "abc+", "processor_seconds": 10.0 * seconds})
-    assert baseline.main(["--summary", "--revision", "abc+", "--lines", str(path)]) == 0
-    (right,) = [
-        line for line in capsys.readouterr().out.splitlines() if line.strip().startswith("right") and "2 of" in line
-    ]
-    assert "2 of   4" in right
-    assert "2 of   3" in right

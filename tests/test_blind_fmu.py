@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import platform
-import subprocess
-import sys
-import zipfile
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,18 +12,15 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from cosim.fmi.native.compiler import compiler
-from tests.blind import fmu_score, fmu_study, harness
 from tests.blind.field_rig import Floats, Run
-from tests.blind.fmu_build import FAULTS, PLANTS, WAYS, build, build_slave
+from tests.blind.fmu_build import FAULTS, PLANTS, WAYS, build
 from tests.blind.fmu_rig import FmuRig, place
-from tests.blind.fmu_study import OWN_C, PYTHONFMU, SLAVES, deal, draw
 from tests.blind.fmu_truths import RIGS
 from tests.cases import some
 
 pytestmark = pytest.mark.skipif(
     compiler() is None or platform.system() != "Linux", reason="needs a C compiler and Linux folders"
 )
-ROOT = Path(__file__).resolve().parent.parent
 KINDS = {"model_exchange": "ModelExchange", "co_simulation": "CoSimulation"}
 WITH_TRUTH = [plant for plant in PLANTS if (plant, WAYS[0]) in RIGS]
 
@@ -45,16 +37,6 @@ def simulated(path: Path, plant: str, way: str, count: int = 50, **more: Any) ->
     return np.column_stack([result[n] for n in declared.output_names])
 
 
-@pytest.mark.parametrize("version", [2, pytest.param(3, marks=pytest.mark.thorough)])
-@pytest.mark.parametrize("plant", PLANTS)
-def test_both_ways_of_both_versions_agree_in_fmpy(tmp_path: Path, plant: str, version: int) -> None:
-    path = build(tmp_path / "plant.fmu", plant, version, ways=WAYS)
-    exchange, steps = (simulated(path, plant, way) for way in WAYS)
-    assert exchange.shape == steps.shape == (51, len(PLANTS[plant].outputs))
-    assert np.all(np.ptp(steps, axis=0) > 0.0)
-    assert np.max(np.abs(exchange - steps) / np.ptp(steps, axis=0)) < 1e-3
-
-
 @pytest.mark.parametrize("fault", some(FAULTS, every=3))
 def test_each_fault_is_a_valid_fmu(tmp_path: Path, fault: str) -> None:
     for version in (2, 3):
@@ -63,14 +45,6 @@ def test_each_fault_is_a_valid_fmu(tmp_path: Path, fault: str) -> None:
         assert description.modelExchange
         assert description.coSimulation
         assert bool([v for v in description.modelVariables if v.causality == "parameter"]) == FAULTS[fault].parameters
-
-
-def test_the_binary_names_no_variable_and_no_function_of_the_plant(tmp_path: Path) -> None:
-    with zipfile.ZipFile(build(tmp_path / "a.fmu", "drive")) as archive:
-        (binary,) = [archive.read(n) for n in archive.namelist() if n.endswith(".so")]
-        assert not any(n.endswith(".c") for n in archive.namelist())
-    assert b"fmi2DoStep" in binary
-    assert not any(word in binary for word in (b"rates", b"runge_kutta", b"motor", b"stiffness"))
 
 
 def fmu(tmp_path: Path, fault: str) -> Path:
@@ -85,27 +59,6 @@ def test_parameters_are_forgotten_when_set_before_initialization(tmp_path: Path)
     assert np.array_equal(simulated(bad, "drive", "co_simulation", start_values=heavy), plain)
 
 
-def test_two_runs_differ(tmp_path: Path) -> None:
-    sound, counts, clock = (fmu(tmp_path, fault) for fault in ("", "counts", "clock"))
-    for way in WAYS:
-        assert np.array_equal(simulated(sound, "drive", way), simulated(sound, "drive", way))
-    assert not np.array_equal(*(simulated(clock, "drive", "co_simulation") for _ in range(2)))
-    folder = fmpy.extract(str(counts), str(tmp_path / "unzipped"))  # a library is loaded once
-    instance = fmpy.instantiate_fmu(folder, fmpy.read_model_description(folder), "CoSimulation")
-    runs = [simulated(Path(folder), "drive", "co_simulation", fmu_instance=instance) for _ in range(2)]
-    instance.freeInstance()
-    assert not np.array_equal(*runs)
-
-
-def test_the_working_directory_decides(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    bad, runs = fmu(tmp_path, "working_directory"), []
-    for name in ("a", "b"):
-        (tmp_path / name).mkdir()
-        monkeypatch.chdir(tmp_path / name)
-        runs.append(simulated(bad, "drive", "co_simulation"))
-    assert np.max(np.abs(runs[0] - runs[1])) > 1e-6
-
-
 @pytest.mark.parametrize("fault", ["own_step", "hidden_own_step"])
 def test_short_steps_are_whole_own_steps(tmp_path: Path, fault: str) -> None:
     def angle(fault: str, step: float) -> float:
@@ -115,54 +68,6 @@ def test_short_steps_are_whole_own_steps(tmp_path: Path, fault: str) -> None:
 
     assert angle(fault, 0.05) == pytest.approx(angle("", 0.05), rel=0.05)
     assert angle(fault, 0.01) > 4.0 * angle("", 0.01)
-
-
-@pytest.mark.thorough
-def test_instances_leak(tmp_path: Path) -> None:
-    code = (
-        "import sys; from pathlib import Path; from tests.test_blind_fmu import resident; "
-        "print(resident(Path(sys.argv[1])))"
-    )
-    grown = {}
-    for fault in ("", "leaks"):
-        done = subprocess.run(
-            [sys.executable, "-c", code, str(fmu(tmp_path, fault))],
-            capture_output=True,
-            text=True,
-            check=True,
-            cwd=ROOT,
-        )
-        grown[fault] = int(done.stdout.split()[-1])
-    assert grown["leaks"] > 16 << 20 > grown[""]
-
-
-def resident(path: Path) -> int:
-    """Return how much a process grows [bytes] by eight runs after the first."""
-
-    def size() -> int:
-        return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGESIZE")
-
-    simulated(path, "drive", "co_simulation", 2)
-    before = size()
-    for _ in range(8):
-        simulated(path, "drive", "co_simulation", 2)
-    return size() - before
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("fault", ["crashes", "hangs"])
-def test_a_parameter_above_its_limit_ends_the_process(tmp_path: Path, fault: str) -> None:
-    code = (
-        "import sys; from pathlib import Path; from tests.test_blind_fmu import simulated; "
-        "simulated(Path(sys.argv[1]), 'drive', 'co_simulation', 2, start_values={'motor.J': float(sys.argv[2])})"
-    )
-    command = [sys.executable, "-c", code, str(fmu(tmp_path, fault))]
-    assert subprocess.run([*command, "0.0104"], check=False, capture_output=True, cwd=ROOT).returncode == 0
-    if fault == "crashes":
-        assert subprocess.run([*command, "0.0106"], check=False, capture_output=True, cwd=ROOT).returncode < 0
-    else:
-        with pytest.raises(subprocess.TimeoutExpired):
-            subprocess.run([*command, "0.0106"], check=False, capture_output=True, cwd=ROOT, timeout=3)
 
 
 # -- truths -------------------------------------------------------------------------------------------------
@@ -240,111 +145,3 @@ def test_a_truth_agrees_with_dop853(plant: str, truth: dict[str, dict[str, float
         state = done.y[:, -1]
         reading = np.array(look(run.times[row + 1], state.tolist(), quiet))
         assert np.all(np.abs(reading - course.readings[row + 1]) < 0.02 * np.array(list(rig.outputs.values())))
-
-
-def test_inputs_pass_their_effects() -> None:
-    rig = RIGS["drive", WAYS[0]]
-    step = np.where(np.arange(40) < 10, 0.0, 1.0)[:, None]
-    run = Run(rig.step * np.arange(40), step, np.zeros((40, 2)), np.zeros(4))
-
-    def acts(**parameters: float) -> np.ndarray:
-        return rig.acting({k.replace("__", "."): v for k, v in parameters.items()}, run, 4)[:, :, 0]
-
-    assert np.array_equal(acts(), np.repeat(step, 4, axis=1))
-    assert acts(delay__time=2.5 * rig.step)[12].tolist() == pytest.approx([0.0, 0.0, 1.0, 1.0])
-    assert acts(dead_band_at_torque__width=0.3)[-1, 0] == pytest.approx(0.7)
-    assert acts(saturation_at_torque__limit=0.4)[-1, 0] == pytest.approx(0.4)
-    assert acts(play_at_torque__width=0.1)[-1, 0] == pytest.approx(0.9)
-    assert acts(bias_at_torque__value=0.1)[0, 0] == pytest.approx(0.1)
-    ramp = acts(rate_limit_at_torque__rate=1.0 / (2.0 * rig.step))
-    assert ramp[10].tolist() == pytest.approx([1 / 16, 3 / 16, 5 / 16, 7 / 16])
-    lag = acts(lag_at_torque__time=rig.step)
-    assert 1.0 - lag[10].mean() == pytest.approx(1.0 - np.exp(-1.0), rel=1e-6)
-    swings = acts(second_order_lag_at_torque__frequency=100.0, second_order_lag_at_torque__damping=0.3)
-    assert swings.max() == pytest.approx(1.0 + np.exp(-np.pi * 0.3 / np.sqrt(1.0 - 0.09)), abs=0.02)
-
-
-# -- studies ------------------------------------------------------------------------------------------------
-
-
-def test_plants_ways_and_versions_come_in_turn() -> None:
-    dealt = [fmu_study.deal(seed) for seed in range(24)]
-    assert len({(d.plant, d.way, d.version) for d in dealt}) == 24
-    kinds = [fmu_study.deal(seed).kind for seed in range(40, 60)]
-    assert [kinds.count(kind) for kind in ("known", "nothing", "outside")] == [12, 5, 3]
-
-
-@pytest.mark.parametrize("kind", ["nothing", pytest.param("known", marks=pytest.mark.thorough)])
-def test_a_study_depends_on_its_seed_only(tmp_path: Path, kind: str) -> None:
-    seed = next(s for s in range(200) if (d := fmu_study.deal(s)).kind == kind and d.plant == "heated_box")
-    told = []
-    for name in ("a", "b"):
-        fmu_study.draw.cache_clear()
-        path, answer = harness.invent(harness.FMU, seed, tmp_path / name)
-        told.append((answer, {f.name: f.read_bytes() for f in path.parent.iterdir() if f.suffix != ".fmu"}))
-    assert told[0] == told[1]
-    study = fmu_study.draw(seed)
-    assert set(study.truth) <= set(study.rig.entries)
-    assert bool(study.truth) == (kind == "known")
-    assert all(cost >= 20.0 for cost in study.costs.values())
-    assert (tmp_path / "a" / "plant.fmu").exists()
-
-
-def test_a_fifth_is_a_fifth_of_the_distance_from_neutral() -> None:
-    entries = RIGS["drive", WAYS[0]].entries
-    shrunk = fmu_study.shrunk
-    assert shrunk(entries["scale_at_motor_w"], {"value": 1.05})["value"] == pytest.approx(1.01)
-    assert shrunk(entries["saturation_at_torque"], {"limit": 1.5})["limit"] == pytest.approx(1.9)
-    lag = shrunk(entries["second_order_lag_at_torque"], {"frequency": 100.0, "damping": 0.5})
-    assert lag == {"frequency": 500.0, "damping": 0.5}
-
-
-def test_a_lag_of_a_sensor_is_one_that_the_integration_resolves() -> None:
-    """A shorter lag would act as the shortest, and the answer would be wrong."""
-    rig = RIGS["dc_motor", "co_simulation"]
-    low, _ = rig.entries["lag_at_angle"].limits
-    assert rig.resolves({"lag_at_angle": {"time": low}, "lag_at_voltage": {"time": 0.1 * low}})
-    assert not rig.resolves({"lag_at_angle": {"time": 0.2 * low}})
-
-
-def test_scores_are_by_size_and_way() -> None:
-    found = {"verdict": "effect_found", "effects": [{"name": "delay", "parameters": {}}], "rivals": [], "seconds": 5.0}
-    found |= {"sensors": [], "error": {"after": {"y": 1.0}}, "error_true": {"y": 1.0}, "disturbance": "small"}
-    lines = [
-        found | {"kind": "known", "truth": {name: {}}, "size": size, "way": way, "plant": "drive", "version": 2}
-        for name, size, way in (("delay", "usual", WAYS[0]), ("lag_at_torque", "fifth", WAYS[1]))
-    ]
-    figures = fmu_score.summary(lines)
-    assert (figures["right"], figures["wrong"], figures["seconds_95"]) == (0.5, 0.5, 5.0)
-    assert figures["by"]["usual"]["right"] == figures["by"][WAYS[0]]["right"] == 1.0
-    assert figures["by"]["fifth, co_simulation"]["wrong"] == 1.0
-    assert "fifth, co_simulation" in fmu_score.table(lines)
-
-
-# -- a second exporter ------------------------------------------------------------------------------------
-
-
-def test_the_tanks_of_pythonfmu_are_those_of_own_c(tmp_path: Path) -> None:
-    own = build(tmp_path / "own.fmu", "tanks", ways=("co_simulation",))
-    other = build_slave(tmp_path / "other.fmu", "tanks")
-    start = {"left.h": 0.5, "pipe.k": 2e-4, "gain_left": 7e-6}
-    names = ["gauge_left", "gauge_right"]
-    tables = [
-        fmpy.simulate_fmu(str(p), stop_time=200.0, output_interval=2.0, start_values=start, output=names)
-        for p in (own, other)
-    ]
-    for name in names:
-        assert np.abs(tables[0][name] - tables[1][name]).max() < 1e-9
-        assert np.ptp(tables[0][name]) > 0.01
-
-
-def test_the_second_exporter_begins_at_a_seed_and_makes_half_of_its_studies() -> None:
-    def exporters(seeds: range) -> list[str]:
-        dealt = [deal(seed) for seed in seeds]
-        plain = [replace(draw_nothing, seed=d.seed, plant=d.plant, way=d.way, version=d.version) for d in dealt]
-        return [s.exporter for s, d in zip(plain, dealt, strict=True) if (d.plant, d.way, d.version) in SLAVES]
-
-    draw_nothing = draw(next(seed for seed in range(40) if deal(seed).kind == "nothing"))
-    assert set(exporters(range(1000))) == {OWN_C}
-    later = exporters(range(5000, 7400))
-    assert 0.3 < later.count(PYTHONFMU) / len(later) < 0.7

@@ -73,24 +73,6 @@ def test_known_studies_are_judged_by_names(case: dict[str, Any], expected: tuple
 
 
 @pytest.mark.parametrize(
-    ("verdict", "alarm", "flagged", "misnamed"),
-    [
-        ("no_effect", False, False, False),
-        ("unexplained", False, True, False),
-        ("ambiguous", True, True, False),
-        ("effect_found", True, False, True),
-        ("parameter_error", True, False, True),
-        ("sensor_error", True, False, True),
-        ("failed", False, False, False),
-    ],
-)
-def test_nothing_and_outside_are_judged_by_verdict(verdict: str, alarm: bool, flagged: bool, misnamed: bool) -> None:
-    assert score.is_false_alarm(line("nothing", {}, verdict, "x")) is alarm
-    outside = line("outside", {"tether": {"stiffness": 0.1}}, verdict, "x")
-    assert (score.is_flagged(outside), score.is_misnamed(outside)) == (flagged, misnamed)
-
-
-@pytest.mark.parametrize(
     ("hits", "of", "low", "high"),
     [  # Newcombe 1998, Statist. Med. 17:857, table I, method 3 (score, no continuity correction)
         (81, 263, 0.2553, 0.3662),
@@ -103,74 +85,6 @@ def test_wilson_intervals_are_those_of_the_literature(hits: int, of: int, low: f
     # the table is printed to four digits
     assert score.wilson(hits, of) == pytest.approx((low, high), abs=5e-5)
     assert score.wilson(of - hits, of) == pytest.approx((1.0 - high, 1.0 - low), abs=5e-5)
-
-
-def test_no_study_says_nothing_of_a_fraction() -> None:
-    assert score.wilson(0, 0) == (0.0, 1.0)
-    assert score.summary([line("nothing", {}, "no_effect")])["right"] is None
-
-
-def errors(before: dict[str, float], after: dict[str, float], floor: dict[str, float]) -> dict[str, Any]:
-    return {"error": {"before": before, "after": after}, "noise_floor": floor}
-
-
-def test_excess_is_what_remains_above_the_floor_of_what_was() -> None:
-    # channel a: (5 − 1)/(17 − 1) = 0.25 in squares; b began below twice its floor and does not count
-    e = errors({"a": 17**0.5, "b": 1.9}, {"a": 5**0.5, "b": 1.8}, {"a": 1.0, "b": 1.0})
-    assert score.excess_left(known(COULOMB, "effect_found", **e)) == pytest.approx(0.25)
-    # two channels are averaged; one below its floor has nothing left: (0.25 + 0)/2
-    e = errors({"a": 17**0.5, "b": 3.0}, {"a": 5**0.5, "b": 0.9}, {"a": 1.0, "b": 1.0})
-    assert score.excess_left(known(COULOMB, "effect_found", **e)) == pytest.approx(0.125)
-    assert score.excess_left(known(COULOMB, "no_effect", **errors({"a": 1.0}, {"a": 1.0}, {"a": 1.0}))) is None
-    assert score.excess_left(known(COULOMB, "no_effect", **errors({"a": 9.0}, {"a": 1.0}, {}))) is None
-    assert score.excess_left(known(COULOMB, "failed")) == 1.0
-
-
-def claim(low: float, high: float) -> dict[str, Any]:
-    return {"value": 0.5 * (low + high), "unit": "N", "ci95": [low, high]}
-
-
-def test_coverage_asks_only_of_true_parameters_confidently_claimed() -> None:
-    effects = [
-        {"name": "coulomb_friction", "parameters": {"force": claim(0.04, 0.06)}},
-        {"name": "servo_backlash", "parameters": {"width": claim(0.021, 0.03), "unheard_of": claim(0, 1)}},
-        {"name": "table_tilt", "parameters": {"x": claim(0, 1)}},
-    ]
-    assert score.covered(known(PAIR, "effect_found", effects=effects)) == [True, False]
-    assert score.covered(known(PAIR, "ambiguous", effects=effects)) == []
-    unsure = [{"name": "coulomb_friction", "parameters": {"force": {"value": 0.05, "ci95": None}}}]
-    assert score.covered(known(COULOMB, "effect_found", effects=unsure)) == [False]
-
-
-def test_the_summary_counts_each_figure_among_its_own_studies() -> None:
-    found = [{"name": "coulomb_friction", "parameters": {"force": claim(0.04, 0.06)}}]
-    clear = errors({"a": 17**0.5}, {"a": 5**0.5}, {"a": 1.0})
-    lines = [
-        known(COULOMB, "effect_found", **clear | {"effects": found}),
-        known(COULOMB, "ambiguous", rivals=["coulomb_friction", "stribeck_friction"], **clear),
-        known(COULOMB, "effect_found", "quadratic_drag", **clear),
-        known(COULOMB, "failed"),
-        line("nothing", {}, "no_effect"),
-        line("nothing", {}, "effect_found", "table_tilt"),
-        line("outside", {"tether": {}}, "unexplained"),
-        line("outside", {"tether": {}}, "no_effect"),
-        line("outside", {"tether": {}}, "effect_found", "table_tilt"),
-    ]
-    assert score.summary(lines) == {
-        "studies": 9,
-        "right": 0.25,
-        "in_set": 0.5,
-        "wrong": 0.25,
-        "false_alarms": 0.5,
-        "outside_flagged": 0.3333,
-        "outside_misnamed": 0.3333,
-        "excess_left": 0.25,  # median of 0.25, 0.25, 0.25, 1
-        "coverage": 1.0,
-    }
-    text = score.table(lines)
-    assert "quadratic_drag ×1" in text
-    low, high = score.wilson(2, 4)
-    assert f"[{100 * low:5.1f}, {100 * high:5.1f}]" in text
 
 
 # -- harness -------------------------------------------------------------------------------
@@ -210,37 +124,6 @@ def test_a_refiner_that_knows_everything_scores_everything(short: None, tmp_path
     assert figures.pop("studies") == 20
     nought = ("wrong", "false_alarms", "outside_misnamed", "excess_left")
     assert figures == {name: 0.0 if name in nought else 1.0 for name in figures}
-
-
-def test_a_run_started_again_skips_verdicts_and_retries_failures(short: None, tmp_path: Path) -> None:
-    asked: list[Path] = []
-    results = tmp_path / "r.jsonl"
-
-    def careless(study: Path, out: Path) -> None:
-        asked.append(study)
-        if len(asked) == 2:
-            raise harness.RefinerFailed("out of luck")
-        verdict_file(out, "no_effect", [])
-
-    first = harness.run(range(3), careless, results, "abc")
-    assert [entry["verdict"] for entry in first] == ["no_effect", "failed", "no_effect"]
-    assert first[1]["failure"] == "out of luck"
-    again = harness.run(range(4), careless, results, "abc")
-    assert len(asked) == 3 + 2  # the failure and the new one
-    assert {entry["verdict"] for entry in again} == {"no_effect"}
-    harness.run(range(1), careless, results, "another revision")
-    assert len(asked) == 6
-    assert set(harness.read(results, "abc")) == {0, 1, 2, 3}
-
-
-@pytest.mark.parametrize("text", ["", "[]", '{"verdict": "no_effect"}'])
-def test_half_a_verdict_is_a_failure_with_a_reason(short: None, tmp_path: Path, text: str) -> None:
-    def sloppy(study: Path, out: Path) -> None:
-        (out / "refine.json").write_text(text)
-
-    (entry,) = harness.run([0], sloppy, tmp_path / "r.jsonl", "abc")
-    assert entry["verdict"] == "failed"
-    assert "refine.json" in entry["failure"]
 
 
 PRETENDER = """
@@ -296,27 +179,3 @@ def test_the_command_ends_with_one_line_of_figures(
     assert {"study", "seed", "revision", "kind", "truth", "verdict", "effects", "rivals", "error", "seconds"} <= set(
         entry
     )
-
-
-@pytest.mark.parametrize(
-    "command", ["no-such-refiner {study} {out}", f"{sys.executable} -c 1/0", f"{sys.executable} -c 0"]
-)
-def test_a_refiner_that_is_absent_dies_or_says_nothing_is_a_failure(short: None, tmp_path: Path, command: str) -> None:
-    (entry,) = harness.run([0], harness.command_refiner(command, 30.0), tmp_path / "r.jsonl", "abc")
-    assert entry["verdict"] == "failed"
-    assert entry["failure"]
-
-
-def test_a_refiner_that_never_ends_is_stopped(short: None, tmp_path: Path) -> None:
-    command = f"{sys.executable} -c 'import time; time.sleep(60)'"
-    (entry,) = harness.run([0], harness.command_refiner(command, 0.5), tmp_path / "r.jsonl", "abc")
-    assert "within 0.5 s" in entry["failure"]
-
-
-def test_only_draws_what_is_asked_for_and_refuses_strangers(capsys: pytest.CaptureFixture[str]) -> None:
-    assert all("coriolis" in draw(seed).truth for seed in harness.seeds(3, 0, ["coriolis"]))
-    assert harness.seeds(3, 7, []) == [7, 8, 9]
-    with pytest.raises(SystemExit) as stop:
-        harness.main(["3", "--only", "coriolos"])
-    assert stop.value.code == 2
-    assert "coriolos" in capsys.readouterr().err

@@ -43,31 +43,6 @@ def test_the_tolerance_of_a_study_goes_before_that_of_the_model_and_that_before_
     assert sigmas({"sure": 0.2, "left": 0.4}) == pytest.approx({"sure": 0.2, "usual": 0.02, "loose": 0.3, "left": 0.4})
 
 
-def test_a_craft_without_friction_may_turn_out_to_have_some() -> None:
-    craft = Hovercraft(friction=0.0)
-    friction = next(
-        f for f in base_parameters(ModelSubject.of(craft), neutral_values(craft), {}) if f.name == "friction"
-    )
-    assert friction.low == 0.0 < friction.high
-    assert friction.size > 0.0
-    assert friction.prior is not None
-    assert friction.prior[1] > 0.0
-
-
-def test_a_negative_parameter_has_limits_on_both_sides() -> None:
-    @dataclass(frozen=True, kw_only=True)
-    class Leaning(Model):
-        base_states = inputs = outputs = ()
-        calibrated = ("lean",)
-        lean: float = parameter(-0.3, unit="N", bounds=(-10, 10), doc="a force")
-
-        def equations(self, m: Namespace) -> Equations:
-            raise NotImplementedError
-
-    (lean,) = base_parameters(ModelSubject.of(Leaning()), {"lean": -0.3}, {})
-    assert lean.low < -0.3 < lean.high
-
-
 def test_the_thrust_line_is_on_trial_only_where_the_duty_varies() -> None:
     craft = Hovercraft()
     still, varied = (
@@ -84,12 +59,6 @@ def test_an_effect_whose_likelihood_has_two_hills_starts_on_both() -> None:
     assert low.keys() == high.keys() == set(tried["actuator_second_order"].parameters)
     assert low != high
     assert len(tried["yaw_damping"].starts) == 1
-
-
-def test_every_name_told_apart_is_one_that_is_tried() -> None:
-    craft = Hovercraft()
-    tried = {c.name for c in ModelSubject.of(craft).candidates([q.name for q in craft.inputs])}
-    assert set().union(*craft.told_apart_by) <= tried
 
 
 def test_an_effect_takes_the_values_at_which_it_equals_a_simpler_one() -> None:

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import json
 import threading
-import time
 from collections.abc import Mapping
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,9 +15,7 @@ import cosim
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError, SimulationError
 from cosim.base.times import first_point
-from cosim.blocks.description import read_description
-from cosim.isolation.rows import Progress
-from cosim.master.inbox import MOST_STEPS, Change, Control, FileChannel, Inbox, MemoryChannel
+from cosim.master.inbox import Control
 from cosim.master.observer import ObservedRun, Observer
 from tests.deeds import deeds_fmu, deeds_scenario
 from tests.typed import typed_fmu
@@ -147,17 +143,6 @@ def test_what_can_be_changed_is_listed_with_unit_bounds_items_and_start(tmp_path
     assert listed["a.i_in"].bounds == (-(2**31), 2**31 - 1)
 
 
-def test_an_input_within_an_algebraic_loop_is_connected(tmp_path: Path) -> None:
-    fmu = typed_fmu(tmp_path)
-    loop = SimpleNamespace(transfers=(SimpleNamespace(name="a.r_in"),))
-    system: Any = SimpleNamespace(held=(), stages=(), loops=(loop,), fmus={"a": (fmu, read_description(fmu))})
-    control = Control(system, channel := MemoryChannel())
-    assert "a.r_in" not in {v.name for v in control.variables}
-    with pytest.raises(InputError, match=r"a\.r_in"):
-        control.set({"a.gain": 1, "a.r_in": 1})
-    assert channel.receive() == []
-
-
 def test_a_pause_holds_the_run_and_no_time_limit_counts_it(tmp_path: Path) -> None:
     seen: list[int] = []
 
@@ -180,58 +165,9 @@ def test_a_pause_holds_the_run_and_no_time_limit_counts_it(tmp_path: Path) -> No
     assert len(ran.time) == 11
 
 
-def test_an_observer_ends_a_paused_run(tmp_path: Path) -> None:
-    class Ender(Changer):
-        def rows(self, time: Array, values: Array) -> bool:
-            assert self.control is not None
-            self.control.paused = True
-            return True
-
-    path = deeds_scenario(tmp_path, "DoStep", "slow", 0, duration=100.0)
-    ran = cosim.run(path, observers=[Ender({})])
-    assert 1 <= len(ran.time) < 1000
-
-
 def test_changes_before_a_crash_are_in_the_manifest(tmp_path: Path) -> None:
     path = deeds_scenario(tmp_path, "DoStep", "segfault", 20, duration=4.0)
     with pytest.raises(SimulationError, match="segmentation"):
         cosim.run(path, tmp_path / "o", observers=[Changer({0: {"good.u0": 2.0}})], report=False)
     manifest = json.loads((tmp_path / "o" / "manifest.json").read_text())
     assert manifest["changes"] == [{"at": 0.0, "set": {"good.u0": 2.0}}]
-
-
-def test_slow_steps_are_looked_at_one_by_one_and_fast_ones_seldom() -> None:
-    inbox = Inbox(MemoryChannel())
-    assert inbox.next_look(1) == 1
-    time.sleep(0.03)
-    assert inbox.next_look(2) == 2  # a step takes longer than the time between looks
-    assert inbox.next_look(2) == 2
-    point = 1000
-    assert point <= (due := inbox.next_look(point)) <= point + MOST_STEPS - 1
-    assert inbox.next_look(due) == due
-    inbox.most = 1 << 40
-    assert inbox.next_look(1 << 40) > (1 << 40) + MOST_STEPS
-    time.sleep(0.6)
-    late = (1 << 40) + 3  # three steps in that time: the next step is looked at
-    assert inbox.next_look(late) == late
-
-
-@pytest.mark.parametrize("kind", ["memory", "file"])
-def test_a_channel_hands_on_each_value_once_in_order(tmp_path: Path, kind: str) -> None:
-    counters = Progress()
-    here = MemoryChannel() if kind == "memory" else FileChannel(tmp_path, counters)
-    there = here if kind == "memory" else FileChannel(tmp_path, counters)
-    inbox = Inbox(there)
-    events = {"a": {"x": 1, "y": 2}}
-    assert inbox.take(3, events) is events
-    here.send({"a": {"x": 5}})
-    here.send({"b": {"z": 6}, "a": {"x": 7}})
-    assert inbox.take(4, events) == {"a": {"x": 7, "y": 2}, "b": {"z": 6}}
-    assert inbox.take(5, {}) == {}
-    assert [*here.noted()] == [Change(4, {"a": {"x": 7}, "b": {"z": 6}})]
-
-
-@pytest.mark.parametrize(("start", "step"), [(0.0, 0.1), (0.3, 0.1), (1e6, 1e-3), (-7.7, 1 / 3), (1e9, 1e-3)])
-def test_the_time_of_a_point_leads_back_to_the_point(start: float, step: float) -> None:
-    for point in (0, 1, 3, 7, 12_345, 999_999):
-        assert first_point(start + point * step, start, step) == point

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -11,17 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from cosim.base.errors import InputError, Interrupted
-from cosim.master.remote import SteppedRun
-from cosim.refinement.stages import ORDER, stage_number
-from cosim.refinement.study import read_study
+from cosim.base.errors import InputError
 from cosim.verbs.check_verb import check as check_files
-from cosim.verbs.cli import app, entry
-from cosim.verbs.terminal import Manner, stages
+from cosim.verbs.cli import entry
 from tests.conftest import ROOT
-from tests.deeds import deeds_fmu, deeds_scenario
+from tests.deeds import deeds_fmu
 from tests.logs import times, write_log
 
 
@@ -45,14 +39,6 @@ def test_any_terminal_can_be_written_to(tmp_path: Path, encoding: str) -> None:
     )
     assert run.returncode == 0, run.stderr
     assert ("−1.00" if encoding == "utf-8" else "\\u22121.00") in run.stdout.decode(encoding)
-
-
-@pytest.mark.parametrize("name", ["a.csv", "study.yaml", "plant.fmu", "log"])
-def test_a_pipe_is_no_file_and_not_waited_for(tmp_path: Path, name: str) -> None:
-    os.mkfifo(tmp_path / name)
-    assert faults_of(tmp_path / name) == [f"{tmp_path / name}: is no file"]
-    with pytest.raises(InputError, match="is no file"):
-        read_study(tmp_path / name)
 
 
 @pytest.mark.parametrize("text", ["model: base\nnoise: {}\n", "candidates: [mass]\n"])
@@ -81,51 +67,6 @@ def test_what_is_faulty_in_a_study_does_not_hide_the_rest(tmp_path: Path) -> Non
         "study.yaml:4:16: none.csv: no such file beside the study",
         'study.yaml:5:3: unknown key "validaton"',
     ]
-
-
-@pytest.mark.parametrize(
-    ("text", "line"),
-    [
-        ("model: 5\nnoise: {speed: 0}\n", "1:8: model is 5"),  # of which model are the names?
-        ("modle: own.yaml\nnoise: {speed: 0}\n", '1:1: unknown key "modle"'),
-    ],
-)
-def test_nothing_is_guessed_of_a_study_whose_model_is_not_known(tmp_path: Path, text: str, line: str) -> None:
-    (tmp_path / "study.yaml").write_text(f"{text}logs: {{estimation: [none.csv]}}\n")
-    first, second = faults_of(tmp_path / "study.yaml")
-    assert first.startswith(f"{tmp_path / 'study.yaml'}:{line}")
-    assert second.startswith(f"{tmp_path / 'study.yaml'}:2:16: noise.speed is 0")
-
-
-def test_a_list_with_a_faulty_item_moves_no_place(tmp_path: Path) -> None:
-    (tmp_path / "study.yaml").write_text("candidates: [[], masss]\nlogs: {estimation: [none.csv]}\n")
-    item, missing = faults_of(tmp_path / "study.yaml")
-    assert "study.yaml:1:14: candidates.0 is a list" in item
-    assert "study.yaml:2:21: none.csv: no such file" in missing
-
-
-@pytest.mark.parametrize(("share", "counted"), [(0.0, False), (0.4, True), (1.0, False)])
-def test_a_stage_that_has_counted_to_its_end_shows_no_full_bar(
-    monkeypatch: pytest.MonkeyPatch, share: float, counted: bool
-) -> None:
-    from rich import progress
-
-    bars: list[progress.Progress] = []
-
-    class Watched(progress.Progress):
-        def __enter__(self) -> Watched:
-            bars.append(self)
-            return self
-
-    monkeypatch.setattr(progress, "Progress", Watched)
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
-    with stages() as report:
-        assert report is not None
-        report("fitting", 0.9)
-        report("fitting", share)
-        (task,) = bars[0].tasks
-        assert (task.total is not None) is counted  # without one the bar only moves
-        assert not task.finished
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="names of files are text there")
@@ -189,59 +130,3 @@ def test_closed_streams_keep_no_command_from_its_work(tmp_path: Path, streams: s
     )  # fmt: skip
     assert (done.returncode, done.stderr) == (0, "")
     assert said in done.stdout
-
-
-def test_a_check_that_is_stopped_tells_no_fault_and_checks_no_more(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    checked = []
-
-    def interrupted(worker: object, system: object, *rest: object) -> SteppedRun:
-        checked.append(system)
-        return SteppedRun(None, (), Interrupted("the run", 0.0, "interrupted"))  # type: ignore[arg-type]
-
-    monkeypatch.setattr("cosim.simulation.trial.simulate_apart", interrupted)
-    path = str(deeds_scenario(tmp_path, "none", "none"))
-    answer = CliRunner().invoke(app, ["check", path, path, str(tmp_path / "none.yaml")])
-    assert (answer.exit_code, answer.output, len(checked)) == (130, "", 1)
-
-
-def test_a_stage_is_numbered_and_its_number_never_falls(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("cosim.verbs.terminal.MANNER", Manner(verbose=True))
-    told = [
-        "reading the logs",
-        "weighing what was found",
-        "replacing each part",
-        "replacing each part: candidate 1 of 2",
-    ]
-    with stages(stage_number) as report:
-        assert report is not None
-        for words in told:
-            report(words, 0.5 if "candidate" in words else 0.0)
-    lines = [line.split("s  ")[1] for line in capsys.readouterr().err.splitlines()]
-    n = len(ORDER)
-    assert lines == [f"stage {k} of {n}: {words}" for k, words in zip((1, 4, 4), told, strict=False)]
-
-
-def test_every_stage_that_a_refine_tells_has_its_number() -> None:
-    files = (ROOT / "cosim" / "refinement").rglob("*.py")
-    sources = [p.read_text() for p in files if p.name != "stages.py"]
-    told = {words for text in sources for words in re.findall(r'progress\("([^"]+)"', text)}
-    told |= {words for text in sources for words in re.findall(r'_each\("([^"]+)"', text)}
-    listed = {words for stage in ORDER for words in stage}
-    assert told <= listed
-    assert all(any(f'"{words}"' in text for text in sources) for words in listed)
-
-
-@pytest.mark.parametrize("verb", [["check", "--model", "base"], ["replay"]])
-def test_a_log_of_another_model_is_told_how_to_name_it(tmp_path: Path, verb: list[str]) -> None:
-    log = tmp_path / "mine.csv"
-    log.write_text("time,inflow,level\n" + "".join(f"{k},{k % 3},1.0\n" for k in range(30)))
-    run = CliRunner().invoke(app, [*verb, str(log)])
-    assert isinstance(run.exception, InputError)
-    (fault,) = run.exception.faults
-    assert "mine.csv:1:1: holds none of the columns of the model" in str(fault)
-    assert "--model FILE:CLASS" in str(fault)
-    assert "--plant FMU" in str(fault)

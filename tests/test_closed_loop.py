@@ -8,11 +8,8 @@ import math
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
-from controller.design_model import design_model, measurement_matrix
-from controller.gains import ESTIMATORS, Settings
-from controller.kalman import discrete_model
+from controller.gains import Settings
 from controller.loop import Loop
 from controller.lqr import feedback
 from cosim.model import Stepper
@@ -63,35 +60,6 @@ def test_figure_6_2(limit: float, settled_x: float, settled_psi: float, tilt: fl
     assert np.degrees(np.max(run["command"])) == pytest.approx(tilt, abs=0.05)  # half a unit of the last digit
 
 
-def test_saturation_is_reached_and_never_exceeded() -> None:
-    run = figure_6_2(math.radians(12), Hovercraft())
-    for name in ("tilt_right_actual", "tilt_left_actual"):
-        assert np.max(np.abs(run[name])) < math.radians(12)  # a lag without overshoot behind a bounded command
-    assert np.count_nonzero(run["command"] == math.radians(12)) > 10
-
-
-@pytest.mark.parametrize(
-    ("craft", "phi", "digits", "y"),
-    [
-        # eq 5.14 alone: the craft tumbles, which the five states do not show; y printed as 35 m
-        (Hovercraft(table_roll_stiffness=0.0, table_roll_damping=0.0, roll_ground_effect=False), 7.5, 0.05, 35.0),
-        # each propeller's own ground effect holds it, undamped
-        (Hovercraft(table_roll_stiffness=0.0, table_roll_damping=0.0), 0.124, 5e-4, None),
-        # and the air cushion of §4.2 makes it a detail
-        (Hovercraft(), 0.007, 5e-4, None),
-    ],
-    ids=["eq 5.14", "own ground effect", "air cushion"],
-)
-def test_roll_that_figure_6_2_does_not_show(craft: Hovercraft, phi: float, digits: float, y: float | None) -> None:
-    run = figure_6_2(math.inf, craft)
-    assert np.max(np.abs(run["phi"])) == pytest.approx(phi, abs=digits)  # half a unit of the last digit
-    if y is not None:
-        assert np.max(np.abs(run["y"])) == pytest.approx(y, abs=0.5)
-    # the 5-state figures are the same whatever roll does, to a tenth of a second or two
-    assert settling(run["x"], 0.02) == pytest.approx(2.98, abs=0.03)
-    assert settling(run["psi"], 0.02) == pytest.approx(1.38, abs=0.15)
-
-
 # Under the measured noise of eq 5.46.
 
 
@@ -118,103 +86,12 @@ def under_noise(estimator: str) -> Array:
     return np.array(runs)
 
 
-@functools.cache
-def without_noise(estimator: str) -> Array:
-    return fly(estimator, np.zeros((1000, 3)))
-
-
-def spread(estimator: str) -> Array:
-    """Theory: standard deviation of the true (x, ψ) at each sample under noise W, the linear loop about rest.
-
-    Joint state (ξ, x̂) with ξ the design model, which lacks process noise though the filter believes in V:
-        ξ ← F·ξ − G·K·x̂,   x̂ ← (I − LH)(F̂ − ĜK)·x̂ + L·(H·ξ + v),   v ~ N(0, W)
-    """
-    settings, plain = Settings(estimator=estimator), Settings(estimator="consistent")
-    F_hat, G_hat = discrete_model(settings)
-    F, G = discrete_model(plain)  # the lag and total acceleration: what the plant has
-    H_hat, H_true = measurement_matrix(settings, estimator), measurement_matrix(plain, "consistent")
-    K = np.array(settings.gain_matrix)
-    V, W = np.diag(settings.process_variances), np.diag(settings.measurement_variances)
-    P, S, sigma = np.zeros((5, 5)), np.zeros((10, 10)), [(0.0, 0.0)]
-    for _ in range(1000):
-        P = F_hat @ P @ F_hat.T + V
-        L = np.linalg.solve(H_hat @ P @ H_hat.T + W, H_hat @ P).T
-        P = (np.eye(5) - L @ H_hat) @ P
-        believed = (np.eye(5) - L @ H_hat) @ (F_hat - G_hat @ K) - L @ H_true @ G @ K
-        M = np.block([[F, -G @ K], [L @ H_true @ F, believed]])
-        N = np.vstack([np.zeros((5, 3)), L])
-        S = M @ S @ M.T + N @ W @ N.T
-        sigma.append((math.sqrt(S[0, 0]), math.sqrt(S[2, 2])))
-    return np.array(sigma)
-
-
 @pytest.mark.thorough
 def test_with_the_filter_of_appendix_f_the_craft_settles_and_stays() -> None:
     # for good, that is to the end of 20 s; worst of the seeds 3.5 s and 1.9 s
     runs = under_noise("appendix_f")
     assert max(settling(run[:, 0], 0.02) for run in runs) < 4.0
     assert max(settling(run[:, 1], 0.02) for run in runs) < 2.5
-
-
-@pytest.mark.thorough
-def test_heading_settles_under_every_filter() -> None:
-    # ψ is measured: no filter loses it
-    for estimator in ESTIMATORS:
-        assert max(settling(run[:, 1], 0.02) for run in under_noise(estimator)) < 2.5, estimator
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("estimator", ESTIMATORS)
-@pytest.mark.parametrize("t", [5.0, 10.0, 20.0])
-def test_the_true_position_wanders_as_theory_says(estimator: str, t: float) -> None:
-    # x is unobservable: nothing calls x̂'s error back, so it walks at random and the loop takes x along. How fast
-    # is the filter's affair: its gain from a_x to x̂ is 0, 3e-5 and −0.035 m per m/s². Estimated from 20 seeds, a
-    # variance is χ²₂₀/20 of the true one: between 0.27 and 2.36 of it in 999 of 1000 cases.
-    k = round(t / H)
-    deviations = under_noise(estimator)[:, k, 0] - without_noise(estimator)[k, 0]
-    share = np.mean(deviations**2) / spread(estimator)[k, 0] ** 2
-    low, high = (chi2.ppf(p, SEEDS) / SEEDS for p in (0.0005, 0.9995))
-    assert low < share < high
-
-
-def test_theory_s_spread_of_the_position_after_ten_and_twenty_seconds() -> None:
-    # [m]; orders of magnitude apart, each growing like a random walk, √2 from 10 to 20 s at the least
-    expected = {"appendix_f": (0.0005, 0.0007), "lagged": (0.0097, 0.0160), "consistent": (0.195, 0.298)}
-    for estimator, at in expected.items():
-        sigma = spread(estimator)[[500, 1000], 0]
-        assert sigma == pytest.approx(at, rel=0.1), estimator
-        assert sigma[1] / sigma[0] > 1.3
-
-
-@pytest.mark.thorough
-def test_with_the_consistent_filter_the_craft_leaves_its_goal() -> None:
-    # σ(x) = 0.20 m at 10 s and 0.30 m at 20 s: |x| ≤ 0.05 m all the time from 10 to 20 s is a rare exception
-    leaves = [np.max(np.abs(run[500:, 0])) > 0.05 for run in under_noise("consistent")]
-    assert sum(leaves) >= 15
-
-
-@pytest.mark.thorough
-def test_with_the_lagged_filter_the_craft_drifts_off_its_goal() -> None:
-    # drag taken for thrust on the way leaves 0.037 m even without noise, and σ(x) = 0.016 m at 20 s adds to it:
-    # most seeds are outside ±0.02 m between 10 and 20 s, a good part outside ±0.05 m
-    assert without_noise("lagged")[-1, 0] == pytest.approx(-0.037, abs=5e-4)
-    late = [np.max(np.abs(run[500:, 0])) for run in under_noise("lagged")]
-    assert sum(x > 0.02 for x in late) >= 15
-    assert sum(x > 0.05 for x in late) >= 4
-
-
-def test_filter_that_does_not_know_where_it_starts_never_finds_out() -> None:
-    # x̂₀ = 0 and x₀ = 1: the loop believes it is there and leaves the craft at 1 m
-    craft = Hovercraft()
-    stepper = Stepper(craft)
-    moment = stepper.start(0.0, {"x": 1.0})
-    loop = Loop(Settings(), (0.0,) * 5, 0.0, 0.0)
-    for _ in range(500):
-        moment = stepper.step(moment, (craft.duty_nominal, craft.duty_nominal, *loop.command), H)
-        y = stepper.output(moment.t, moment.state, ())
-        loop.step((y[PSI], y[PSI_DOT], y[AX]), 0.0, 0.0)
-    assert y[X] == 1.0
-    assert loop.estimate[0] == 0.0
 
 
 def test_reference_steps_are_followed() -> None:
@@ -231,23 +108,3 @@ def test_reference_steps_are_followed() -> None:
     # a right turn and straight on is −Y of the world, for Y points left
     assert y["y_world"] == pytest.approx(-1.5, rel=0.1)
     assert abs(y["x_world"]) < 0.15
-
-
-def test_closed_loop_of_the_linear_model_is_the_closed_loop_of_the_craft_near_rest() -> None:
-    # 1 cm and 1 mrad from the goal, K on the true state: A − BK of the design model, but for the yaw lag it leaves
-    # out, so compare the forward axis; held 0.02 s the loop has Δt/2 of delay on poles of up to 10.7: 1 in 10
-    A, B = design_model(Settings())
-    K = np.array(Settings().gain_matrix)
-    stepper = Stepper(Hovercraft())
-    moment, state = stepper.start(0.0, {"x": 0.01}), np.array([0.01, 0.0, 0.0, 0.0, 0.0])
-    F, G = discrete_model(Settings(estimator="consistent"))
-    for _ in range(150):
-        y = dict(zip(NAMES, stepper.output(moment.t, moment.state, ()), strict=True))
-        a = sum(y[f"thrust_{s}"] * math.sin(y[f"tilt_{s}_actual"]) for s in ("right", "left")) / 0.705
-        u = feedback(K.tolist(), (y["x"], y["vx"], 0.0, 0.0, a), (0.0,) * 5, math.inf)
-        # held exactly (F, G) the linear loop is the craft's, to sin α for α: 1e-5 of 1 cm
-        assert y["x"] == pytest.approx(state[0], abs=2e-7)
-        moment = stepper.step(moment, (6.38763, 6.38763, *u), H)
-        state = F @ state - G @ K @ state
-    assert abs(state[0]) < 2e-4  # e^(−1.5628·3) = 0.9 % of it
-    assert np.max(np.linalg.eigvals(A - B @ K).real) < 0.0

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import json
+import itertools
 import math
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from matplotlib.text import Text
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
-from cosim.comparison.differences import Compared, compare_runs, criteria_of, sentence
-from cosim.comparison.intermediate_rows import rows_between
-from cosim.comparison.signal_panels import panels_of
-from cosim.comparison.signals import common_rows, time_tolerance
-from cosim.comparison.workflow import compare, context
+from cosim.comparison.differences import Compared, compare_runs
+from cosim.comparison.several import RunSource
+from cosim.comparison.workflow import compare
 from cosim.simulation.run_files import RecordedRun
 from cosim.storage.results import Results
 
@@ -79,14 +77,6 @@ def test_a_change_of_unit_there_and_back_is_no_difference_and_a_little_more_is()
     assert not held(degrees, degrees * (1.0 + EPS), 0.0).same
 
 
-def test_a_unit_in_one_run_alone_is_told_where_the_numbers_differ() -> None:
-    one, none = ran("a", units={"x": "m"}, x=TIME), ran("b", x=2.0 * TIME)
-    assert compare_runs(one, none).differences[0].note == "no unit in b, taken as m"
-    assert compare_runs(none, one).differences[0].note == "no unit in a, taken as m"
-    assert compare_runs(one, ran("b", x=TIME)).differences[0].note == ""
-    assert compare_runs(one, one).differences[0].note == ""
-
-
 def test_signals_after_one_that_cannot_be_compared_are_compared() -> None:
     a = ran("a", text={"mode": ["on"] * 101}, units={"x": "m", "y": "s"}, x=TIME, y=TIME)
     b = ran("b", text={"mode": ["on"] * 50 + ["off"] * 51}, units={"x": "kg", "y": "s"}, x=TIME, y=TIME + 1.0)
@@ -97,43 +87,6 @@ def test_signals_after_one_that_cannot_be_compared_are_compared() -> None:
     assert (mode.largest, mode.at, mode.rms, mode.share, mode.beyond) == (1.0, 0.5, 1.0, 1.0, True)
     assert [d.beyond for d in compare_runs(a, b).differences] == [False, False, False]
     assert found.reasons == ["2 signals beyond the tolerance", "x is in m in one, in kg in the other"]
-
-
-def test_times_within_rounding_are_one_and_others_are_not() -> None:
-    time = 1e6 + 0.01 * np.arange(101)
-    assert time_tolerance(time) == pytest.approx(8 * EPS * 1e6, rel=0.01)  # rounding, more than 1e-9 of a step
-    assert time_tolerance(0.01 * np.arange(11)) == pytest.approx(1e-11)
-    assert time_tolerance(np.array([0.0, 0.0, 0.5, 2.5])) == pytest.approx(5e-10)  # of the shortest step that is one
-    assert time_tolerance(np.array([3.0])) == pytest.approx(1e-9)
-    for shift, aligned in ((0.5, True), (0.9, True), (1.1, False)):
-        other = TIME + shift * time_tolerance(TIME)
-        assert common_rows(ran("a", x=0), ran("b", other, x=0))[1] is aligned
-    rows, aligned = common_rows(ran("a", x=0), ran("b", TIME[10:41:2], x=0))
-    assert (rows, aligned) == (slice(10, 41), False)
-    assert common_rows(ran("a", x=0), ran("b", TIME[:0], x=0)) == (slice(0, 0), False)
-
-
-def test_rows_of_b_that_lie_between_are_those_without_a_time_of_a() -> None:
-    between = rows_between(
-        np.array([0.0, 1.0, 2.0, 3.0]), np.array([-0.5, 0.0, 0.5, 1.0, 1.0, 2.0, 2.5, 3.0, 3.5]), 1e-9
-    )
-    assert between.time.tolist() == [0.5, 1.0, 1.0, 2.5]  # two at one time are none by themselves
-    assert between.first.tolist() == [0, 0, 0, 2]
-    assert between.last.tolist() == [1, 2, 2, 3]
-    a = np.array([0.0, 2.0, 1.0, 5.0])
-    for value, outside in (
-        (1.0, 0.0),
-        (2.0, 0.0),
-        (2.5, 0.5),
-        (-0.75, 0.75),
-        (math.nan, math.inf),
-        (math.inf, math.inf),
-    ):
-        b = np.array([9.0, 0.0, value, 2.0, 2.0, 1.0, 3.0, 5.0, 9.0])
-        found, at = between.outside(a, b)
-        assert found == outside
-        assert at == 0.5 or not outside
-    assert rows_between(TIME, TIME, 1e-9).outside(TIME, TIME) == (0.0, 0.0)
 
 
 def test_a_spike_between_rows_counts_by_its_size_and_its_time() -> None:
@@ -148,174 +101,10 @@ def test_a_spike_between_rows_counts_by_its_size_and_its_time() -> None:
     assert compare_runs(ran("a", x=2.0 * TIME), ran("b", fine, x=spike), 0.0, 0.5).same
 
 
-def test_shorter_names_both_runs_and_both_times() -> None:
-    found = compare_runs(ran("a", x=TIME), ran("b", TIME[10:91], x=TIME[10:91]))
-    assert found.shorter == "a begins at 0 s, b at 0.1 s; b ends at 0.9 s, a at 1 s"
-    assert found.as_json()["shorter"] == found.shorter
-    assert held(TIME, TIME).as_json()["shorter"] is None
-    late = TIME.copy()
-    late[-1] += 0.9e-8  # a millionth of a step is no other end
-    assert compare_runs(ran("a", x=TIME), ran("b", late, x=TIME)).shorter == ""
-    late[-1] += 3e-8
-    assert "ends" in compare_runs(ran("a", x=TIME), ran("b", late, x=TIME)).shorter
-
-
-@pytest.mark.parametrize(
-    ("offsets", "tolerance", "words"),
-    [
-        ({"x": 0}, None, "The signal is equal in every row."),
-        ({"x": 0, "y": 0}, 0.1, "All 2 signals are equal in every row."),
-        ({"x": 1}, None, "1 of 1 signal differs; most x, by 1.00 at 0 s (100 % of its range)."),
-        ({"x": 1, "y": 0}, None, "1 of 2 signals differs; most x, by 1.00 at 0 s (100 % of its range)."),
-        ({"x": 1, "y": 2}, None, "2 of 2 signals differ; most y, by 2.00 at 0 s (200 % of its range)."),
-        ({"x": 1}, 2.0, "Within the tolerance: most x, by 1.00 at 0 s (100 % of its range)."),
-        ({"x": 1, "y": 0}, 2.0, "All 2 signals are within the tolerance; most x, by 1.00 at 0 s (100 % of its range)."),
-        ({"x": 1, "y": 3}, 2.0, "1 of 2 signals is beyond the tolerance; most y, by 3.00 at 0 s (300 % of its range)."),
-        (
-            {"x": 4, "y": 3},
-            2.0,
-            "2 of 2 signals are beyond the tolerance; most x, by 4.00 at 0 s (400 % of its range).",
-        ),
-        ({"x": math.nan}, 2.0, "1 of 1 signal is beyond the tolerance; most x, which has no number in one run at 0 s."),
-    ],
-)
-def test_the_sentence_counts_and_names_what_differs_most(offsets: Any, tolerance: Any, words: str) -> None:
-    found = compare_runs(
-        ran("a", **dict.fromkeys(offsets, TIME)), ran("b", **{n: TIME + v for n, v in offsets.items()}), tolerance
-    )
-    assert sentence(found).replace("\u00a0", " ") == words
-
-
-def test_the_sentence_tells_signals_of_one_run_alone() -> None:
-    one = compare_runs(ran("a", x=TIME, y=TIME), ran("b", x=TIME))
-    assert sentence(one) == "The signal that both have is equal in every row. 1 signal of a is not in b."
-    two = compare_runs(ran("a", x=TIME, y=TIME, z=TIME), ran("b", TIME[:51], x=TIME[:51]))
-    assert sentence(two) == (
-        "The signal that both have is equal in every row. 2 signals of a are not in b. b ends at 0.5 s, a at 1 s."
-    )
-    coarse = compare_runs(ran("a", x=TIME, z=TIME, y=TIME), ran("b", TIME[::2], x=TIME[::2], z=TIME[::2]))
-    assert sentence(coarse) == (
-        "All 2 signals that both have are equal at the times of a, and between them nowhere outside of it. "
-        "1 signal of a is not in b."
-    )
-
-
-def test_reasons_name_up_to_twelve_missing_signals() -> None:
-    for count, more in ((1, ""), (12, ""), (13, ", …")):
-        names = [f"s{k}" for k in range(count)]
-        found = compare_runs(ran("a", x=TIME, **dict.fromkeys(names, 0.0)), ran("b", x=TIME), 0.1)
-        verb = "signal of a is" if count == 1 else "signals of a are"
-        assert found.reasons == [f"{count} {verb} missing in b: {', '.join(names[:12])}{more}"]
-    assert held(TIME, TIME + 1).reasons == ["1 signal differs"]
-    assert compare_runs(ran("a", x=0, y=0), ran("b", x=1, y=1)).reasons == ["2 signals differ"]
-
-
-def test_what_is_shown_ends_after_twelve_signals_the_most_different_first() -> None:
-    signals = {f"s{k:02}": TIME for k in range(14)}
-    other = {name: TIME * (1.0 + k) for k, name in enumerate(signals)}
-    found = compare_runs(ran("a", **signals), ran("b", **other), 5.0)
-    shown = repr(found).splitlines()
-    assert len(shown) == 14
-    assert shown[1].split()[0] == "s13"
-    assert shown[-1].strip() == "… and 2 more"
-    page = found._repr_html_()
-    assert page.count("<tr>") == 13
-    assert "<p>… and 2 more</p>" in page
-    assert [d.name for d in found.beyond] == [f"s{k:02}" for k in range(13, 5, -1)]
-    few = compare_runs(ran("a", x=TIME), ran("b", x=2.0 * TIME))
-    assert "more" not in repr(few)
-    assert repr(few).splitlines()[1].strip() == "x  1.00  1 s  100 %"
-
-
-def test_a_missing_signal_or_time_is_a_fault_of_the_file_as_a_whole() -> None:
-    for other in (ran("b", y=TIME), ran("b", TIME + 9.0, x=TIME)):
-        with pytest.raises(InputError) as error:
-            compare_runs(ran("a", x=TIME), other)
-        assert [(f.file, f.line, f.column) for f in error.value.faults] == [(Path("b"), 0, 0)]
-
-
-CRITERION = {"kind": "rms_error", "of": "a.x", "to": "r.x", "value": 1.5, "max": 2.0, "unit": "m", "met": True}
-
-
-def test_criteria_stand_side_by_side_also_where_one_run_has_none() -> None:
-    missed = CRITERION | {"value": None, "met": False}
-    found = compare_runs(
-        ran("a", x=TIME, criteria=[CRITERION]), ran("b", x=TIME, criteria=[missed, CRITERION | {"to": 0}])
-    )
-    both = criteria_of(found)
-    assert [what for what, *_ in both] == ["rms error of a.x to r.x", "rms error of a.x"]
-    assert both[0][1:] == (CRITERION, missed)
-    assert both[1][1] is None
-    shown = context(found)["criteria"]
-    assert shown[0][1:] == (("1.50\u00a0m of 2.00\u00a0m", "good"), ("never of 2.00\u00a0m", "bad"))
-    assert shown[1][1] == ("not asked", "")
-    json.dumps(found.as_json(), allow_nan=False)
-
-
-def test_the_page_says_how_it_was_judged_and_draws_the_most_different() -> None:
-    many = {f"s{k:02}": TIME for k in range(26)}
-    a, b = ran("a", **many), ran("b", **{name: TIME * (1.0 + k) for k, name in enumerate(many)})
-    for tolerance, absolute, tone, told, options in (
-        (None, 0.0, "plain", "", ""),
-        (0.5, 0.0, "bad", "0.5 of each signal's range in a", " --tol 0.5"),
-        (30.0, 0.25, "good", "30 of each signal's range in a and 0.25 in its unit", " --tol 30 --abs 0.25"),
-    ):
-        page = context(compare_runs(a, b, tolerance, absolute))
-        assert (page["tone"], page["tolerance"], page["undrawn"]) == (tone, told, 1)
-        assert page["repeat"] == f"cosim compare a b{options}"
-        assert [row["name"] for row in page["rows"]][:2] == ["s25", "s24"]
-        assert float(page["rows"][0]["rms"]) == pytest.approx(25 / math.sqrt(3), rel=0.02)  # of 25·t
-
-
 @pytest.mark.parametrize("value", [-0.1, math.nan, math.inf])
 def test_a_tolerance_that_is_none_is_refused(value: float, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"^a: --tol .*: give a number that is not negative"):
-        compare(ran("a", x=TIME), ran("b", x=TIME), tmp_path / "out", tolerance=value)
-    with pytest.raises(InputError, match=r"^a: --abs .*: give a number that is not negative"):
-        compare(ran("a", x=TIME), ran("b", x=TIME), tmp_path / "out", absolute=value)
+    sources = [RunSource(name, Path(name), partial(ran, name, x=TIME)) for name in "abc"]
+    for count, option in itertools.product((2, 3), ("tolerance", "absolute")):
+        with pytest.raises(InputError):
+            compare(sources[:count], tmp_path / "out", as_pair=count == 2, **{option: value})  # type: ignore[arg-type]
     assert not (tmp_path / "out").exists()
-
-
-def test_nothing_is_left_where_nothing_is_to_be_written(tmp_path: Path) -> None:
-    a, b = (ran(str(tmp_path / name), x=TIME) for name in ("a.csv", "b.csv"))
-    _, place = compare(a, b, tmp_path / "out", tolerance=0.0, write=False)
-    assert not place.exists()
-    compare(a, b, tmp_path / "out", tolerance=0.0, report=False)
-    assert [p.name for p in place.iterdir()] == ["comparison.json"]
-    compare(a, b, tmp_path / "out", tolerance=0.0)
-    assert sorted(p.name for p in place.iterdir()) == ["comparison.json", "report.html", "runs"]
-    compare(a, b, tmp_path / "out", tolerance=0.0, report=False)  # a page of another comparison does not stay
-    assert sorted(p.name for p in place.iterdir()) == ["comparison.json", "runs"]
-
-
-def test_panels_show_both_runs_in_the_unit_that_people_read_and_how_far_b_is_from_a() -> None:
-    first, second = np.radians([0.0, 10.0, 20.0]), np.radians([0.0, 13.0, 18.0])
-    both, apart = panels_of("psi", "rad", ("one", "two"), (first, second))
-    assert (both.title, both.unit, apart.unit) == ("psi", "°", "°")
-    assert [trace.label for trace in both.traces] == ["a: one", "b: two"]
-    np.testing.assert_allclose([trace.values for trace in both.traces], [[0, 10, 20], [0, 13, 18]], atol=1e-12)
-    (difference,) = apart.traces
-    np.testing.assert_allclose(difference.values, [0, 3, -2], atol=1e-12)
-    assert {trace.style for trace in (*both.traces, difference)} == {"s0", "s1", "error"}  # told apart by eye
-    assert [panel.unit for panel in panels_of("n", "", ("a", "b"), (first, second))] == [
-        "no unit declared",
-        "no unit declared",
-    ]
-
-
-def test_criteria_of_a_run_are_those_of_a_manifest_that_holds_some() -> None:
-    results = ran("a", x=TIME).results
-    for manifest, count in (({}, 0), ({"criteria": "none"}, 0), ({"criteria": [CRITERION, "torn", None]}, 1)):
-        assert len(RecordedRun(Path("a"), "a", results, manifest).criteria) == count
-
-
-def test_a_plot_is_of_the_signals_that_are_named_or_of_the_four_most_different() -> None:
-    signals = {f"s{k}": TIME for k in range(6)}
-    found = compare_runs(ran("a", **signals), ran("b", **{name: TIME * (1.0 + k) for k, name in enumerate(signals)}))
-    for names, drawn in (((), ["s5", "s4", "s3", "s2"]), (("s1",), ["s1"])):
-        figure = found.plot(*names)
-        texts = " ".join(text.get_text() for text in figure.findobj(Text))
-        assert [name for name in ("s5", "s4", "s3", "s2", "s1", "s0") if name in texts] == drawn
-        assert len(figure.axes) == 2 * len(drawn)
-    with pytest.raises(KeyError, match='no signal "s9" in both'):
-        found.plot("s1", "s9")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,12 +13,9 @@ from typer.testing import CliRunner
 
 import cosim
 from cosim.base.errors import CriterionMissed, InputError
-from cosim.comparison import several
 from cosim.comparison.several import ComparedRuns, RunSource, compare_several
 from cosim.comparison.several_page import several_page
-from cosim.history.inputs import DifferingInput, differing_inputs, labels_of
 from cosim.simulation.run_files import RecordedRun
-from cosim.storage.artefact import kind_by_keys
 from cosim.storage.results import Results
 from cosim.verbs.cli import app
 
@@ -34,11 +30,6 @@ def _source(name: str, gain: float, record: Mapping[str, Any] | None = None, *, 
     return RunSource(name, Path(name), lambda: RecordedRun(Path(name), name, rows, record or {}), optional)
 
 
-def _record(mass: float, **more: Any) -> dict[str, Any]:
-    fmu = {"fmu": "/a/plant.fmu", "start": {"mass": mass}}
-    return {"scenario": {"name": "s", "seed": 0, "components": {"plant": fmu}}, "cosim_version": "1", **more}
-
-
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder whose results have three runs of a scenario with other start values."""
@@ -46,60 +37,12 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "s.yaml").write_text(SCENARIO + CRITERION, encoding="utf-8")
     for start in (1, 3, 2):
         content = {"set": {"components.ref.signals.x.start": start}, "report": False, "in_process": True}
-        cosim.run(folder / "s.yaml", folder / "results" / "s" / "runs" / f"000{start}", **content)  # type: ignore[arg-type]
+        cosim.run(folder / "s.yaml", folder / "results" / "s" / f"000{start}", **content)  # type: ignore[arg-type]
     return folder
 
 
 def _invoke(words: Sequence[str]) -> Any:
     return CliRunner().invoke(app, ["compare", *words])
-
-
-def test_inputs_that_differ_are_those_of_labels_first_and_versions_last() -> None:
-    records = [_record(440.0), _record(500.0, cosim_version="2", fmus={"plant": {"sha256": 64 * "a"}}), {}]
-    rows = [(i.kind, i.name, i.values) for i in differing_inputs(records)]
-    assert rows == [
-        ("parameter", "plant.mass", (440.0, 500.0, None)),
-        ("FMU", "plant.sha256", (None, 12 * "a", None)),
-        ("version", "cosim", ("1", "2", None)),
-    ]
-
-
-def test_labels_name_the_inputs_that_differ_and_never_are_equal() -> None:
-    inputs = differing_inputs([_record(440.0), _record(500.0)])
-    assert labels_of(["run 1", "run 3"], inputs, unique=["a", "b"]) == [
-        "run 1 (plant.mass = 440)",
-        "run 3 (plant.mass = 500)",
-    ]
-    assert labels_of(["tank", "tank"], [], unique=["one/tank", "two/tank"]) == ["tank, one/tank", "tank, two/tank"]
-
-
-def test_labels_beside_a_baseline_name_only_what_differs_from_it() -> None:
-    inputs = [
-        DifferingInput("parameter", "plant.mass", (440.0, 500.0, 440.0, 440.0)),
-        DifferingInput("parameter", "plant.k", (1.0, 1.0, 2.0, 1.0)),
-    ]
-    names = [f"run {k}" for k in range(1, 5)]
-    assert labels_of(names, inputs, unique=names, baseline=0) == [
-        "run 1 (plant.mass = 440, plant.k = 1)",
-        "run 2 (plant.mass = 500)",
-        "run 3 (plant.k = 2)",
-        "run 4",
-    ]
-
-
-def test_a_signal_that_is_equal_in_all_runs_is_folded_with_one_curve() -> None:
-    sources = [_source(name, gain) for name, gain in (("a", 1.0), ("b", 2.0), ("c", 3.0))]
-    found = compare_several(sources)
-    assert found.equal == ["y"]
-    assert [(len(panel.traces)) for panel in found._panels(["x", "y"], slice(None))] == [3, 1]
-    assert [panel.title for panel in found._panels(found._most_different(), slice(None))] == ["x"]
-    page = several_page(found, "", [])
-    assert "<summary>1 signal equal in all runs</summary>" in page
-    assert "Equal in all runs: y." in page
-    assert "Drawn:" not in page  # all that differs is
-    same = compare_several([_source(name, 1.0) for name in "abc"])
-    assert same._most_different() == ["x", "y"]
-    assert "2 signals equal in all runs" in several_page(same, "", [])
 
 
 def test_integers_of_64_bits_are_compared_as_numbers_and_large_ones_by_their_digits() -> None:
@@ -127,38 +70,6 @@ def test_every_run_is_compared_with_the_baseline() -> None:
     assert found.ranking == ["x", "y"]
     assert [d and d.beyond for d in found.table["x"]] == [True, None, True]
     assert compare_several([_source("a", 1.0), _source("b", 1.1), _source("c", 1.0)], tolerance=0.2).same
-
-
-def test_times_units_and_ends_of_runs_may_differ() -> None:
-    short = np.linspace(0, 0.5, 26)
-    rows = Results(short, ("x",), (100 * short)[:, None], {"x": "cm"})
-    other = RunSource("b", Path("b"), lambda: RecordedRun(Path("b"), "b", rows))
-    found = compare_several([_source("a", 1.0), other, _source("c", 1.0)])
-    assert found.comparisons[0].differences[0].largest == pytest.approx(0.0, abs=1e-12)
-    first, second, _ = found.curves["x"]
-    assert second[:51] == pytest.approx(first[:51])
-    assert np.isnan(second[51:]).all()
-    assert found.as_json()["runs"][1]["shorter"] == "b ends at 0.5 s, a at 1 s"
-
-
-def test_runs_that_do_not_fit_in_memory_are_read_again_with_the_same_outcome(monkeypatch: pytest.MonkeyPatch) -> None:
-    sources = [_source(name, gain) for name, gain in (("a", 1.0), ("b", 2.0), ("c", 3.0))]
-    whole = compare_several(sources)
-    monkeypatch.setattr(several, "MOST_CELLS", 0)
-    again = compare_several(sources)
-    assert again.as_json() == whole.as_json()
-    assert all(np.array_equal(one, two) for one, two in zip(again.curves["x"], whole.curves["x"], strict=True))
-
-
-def test_of_many_runs_the_page_says_which_are_drawn() -> None:
-    found = compare_several([_source(f"run {k}", 1.0 + k) for k in range(40)])
-    assert len(found.drawn) == several.MAX_RUNS
-    assert found.drawn[0] == 0
-    assert found.drawn[1:] == tuple(range(40 - several.MAX_RUNS + 1, 40))  # those that differ most
-    page = several_page(found, "", [])
-    assert "the baseline and the 11 runs that differ most" in page
-    assert "Only in the tables: 28 runs." in page
-    assert page.count("run 17") > 2  # in the tables
 
 
 def test_a_run_that_a_pattern_matched_is_left_out_with_the_reason() -> None:
@@ -207,14 +118,6 @@ def test_a_tolerance_gives_a_verdict_over_all_runs(runs: Path, monkeypatch: pyte
     assert isinstance(refused.exception, InputError)  # a comparison of others is there
 
 
-def test_two_runs_of_a_pattern_are_a_comparison_of_two(runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(runs)
-    done = _invoke(["s/000[12]", "--baseline", "3", "--json", "--out", "two"])
-    content = json.loads(done.output)
-    assert (content["a"], content["b"]) == ("results/s/runs/0002", "results/s/runs/0001")
-    assert set(content) >= {"a", "b", "signals", "only_a", "only_b", "same_times", "criteria"}
-
-
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -237,7 +140,7 @@ def test_what_cannot_be_compared_is_one_message(
 def test_python_compares_lists_of_folders_numbers_and_results(runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(runs)
     here = cosim.run("s.yaml", report=False, in_process=True)
-    found = cosim.compare([1, "results/s/runs/0003", here], baseline=here)
+    found = cosim.compare([1, "results/s/0003", here], baseline=here)
     assert isinstance(found, ComparedRuns)
     assert found.labels[0].startswith("run 1 (")
     assert found.baseline == 2
@@ -248,29 +151,6 @@ def test_python_compares_lists_of_folders_numbers_and_results(runs: Path, monkey
     assert "ref.x" in repr(found)
     with pytest.raises(InputError, match="3 runs match; give a list"):
         cosim.compare("s/*")
-
-
-@pytest.mark.parametrize("runs", [[], ()])
-def test_no_run_is_refused_with_a_code(runs: Any) -> None:
-    with pytest.raises(InputError, match="name at least two runs") as refused:
-        cosim.compare(runs)
-    assert refused.value.code == "E-CLI-054"
-
-
-def test_folders_of_one_name_have_labels_that_differ(tmp_path: Path) -> None:
-    rows = Results(TIME, ("x",), TIME[:, None])
-    for place in ("one", "two", "three"):
-        (tmp_path / place / "Chassis_Wheel").mkdir(parents=True)
-        rows.write(tmp_path / place / "Chassis_Wheel" / "results.csv")
-    sides = [tmp_path / place / "Chassis_Wheel" for place in ("one", "two", "three")]
-    found = cosim.compare(sides, out=tmp_path / "out")
-    assert isinstance(found, ComparedRuns)
-    assert len({*found.labels}) == 3
-    two = cosim.compare(*sides[:2])
-    assert two.a.name != two.b.name  # type: ignore[union-attr]
-    shutil.rmtree(sides[1])
-    with pytest.raises(InputError, match="no such folder"):
-        cosim.compare(sides)
 
 
 # -- results that are not as they should be -----------------------------------------------------------
@@ -305,32 +185,3 @@ def test_results_of_other_versions_and_half_written_ones_are_compared_by_their_r
     for name, message in (("gone", "holds no rows"), ("torn", "has 1 cell, the header 2")):
         error = _invoke(["new", name]).exception
         assert message in str(error)
-
-
-def test_names_that_differ_only_in_case_are_different(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    root = tmp_path / "results"
-    for gain, name in enumerate(("Tank", "tank", "tank/runs/0001"), 1):
-        _rows(root / name, gain, "{}", ("a.X", "a.x"))
-    if (root / "Tank").samefile(root / "tank"):
-        pytest.skip("this file system ignores case")
-    found = cosim.compare(["tank*", "Tank"])
-    assert isinstance(found, ComparedRuns)
-    assert sorted(label.partition("(")[2] for label in found.labels) == ["Tank)", "tank)", "tank/0001)"]
-    assert sorted(found.ranking) == ["a.X", "a.x"]
-
-
-def test_of_many_signals_the_page_lists_those_that_differ_most() -> None:
-    names = tuple(f"a.x{k}" for k in range(1000))
-
-    def source(gain: float) -> RunSource:
-        rows = Results(TIME[:3], names, np.outer(TIME[:3], 1.0 + gain * np.arange(1000)))
-        return RunSource(f"gain {gain}", Path(str(gain)), lambda: RecordedRun(Path(str(gain)), "", rows))
-
-    found = compare_several([source(0.0), source(1.0), source(2.0)])
-    assert found.ranking[0] == "a.x999"
-    assert kind_by_keys(found.as_json()) == "an answer of `cosim compare`"
-    page = several_page(found, "", [])
-    assert "799 more are in comparison.json" in page
-    assert "the 12 signals that differ most" in page
-    assert "a.x100<" not in page

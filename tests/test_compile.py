@@ -9,31 +9,18 @@ import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 import cosim
 from cosim.base.errors import CosimError, FmuError, InputError
-from cosim.blocks import compiling
 from cosim.fmi.native.compiler import compiler
 from cosim.verbs.cli import app
 from tests.bounce1 import bounce_fmu, library
 from tests.corpus.inputs import FMU_SOURCES
-from tests.typed import TYPED2, TYPED3
+from tests.typed import TYPED2
 
 ASKED = "it has sources: --compile (in Python compile=True) compiles and runs them"
-BUILD3 = """<?xml version="1.0" encoding="UTF-8"?>
-<fmiBuildDescription fmiVersion="3.0">
-  <BuildConfiguration modelIdentifier="typed">
-    <SourceFileSet language="C99">
-      <SourceFile name="code/typed3.c"/><SourceFile name="two.c"/>
-      <PreprocessorDefinition name="TWO" value="2"/><PreprocessorDefinition name="BARE"/>
-      <IncludeDirectory name="headers"/>
-    </SourceFileSet>
-  </BuildConfiguration>
-</fmiBuildDescription>
-"""
 TWO = '#include "two.h"\n#ifndef BARE\n#error no BARE\n#endif\nint two[TWO == 2 ? 1 : -1];\n'
 
 
@@ -124,44 +111,6 @@ def test_every_verb_that_runs_an_fmu_compiles_it(
     assert "x.h" in header
 
 
-def test_python_compiles_too(tmp_path: Path, compiled: Callable[[], int]) -> None:
-    fmu = bounce_fmu(tmp_path / "x.fmu", compiled=False, source=True)
-    scenario = {"name": "s", "duration": 1, "step": 0.01, "components": {"x": {"fmu": str(fmu)}}}
-    alone = cosim.simulate(fmu, stop=1.0, step=0.01, compile=True).results
-    assert np.array_equal(cosim.run(scenario, compile=True).results["x.h"], alone["x.h"])
-    (tmp_path / "log.csv").write_text(
-        "time,wind,h\n" + "".join(f"{t:.2f},0,{h:.17g}\n" for t, h in zip(alone.time, alone["x.h"], strict=True))
-    )
-    replayed = cosim.replay(tmp_path / "log.csv", fmu=fmu, compile=True)
-    assert np.abs(replayed.residual.results.values).max() < 1e-4  # the solver's steps are others
-    kept = cosim.run(scenario, tmp_path / "kept", compile=True)
-    assert kept.manifest["compile"] is True
-    assert len(cosim.run(tmp_path / "kept", until=1.5).time) == 151  # goes on as it began
-    with pytest.raises(FmuError, match="--compile"):
-        cosim.run(tmp_path / "kept" / "manifest.json")  # a run of its own
-    assert cosim.linearize(fmu, compile=True).linear[0].states == ("h", "v")
-    assert compiled() == 1
-
-
-def test_lists_of_sources_are_followed(tmp_path: Path, compiled: Callable[[], int]) -> None:
-    two = fmu2(tmp_path / "two.fmu")
-    files = {
-        "code/typed3.c": (FMU_SOURCES / "typed3.c").read_text(),
-        "two.c": TWO,
-        "headers/two.h": "",
-        "unused.c": "#error",
-    }
-    three = fmu_of(tmp_path / "three.fmu", TYPED3, {**files, "buildDescription.xml": BUILD3})
-    whole = fmu_of(tmp_path / "all.fmu", TYPED2, {"all.c": '#include "typed2.c"', "typed2.c": files_of(2)})
-    every = fmu_of(tmp_path / "every.fmu", TYPED2, {"typed2.c": files_of(2), "two.c": "int two;"})
-    cosim.check([two, three, whole, every], compile=True)
-    assert compiled() == 4
-
-
-def files_of(version: int) -> str:
-    return (FMU_SOURCES / f"typed{version}.c").read_text()
-
-
 def test_a_library_for_this_platform_is_taken_before_sources(tmp_path: Path, compiled: Callable[[], int]) -> None:
     assert cosim.check(bounce_fmu(tmp_path / "x.fmu", source=True), compile=True) == []
     assert compiled() == 0
@@ -187,32 +136,6 @@ def test_no_file_outside_the_sources_is_compiled(tmp_path: Path, compiled: Calla
     told = refusal(fmu2(tmp_path / "x.fmu", listed=("typed2.c", name)), compile=True)
     assert "lies outside its folder" in told or "missing.c, which is not there" in told
     assert compiled() == 0
-
-
-def test_another_language_is_refused(tmp_path: Path, compiled: Callable[[], int]) -> None:
-    files = {"code/typed3.c": "", "buildDescription.xml": BUILD3.replace("C99", "Fortran 2008")}
-    told = refusal(fmu_of(tmp_path / "x.fmu", TYPED3, files), compile=True)
-    assert "they are in Fortran 2008; known are C89, " in told
-
-
-def test_without_a_compiler_the_cure_is_told(
-    tmp_path: Path, compiled: Callable[[], int], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from cosim.fmi.native import compiler
-
-    monkeypatch.setenv("CC", str(tmp_path / "nowhere"))
-    monkeypatch.setattr(compiler, "can_cross", lambda: False)
-    with pytest.raises(FmuError, match="cannot be compiled: no C compiler is found in CC or on PATH"):
-        cosim.simulate(bounce_fmu(tmp_path / "x.fmu", compiled=False, source=True), in_process=True, compile=True)
-
-
-def test_a_compiler_that_does_not_end_is_stopped(
-    tmp_path: Path, compiled: Callable[[], int], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "cc").write_text("#!/bin/sh\nexec sleep 60\n")
-    monkeypatch.setattr(compiling, "LIMIT", 0.2)
-    with pytest.raises(FmuError, match=r"its sources do not compile: .*cc was not done in 0\.2 s"):
-        cosim.simulate(bounce_fmu(tmp_path / "x.fmu", compiled=False, source=True), in_process=True, compile=True)
 
 
 def test_the_permission_ends_with_the_command(tmp_path: Path, compiled: Callable[[], int]) -> None:

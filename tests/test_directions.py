@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
@@ -19,12 +18,10 @@ from cosim.blocks.description import read_description
 from cosim.kernel.kernel import Data
 from cosim.logs.log import Log
 from cosim.probing.fmu_structure import Structure
-from cosim.probing.messages import NOT_IN_STEP
-from cosim.probing.places import probe_places
 from cosim.probing.probe_structure import probe_structure
 from cosim.subject.fmu_subject import FmuSubject
 from cosim.terms.term_printing import term_code
-from cosim.wrapping.wrap import CannotWrap, wrap
+from cosim.wrapping.wrap import wrap
 from tests.blind import fmu_build
 from tests.blind.fmu_build import PLANTS, build
 from tests.native import NEEDS_COMPILER
@@ -108,50 +105,12 @@ def test_a_friction_at_a_hinge_tells_how_forces_act_there(folder: Path) -> None:
     assert not hinge.is_constant
 
 
-def test_forces_at_a_hinge_have_units_and_sizes_of_its_friction(folder: Path) -> None:
-    structure = structure_of(folder)
-    kinds = {k.name: k for k in FmuSubject.of_fmu(structure, [log_of_sines()]).model.catalogue}
-    dry = kinds["coulomb_at_w"]
-    assert "viscous_at_w" not in kinds  # it is the parameter
-    assert "viscous_at_v" in kinds
-    assert "offset_at_w" not in kinds  # the input acts there, too
-    assert dry.place.units["u"] == "N.m"
-    assert dry.place.sizes["u"] == pytest.approx(structure.scales["der(w)"] / structure.dampings[1].gain)
-    assert kinds["coulomb_at_v"].place.direction is None
-    assert kinds["coulomb_at_v"].place.units["u"] == "N"
-
-
-@pytest.mark.parametrize("plant", ["drive", "dc_motor", pytest.param("coupled", marks=pytest.mark.thorough)])
-def test_a_force_that_changes_its_own_rate_alone_has_no_direction(folder: Path, plant: str) -> None:
-    structure = structure_of(folder, plant)
-    assert structure.directions == ()
-    assert [d.parameter for d in structure.dampings] == (["d2"] if plant == "coupled" else [])
-
-
 def test_an_fmu_with_events_cannot_be_kept_in_step(folder: Path) -> None:
     structure = structure_of(folder, fault="step_events")
     (hinge,) = structure.directions
     assert not hinge.in_step
     model = FmuSubject.of_fmu(structure, [log_of_sines()]).model
     assert model.directions == ()  # type: ignore[attr-defined]
-
-
-def test_an_fmu_that_allows_one_instance_has_no_second(folder: Path) -> None:
-    structure, path = structure_of(folder), folder / "single.fmu"
-    with zipfile.ZipFile(structure.fmu) as old, zipfile.ZipFile(path, "w") as new:
-        for name in old.namelist():
-            data = old.read(name)
-            if name == "modelDescription.xml":
-                data = data.replace(b"<ModelExchange ", b'<ModelExchange canBeInstantiatedOnlyOncePerProcess="true" ')
-            new.writestr(name, data)
-    places = probe_places(path, [log_of_sines()])
-    assert [d["parameter"] for d in places.as_json()["dampings"]] == ["rub", "hinge"]
-    assert [d.in_step for d in places.structure.directions] == [False]
-    assert NOT_IN_STEP.code in [finding.code for finding in places.findings]
-    model = FmuSubject.of_fmu(structure, [log_of_sines()]).model
-    code = term_code(model, {"coulomb_at_w"}, [q.name for q in structure.states])  # type: ignore[arg-type]
-    with pytest.raises(CannotWrap, match="need a second instance"):
-        wrap(path, code, {}, folder / "wrapped.fmu")
 
 
 # -- filter -----------------------------------------------------------------------------------------
@@ -189,17 +148,6 @@ def test_the_filter_moves_by_the_equations_with_the_forces(folder: Path, version
 
 
 @VERSIONS
-def test_derivatives_of_the_delivered_fmu_are_those_of_the_equations(folder: Path, version: int) -> None:
-    path = wrapped(folder, version, hinge=0.01)
-    for hinge, start in ((0.01, {}), (0.3, {"hinge": 0.3})):
-        with opened(path, **start) as block:
-            for x in (*POINTS, np.zeros(4), np.array([0.0, 0.0, 1.0, 0.0])):
-                expected = rates(x, 1.5, hinge=hinge)
-                assert rates_of(block, x, 1.5) == pytest.approx(expected, rel=1e-9, abs=1e-9)
-                assert block.current_point()[0].tolist() == x.tolist()
-
-
-@VERSIONS
 def test_dormant_it_equals_the_original_to_the_last_bit(folder: Path, version: int) -> None:
     path = wrapped(folder, version)
     still = {"coulomb_at_w.level": 0.0, "quadratic_drag_at_w.coefficient": 0.0}
@@ -227,29 +175,6 @@ def test_states_are_saved_and_instances_are_apart(folder: Path, version: int) ->
         fmu.freeFMUState(state)
         two.instance.fmu.setFMUState(two.instance.fmu.deserializeFMUState(data))  # with the friction of the first
         assert rates_of(two, x, 1.0).tolist() == first.tolist()
-
-
-@VERSIONS
-def test_after_a_reset_the_friction_is_that_of_the_file(folder: Path, version: int) -> None:
-    with opened(wrapped(folder, version), hinge=0.3, **{"coulomb_at_w.level": 0.0}) as block:
-        rates_of(block, POINTS[0], 1.0)
-        fmu = block.instance.fmu
-        fmu.reset()
-        if version == 2:
-            fmu.setupExperiment(startTime=0.0)
-        fmu.enterInitializationMode()
-        fmu.exitInitializationMode()
-        assert rates_of(block, POINTS[1], 1.0) == pytest.approx(rates(POINTS[1], 1.0), rel=1e-9)
-
-
-def test_before_continuous_time_the_motion_tells_the_direction(folder: Path) -> None:
-    path = wrapped(folder, 2)
-    found = []
-    for w in (1.2, 0.0):
-        with opened(path, begins=False, phi=0.7, w=w) as block:
-            found.append(block.rates(np.array([0.0, 0.0, 0.7, w]), np.zeros(1)))
-    assert found[0][:4] == pytest.approx(rates([0.0, 0.0, 0.7, 1.2], 0.0), rel=1e-7)
-    assert np.isnan(found[1][[1, 3]]).all()  # nothing tells it at rest: not silently wrong
 
 
 # -- two directions ---------------------------------------------------------------------------------

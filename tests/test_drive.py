@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import csv
 import importlib.util
 import json
 import math
 import re
 import sys
 import zipfile
-from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -17,9 +15,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cosim.fmi.fmu_build import build, model_recipe
+from cosim.fmi.fmu_build import build
 from cosim.loading.file import load_model
-from cosim.model import SCALAR, Stepper
+from cosim.model import Stepper
 from cosim.refinement.workflow import refine
 from tests.hosts_fmpy import Instance
 
@@ -168,47 +166,12 @@ def test_the_model_of_the_documents_becomes_an_fmu_and_a_spring_pulls_it_back(tm
     assert outputs["angle"] == pytest.approx(0.1 - 0.5 * 2.5 * 0.02**2, rel=1e-4)
 
 
-def test_values_of_a_model_file_are_the_defaults_of_its_fmu(tmp_path: Path) -> None:
-    recipe = model_recipe(drive.Drive(), EXAMPLE / "drive.py", {"coulomb_friction.level": 20.0, "mass": 90.0})
-    with Instance(build(recipe, tmp_path / "plant.fmu")) as fmu:
-        assert fmu.get(["coulomb_friction.level", "mass", "viscous"]) == [20.0, 90.0, 200.0]
-
-
-@pytest.mark.parametrize("kind", drive.Drive.catalogue, ids=lambda k: k.name)
-@pytest.mark.parametrize("velocity", [0.0, 0.02, 0.1])
-def test_friction_and_drag_never_drive(kind: Callable[..., Any], velocity: float) -> None:
-    effect = kind(**{p: 5.0 for p in ("level", "breakaway", "coefficient") if hasattr(kind, p)})
-    if kind is drive.ForceOffset:
-        assert kind(value=3.0).force(math, 0.1, velocity) == 3.0
-        return
-    m = drive.Drive().with_effect(effect).equations(SCALAR)
-    base = drive.Drive().equations(SCALAR)
-    for v in (velocity, -velocity):
-        gained = m.derivative(0.0, (0.0, v), (0.0,))[1] - base.derivative(0.0, (0.0, v), (0.0,))[1]
-        assert gained * v <= 0.0
-        assert (gained == 0.0) == (v == 0.0)
-
-
 # -- the recordings -----------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return Path(logs.make_logs(RECORDINGS, tmp_path_factory.mktemp("emps")))
-
-
-@MISSING
-def test_a_row_of_the_log_holds_the_impulse_of_the_recorded_command(recorded: Path) -> None:
-    import scipy.io
-
-    data = scipy.io.loadmat(RECORDINGS / "DATA_EMPS.mat")
-    force = data["gtau"].item() * data["vir"].ravel()
-    with (recorded.parent / "e1.csv").open() as stream:
-        table = np.array([[float(cell) for cell in row] for row in list(csv.reader(stream))[1:]])
-    assert len(table) == force.size // 5
-    # 6 digits of at most 320 N are printed, 5e-4 N at most off in each of up to 4968 rows of 5 ms
-    assert np.abs(np.cumsum(table[:, 1]) * 5e-3 - np.cumsum(force)[4::5] * 1e-3).max() < 4968 * 5e-3 * 5e-4
-    assert np.abs(table[:, 2] - data["qm"].ravel()[: len(table) * 5 : 5]).max() < 1e-9  # 9 decimals are printed
 
 
 @pytest.mark.thorough

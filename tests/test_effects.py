@@ -9,24 +9,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import settings
 
-from cosim.model import SCALAR, Stepper, parameters_of
+from cosim.model import Stepper, parameters_of
 from plant.effects import CATALOGUE
 from plant.effects.actuator import (
     ActuatorDelay,
     ActuatorSecondOrder,
-    ServoBacklash,
-    ServoDeadBand,
-    ServoRateLimit,
-    TiltOffset,
 )
-from plant.effects.body import ComOffset, Coriolis, TableTilt
-from plant.effects.friction import CoulombFriction, QuadraticDrag, StribeckFriction, YawCoulombFriction, YawDamping
-from plant.effects.hooks import Motion
+from plant.effects.body import TableTilt
+from plant.effects.friction import CoulombFriction, YawCoulombFriction
 from plant.effects.sensor_errors import AccelerometerBias, AccelerometerScale, GyroBias
-from plant.effects.thrust import BatterySag, InflowThrustLoss, ThrustAsymmetry
 from plant.hovercraft import DUTY_NOMINAL, Hovercraft
 from tests.independent import COLUMNS, HOLD, Array, Effects, excitation, flown, simulate, to_and_fro
 
@@ -197,45 +190,6 @@ def test_effect_sleeps_at_its_neutral_values_only(kind: Any) -> None:
         assert not kind(**{p.name: p.neutral + 0.01}).dormant
 
 
-@pytest.mark.parametrize("kind", CATALOGUE, ids=lambda kind: kind.name)
-def test_effect_fades_as_it_nears_its_neutral_value(kind: Any) -> None:
-    # continuity: an effect a thousandth as strong changes a thousandth as much. The two that are off at an
-    # infinite value (ωₙ, r) are off at 0 by convention; their limit is the other end.
-    commands = to_and_fro(30)
-    plain = flown(Stepper(Hovercraft()), commands)
-    if kind in (ActuatorSecondOrder, ServoRateLimit):
-        weak = kind(rate=50.0) if kind is ServoRateLimit else kind(natural_frequency=100.0)
-        assert not weak.dormant
-        faded = flown(Stepper(craft_with(weak)), commands)
-        if kind is ServoRateLimit:  # never reached: the fastest tilt is 0.6 rad / τ = 7 rad/s
-            assert largest_difference(faded, plain) == 0.0
-        else:  # a fast servo: e^(−1.4)·(cos 1.43 + 0.98·sin 1.43) = 0.274 of a step is left after 20 ms
-            settled = faded["tilt_right_actual"][1:] - commands[:, 2]
-            assert np.max(np.abs(settled)) < 0.275 * np.max(np.abs(commands[:, 2:]))
-        return
-    full = {p.name: p.neutral + 5e-3 for p in parameters_of(kind) if p.neutral is not None}
-    weak = {p.name: p.neutral + 5e-6 for p in parameters_of(kind) if p.neutral is not None}
-    strong_change, weak_change = (
-        largest_difference(flown(Stepper(craft_with(kind(**values))), commands), plain) for values in (full, weak)
-    )
-    # a thousandth, up to the effect's curvature over this range
-    assert 0 < weak_change < 1.5e-3 * strong_change
-
-
-@property_settings
-@given(st.permutations(sorted(EVERYTHING)), st.integers(0, len(EVERYTHING)))
-def test_order_of_composition_does_not_matter(names: list[str], count: int) -> None:
-    kinds = {kind.name: kind for kind in CATALOGUE}
-    chosen = [kinds[name](**EVERYTHING[name]) for name in names[:count]]
-    one, other = Hovercraft(), Hovercraft()
-    for forward, backward in zip(chosen, reversed(chosen), strict=True):
-        one, other = one.with_effect(forward), other.with_effect(backward)
-    assert one == other
-    commands = excitation(3)
-    a, b = (flown(Stepper(c), commands, MOVING) for c in (one, other))
-    assert all(np.array_equal(a[name], b[name]) for name in COLUMNS)
-
-
 def test_an_effect_replaces_one_of_its_kind() -> None:
     craft = Hovercraft().with_effect(TableTilt(x=0.01)).with_effect(TableTilt(y=0.02))
     assert craft.effects == (TableTilt(y=0.02),)
@@ -250,49 +204,6 @@ def test_effect_refuses_values_out_of_bounds_all_at_once(kind: Any) -> None:
 
 
 # Energy.
-
-SPEEDS = st.tuples(st.floats(-1.5, 1.5), st.floats(-1.5, 1.5), st.floats(-6, 6))
-LOSSES = st.one_of(
-    st.builds(CoulombFriction, force=st.floats(0.01, 1)),
-    st.builds(StribeckFriction, force=st.floats(0.01, 1), static_force=st.floats(0.01, 1), speed=st.floats(0.005, 0.5)),
-    st.builds(QuadraticDrag, coefficient=st.floats(0.01, 5)),
-    st.builds(YawDamping, coefficient=st.floats(0.001, 0.2)),
-    st.builds(YawCoulombFriction, moment=st.floats(0.001, 0.05)),
-)
-
-
-@property_settings
-@given(LOSSES, SPEEDS)
-def test_friction_and_drag_oppose_motion(loss: Any, speeds: tuple[float, float, float]) -> None:
-    vx, vy, psi_dot = speeds
-    forward, rightward, yaw, roll = loss.wrench(SCALAR, Motion(vx, vy, psi_dot, 0.0, 5.0))
-    assert forward * vx + rightward * vy <= 0.0
-    assert yaw * psi_dot <= 0.0
-    assert roll == 0.0
-    # along the velocity: no force to the side. One rounding of each product.
-    assert abs(forward * vy - rightward * vx) <= 4e-16 * abs(forward * vy)
-
-
-@property_settings
-@given(LOSSES, SPEEDS, st.floats(0, 1))
-def test_friction_and_drag_never_add_energy(loss: Any, speeds: tuple[float, float, float], viscous: float) -> None:
-    craft = thrustless(loss, friction=viscous)
-    start = dict(zip(("vx", "vy", "psi_dot"), speeds, strict=True))
-    y = flown(Stepper(craft), [(0.0, 0.0, 0.0, 0.0)] * 50, start)
-    sliding = 0.5 * craft.mass * (y["vx"] ** 2 + y["vy"] ** 2)
-    turning = 0.5 * craft.izz * y["psi_dot"] ** 2
-    for energy in (sliding, turning):
-        # never more than before, up to one rounding of a step that takes nothing
-        assert np.all(np.diff(energy) <= 1e-15 * energy[:-1])
-
-
-@pytest.mark.parametrize("psi_dot", [0.5, 4.0])
-def test_dry_yaw_friction_brings_the_craft_to_rest(psi_dot: float) -> None:
-    craft = thrustless(YawCoulombFriction(moment=0.02))
-    y = flown(Stepper(craft), [(0.0, 0.0, 0.0, 0.0)] * 150, {"psi_dot": psi_dot})
-    # constant deceleration M/Izz = 1.955 rad/s² while ψ̇ ≫ 0.02 rad/s, then an exponential rest
-    assert y["psi_dot"][5] == pytest.approx(psi_dot - 0.1 * 0.02 / craft.izz, rel=1e-9)
-    assert abs(y["psi_dot"][-1]) < 1e-9
 
 
 @pytest.mark.parametrize("moment", [0.004, parameters_of(YawCoulombFriction)[0].bounds[1]])
@@ -312,110 +223,7 @@ def test_dry_friction_slides_the_textbook_distance() -> None:
     assert y["y"][-1] / y["x"][-1] == pytest.approx(-4 / 3, rel=1e-12)
 
 
-def test_stribeck_friction_is_breakaway_at_rest_and_sliding_friction_at_speed() -> None:
-    term = StribeckFriction(force=0.1, static_force=0.25, speed=0.3)
-    slow, fast = (-term.wrench(SCALAR, Motion(v, 0.0, 0.0, 0.0, 0.0))[0] for v in (0.04, 3.0))
-    assert slow == pytest.approx(0.25, rel=0.015)  # e^(−(0.04/0.3)²) = 0.982 of the way, tanh 4 = 0.9993
-    assert fast == pytest.approx(0.1, rel=1e-12)
-
-
-@property_settings
-@given(SPEEDS, st.floats(-5, 5))
-def test_coriolis_does_no_work(speeds: tuple[float, float, float], gain: float) -> None:
-    vx, vy, psi_dot = speeds
-    ax, ay = Coriolis(gain=gain).acceleration(SCALAR, 9.81, 0.3, vx, vy, psi_dot)
-    # two products of the same three factors, one rounding each in another order
-    assert abs(ax * vx + ay * vy) <= 4e-16 * abs(ax * vx)
-
-
-def test_with_coriolis_a_free_craft_goes_straight_while_it_turns() -> None:
-    # κ = 1 is physics: no force, no bend in the world, whatever the heading does
-    start = {"vx": 0.8, "vy": -0.3, "psi": 0.4, "psi_dot": 3.0}
-    still = [(0.0, 0.0, 0.0, 0.0)] * 100
-    straight = flown(Stepper(thrustless(Coriolis(gain=1.0))), still, start)
-    t = HOLD * np.arange(101)
-    vx_world = 0.8 * math.cos(0.4) - 0.3 * math.sin(0.4)
-    vy_world = 0.8 * math.sin(0.4) + 0.3 * math.cos(0.4)
-    # RK4 turns the velocity by ψ̇·h a substep, with (ψ̇h)⁵/120 = 6e-12 of error: 400 of them, over 2 s
-    assert straight["x_world"] == pytest.approx(vx_world * t, abs=1e-8)
-    assert straight["y_world"] == pytest.approx(vy_world * t, abs=1e-8)
-    thesis = flown(Stepper(thrustless()), still, start)  # which leaves the terms out, and drives in circles
-    assert math.hypot(thesis["x_world"][-1], thesis["y_world"][-1]) < 0.6
-
-
-@pytest.mark.parametrize("gain", [0.0, 1.0])
-def test_tilted_table_trades_height_for_speed(gain: float) -> None:
-    craft = thrustless(TableTilt(x=0.02, y=-0.05), Coriolis(gain=gain))
-    start = {"vx": 0.2, "vy": 0.1, "psi": 0.3, "psi_dot": 2.0}
-    y = flown(Stepper(craft), [(0.0, 0.0, 0.0, 0.0)] * 100, start)
-    kinetic = 0.5 * craft.mass * (y["vx"] ** 2 + y["vy"] ** 2)
-    height = -math.sin(0.02) * y["x_world"] + math.sin(0.05) * y["y_world"]  # downhill along X and −Y
-    total = kinetic + craft.mass * 9.81 * height
-    assert np.ptp(kinetic) > 0.02  # more than the craft starts with
-    assert total == pytest.approx(np.full(101, total[0]), abs=1e-9)  # RK4: (ψ̇h)⁵/120 = 8e-13 a substep, 400 of them
-
-
-@pytest.mark.parametrize("effect", [TableTilt(x=0.03, y=0.02), Coriolis(gain=1.0)])
-def test_accelerometer_feels_contact_only(effect: Any) -> None:
-    start = {"vx": 0.4, "vy": 0.2, "psi_dot": 2.0, "tilt_right": 0.1, "tilt_left": 0.1}
-    stepper = Stepper(craft_with(effect))
-    moment = stepper.start(0.0, start)
-    ax = dict(zip([q.name for q in Hovercraft.outputs], stepper.output(0.0, moment.state, HOVER), strict=True))["ax"]
-    assert ax == pytest.approx((2 * 2.4973 * math.sin(0.1) - 0.25 * 0.4) / 0.705, abs=1e-5)  # T_N of δ_N, 5e-6 N
-    acceleration = stepper.derivative(0.0, moment.state, HOVER)[5]
-    assert abs(acceleration - ax) > 0.2  # though the craft does speed up
-
-
-@pytest.mark.parametrize("effect", [CoulombFriction(force=0.1), QuadraticDrag(coefficient=0.5)])
-def test_accelerometer_feels_friction(effect: Any) -> None:
-    stepper = Stepper(craft_with(effect))
-    moment = stepper.start(0.0, {"vx": 0.5})
-    ax = dict(zip([q.name for q in Hovercraft.outputs], stepper.output(0.0, moment.state, HOVER), strict=True))["ax"]
-    force = 0.1 if isinstance(effect, CoulombFriction) else 0.5 * 0.5**2
-    assert ax == pytest.approx(-(force + 0.25 * 0.5) / 0.705, rel=1e-12)
-
-
 # Thrust.
-
-
-@property_settings
-@given(st.floats(0.01, 0.9), st.floats(0.5, 60))
-def test_battery_sags_monotonically_towards_its_drop(drop: float, theta: float) -> None:
-    stepper = Stepper(craft_with(BatterySag(drop=drop, time=theta)))
-    state = stepper.start().state
-    times = [0.0, *np.geomspace(0.02, 40 * theta, 60).tolist()]
-    thrust = np.array([stepper.output(t, state, HOVER)[11] for t in times])
-    share = thrust / thrust[0]
-    assert thrust[0] == pytest.approx(2.4973, abs=6e-6)
-    assert np.all(np.diff(share) <= 0.0)
-    assert share[-1] == pytest.approx(1 - drop, rel=1e-13)  # e^−40 = 4e-18 of the drop is left
-    at_theta = stepper.output(theta, state, HOVER)[11] / thrust[0]
-    assert at_theta == pytest.approx(1 - drop * (1 - math.exp(-1)), rel=1e-13)
-
-
-def test_asymmetry_keeps_the_sum_and_turns_the_craft() -> None:
-    stepper = Stepper(craft_with(ThrustAsymmetry(ratio=0.05)))
-    moment = stepper.start(0.0, {"tilt_right": 0.1, "tilt_left": 0.1})
-    right, left = stepper.output(0.0, moment.state, HOVER)[11:13]
-    assert right / left == pytest.approx(1.05 / 0.95, rel=1e-14)
-    assert right + left == pytest.approx(2 * 2.4973, abs=1.2e-5)  # T_N of δ_N, twice 5e-6 N
-    assert stepper.derivative(0.0, moment.state, HOVER)[7] > 0.0  # the stronger right propeller turns left
-
-
-def test_asymmetry_and_com_offset_turn_alike_at_constant_thrust() -> None:
-    # ε and e = −ε·L give one and the same yaw and roll moment: why a closed loop cannot tell them apart
-    y = {}
-    for effect in (ThrustAsymmetry(ratio=0.04), ComOffset(right=-0.04 * 0.17145)):
-        stepper = Stepper(craft_with(effect, roll_ground_effect=False))
-        moment = stepper.start(0.0, {"tilt_right": 0.1, "tilt_left": 0.1})
-        y[effect.name] = stepper.derivative(0.0, moment.state, HOVER)
-    assert y["com_offset"] == pytest.approx(y["thrust_asymmetry"], rel=1e-12, abs=1e-12)
-
-
-def test_inflow_weakens_thrust_ahead_and_strengthens_it_astern() -> None:
-    stepper = Stepper(craft_with(InflowThrustLoss(coefficient=0.2)))
-    ahead, astern = (stepper.output(0.0, stepper.start(0.0, {"vx": v}).state, HOVER)[11] for v in (0.5, -0.5))
-    assert ahead / astern == pytest.approx(0.9 / 1.1, rel=1e-14)
 
 
 # Actuators.
@@ -431,79 +239,6 @@ def acting(effect: Any, commands: list[tuple[float, ...]], h: float = 0.005) -> 
     return out
 
 
-TILTS = st.lists(st.tuples(st.floats(-0.8, 0.8), st.floats(-0.8, 0.8)), min_size=1, max_size=30)
-
-
-@property_settings
-@given(TILTS, st.floats(1e-4, 0.5))
-def test_play_stays_within_half_its_width_of_the_command(tilts: list[tuple[float, float]], width: float) -> None:
-    commands = [(6.0, 6.5, *pair) for pair in tilts]
-    before = (0.0, 0.0)
-    for command, shaped in zip(commands, acting(ServoBacklash(width=width), commands), strict=True):
-        assert shaped[:2] == command[:2]
-        for a, p, was in zip(command[2:], shaped[2:], before, strict=True):
-            assert abs(p - a) <= width / 2 * (1 + 1e-15) + 1e-16  # the rounding of a ± w/2
-            # and it moves only when pushed: at an end of the play, or not at all
-            assert p == was or abs(p - a) == pytest.approx(width / 2, rel=1e-12, abs=1e-15)
-        before = shaped[2:]
-
-
-@property_settings
-@given(TILTS, st.floats(1e-4, 0.3))
-def test_dead_band_is_zero_inside_and_odd(tilts: list[tuple[float, float]], width: float) -> None:
-    commands = [(6.0, 6.5, *pair) for pair in tilts]
-    mirrored = [(6.0, 6.5, -right, -left) for right, left in tilts]
-    effect = ServoDeadBand(width=width)
-    for command, shaped, other in zip(commands, acting(effect, commands), acting(effect, mirrored), strict=True):
-        for a, b, c in zip(command[2:], shaped[2:], other[2:], strict=True):
-            assert b == -c
-            assert b == 0.0 if abs(a) <= width else abs(b) == pytest.approx(abs(a) - width, rel=1e-15)
-            assert a * b >= 0.0
-
-
-@property_settings
-@given(TILTS, st.floats(0.05, 5), st.booleans())
-def test_tilt_never_moves_faster_than_the_rate_limit(
-    tilts: list[tuple[float, float]], rate: float, second_order: bool
-) -> None:
-    effects: list[Any] = [ServoRateLimit(rate=rate)]
-    if second_order:
-        effects.append(ActuatorSecondOrder(natural_frequency=25.0, damping_ratio=0.4))
-    y = flown(Stepper(craft_with(*effects)), [(*HOVER[:2], *pair) for pair in tilts])
-    for name in ("tilt_right_actual", "tilt_left_actual"):
-        # every stage of RK4 is within ±r, so is their mean; rounding of four substeps
-        assert np.max(np.abs(np.diff(y[name]))) <= rate * HOLD * (1 + 1e-12) + 1e-15
-
-
-def test_rate_limit_far_below_the_data_sheet_makes_a_ramp() -> None:
-    y = flown(Stepper(craft_with(ServoRateLimit(rate=0.5))), [(*HOVER[:2], 0.4, 0.4)] * 60)["tilt_right_actual"]
-    # while the lag asks for more than 0.5 rad/s, that is until α = 0.4 − 0.5·τ; from there on it is the lag
-    t, tau = HOLD * np.arange(61), 0.0884
-    meet = (0.4 - 0.5 * tau) / 0.5
-    expected = np.where(t < meet, 0.5 * t, 0.4 - 0.5 * tau * np.exp(-np.maximum(t - meet, 0.0) / tau))
-    assert np.count_nonzero(t < meet) == 36
-    assert y[:36] == pytest.approx(expected[:36], abs=1e-12)
-    assert y == pytest.approx(expected, abs=2e-5)  # the kink inside a substep: 0.5·h²/(8τ)
-
-
-def test_tilt_offset_adds_to_each_side() -> None:
-    ((_, _, right, left),) = acting(TiltOffset(right=0.03, left=-0.02), [(6.0, 6.5, 0.1, 0.2)])
-    assert (right, left) == pytest.approx((0.13, 0.18), rel=1e-15)
-
-
-def test_commands_pass_delay_play_offset_and_dead_band_in_this_order() -> None:
-    craft = craft_with(
-        ServoDeadBand(width=0.02), TiltOffset(right=0.03, left=0.0), ServoBacklash(width=0.1), ActuatorDelay(time=0.005)
-    )
-    stepper = Stepper(craft)
-    memory = stepper.start().memory
-    first, memory = stepper.shape(0.0, 0.005, (6.0, 6.5, 0.2, 0.2), memory)
-    second, memory = stepper.shape(0.005, 0.005, (6.0, 6.5, 0.2, 0.2), memory)
-    # before the delay: 0 → play 0 → offset 0.03 → band 0.01; after it: 0.2 → play 0.15 → 0.18 → 0.16
-    assert first == pytest.approx((DUTY_NOMINAL, DUTY_NOMINAL, 0.01, 0.0), abs=1e-15)
-    assert second == pytest.approx((6.0, 6.5, 0.16, 0.13), abs=1e-15)
-
-
 @pytest.mark.parametrize("zeta", [0.1, 0.3, 0.5, 0.7])
 def test_second_order_servo_overshoots_by_the_textbook_share(zeta: float) -> None:
     # §4.5.4 saw overshoot and oscillation; the peak of a step is 1 + e^(−πζ/√(1−ζ²)) at t = π/(ω√(1−ζ²))
@@ -517,15 +252,6 @@ def test_second_order_servo_overshoots_by_the_textbook_share(zeta: float) -> Non
     assert np.argmax(tilt) == 100
 
 
-def test_second_order_servo_takes_the_place_of_the_tilt_lag_only() -> None:
-    commands = excitation(50)
-    plain = flown(Stepper(Hovercraft(roll_ground_effect=False)), commands)
-    craft = craft_with(ActuatorSecondOrder(natural_frequency=10.0, damping_ratio=0.5), roll_ground_effect=False)
-    servo = flown(Stepper(craft), commands)
-    assert np.array_equal(plain["thrust_right"], servo["thrust_right"])
-    assert not np.array_equal(plain["tilt_right_actual"], servo["tilt_right_actual"])
-
-
 @pytest.mark.parametrize("samples", [1, 3, 25])
 def test_delay_of_whole_samples_is_the_command_row_shifted(samples: int) -> None:
     commands = excitation(60)
@@ -534,36 +260,6 @@ def test_delay_of_whole_samples_is_the_command_row_shifted(samples: int) -> None
     row = flown(Stepper(Hovercraft()), shifted)
     # the same commands in the same substeps; a mean over a substep of one and the same value rounds
     assert largest_difference(late, row) < 1e-12
-
-
-def test_no_delay_is_no_effect() -> None:
-    commands = excitation(40)
-    plain = flown(Stepper(Hovercraft()), commands)
-    assert largest_difference(flown(Stepper(craft_with(ActuatorDelay(time=0.0))), commands), plain) == 0.0
-    # and it comes about continuously: 1 µs of delay moves the outputs by 1 µs of their rates
-    assert largest_difference(flown(Stepper(craft_with(ActuatorDelay(time=1e-6))), commands), plain) < 1e-4
-
-
-@property_settings
-@given(st.floats(1e-4, 0.5), st.integers(1, 40))
-def test_delay_neither_loses_nor_invents_impulse(delay: float, count: int) -> None:
-    # the integral of what acts is the integral of what was sent, late by T, for any T
-    rng = np.random.default_rng(count)
-    sent = [tuple(rng.uniform(-1, 1, 4).tolist()) for _ in range(count)] + [(0.0, 0.0, 0.0, 0.0)] * 110
-    stepper = Stepper(craft_with(ActuatorDelay(time=delay)))
-    memory = stepper.start(0.0, dict.fromkeys([f"actuator_delay.{q.name}" for q in ActuatorDelay.memory], 0.0)).memory
-    total = np.zeros(4)
-    for k, command in enumerate(sent):
-        shaped, memory = stepper.shape(k * 0.005, 0.005, command, memory)
-        total += 0.005 * np.array(shaped)
-    assert total == pytest.approx(0.005 * np.sum(sent, axis=0), abs=1e-12)  # rounding of times of up to 0.75 s
-
-
-def test_until_the_delay_has_passed_the_remembered_command_acts() -> None:
-    start = {"actuator_delay.duty_right": 6.5, "actuator_delay.duty_left": 6.4, "actuator_delay.tilt_right": 0.1}
-    late = flown(Stepper(craft_with(ActuatorDelay(time=0.1))), [(7.0, 6.0, -0.3, 0.3)] * 5, start)
-    plain = flown(Stepper(Hovercraft()), [(6.5, 6.4, 0.1, 0.0)] * 5)
-    assert largest_difference(late, plain) < 1e-12  # the mean of one value rounds
 
 
 # Sensors.

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,12 +12,10 @@ import pytest
 from cosim.estimation.fit import initial_fit
 from cosim.estimation.posing import build_problem
 from cosim.estimation.problem import Problem
-from cosim.kernel.kernel import Data
 from cosim.logs.log import Log
 from cosim.model import Equations, Model, Namespace, Number, Quantity, Values, parameter
 from cosim.refinement.decision import equivalence
-from cosim.refinement.decision.claims import alike_groups
-from cosim.refinement.decision.equivalence import act_alike, split_alike
+from cosim.refinement.decision.equivalence import act_alike
 from cosim.refinement.search.fits import Search
 from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.subject.interface import Subject
@@ -50,9 +47,6 @@ class Exchanger(Model):
             return (flow + self.c * (command[0] - state[0])) / self.C_c, -flow / self.C_h
 
         return Equations(derivative, lambda t, state, command: state)
-
-
-BAND = {"dead_band_at_voltage.width": 0.3}
 
 
 def search_of(subject: Subject, problem: Problem) -> Search:
@@ -121,43 +115,3 @@ def test_a_failing_fmu_shows_no_equivalence(motor: Search, monkeypatch: pytest.M
     assert not act_alike(
         motor, supposed(motor, {"damping": 4e-4}), supposed(motor, {"viscous_at_speed.coefficient": 3e-4})
     )
-
-
-def test_inputs_go_beyond_the_logs_and_are_the_same_each_time(motor: Search) -> None:
-    def course(times: float) -> Data:
-        return equivalence._Course.exciting(motor.problem, times, both_signs=True).data
-
-    logged = np.concatenate([log.u for log in motor.problem.logs])
-    ratios = np.ptp(course(3.0).u, axis=0) / np.ptp(logged, axis=0)
-    assert ratios == pytest.approx(3.0, rel=0.1)
-    assert np.array_equal(course(3.0).u, course(3.0).u)
-
-
-def test_a_dead_band_is_no_bias_where_an_input_could_change_its_sign(motor: Search) -> None:
-    """The voltage of the logs is from 30 V up, far above the width; below zero, both differ."""
-    logs = [replace(log, u=log.u + np.array([30.0 - log.u[:, 0].min(), 0.0])) for log in motor.problem.logs]
-    search = search_of(motor.subject, replace(motor.problem, logs=logs))
-    course = equivalence._Course.exciting(search.problem, 1.0, both_signs=False).data
-    assert course.u[:, 0].min() > 29.0
-    bias, band = (supposed(search, values) for values in ({"bias_at_voltage.value": -0.3}, BAND))
-    assert not act_alike(search, bias, band)
-
-
-def test_one_of_each_group_of_alikes_stays_a_rival(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of {a, x}, {b, x}, {c}, {d} and {e} the first two act alike, and the last two."""
-    alike = [{("a", "x"), ("b", "x")}, {("d",), ("e",)}]
-    monkeypatch.setattr(equivalence, "act_alike", lambda search, h, o: {h.names, o.names} in alike)
-    nothing: Any = None
-    sets = [Named(names, None) for names in (("a", "x"), ("b", "x"), ("c",), ("d",), ("e",))]
-    hypotheses: Any = sets
-    rivals, like = split_alike(nothing, hypotheses[0], hypotheses[1:])
-    assert [h.names for h in rivals] == [("c",), ("d",)]
-    assert alike_groups(like) == (("a", "b"), ("d", "e"))
-
-
-@dataclass(frozen=True)
-class Named:
-    """A hypothesis that has names only."""
-
-    names: tuple[str, ...]
-    fit: Any

@@ -1,20 +1,16 @@
 """Evidence for a part of a hypothesis: its gain against the scatter of chance, over blocks of time."""
 
 import math
-from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 from scipy.signal import lfilter
-from scipy.special import ndtr, stdtrit
+from scipy.special import stdtrit
 
 from cosim.estimation.fit import Fit
-from cosim.estimation.noise_model import Noise
-from cosim.estimation.plateaus import values_beside_plateaus, with_flat_directions
+from cosim.estimation.plateaus import with_flat_directions
 from cosim.estimation.problem import Scored
-from cosim.refinement.decision import evidence
 from cosim.refinement.decision.evidence import (
     BY_CHANCE,
     _variance_with_logs,
@@ -23,9 +19,7 @@ from cosim.refinement.decision.evidence import (
     gain_per_scatter,
     refuting_deviations,
 )
-from cosim.refinement.search.fits import Search
-from cosim.refinement.search.hypotheses import Hypothesis
-from cosim.subject.candidates import Candidate, Free
+from cosim.subject.candidates import Free
 from tests.cases import some
 
 BLOCKS, ROWS = 30, 100
@@ -99,44 +93,6 @@ def test_an_estimate_without_information_has_the_interval_of_the_flat_likelihood
     assert widened.interval("lag") == pytest.approx((0.0, 0.5 + 0.196), rel=0.05)  # no lag below zero
 
 
-class Plateau:
-    """A problem with a likelihood that is flat below 0.5, best at 0.6, and falls above."""
-
-    def score(self, values, noise):
-        """Return an object with the negative log-likelihood."""
-        return SimpleNamespace(nll=0.5 * ((max(0.5, values["lag"]) - 0.6) / 0.05) ** 2)
-
-
-@pytest.mark.parametrize(("value", "is_moved"), [(0.04, True), (0.0, False)])
-def test_a_fit_that_ended_on_a_plateau_goes_on_beside_it(value, is_moved) -> None:
-    lag = Free("lag", 0.0, 10.0, 1.0, neutral=0.0)
-    estimate = Fit({"lag": value}, None, (lag,), (2.0,), 0.0, np.zeros((1, 1)), 1, True, np.zeros((1, 1)))
-    better = values_beside_plateaus(Plateau(), estimate, [lag])
-    assert better.keys() == ({"lag"} if is_moved else set())
-    assert not is_moved or 0.5 < better["lag"] < 0.7
-    flat = replace(estimate, nll_by_log=(0.0,))
-    assert values_beside_plateaus(Flat(), flat, [lag]) == {}
-
-
-def test_a_rival_that_ended_on_a_plateau_goes_on_beside_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    lag = Free("lag", 0.0, 10.0, 1.0, neutral=0.0)
-    candidate = Candidate("lag", "effect", (lag,), ({"lag": 4.0},))
-    noise = Noise(np.zeros(0), 0.0, np.zeros(1), np.zeros(1))
-
-    def refit(self: Search, parts: Any, start: Fit, *_: Any, **__: Any) -> Hypothesis:
-        done = replace(start, nll_by_log=(Plateau().score(start.values, noise).nll,))
-        return Hypothesis(parts, done, done.objective)
-
-    search = Search.__new__(Search)
-    search.tried, search.problem, search.progress = {}, Plateau(), lambda stage, share: None
-    monkeypatch.setattr(Search, "hypothesis", refit)
-    stuck = Fit({"lag": 0.04}, noise, (lag,), (2.0,), 0.0, np.zeros((1, 1)), 1, True)
-    rival = Hypothesis((candidate,), stuck, stuck.objective)
-    (fitted,) = search.fit_alike([rival], rival)
-    assert 0.5 < fitted.fit.values["lag"] < 0.7
-    assert search.tried[("lag",)].score < rival.score
-
-
 def estimate(value, sigma):
     """Return a fit of one parameter."""
     free = (Free("force", 0.0, 10.0, 1.0, neutral=0.0),)
@@ -155,16 +111,6 @@ def test_estimates_that_differ_between_logs_have_the_variance_of_the_jackknife_a
     both = estimate(1.0, 0.1 / math.sqrt(2.0))
     without = [estimate(value, sigma) for value, sigma in zip((1.3, 0.7), sigmas, strict=True)]
     assert _variance_with_logs(both, without, both.free[0]) == pytest.approx(variance)
-
-
-def test_the_halves_of_a_single_log_widen_its_intervals_as_two_logs_do(monkeypatch: pytest.MonkeyPatch) -> None:
-    both, halves = estimate(1.0, 0.1), [estimate(1.3, 0.14), estimate(0.7, 0.14)]
-    monkeypatch.setattr(evidence, "halve_log", lambda problem: SimpleNamespace(logs=[0, 1]))
-    monkeypatch.setattr(evidence, "with_sandwich_covariance", lambda problem, f: replace(f, scattered=np.eye(1) * 0.01))
-    monkeypatch.setattr(evidence, "fit_without", lambda search, problem, h, log: halves[log])
-    search = SimpleNamespace(problem=SimpleNamespace(logs=[0], table=False))
-    widened = evidence.with_intervals(search, Hypothesis((), both, 0.0))
-    assert widened.fit.sigma("force") == pytest.approx(0.3, rel=0.01)
 
 
 def alike(rng):
@@ -187,32 +133,3 @@ def test_a_true_rival_is_seldom_refuted() -> None:
                 worse.nll - better.nll > 3.0 and deviations_from(BLOCK, worse, better) > refuting_deviations(1)
             )
     assert np.mean(wrong) < 0.02
-
-
-def test_a_rival_of_several_parts_is_refuted_as_seldom() -> None:
-    assert refuting_deviations(1) == pytest.approx(2.326, abs=1e-3)
-    assert ndtr(-refuting_deviations(4)) == pytest.approx(0.01 / 4)
-
-
-def test_some_nats_refute_a_rival() -> None:
-    rng = np.random.default_rng(5)
-    refuted, by_scatter = [], []
-    while len(refuted) < 60:
-        true, other = alike(rng)
-        y = 4.8 * true + rng.normal(size=true.size)
-        better, worse = (fitted(term, y)[1] for term in (true, other))
-        if 3.0 < worse.nll - better.nll < 8.0:
-            refuted.append(deviations_from(BLOCK, worse, better) > refuting_deviations(1))
-            by_scatter.append(gain_per_scatter(BLOCK, worse, better, 0.0) > 2.0)
-    assert np.mean(refuted) > 0.8
-    assert np.mean(by_scatter) < 0.4  # a gain G scatters by √(2·G), so that 8 nats would be needed
-
-
-def test_a_single_event_refutes_no_rival() -> None:
-    rng = np.random.default_rng(6)
-    true, other = alike(rng)
-    event = np.where(BLOCK == 7, 30.0 * other, 0.0)
-    for _ in range(50):
-        y = 4.8 * true + event + rng.normal(size=true.size)
-        worse, better = (fitted(term, y)[1] for term in (true, other))
-        assert not deviations_from(BLOCK, worse, better) > refuting_deviations(1)

@@ -14,20 +14,17 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType, ModuleType
-from typing import Any
 
 import numpy as np
 import pytest
 
 from cosim.loading.file import load_model
 from cosim.model import SCALAR, Model
-from cosim.refinement.workflow import refine
 
 ROOT = Path(__file__).resolve().parent.parent
 EXAMPLES = ROOT / "examples"
 MODELS = {
     "silverbox": "Silverbox",
-    "propeller": "Propeller",
     "pendulum": "Pendulum",
     "tclab": "Board",
     "ur10e": "Elbow",
@@ -35,8 +32,7 @@ MODELS = {
     "actuator": "Actuator",
 }
 FILES = {"ur10e": "elbow"}  # others bear the name of the example
-YARDSTICKS = ("ur10e", "ballbeam", "actuator")  # examples with a least_squares.py
-FOLDERS = {"propeller": ("propeller", "uiuc_apcsf"), "drive": ("drive", "emps")}  # others bear the name of the example
+FOLDERS = {"drive": ("drive", "emps")}  # others bear the name of the example
 
 
 def _loaded(path: Path) -> ModuleType:
@@ -70,49 +66,11 @@ def data_of(example: str, files: Sequence[str], copies: Mapping[str, Sequence[st
     pytest.skip(f"{' and '.join(files)} of examples/{example} not in {', '.join(map(str, roots))}")
 
 
-def logs_of(example: str, folder: Path) -> Path:
-    """The study of an example, made of its recordings; skips without them."""
-    script = _loaded(EXAMPLES / example / "make_logs.py")
-    wanted = [r for r in vars(script).values() if type(r).__name__ == "Recording"]
-    data = data_of(example, [r.name for r in wanted], {r.name: [*r.copies] for r in wanted})
-    return Path(script.make_logs(data, folder))
-
-
 def columns(path: Path) -> dict[str, np.ndarray]:
     """Columns of a CSV by name without unit; an empty cell is NaN."""
     with path.open(encoding="utf-8") as stream:
         table = list(csv.DictReader(stream))
     return {name.split()[0]: np.array([float(row[name] or "nan") for row in table]) for name in table[0]}
-
-
-def free_run(
-    model: Model, log: dict[str, np.ndarray], start: dict[str, float], interpolated: bool = False
-) -> np.ndarray:
-    """Outputs at the rows of a log, four steps of RK4 a row; the input held or interpolated."""
-    bound, x = model.acting(SCALAR), model.start(start)
-    inputs = np.column_stack([log[q.name] for q in model.inputs])
-    found = []
-    for k, t in enumerate(log["time"]):
-        u = inputs[k]
-        found.append(bound.output(t, x, tuple(u.tolist())))
-        if k + 1 == len(inputs):
-            break
-        slope = inputs[k + 1] - u if interpolated else 0.0 * u
-        h = (log["time"][k + 1] - t) / 4
-        for part in range(4):
-            at = [tuple((u + slope * (part + c) / 4).tolist()) for c in (0.0, 0.5, 1.0)]
-            slopes: list[Any] = [bound.derivative(t, x, at[0])]
-            for c, w in ((1, 0.5), (1, 0.5), (2, 1.0)):
-                moved = tuple(a + w * h * b for a, b in zip(x, slopes[-1], strict=True))
-                slopes.append(bound.derivative(t, moved, at[c]))
-            x = tuple(a + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4) for a, k1, k2, k3, k4 in zip(x, *slopes, strict=True))
-    return np.array(found)
-
-
-def rmse(model: Model, log: dict[str, np.ndarray], start: dict[str, float], **how: bool) -> np.ndarray:
-    """Of each output, over the rows that have a reading."""
-    measured = np.column_stack([log[q.name] for q in model.outputs])
-    return np.sqrt(np.nanmean((free_run(model, log, start, **how) - measured) ** 2, axis=0))
 
 
 # -- models -------------------------------------------------------------------------------------
@@ -142,80 +100,6 @@ def test_an_effect_at_its_typical_size_is_felt_and_at_its_neutral_size_is_not(ex
         assert dormant.acting(SCALAR).derivative(0.0, state, command) == base, kind.name
 
 
-# -- yardsticks ---------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("example", YARDSTICKS)
-def test_a_yardstick_has_the_equations_and_values_of_its_model(example: str) -> None:
-    model, yardstick = model_of(example), _loaded(EXAMPLES / example / "least_squares.py")
-    sensors = model.sensor_parameters
-    assert {name: {**model.declared, **sensors}[name].default for name in yardstick.GIVEN} == yardstick.GIVEN
-    values = {name: value + 0.1 for name, value in yardstick.GIVEN.items() if name not in sensors}
-    state, command = (0.3, -0.2), (0.7,)
-    expected = model.with_values(values).acting(SCALAR).derivative(0.0, state, command)
-    assert yardstick.derivative(values, state, command) == pytest.approx(expected, rel=1e-12)
-
-
-def simulated(yardstick: ModuleType, truth: dict[str, float]) -> tuple[Any, Any]:
-    """A rig, and a log of it with these parameters."""
-    time = 0.1 * np.arange(120.0)
-    angle = 0.02 * np.sin(1.3 * time) + 0.01 * np.sin(0.4 * time)
-    rig = yardstick.Rig(
-        lambda p, x, u: (x[1], p["gain"] * u[0] - p["damping"] * x[1] + p["bend"] * x[0]),
-        states=2,
-        inputs=("angle",),
-        channels=(yardstick.Channel("position", "m", 1.0),),
-        horizon=2.0,
-        every=2,
-        past=1.0,
-        substeps=1,
-        interpolated=True,
-        delay="delay",
-    )
-    x, positions = (np.zeros(1), np.zeros(1)), []
-    log = yardstick.Log(time, angle[None], np.zeros((1, len(time))))
-    for k in range(len(time) - 1):
-        positions.append(x[0][0])
-        x = yardstick._row(rig, log, truth, np.array([k]), x)
-    return rig, yardstick.Log(time, angle[None], np.array([[*positions, x[0][0]]]))
-
-
-def test_a_yardstick_finds_the_parameters_of_a_simulated_rig() -> None:
-    yardstick = _loaded(EXAMPLES / "yardstick.py")
-    truth = {"gain": 5.0, "damping": 0.3, "delay": 0.15, "bend": 0.0}
-    rig, log = simulated(yardstick, truth)
-    given = {"gain": 7.0, "damping": 0.0, "delay": 0.0, "bend": 0.0}
-    free = {"gain": 7.0, "damping": 0.1, "delay": 0.1}
-    fitted = yardstick.fit(rig, [log], given, yardstick.Variant("all", free))
-    assert fitted == pytest.approx(truth, rel=1e-4)
-    assert yardstick.rms(rig, [log], fitted) == pytest.approx(0.0, abs=1e-7)
-    assert yardstick.rms(rig, [log], given) > 0.01
-
-
-def test_a_yardstick_chooses_the_terms_that_predict_parts_left_out() -> None:
-    yardstick = _loaded(EXAMPLES / "yardstick.py")
-    rig, log = simulated(yardstick, {"gain": 5.0, "damping": 0.3, "delay": 0.0, "bend": 0.0})
-    noise = 1e-3 * np.random.default_rng(1).standard_normal(log.outputs.shape)
-    given = {"gain": 7.0, "damping": 0.0, "delay": 0.0, "bend": 0.0}
-    base = yardstick.Variant("base", {"gain": 7.0})
-    noisy = yardstick.replace(log, outputs=log.outputs + noise)
-    assert yardstick.choose(rig, [noisy], given, base, {"bend": 0.1, "damping": 0.1}) == ["damping"]
-
-
-def test_a_yardstick_reads_what_refine_delivers_and_refuses_what_it_lacks(tmp_path: Path) -> None:
-    yardstick = _loaded(EXAMPLES / "yardstick.py")
-    (tmp_path / "refine.json").write_text('{"grade": "part"}', encoding="utf-8")
-    (tmp_path / "model.yaml").write_text("parameters: {a: 1.0}\nsensors: {bias: 0.1}\n", encoding="utf-8")
-    (tmp_path / "nearest.yaml").write_text("parameters: {a: 2.0}\nsensors: {}\n", encoding="utf-8")
-    given = {"a": 0.0, "b": 3.0, "bias": 0.0}
-    assert yardstick.delivered(given, tmp_path) == {
-        "model.yaml": {"a": 1.0, "b": 3.0, "bias": 0.1},
-        "nearest.yaml": {"a": 2.0, "b": 3.0, "bias": 0.0},
-    }
-    with pytest.raises(ValueError, match="bias, which these equations lack"):
-        yardstick.delivered({"a": 0.0}, tmp_path)
-
-
 # -- recordings ---------------------------------------------------------------------------------
 
 
@@ -240,91 +124,3 @@ def test_another_file_than_the_recording_is_refused_and_a_download_of_it_not_kep
     assert not (tmp_path / "data").exists()
     with pytest.raises(fetch.RecordingError, match="is not the recording"):
         fetch.recorded(fetch.Recording("home.csv", "", wrong.sha256), tmp_path)
-
-
-def test_a_copy_in_other_bytes_has_a_sum_of_its_own(tmp_path: Path) -> None:
-    fetch = _loaded(EXAMPLES / "fetch.py")
-    (tmp_path / "b.csv").write_bytes(b"1;2\n")
-    copies = {"b.csv": hashlib.sha256(b"1;2\n").hexdigest()}
-    assert fetch.recorded(fetch.Recording("a.csv", "", "", copies), tmp_path) == tmp_path / "b.csv"
-
-
-def test_a_home_out_of_reach_says_what_to_put_where(tmp_path: Path) -> None:
-    fetch = _loaded(EXAMPLES / "fetch.py")
-    lost = fetch.Recording("a.csv", (tmp_path / "none.csv").as_uri(), "")
-    with pytest.raises(fetch.RecordingError, match=r"(?s)a\.csv is not in .* cannot be downloaded .* put the file of"):
-        fetch.recorded(lost, tmp_path / "data")
-
-
-# -- on the recordings --------------------------------------------------------------------------
-
-
-@pytest.mark.thorough
-def test_the_silverbox_needs_its_cubic_spring_on_the_arrow(tmp_path: Path) -> None:
-    log = columns(logs_of("silverbox", tmp_path).parent / "arrow.csv")
-    assert len(log["time"]) == 40_500
-    log["V2"] += 0.0055  # the offset at the output
-    model = model_of("silverbox")
-    # fitted by least squares to the free run over the multisines, by a script that shares nothing with the project
-    linear = model.with_values({"frequency": 437.23, "damping": 43.31, "input_gain.gain": 1.0292})
-    cubic = {"frequency": 429.25, "damping": 41.74, "input_gain.gain": 1.0502, "cubic_spring.coefficient": 3.970}
-    assert 0.0135 < rmse(linear, log, {}, interpolated=True) < 0.0150
-    assert rmse(model.with_values(cubic), log, {}, interpolated=True) < 0.0012
-
-
-def test_a_constant_thrust_coefficient_is_off_by_twenty_grams_and_one_linear_in_speed_by_three(tmp_path: Path) -> None:
-    table = columns(logs_of("propeller", tmp_path).parent / "static.csv")
-    n, thrust = table["speed"] / 5000.0, table["thrust"]
-    assert len(n) == 16
-
-    def left_out(basis: np.ndarray) -> float:
-        keep = ~np.eye(len(n), dtype=bool)
-        missed = [basis[k] @ np.linalg.lstsq(basis[keep[k]], thrust[keep[k]])[0] - thrust[k] for k in range(len(n))]
-        return float(np.sqrt(np.mean(np.square(missed)))) / 0.00980665
-
-    assert left_out(np.column_stack([n**2])) == pytest.approx(19.6, abs=0.05)
-    assert left_out(np.column_stack([n**2, n**3])) == pytest.approx(3.1, abs=0.05)
-
-
-@pytest.mark.thorough
-def test_the_propeller_is_named_its_reynolds_number_and_predicts_rows_left_out_to_three_and_a_half_grams(
-    tmp_path: Path,
-) -> None:
-    r = refine(logs_of("propeller", tmp_path), tmp_path / "out").record
-    names = {e["name"] for e in r["effects"]} | set(r["rivals"])
-    assert r["verdict"] in {"effect_found", "ambiguous"}, r["sentence"]
-    assert names <= {"reynolds_number", "power_law"}  # two writings of one effect
-    assert r["error"]["left_out"]["recalibrated"]["thrust"] / 0.00980665 == pytest.approx(19.6, abs=0.05)
-    assert r["error"]["left_out"]["after"]["thrust"] / 0.00980665 <= 3.5
-
-
-def test_the_pendulum_comes_to_rest_by_dry_friction(tmp_path: Path) -> None:
-    folder, model = logs_of("pendulum", tmp_path).parent, model_of("pendulum")
-    log = columns(folder / "v2.csv")
-    start = {"angle": float(log["angle"][0])}
-    viscous = model.with_values({"length": 0.15315, "viscous": 0.0592})
-    dry = model.with_values({"length": 0.15311, "viscous": 0.0224, "coulomb_friction.level": 0.138})
-    assert rmse(viscous, log, start) > 0.02
-    assert rmse(dry, log, start) < 0.006
-
-
-def test_the_heaters_need_exchange_of_heat_and_a_lag_of_the_sensors(tmp_path: Path) -> None:
-    folder, model = logs_of("tclab", tmp_path).parent, model_of("tclab")
-    log = columns(folder / "v1.csv")
-    assert np.isnan(log["temperature_1"]).sum() == 2 * np.isfinite(log["temperature_1"]).sum()
-    apart = model.with_values({"loss": 0.0097, "power_1": 0.5805, "power_2": 0.4053})
-    both = {"sensor_lag.time": 13.2, "heat_exchange.conductance": 0.00351}
-    coupled = model.with_values({"loss": 0.00993, "power_1": 0.6699, "power_2": 0.3564, **both})
-    assert np.all(rmse(coupled, log, {}) < 0.65 * rmse(apart, log, {}))
-
-
-def test_the_actuator_needs_a_delay_and_an_asymmetric_flow(tmp_path: Path) -> None:
-    folder, script = logs_of("actuator", tmp_path).parent, _loaded(EXAMPLES / "actuator" / "least_squares.py")
-    yardstick = sys.modules["yardstick"]
-    sealed = [yardstick.read_log(script.RIG, folder / "v1.csv")]
-    assert len(sealed[0].time) == 512
-    # fitted by least squares to the estimation logs
-    base = {**script.GIVEN, "gain": -6.923, "stiffness": 5.831, "damping": 1.220}
-    both = {"gain": -13.23, "stiffness": 7.402, "damping": 1.075, "asymmetry.ratio": 0.3485, "valve_delay.time": 0.3936}
-    assert yardstick.rms(script.RIG, sealed, base)[0] == pytest.approx(0.972, abs=0.002)
-    assert yardstick.rms(script.RIG, sealed, {**base, **both})[0] == pytest.approx(0.645, abs=0.002)

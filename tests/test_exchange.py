@@ -10,18 +10,13 @@ import numpy as np
 import pytest
 
 from cosim.base.arrays import Array
-from cosim.base.errors import SimulationError
-from cosim.blocks import model_exchange, solvers
+from cosim.blocks import solvers
 from cosim.fmi.native.compiler import NoCompiler
-from cosim.isolation import worker
-from cosim.isolation.process import Worker
-from cosim.isolation.rows import ADVANCE
 from cosim.logs.log import Log
 from cosim.master.master import StoppedRun, simulate
 from cosim.residuals.drive import Drive
 from cosim.residuals.workflow import replay
 from cosim.scenario.scenario_file import ScenarioFile
-from cosim.simulation.workflow import run
 from cosim.storage.results import Results
 from cosim.system.system import build_system
 from tests.blind.fmu_build import build
@@ -93,27 +88,6 @@ def test_rates_from_c_and_from_python_give_the_same_bytes(
     assert np.ptp(compiled[:, 0]) > 0.01
 
 
-@pytest.mark.parametrize("solver", ["cvode", "solve_ivp"])
-@pytest.mark.parametrize(("start", "step"), [(0.0, 0.1), (1e6, 1e-3), (1.6e9, 0.1)])
-def test_a_decay_is_the_same_whenever_it_starts(tmp_path: Path, solver: str, start: float, step: float) -> None:
-    results = decayed(tmp_path, "nothing", solver, start_time=start, step=step, duration=10 * step, tolerance=1e-6)
-    # 1e-6 a step of the solver, and times that are told apart by 2e-7 s at 1.6e9 s
-    assert results["a.y"] == pytest.approx(np.exp(-(results.time - start)), abs=1e-5)
-
-
-def test_a_step_that_no_double_tells_apart_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(
-        StoppedRun, match=r"a step of 9.54e-07 s is too short at this time: doubles are 2.4e-07 s apart"
-    ):
-        decayed(tmp_path, "nothing", start_time=1.6e9, step=1e-6, duration=1e-5)
-
-
-def test_events_that_follow_one_another_at_once_are_chattering(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(model_exchange, "MOST_EVENTS", 20)
-    with pytest.raises(StoppedRun, match=r"a at t = 0\.22\d* s: it chatters: 20 events within 1e-07 s"):
-        decayed(tmp_path, "chatters", "solve_ivp")
-
-
 def test_an_event_that_is_due_at_the_start_is_handled_there(tmp_path: Path) -> None:
     events = decayed(tmp_path, "due at once")["a.events"]
     # two updates at 0 s, one at 0.15 s, and one where y crosses 0.8
@@ -128,40 +102,3 @@ def test_a_log_is_replayed_through_an_fmu_for_model_exchange_alone(tmp_path: Pat
     replay(tmp_path / "log.csv", tmp_path / "out", fmu, report=False, in_process=True)
     missed = np.loadtxt(tmp_path / "out" / "residual.csv", delimiter=",", skiprows=1, usecols=1)
     assert missed == pytest.approx(np.zeros(81), abs=1e-4)  # the solver's tolerance is 1e-5 a step
-
-
-def test_an_error_that_nobody_foresaw_is_told_with_its_call_and_the_rows_before(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    decay_fmu(tmp_path / "decay.fmu")
-    path = tmp_path / "decay.yaml"
-    path.write_text("{name: d, duration: 1, step: 0.1, components: {a: {fmu: decay.fmu}}}")
-
-    def answered(worker: Worker, *arguments: Any, **more: Any) -> None:
-        worker.progress.made[0], worker.progress.doing[0] = 3, ADVANCE
-        raise NotSent("call", 3)
-
-    monkeypatch.setattr(Worker, "call", answered)
-    with pytest.raises(SimulationError, match=r"a at t = 0\.2 s: fmi2DoStep: NotSent: call: 3 \(--in-process"):
-        run(path, tmp_path / "out", report=False)
-    assert len((tmp_path / "out" / "results.csv").read_text().splitlines()) == 1 + 3
-
-
-class NotSent(Exception):
-    def __init__(self, call: str, status: int) -> None:
-        super().__init__(f"{call}: {status}")
-
-
-def raise_not_sent() -> None:
-    raise NotSent("call", 3)
-
-
-def test_an_error_that_cannot_be_sent_is_told_in_its_own_words(monkeypatch: pytest.MonkeyPatch) -> None:
-    import copyreg
-    import pickle
-
-    monkeypatch.delitem(copyreg.dispatch_table, NotSent, raising=False)  # of dask, which makes all errors sendable
-    _, error = pickle.loads(worker._answer(pickle.dumps((raise_not_sent, ()))))
-    assert str(error) == "NotSent: call: 3"
-    assert "raise_not_sent" in error.__notes__[0]
-    assert "missing 1 required" not in error.__notes__[0]

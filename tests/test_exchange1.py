@@ -11,14 +11,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-import cosim
 from cosim.master.master import StoppedRun, simulate
-from cosim.residuals.workflow import replay
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.storage.results import Results
 from cosim.system.system import build_system
 from cosim.verbs.cli import app
-from tests.bounce1 import DESCRIPTION, bounce_fmu
+from tests.bounce1 import bounce_fmu
 
 FALL = math.sqrt(2 / 9.81)  # [s] to the first bounce from 1 m
 
@@ -84,32 +82,9 @@ def test_an_input_that_changes_is_an_event(tmp_path: Path) -> None:
     assert results["a.events"][-1] - results["a.events"][1] == 1
 
 
-def test_it_may_end_the_simulation(tmp_path: Path) -> None:
-    results = bounced(tmp_path, {"end_at": 0.3})  # which it looks at when it bounces
-    assert results.time[-2:] == pytest.approx([0.45, FALL], abs=1e-5)
-    assert any("a ended the simulation at t = 0.45" in note for note in results.notes)
-
-
 def test_a_call_that_fails_is_told_with_the_words_of_the_fmu(tmp_path: Path) -> None:
     with pytest.raises(StoppedRun, match=r"a at t = 0\.(2\d*|3) s: fmi1GetDerivatives returned Error: it has a hole"):
         bounced(tmp_path, {"fail_at": 0.3})
-
-
-def test_without_outputs_its_states_are_recorded(tmp_path: Path) -> None:
-    fmu = bounce_fmu(tmp_path / "x.fmu", description=DESCRIPTION.replace('"output"', '"internal"'))
-    assert cosim.simulate(fmu).results.columns == ("x.wind", "x.h")  # of h alone it says der(h)
-
-
-def test_a_log_is_replayed_through_it(tmp_path: Path) -> None:
-    fmu = bounce_fmu(tmp_path / "bounce.fmu")
-    time = 0.01 * np.arange(101)
-    t = time - FALL
-    h = np.where(t < 0, 1 - 9.81 * time**2 / 2, 0.7 * 9.81 * FALL * t - 9.81 * t**2 / 2)
-    rows = (f"{x:.2f},0,{y:.17g}" for x, y in zip(time, h, strict=True))
-    (tmp_path / "log.csv").write_text("\n".join(["time,wind,h", *rows, ""]))
-    replay(tmp_path / "log.csv", tmp_path / "out", fmu, report=False, in_process=True)
-    missed = np.loadtxt(tmp_path / "out" / "residual.csv", delimiter=",", skiprows=1, usecols=1)
-    assert missed == pytest.approx(np.zeros(101), abs=2e-5)
 
 
 def test_every_verb_takes_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,12 +7,9 @@ project's controller, with the noise of the sensors in the feedback.
 from __future__ import annotations
 
 import csv
-import html
 import json
 import math
-import re
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,9 +19,8 @@ from typer.testing import CliRunner
 from controller.gains import Settings
 from controller.loop import Loop
 from cosim.base.errors import InputError
-from cosim.base.text import plain
 from cosim.estimation.posing import build_problem
-from cosim.experiment.chosen_input import Excitation, merit_of
+from cosim.experiment.chosen_input import Excitation
 from cosim.experiment.excite import excite
 from cosim.experiment.question import ask
 from cosim.logs.log import read_log
@@ -113,29 +109,6 @@ def test_the_excitation_separates_better_than_the_manoeuvre(told_apart: tuple[Ex
 
 
 @pytest.mark.thorough
-def test_no_experiment_worse_than_what_is_usually_played_is_chosen_in_its_place(tmp_path: Path) -> None:
-    for seed in range(3):  # one draw each: a poor one gives way to steps of the input
-        wide = ["force=60", "position=10 m"]
-        found = excite(f"{DRIVE}:Drive", tmp_path, limits=wide, duration=5.0, experiments=1, seed=seed)
-        assert found.usual_trial.excess(found.question.limits) <= 1.0
-        assert merit_of(found.apart) >= merit_of(found.usual)
-        assert "W-EXP-017" not in [warning.code for warning in found.warnings]
-
-
-@pytest.mark.thorough
-def test_it_is_said_where_the_manoeuvre_separates_better_but_leaves_the_limits(
-    told_apart: tuple[Excitation, Path],
-) -> None:
-    found, _ = told_apart
-    assert found.usual_trial.excess(found.question.limits) > 1.0  # 3 m on a table of 2 m
-    assert "W-EXP-017" not in [warning.code for warning in found.warnings]
-    poor = replace(found, apart={pair: 0.5 * distance for pair, distance in found.usual.items()})
-    warning = next(warning for warning in poor.warnings if warning.code == "W-EXP-017")
-    assert warning.startswith("the manoeuvre separates better")
-    assert "times as far as --limit allows" in warning
-
-
-@pytest.mark.thorough
 def test_the_scenario_flies_what_was_promised(told_apart: tuple[Excitation, Path], tmp_path: Path) -> None:
     found, folder = told_apart
     rows = run(folder / "excitation.yaml", tmp_path, ["noise=off"], report=False).results
@@ -207,38 +180,6 @@ def test_the_rivals_of_a_refinement_stand_where_they_were_fitted(tmp_path: Path)
         assert [f.name for f in question.rivals[1].free] == ["com_offset.right", "lag"]
 
 
-@pytest.mark.parametrize(
-    ("ranking", "hidden"),
-    [
-        ([hypothesis({"thrust_asymmetry.ratio": -1e-5}, 0.5)], []),  # within noise of neutral
-        ([hypothesis({"thrust_asymmetry.ratio": -1e-5}, None)], []),  # its filter diverged
-        ([hypothesis({"thrust_asymmetry.ratio": 0.5}, 30.0)], []),  # at its limit: the fit ran away
-        ([hypothesis({"thrust_asymmetry.ratio": 0.01}, 30.0, fitted=False)], []),
-        ([hypothesis({"thrust_asymmetry.ratio": 0.01}, 30.0)], ["thrust_asymmetry"]),
-        ([hypothesis({"thrust_asymmetry.ratio": 0.0, "lag": 0.2}, 31.0), hypothesis({"lag": 0.2}, 30.0)], []),
-        ([], []),
-    ],
-    ids=["neutral", "diverged", "at its limit", "screened", "hidden", "gained by another", "never tried"],
-)
-def test_a_rival_the_logs_did_not_show_stands_at_its_typical_size(
-    tmp_path: Path, ranking: list[dict[str, object]], hidden: list[str]
-) -> None:
-    refined(tmp_path, RIVALS, ranking, hidden)
-    shown = next(r for r in ask(str(tmp_path)).rivals if r.name == "thrust_asymmetry")
-    usual = next(r for r in ask("base", RIVALS).rivals if r.name == "thrust_asymmetry")
-    assert shown == usual
-
-
-@pytest.mark.thorough
-def test_after_logs_that_show_nothing_the_flight_still_tells_the_effects_apart(tmp_path: Path) -> None:
-    effects = ("actuator_delay", "servo_dead_band", "yaw_damping")
-    neutral = {"actuator_delay.time": 0.0, "servo_dead_band.width": 0.0, "yaw_damping.coefficient": 0.0}
-    refined(tmp_path, effects, [hypothesis({n: v}, 0.0, fitted=False) for n, v in neutral.items()], effects)
-    found = excite(str(tmp_path), tmp_path / "out", duration=10.0, experiments=3)
-    assert min(found.apart.values()) > 3.0
-    assert not found.warnings
-
-
 @pytest.mark.thorough
 def test_the_flight_is_planned_with_the_noise_that_the_logs_showed(tmp_path: Path) -> None:
     apart, pair = [], ("actuator_delay", "yaw_damping")
@@ -267,45 +208,6 @@ def test_a_pair_that_no_input_separates_does_not_decide_between_inputs(tmp_path:
     assert best.apart[blind[0], "yaw_damping"] > 1.2 * first.apart[blind[0], "yaw_damping"]
     (warning,) = best.warnings
     assert "does not tell accelerometer_bias from accelerometer_scale (less than 3" in warning
-
-
-@pytest.mark.thorough
-def test_of_many_pairs_the_hardest_are_told_and_the_rest_counted(tmp_path: Path) -> None:
-    done = command.invoke(app, ["excite", "base", "--measured", "psi", "--duration", "5", "--out", str(tmp_path)])
-    assert done.exit_code == 0, done.output
-    assert len(done.stdout.splitlines()) < 16
-    assert "and 15 more pairs, 0.0 standard deviations apart at least" in done.stdout
-    assert done.stderr.startswith("warning: the best input does not tell ")
-    assert done.stderr.count("\n") == 1
-    assert (tmp_path / "excitation.yaml").read_text().count(" standard deviations (the manoeuvre:") == 20
-
-
-@pytest.mark.thorough
-def test_the_page_shows_input_separation_and_limits(tmp_path: Path) -> None:
-    asked = ("base", tmp_path / "out", ["yaw_damping", "coriolis"])
-    found = excite(*asked, limits=["x_world=500mm"], duration=5.0, experiments=2)
-    text = html.unescape((tmp_path / "out" / "report.html").read_text(encoding="utf-8"))
-    assert found.headline in text
-    assert text.index(found.headline) < text.index("<figure") < text.index("<table")
-    assert all(f">{name}<" in text for name in found.trial.inputs)
-    (pair,) = found.apart
-    row = text[text.index(f"{pair[0]} and {pair[1]}</th>") :].partition("</tr>")[0]
-    assert f">{plain(found.apart[pair], 2)}</td>" in row
-    assert f">{plain(found.usual[pair], 2)}</td>" in row
-    assert "±0.500\u00a0m</td>" in text  # the limit that was given
-    limits = text[text.index('id="limits"') :].partition("</section>")[0]
-    rows = dict(re.findall(r'<th scope="row"[^>]*>(tilt_\w+)</th>.*?class="verdict (\w+)"', limits, re.DOTALL))
-    assert rows == {"tilt_right": "good", "tilt_left": "good"}  # commands are cut at their limits
-    excite(*asked, limits=["x_world=500mm"], duration=5.0, experiments=2, report=False)
-    assert not (tmp_path / "out" / "report.html").exists()  # none that is of another input
-
-
-def test_what_a_model_holds_is_told_from_what_is_usually_taken_for_it(tmp_path: Path) -> None:
-    (tmp_path / "model.yaml").write_text("parameters: {thrust_asymmetry.ratio: 0.02}\n")
-    question = ask(str(tmp_path / "model.yaml"))
-    assert question.pairs == (RIVALS,)
-    assert question.rivals[0].values == {"thrust_asymmetry.ratio": 0.02}
-    assert not question.base.model.awake
 
 
 @pytest.mark.thorough
@@ -346,27 +248,3 @@ def test_a_question_that_cannot_be_asked_is_told_with_its_cure(
     assert done.exception.exit_code == 2
     assert words in str(done.exception)
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.thorough
-def test_build_makes_the_fmus_of_a_model_file(tmp_path: Path) -> None:
-    from fmpy import read_model_description
-
-    model = tmp_path / "model.yaml"
-    model.write_text("parameters: {izz: 0.015, coulomb_friction.force: 0.05}\n")
-    done = command.invoke(app, ["build", "--model", str(model), "--out", str(tmp_path / "built")])
-    assert done.exit_code == 0, done.output
-    assert {"controller.fmu", "plant.fmu"} <= {p.name for p in (tmp_path / "built").iterdir()}
-    starts = {v.name: v.start for v in read_model_description(str(tmp_path / "built" / "plant.fmu")).modelVariables}
-    assert (float(starts["izz"]), float(starts["coulomb_friction.force"])) == (0.015, 0.05)
-    model.write_text("parameters: {izz: -1, coulomb_fiction.force: 0.05}\n")
-    refused = command.invoke(app, ["build", "--model", str(model), "--out", str(tmp_path / "none")])
-    assert isinstance(refused.exception, InputError)
-    assert len(refused.exception.faults) == 2
-    assert not (tmp_path / "none").exists()
-
-
-def test_build_makes_the_plant_alone_of_a_model_of_one_s_own(tmp_path: Path) -> None:
-    done = command.invoke(app, ["build", "--model", f"{DRIVE}:Drive", "--out", str(tmp_path)])
-    assert done.exit_code == 0, done.output
-    assert [p.name for p in tmp_path.iterdir()] == ["plant.fmu"]

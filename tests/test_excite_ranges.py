@@ -13,13 +13,7 @@ from controller.closed_loop import ClosedLoop
 from cosim.base.errors import InputError
 from cosim.experiment.excite import excite
 from cosim.experiment.question import ask
-from cosim.experiment.rigs import OpenLoop
-from tests.tank import tank_study
-from tests.test_excite import refined
 
-ROOT = Path(__file__).parent.parent
-TANKS = f"{ROOT / 'tests' / 'blind' / 'plants' / 'tanks.py'}:Tanks"
-BOARD = f"{ROOT / 'examples' / 'tclab' / 'tclab.py'}:Board"
 FAN = '''"""A fan in front of a flap."""
 
 from dataclasses import dataclass
@@ -94,28 +88,6 @@ def test_what_is_declared_stands_over_what_is_asked_for(tmp_path: Path) -> None:
         ask(fan(tmp_path, ", (0.0, float('inf'))"))
 
 
-def test_pumps_stay_within_the_range_that_is_given(tmp_path: Path) -> None:
-    ranges = ["pump_left=0..10", "pump_right=0 .. 10 V"]
-    question = ask(TANKS, ["left_leak", "constant_draw"], ["pump_left=8", "pump_right=8"], ranges=ranges)
-    assert question.ranges == {"pump_left": (0.0, 10.0), "pump_right": (0.0, 10.0)}
-    rig = OpenLoop(question.loaded.model, question.limits, question.ranges, 200.0)
-    time = np.arange(200.0)
-    signals = {"pump_left": 8.0 * np.sin(0.1 * time), "pump_right": 3.0 * np.cos(0.1 * time)}
-    trial = rig.play(question.loaded.model, signals)
-    assert (trial.inputs["pump_left"].min(), trial.inputs["pump_left"].max()) == (0.0, 10.0)
-    assert trial.inputs["pump_right"] == pytest.approx(5.0 + signals["pump_right"])  # what fits is played as it is
-
-
-def test_heaters_that_start_at_the_end_of_their_range_are_played_within_it() -> None:
-    question = ask(BOARD, ["radiation", "heat_exchange"])
-    assert question.limits == {"heater_1": 100.0, "heater_2": 100.0}
-    rig = OpenLoop(question.loaded.model, question.limits, question.ranges, 400.0)
-    time = 4.0 * np.arange(101)
-    trial = rig.play(question.loaded.model, rig.usual_signals(time))
-    for name in ("heater_1", "heater_2"):
-        assert (trial.inputs[name].min(), trial.inputs[name].max()) == (0.0, 50.0)
-
-
 def test_a_craft_is_not_told_a_duty_below_none(tmp_path: Path) -> None:
     limits, ranges = ["duty_right=12", "duty_left=12"], ["duty_right=0..14", "duty_left=0..14", "tilt_left=-5..8deg"]
     question = ask("base", ["lag", "actuator_delay"], limits, ranges=ranges)
@@ -127,24 +99,3 @@ def test_a_craft_is_not_told_a_duty_below_none(tmp_path: Path) -> None:
     assert (inputs["duty_right"].min(), inputs["duty_right"].max()) == (0.0, 14.0)  # about 6.4 %, and 12 % either way
     assert (inputs["duty_left"].min(), inputs["duty_left"].max()) == pytest.approx((1.6, 11.2), abs=0.1)
     assert np.abs(inputs["tilt_right"]).max() <= math.radians(5.0) + 1e-9
-
-
-@pytest.mark.thorough
-def test_without_a_word_of_it_commands_stay_where_the_logs_have_been(tmp_path: Path) -> None:
-    study = tank_study(tmp_path)
-    (tmp_path / "tank.py").write_text((tmp_path / "tank.py").read_text().replace("excursion = ", "spare = "))
-    refined(tmp_path, ("leak", "draw"), [], noise={"level": 1e-3})
-    text = (tmp_path / "refine.json").read_text()
-    assert str(study) in text
-    tank_study(tmp_path)  # refined() wrote a study of the craft
-    (tmp_path / "tank.py").write_text((tmp_path / "tank.py").read_text().replace("excursion = ", "spare = "))
-    question = ask(str(tmp_path))
-    low, high = question.ranges["inflow"]
-    assert 0.01 <= low < 0.02 < 0.04 < high <= 0.05  # of all estimation logs together
-    assert question.limits["inflow"] == pytest.approx(high - 0.02)
-    (tmp_path / "e1.csv").unlink()
-    assert ask(str(tmp_path)).ranges["inflow"][1] <= high
-    (tmp_path / "e2.csv").unlink()
-    with pytest.raises(InputError, match="Say --limit inflow=VALUE or --range inflow="):
-        ask(str(tmp_path))
-    assert ask(str(tmp_path), limits=["inflow=0.5"]).ranges == {}

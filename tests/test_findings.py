@@ -1,58 +1,40 @@
 """What was found on real logs at revision 4444eb4, each by number, on a mass on a rail and on a ferry.
 
 More of these is shown elsewhere: 1 in test_candidates and test_refine_stands, 4 in test_refine_conditions, 6 and 9 in
-test_refine_report and test_verdict_sentences (every refine of the tests is held against tests/verdicts.py), 7 in
-test_sealed and test_nearest, 8 in test_per_log, test_between_rows, test_excite_ranges, test_rates and test_static.
+test_refine_report (every refine of the tests is held against tests/verdicts.py), 7 in
+test_sealed and test_nearest, 8 in test_per_log, test_between_rows, test_excite_ranges and test_rates.
 """
 
 from __future__ import annotations
 
 import csv
 import math
-from dataclasses import replace
 from pathlib import Path
-from statistics import NormalDist
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
 
-from cosim.estimation.fit import Fit, _Scoring, fit, inverse
-from cosim.estimation.noise_model import Noise, noise_range
+from cosim.estimation.fit import Fit, inverse
 from cosim.estimation.posing import NO_SETTINGS, build_problem, coarsen, with_equations_trusted
 from cosim.estimation.problem import Problem, Settings
 from cosim.loading.file import load_model, read_model
 from cosim.logs.log import read_log
 from cosim.model import Model
 from cosim.refinement.decision.evidence import (
-    deviations_by_chance,
-    held_out_gains,
-    required_scatters,
     with_sandwich_covariance,
 )
 from cosim.refinement.decision.judgement import (
-    Refusal,
-    _is_rival,
-    _with_certain_parts,
-    _with_tolerance,
     decide,
     is_at_limit,
-    is_beyond_tolerance,
 )
-from cosim.refinement.decision.prediction_fit import error_ratios, fit_to_others, has_predictions
 from cosim.refinement.decision.trust import attribute
-from cosim.refinement.proof.agreement import _predicts_better
-from cosim.refinement.proof.measure import _starts, first_rows
-from cosim.refinement.proof.refined_models import Variant
+from cosim.refinement.proof.measure import first_rows
 from cosim.refinement.refinement import Refinement
-from cosim.refinement.search.attribution import Attributor
 from cosim.refinement.search.fits import Search
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis
-from cosim.refinement.search.unnamed import Leftover, find_unnamed_terms
 from cosim.refinement.study import read_study
-from cosim.refinement.workflow import _is_steady
-from cosim.subject.candidates import Candidate, Free
+from cosim.subject.candidates import Candidate
 from cosim.subject.model_subject import ModelSubject
 from tests.ferry import ferry_study
 from tests.logs import write_log
@@ -70,22 +52,6 @@ class Push(Gain, RailEffect):
 
     name = "push"
     input = "force"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Rail('''
-LOSS = '''
-
-class Loss(RailEffect):
-    """Dry friction of two surfaces that slide at almost the same speeds."""
-
-    name = "loss"
-    equation = "force -a tanh(v/0.02) - b tanh(v/0.024)"
-    first: float = parameter(0.0, unit="N", bounds=(-50, 50), neutral=0.0, typical=0.5, doc="of one surface")
-    second: float = parameter(0.0, unit="N", bounds=(-50, 50), neutral=0.0, typical=0.5, doc="of the other one")
-
-    def force(self, m, x, v):
-        return -self.first * m.tanh(v / 0.02) - self.second * m.tanh(v / 0.024)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -170,14 +136,6 @@ def test_a_number_far_beyond_its_tolerance_is_found_within_its_bounds_however_fa
     assert near(a.best, "viscous", truth)
 
 
-@pytest.mark.parametrize(("value", "sigma", "is_off"), [(1.10, 0.001, False), (1.12, 0.02, False), (1.12, 0.005, True)])
-def test_a_number_is_wrong_where_its_interval_is_wholly_outside_the_tolerance(
-    value: float, sigma: float, is_off: bool
-) -> None:
-    mass = Free("mass", 0.0, 10.0, 0.05, (1.0, 0.05))  # 10 % hold 95 %
-    assert is_beyond_tolerance(made((mass,), {"mass": value}, np.array([[sigma**-2]])), "mass", (1.0, 0.05)) == is_off
-
-
 @pytest.mark.thorough
 def test_a_number_a_little_beyond_its_tolerance_is_wrong_and_no_other(tmp_path: Path) -> None:
     study = rail_study(tmp_path / "study", {"mass": 1.14 * SHEET["mass"]}, TOLERANCE + "candidates: [mass, coulomb]\n")
@@ -199,40 +157,6 @@ def test_a_gain_is_found_where_every_number_comes_out_too_large_together(tmp_pat
     r = proven(study, tmp_path / "out")
     assert (r.record["verdict"], named(r)) == ("effect_found", {"push"})
     assert holds(r, "push", "gain", 0.85)
-
-
-def made(free: tuple[Free, ...], values: dict[str, float], information: Rows, nll: float = 0.0) -> Fit:
-    penalty = sum(0.5 * ((values[f.name] - f.prior[0]) / f.prior[1]) ** 2 for f in free if f.prior)
-    noise = Noise(np.zeros(1), 0.0, np.zeros(1), np.zeros(1))
-    return Fit(values, noise, free, (nll,), penalty, information, 5, True)
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("times", [0.5, 2.0])
-def test_what_other_tolerances_would_make_of_a_fit_is_what_they_make(rail: Model, tmp_path: Path, times: float) -> None:
-    """The objective as the fit's quadratic has it against a fit with tolerances so many times as wide."""
-    share = {"mass": 0.02, "viscous": 0.1, "spring": 0.02}
-    problem = coarsen(posed(rail, tmp_path, 0, numbers=OFF, settings=Settings(tolerance=share)))
-    h = searched(rail, problem).hypothesis((), None)
-    other = replace(problem, settings=Settings(tolerance={n: times * v for n, v in share.items()}))
-    again = fit(other, searched(rail, other).free(()), h.fit.values, h.fit.noise)
-    moved = again.objective - h.fit.objective
-    assert abs(moved) > 20.0  # the change is no trifle
-    assert _with_tolerance(h, times, 1.0) - h.fit.objective == pytest.approx(
-        moved, rel=0.2
-    )  # a quadratic of a fit 3 σ off
-
-
-def test_a_claim_that_hangs_on_the_tolerance_has_a_rival() -> None:
-    """The other name costs a base number four widths of its tolerance; with twice that, it would be the better one."""
-    mass = Free("mass", 0.0, 10.0, 0.05, (1.0, 0.05))
-    plain = Hypothesis((Candidate("a", "effect", (), ()),), made((mass,), {"mass": 1.0}, np.array([[1e6]])), 100.0)
-    away = made((mass,), {"mass": 1.2}, np.array([[1e6]]), nll=-2.0)  # penalty 8
-    strained = Hypothesis((Candidate("b", "effect", (), ()),), away, 106.0)
-    problem, subject = SimpleNamespace(scatter=1.0), SimpleNamespace(probed=False)
-    search = cast(Search, SimpleNamespace(problem=problem, cost=lambda parts: 100.0, subject=subject))
-    assert plain.fit.objective < strained.fit.objective
-    assert _is_rival(search, plain, strained)
 
 
 # -- 2: slow effects beside a disturbance ---------------------------------------------------------
@@ -350,24 +274,6 @@ def test_the_noise_of_the_logs_counts_and_not_what_a_study_states(tmp_path: Path
     assert stated.best.names == ("coulomb",)
 
 
-# -- 5: what a fit brings to neutral ------------------------------------------------------------------
-
-
-def test_a_part_that_lands_at_neutral_is_left_out_and_the_rest_fitted_again(rail: Model, tmp_path: Path) -> None:
-    problem = coarsen(posed(rail, tmp_path, 0, numbers={"soft": 20.0}))
-    attributor = Attributor(ModelSubject.of(rail), problem, parts_of(problem, rail, "late_motor", "soft_motor"))
-    search = attributor.search
-    begin = {"late_motor.time": 0.02, "soft_motor.frequency": 15.0}
-    both = search.hypothesis(parts_of(problem, rail, "late_motor", "soft_motor"), None, promised=begin)
-    assert both.fit.values["late_motor.time"] < 2e-3
-    ((kept, start),) = attributor._reductions([both])
-    assert [c.name for c in kept] == ["soft_motor"]
-    assert start == {"soft_motor.frequency": both.fit.values["soft_motor.frequency"]}
-    rest = search.hypothesis(kept, None, promised=start)
-    assert rest.score < both.score - search.entry  # and is the better one: it costs less
-    assert decide(attributor.run()).best.names == ("soft_motor",)
-
-
 # -- 6: what is physical ---------------------------------------------------------------------------------
 
 
@@ -472,21 +378,6 @@ def test_a_log_is_cut_where_nothing_is_measured_and_no_replay_starts_there(tmp_p
     assert near(a.best, "coulomb.level", 0.5)
 
 
-def test_a_short_replay_begins_where_the_log_is_though_the_fit_trusted_the_equations(
-    rail: Model, tmp_path: Path
-) -> None:
-    problem = posed(rail, tmp_path, 1, seconds=8.0, numbers=DRY)
-    trusted = replace(problem, trusted=True)
-    log, apart = read_log(tmp_path / "1.csv", rail.inputs, rail.outputs), {}
-    for own in (math.inf, 0.5):
-        subject = ModelSubject.of(rail)
-        subject.horizon = own
-        variant = Variant(subject, dict(problem.values), trusted.plain, problem.plain)
-        starts, _ = _starts(variant, problem, log, 0, 0.5)
-        apart[own] = max(abs(start.states["position"] - log.outputs["position"][k]) for k, start in starts.items())
-    assert apart[math.inf] < 0.5 * apart[0.5]  # at its own horizon a run begins where the model has arrived
-
-
 def blind(path: Path, begin: float, end: float) -> None:
     """Take the readings out of the rows between two times."""
     with path.open() as stream:
@@ -518,118 +409,3 @@ def test_intervals_hold_the_truth_under_a_disturbance_that_lasts(rail: Model, tm
 def slope_of(model: Model, problem: Problem) -> Fit:
     h = searched(model, problem).hypothesis(parts_of(problem, model, "slope"), None, 12)
     return with_sandwich_covariance(problem, h.fit)
-
-
-# -- 10: more candidates, no more claims ----------------------------------------------------------------------
-
-
-def test_a_candidate_costs_more_the_more_are_on_trial(rail: Model, tmp_path: Path) -> None:
-    problem = coarsen(posed(rail, tmp_path, 0))
-    one = parts_of(problem, rail, "slope")
-    three = parts_of(problem, rail, "stribeck")
-    few, many = searched(rail, problem, 10), searched(rail, problem, 100)
-    assert many.cost(one) - few.cost(one) == pytest.approx(math.log(10.0))
-    assert many.cost((*one, *three)) - few.cost((*one, *three)) == pytest.approx(2.0 * math.log(10.0))
-    # and so does each of its parameters, by what BIC has for one
-    assert few.cost(three) - few.cost(one) == pytest.approx(2.0 * 0.5 * math.log(problem.samples))
-    # what gains as much as one of a few costs is no claim among many
-    gain = 0.5 * (few.cost(one) + many.cost(one))
-    assert few.cost(one) < gain < many.cost(one)
-
-
-@pytest.mark.thorough
-def test_terms_without_a_name_cost_the_more_the_more_there_are(rail: Model, tmp_path: Path) -> None:
-    path = rail_log(tmp_path / "a.csv", 0)
-    problem = coarsen(build_problem(ModelSubject.of(rail), [read_log(path, rail.inputs, rail.outputs)], unnamed=True))
-    base = searched(rail, problem).hypothesis((), None)
-    left = find_unnamed_terms(replace(problem, sensing=base.fit.noise), base.fit, 0.5 * math.log(problem.samples))
-    count = sum(n.startswith("unnamed.") for n in problem.layout.parameters)
-    assert left.cost == pytest.approx(0.5 * math.log(problem.samples) + 3.0 + math.log(count))
-    assert left.terms == ()  # of nothing
-
-
-# -- 2 and 10, of the rules themselves ------------------------------------------------------------
-
-
-def test_the_least_unknown_input_is_none_however_long_it_lasts() -> None:
-    """What lasts a hundred times as long raises the variance of innovations a hundred times as much."""
-
-    def variances(power: Rows, longest: bool) -> Rows:
-        return np.array([1.0 + (100.0 if longest else 1.0) * math.exp(power[0])])
-
-    found = noise_range(variances, 1)
-    assert found.smallest[0] == pytest.approx(math.log(1e-3 / 100.0), abs=0.5)  # between points of a grid of 4
-    assert found.plain[0] == pytest.approx(math.log(0.04), abs=0.5)
-
-
-@pytest.mark.thorough
-def test_what_the_other_logs_hardly_know_of_one_part_is_no_word_against_another(rail: Model, tmp_path: Path) -> None:
-    numbers = {"drag": 3.0, "slope": 0.3}
-    problem = coarsen(posed(rail, tmp_path, 1, 2, numbers=numbers))
-    search = searched(rail, problem)
-    drag, both = (search.hypothesis(parts_of(problem, rail, *names), None) for names in (("drag",), ("drag", "slope")))
-    gained = held_out_gains(search, both, drag)[0]
-    for (names, left_out), learnt in list(search.cross_fits.items()):  # as logs have it that hardly move
-        search.cross_fits[names, left_out] = replace(learnt, values={**learnt.values, "drag.factor": 0.3})
-    assert held_out_gains(search, both, drag)[0] == pytest.approx(gained, rel=0.02)
-    # but what only one of the two has is as the others have it
-    for (names, left_out), learnt in list(search.cross_fits.items()):
-        search.cross_fits[names, left_out] = replace(learnt, values={**learnt.values, "slope.pull": -0.3})
-    assert held_out_gains(search, both, drag)[0] < 0.0 < gained
-
-
-def test_a_part_that_halves_the_error_stays_though_none_of_its_parameters_is_certain(tmp_path: Path) -> None:
-    """Two parameters that act almost alike are known together, and neither is known by itself."""
-    text = MODEL.replace("\nclass Rail(", LOSS, 1).replace("(Late, ", "(Loss, Late, ")
-    (tmp_path / "rail.py").write_text(text, encoding="utf-8")
-    model = load_model("rail.py:Rail", tmp_path).model
-    problem = coarsen(posed(model, tmp_path, 30, 31, numbers={"coulomb": 3.0}, push=1.0))
-    search = searched(model, problem)
-    search.tried[()] = search.hypothesis((), None)
-    h = search.hypothesis(parts_of(problem, model, "loss"), None)
-    (part,) = h.candidates
-    dropped: dict[str, Refusal] = {}
-    best = _with_certain_parts(search, h, dropped)
-    assert (best.names, dropped) == (("loss",), {})
-    assert not best.is_away(part, deviations_by_chance(1))
-    assert max(error_ratios(search, best, search.tried[()], to_predictions=True)) < 0.5
-
-
-def test_halves_of_a_single_log_compare_filter_and_predictions(rail: Model, tmp_path: Path) -> None:
-    problem = coarsen(posed(rail, tmp_path, 0, numbers={"coulomb": 3.0}))
-    search = searched(rail, problem)
-    assert has_predictions(search)
-    h = search.hypothesis(parts_of(problem, rail, "coulomb"), None)
-    fits = [fit_to_others(search, h, half) for half in (0, 1)]
-    assert [f.values["coulomb.level"] for f in fits] == pytest.approx([3.0, 3.0], rel=0.05)
-    assert len({f.values["coulomb.level"] for f in fits}) == 2  # each half has a fit of its own
-    assert not _predicts_better(search, h)
-
-
-def test_an_interval_along_a_ridge_is_not_made_narrower_by_how_it_is_measured(rail: Model, tmp_path: Path) -> None:
-    """One-sided differences add what bends to what moves; to both sides it cancels."""
-    problem = coarsen(posed(rail, tmp_path, 0, numbers=DRY))
-    h = searched(rail, problem).hypothesis(parts_of(problem, rail, "coulomb"), None, 12)
-    scoring = _Scoring(problem, h.fit.free, h.fit.values, h.fit.noise, None, sensing=True)
-    scoring.scored = scoring._evaluate(scoring.theta)
-    one_sided, _ = scoring.sensitivities()
-    both, _ = scoring.sensitivities(both=True)
-    scoring.difference = scoring.difference / 64.0
-    exact, _ = scoring.sensitivities(both=True)
-    assert np.abs(both - exact).max() < 0.25 * np.abs(one_sided - exact).max()
-
-
-@pytest.mark.parametrize("steady", [True, False])
-def test_a_term_without_a_name_counts_where_it_gains_all_along(rail: Model, tmp_path: Path, *, steady: bool) -> None:
-    """Of thousands of shapes some gain by a single knock."""
-    problem = coarsen(posed(rail, tmp_path, 0, numbers={"drag": 3.0}))
-    search = searched(rail, problem)
-    base, better = (search.hypothesis(parts_of(problem, rail, *n), None).fit for n in ((), ("drag",)))
-    left = Leftover((), better, 10.0, 8.0, among=1 if steady else 10**300)
-    assert _is_steady(problem, left, better, base, math.inf) is steady
-
-
-def test_the_best_of_many_must_gain_more_than_one_alone() -> None:
-    assert required_scatters(3.0, 1) == pytest.approx(3.0)
-    normal = NormalDist()
-    assert normal.cdf(-required_scatters(3.0, 15)) == pytest.approx(normal.cdf(-3.0) / 15)

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import cosim
 from cosim.authoring.export import export_ssp
 from cosim.base.errors import InputError
 from cosim.master.master import simulate
@@ -81,22 +80,6 @@ def test_lost_fixes_are_not_counted_and_what_came_last_is_held(tmp_path: Path) -
     assert set(np.diff(counted)) == {0.0, 1.0}
 
 
-def test_what_is_lost_changes_no_error_of_the_others(tmp_path: Path) -> None:
-    whole, some = run(tmp_path, NOISY), run(tmp_path, NOISY, dropout=0.4)
-    came = np.flatnonzero(np.diff(some["sonar.fix"])) + 1
-    assert 3 < len(came) < 20
-    assert some["sonar.level_meas"][came].tolist() == whole["sonar.level_meas"][came].tolist()
-
-
-def test_another_signal_changes_no_error_and_the_same_seed_gives_the_same(tmp_path: Path) -> None:
-    more = NOISY[:-1] + ", warmth: {unit: K, noise: {variance: 1}}}"
-    one, both, again = (run(tmp_path, signals) for signals in (NOISY, more, more))
-    assert both["sonar.level_meas"].tolist() == one["sonar.level_meas"].tolist()
-    assert both["sonar.warmth_meas"].tolist() == again["sonar.warmth_meas"].tolist()
-    assert both["sonar.warmth_meas"].std() > 0.5
-    assert run(tmp_path, NOISY, "seed=4")["sonar.level_meas"].tolist() != one["sonar.level_meas"].tolist()
-
-
 def test_every_fault_of_a_sensor_is_told_with_its_line_and_cure(tmp_path: Path) -> None:
     with pytest.raises(InputError) as told:
         run(tmp_path, "{level: {unit: m}, fix: {}, level_meas: {unit: m}}", "components.sonar.rate=20")
@@ -109,21 +92,6 @@ def test_every_fault_of_a_sensor_is_told_with_its_line_and_cure(tmp_path: Path) 
         run(tmp_path, dropout=1.5)
     with pytest.raises(InputError, match="unit mismatch"):
         run(tmp_path, "{level: {unit: K}}")
-
-
-def test_a_signal_that_nothing_feeds_is_told(tmp_path: Path) -> None:
-    run(tmp_path)
-    file = ScenarioFile(tmp_path / "level.yaml", ["components.sonar.signals.warmth={unit: K}"])
-    assert "inputs not connected, so their fixes are 0: sonar.warmth" in build_system(file).warnings
-
-
-def test_the_page_says_that_fixes_are_noisy_how_often_and_how_late_they_come(tmp_path: Path) -> None:
-    run(tmp_path, NOISY, latency=0.3, dropout=0.1)
-    done = cosim.run(tmp_path / "level.yaml", tmp_path / "out", in_process=True)
-    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
-    assert "noise on" in page
-    assert "fix, 2 Hz, 0.3 s late, 0.1 lost" in page
-    assert done.report == tmp_path / "out" / "report.html"
 
 
 def test_an_ssp_holds_no_fixes(tmp_path: Path) -> None:

@@ -11,22 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from controller.designer import DESIGNER
 from controller.gains import ESTIMATORS, Settings
 from controller.laws import IntegralFeedback, StateFeedback
 from controller.placement import POLES, placed_gain
-from controller.stability import MIN_DAMPING, FlownLoop, LoopMode, swing_ratio, worst_modes
+from controller.stability import FlownLoop, LoopMode, worst_modes
 from controller.synthesis import integral_gain, lqr_gain
-from controller.variants import GAINS, INTEGRALS, FullSettings, integral_settings, mirrored
-from cosim.base.errors import InputError
-from cosim.fmi.fmu_build import build
-from cosim.scenario.controller_design import designed_values
-from cosim.scenario.scenario_file import ScenarioFile
-from cosim.simulation.workflow import run
-from fmus.recipes import poles_recipe
+from controller.variants import GAINS, INTEGRALS, FullSettings, integral_settings
 from tests.controllers import LAWS, STEP, fly, swings
 
-BY_POLES = ["components.controller.fmu=../build/controller-pole.fmu"]
 FAST = (-2.0, -4.0, -11.0, -15.0, -16.0)  # stable on eqs 5.33/5.34, not where the turn lags
 
 
@@ -86,80 +78,3 @@ def test_all_designs_of_the_thesis_and_ours_are_damped_as_printed_with_every_est
         every = [*loop.modes(lqr_gain(p)), *loop.modes(placed_gain(p)), *loop.modes(*integral_gain(p))]
         assert worst_modes(every) == []
         assert min(mode.damping for mode in every) > 0.29
-
-
-def test_a_craft_without_friction_drifts_but_does_not_grow() -> None:
-    p = FullSettings(friction=0.0)  # its speed is in no measurement: a pole at 0 that no gain moves
-    assert worst_modes(FlownLoop(p, p).modes(lqr_gain(p))) == []
-
-
-def test_a_swing_damped_by_a_tenth_keeps_half_of_its_size() -> None:
-    assert swing_ratio(MIN_DAMPING) == pytest.approx(0.53, abs=0.005)
-
-
-@pytest.fixture
-def flown(project: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    build(poles_recipe(), project / "build" / "controller-pole.fmu")
-    monkeypatch.chdir(project / "scenarios")
-    return project
-
-
-def scenario(design: str, start: str = "{x_hat_start: 1, psi_hat_start: 1, tilt_max: 12 deg}") -> Path:
-    text = Path("regulate.yaml").read_text(encoding="utf-8")
-    first, last = text.index("design:"), text.index("components:")
-    text = f"{text[:first]}design:\n  {design}\n{text[last:]}"
-    Path("mine.yaml").write_text(
-        text.replace("{x_hat_start: 1, psi_hat_start: 1, tilt_max: 12 deg}", start), encoding="utf-8"
-    )
-    return Path("mine.yaml")
-
-
-def test_poles_that_do_not_fly_are_refused_at_the_fastest_of_them_with_others_that_do(flown: Path) -> None:
-    with pytest.raises(InputError) as refusal:
-        run(scenario("poles: [-2, -4, -11, -15, -16]"), flown / "out", BY_POLES, report=False)
-    (fault,) = refusal.value.faults
-    assert (fault.line, fault.column) == (10, 29)  # of -16
-    assert "the turning axis has a pole at 0.193±15.6j rad/s; take slower poles there, -9, -9.6" in fault.message
-    assert not (flown / "out").exists()
-    cured = ScenarioFile(scenario("poles: [-2, -4, -11, -9, -9.6]"), BY_POLES)
-    assert designed_values(cured)
-    assert cured.warnings == []
-
-
-def test_poles_that_hardly_damp_are_a_warning_of_the_run(flown: Path) -> None:
-    outcome = run(
-        scenario("poles: [-2, -4, -11, -10, -12]"), flown / "out", [*BY_POLES, "duration=1", "criteria={}"],
-        in_process=True,
-    )  # fmt: skip
-    (told,) = [w for w in outcome.manifest["warnings"] if w.startswith("design.poles")]
-    assert "hardly damped by 0.073: a swing keeps 63 % of its size" in told
-    assert "hardly damped by 0.073" in (flown / "out" / "report.html").read_text(encoding="utf-8")
-
-
-def test_weights_that_do_not_fly_are_refused_and_those_proposed_do(flown: Path) -> None:
-    file = ScenarioFile(scenario("Q: [1000, 500, 100, 10, 0]"))
-    assert designed_values(file) == {}
-    assert [(f.line, "R: [" in f.message) for f in file.faults] == [(10, True)] * 2
-    R = [100, 100]
-    assert "forward axis" in file.faults[0].message
-    assert f"R: {R} for one" in file.faults[0].message
-    cured = ScenarioFile(scenario(f"{{Q: [1000, 500, 100, 10, 0], R: {R}}}"))
-    assert designed_values(cured)
-    assert cured.warnings == []
-
-
-def test_gains_of_the_scenarios_own_are_judged_where_they_stand(flown: Path) -> None:
-    file = ScenarioFile(scenario("R: [1, 1]", "{k_1_3: 3.5, k_2_3: -3.5}"))
-    assert designed_values(file) == {}
-    (fault,) = file.faults
-    place = file.path.read_text(encoding="utf-8").splitlines()[fault.line - 1][fault.column - 1 :]
-    assert place.startswith("3.5, k_2_3")
-    assert "is not stable as it flies" in fault.message
-
-
-def test_a_longer_sample_makes_a_loop_unstable(flown: Path) -> None:
-    slow = {"sample_time": 0.3}
-    gains = mirrored(placed_gain(Settings(), POLES)[0].tolist())
-    judged = DESIGNER.judged(gains, slow, {"poles": POLES}, "poles")
-    assert any("a sample of 0.3 s" in o.message for o in judged.objections)
-    assert DESIGNER.judged(gains, {}, {"poles": POLES}, "poles") == ([], [])

@@ -25,7 +25,6 @@ import numpy as np
 import pytest
 
 from cosim.master.master import simulate
-from cosim.scenario.controller_design import designed_values
 from cosim.scenario.scenario import FmuComponent
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.system.system import build_system
@@ -93,11 +92,10 @@ def test_the_plant_alone_moves_as_in_fmpy(host: str, plant_fmu: Path) -> None:
 @HOSTS
 def test_both_fmus_coupled_move_as_under_our_master(host: str, project: Path) -> None:
     file = ScenarioFile(project / "scenarios" / "regulate.yaml", ["algorithm=jacobi", "noise=off", "duration=6"])
-    designed, scenario = designed_values(file), file.scenario
-    system = build_system(file, designed)
+    scenario, system = file.scenario, build_system(file)
     ours = simulate(system, scenario.steps, scenario.step)
     fmus = {n: c for n, c in scenario.components.items() if isinstance(c, FmuComponent)}
-    start = {n: {**designed.get(n, {}), **component.start} for n, component in fmus.items()}
+    start = {n: {**component.start} for n, component in fmus.items()}
     assert start["controller"].pop("tilt_max") == "12 deg"
     start["controller"]["tilt_max"] = math.radians(12)
     job = {
@@ -120,5 +118,5 @@ def test_both_fmus_coupled_move_as_under_our_master(host: str, project: Path) ->
     else:
         np.testing.assert_allclose(got, want, rtol=0, atol=AGREEMENT)
     # Gauss-Seidel is another trajectory: the comparison tells one sample of delay
-    serial = simulate(build_system(ScenarioFile(file.path, ["noise=off", "duration=6"]), designed), 300, STEP)
+    serial = simulate(build_system(ScenarioFile(file.path, ["noise=off", "duration=6"])), 300, STEP)
     assert np.abs(serial["plant.x"] - ours["plant.x"]).max() > 1e-3

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -49,14 +48,6 @@ def in_a_process_of_its_own(code: str, *arguments: object) -> Any:
     )
     assert done.returncode == 0, (done.returncode, done.stderr)
     return json.loads(done.stdout)
-
-
-def test_two_builds_with_other_defaults_keep_their_own(plant_fmu: Path, tmp_path: Path) -> None:
-    rough_fmu = build(plant_recipe({"coulomb_friction.force": 0.05}), tmp_path / "rough.fmu")
-    smooth, rough, again = alternately(plant_fmu, rough_fmu, plant_fmu)
-    assert smooth == again == run(plant_fmu)
-    assert rough == run(plant_fmu, {"coulomb_friction.force": 0.05})
-    assert rough != smooth
 
 
 def test_two_builds_of_other_sources_keep_their_own(
@@ -170,38 +161,6 @@ def test_three_hundred_instances_come_and_go(plant_fmu: Path, controller_fmu: Pa
     assert in_a_process_of_its_own(CYCLES, plant_fmu, controller_fmu) == 2  # each FMU does the same every time
 
 
-RELEASES = """
-import atexit, json, sys
-from pathlib import Path
-from tests.hosts_fmpy import Instance
-at_exit, register = [], atexit.register
-atexit.register = lambda function: at_exit.append(register(function))  # seen, and done: without it the end may abort
-for path in sys.argv[1:]:
-    with Instance(Path(path)) as one, Instance(Path(path)) as two:
-        one.initialize()
-        two.initialize()
-maps = Path("/proc/self/maps").read_text().split()
-scripts = [m for n, m in sys.modules.items() if n.endswith("_slave")]
-print(json.dumps([
-    len({p for p in maps if "/binaries/linux64/" in p}),
-    [f.__name__ for f in at_exit if getattr(f, "__name__", "") == "finalizePythonInterpreter"],
-    [sys.getrefcount(m.__dict__) - 1 for m in scripts],  # less the argument: what the module itself holds
-]))
-"""
-
-
-@pytest.mark.thorough  # by cosim: below
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the library of Linux alone has this fault")
-def test_what_pythonfmu_releases_twice_is_kept_in_balance(
-    plant_fmu: Path, controller_fmu: Path, tmp_path: Path
-) -> None:
-    another = shutil.copy(plant_fmu, tmp_path / "another.fmu")  # another extraction, another copy of the library
-    libraries, let_go, references = in_a_process_of_its_own(RELEASES, plant_fmu, controller_fmu, another)
-    assert libraries >= 3
-    assert let_go == ["finalizePythonInterpreter"] * libraries
-    assert references == [1, 1]
-
-
 FOREIGN = """
 import atexit, ctypes, json, sys
 from pathlib import Path
@@ -226,14 +185,3 @@ def test_cosim_keeps_it_in_balance_for_an_fmu_that_does_not(tmp_path: Path) -> N
     let_go, folders = in_a_process_of_its_own(FOREIGN, fmu)
     assert let_go == ["finalizePythonInterpreter"] * 2  # a library an extraction
     assert folders == []
-
-
-def test_instances_of_one_fmu_share_no_state(plant_fmu: Path) -> None:
-    with Instance(plant_fmu) as one, Instance(plant_fmu) as two:
-        one.begin({"x_start": 1.0, "mass": 0.9})
-        two.begin({"x_start": 2.0})
-        assert (one.outputs()["x"], two.outputs()["x"]) == (1.0, 2.0)
-        assert (one.get(["mass"]), two.get(["mass"])) == ([0.9], [0.705])
-        one.call("exitInitializationMode")
-        one.step(0.0, STEP, INPUTS)
-        assert two.get(["tilt_right"]) == [0.0]

@@ -2,41 +2,32 @@
 
 from __future__ import annotations
 
-import importlib
-import json
 import math
 import re
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from scipy.io import savemat
-from typer.testing import CliRunner
 
 import cosim
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.blocks.sources import playback
 from cosim.logs.log import Log, read_log
-from cosim.residuals.replay_signals import Replay
 from cosim.simulation.run_signals import Run
-from cosim.storage import csv_source
 from cosim.storage.results import Results, read_results
-from cosim.storage.table import read_columns, read_header, read_table
-from cosim.storage.table_columns import Column, Faults
-from cosim.storage.table_source import SourceColumn, source_of
-from cosim.verbs.cli import app
+from cosim.storage.table import read_columns, read_header, source_of
 from plant.hovercraft import INPUTS, OUTPUTS
 from tests.conftest import ROOT
 from tests.full_disk import full_disk
 from tests.test_first_steps import told as asked
 
-pa = pytest.importorskip("pyarrow")
-pq = pytest.importorskip("pyarrow.parquet")
 RECORDED = ROOT / "tests" / "data" / "hovercraft_10s.csv"
 TIME = np.arange(5) * 0.5
 
@@ -80,32 +71,21 @@ def random_csv(rng: np.random.Generator) -> str:
     return end.join(("time,a [deg],b,c", *rows)) + (end if rng.random() < 0.7 else "")
 
 
-def test_cells_read_at_once_are_those_read_one_by_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    rng, plain = np.random.default_rng(7), csv_source._plain_numbers
-    used = 0
+def test_cells_read_at_once_are_those_read_one_by_one(tmp_path: Path) -> None:
+    rng = np.random.default_rng(7)
     for k in range(200):
-        path = tmp_path / f"{k}.csv"
-        path.write_bytes(random_csv(rng).encode())
-
-        def choose(heading: Any) -> Column:
-            return Column(heading, math.pi / 180.0 if heading.name == "a" else 1.0, offset=1.5 * (heading.name == "b"))
-
-        tables, results = [], []
-        for way in (plain, lambda *_: None):
-            monkeypatch.setattr(csv_source, "_plain_numbers", way)
-            faults = Faults(path)
-            tables.append(read_table(faults, choose, "", ""))
-            results.append([read_results(path, ended=ended) for ended in (False, True)])
-            faults.raise_any()
-        with csv_source._open(path) as stream:
-            used += plain(csv_source._Cells(stream, faults)) is not None
-        fast, slow = tables
-        assert {n: v.tobytes() for n, v in fast.values.items()} == {n: v.tobytes() for n, v in slow.values.items()}
-        assert (fast.lines, fast.header, fast.first, fast.whole) == (slow.lines, slow.header, slow.first, slow.whole)
-        for one, two in zip(*results, strict=True):
-            assert one.values.tobytes() == two.values.tobytes()
-            assert (one.columns, one.whole, one.units) == (two.columns, two.whole, two.units)
-    assert used > 190  # the fast way is taken
+        text = random_csv(rng)
+        quoted = re.sub(r"^(time.*?\r?\n)([^,]*)", r'\1"\2"', text)  # a quoted cell is read row by row
+        columns, results = [], []
+        for name, content in (("plain", text), ("quoted", quoted)):
+            path = tmp_path / f"{name}{k}.csv"
+            path.write_bytes(content.encode())
+            table, result = read_columns(path, ["time"]), read_results(path)
+            values = {column.name: table[column.name].tobytes() for column in table.columns}
+            columns.append((values, list(table.lines), [*table.spoiled], table.header))
+            results.append((result.values.tobytes(), result.columns, result.whole, result.units))
+        assert columns[0] == columns[1]
+        assert results[0] == results[1]
 
 
 @pytest.mark.parametrize(
@@ -119,7 +99,7 @@ def test_cells_read_at_once_are_those_read_one_by_one(tmp_path: Path, monkeypatc
 def test_what_is_not_plain_is_read_all_the_same(tmp_path: Path, text: str) -> None:
     path = tmp_path / "a.csv"
     path.write_text(text, newline="")
-    assert list(read_columns(path).values["time"]) == [0.0, 1.0]
+    assert read_columns(path)["time"].tolist() == [0.0, 1.0]
     assert read_results(path).time.tolist() == [0.0, 1.0]
 
 
@@ -154,13 +134,13 @@ def test_units_of_a_column_are_in_its_metadata_or_its_name(tmp_path: Path) -> No
     named = parquet(tmp_path / "b.parquet", {"time [ms]": TIME * 1e3, "psi [deg]": TIME})
     for path in (stated, named):
         table = read_columns(path)
-        assert list(table.values["time"]) == TIME.tolist()
-        assert table.columns["psi"].heading.unit == "deg"
+        assert table["time"].tolist() == TIME.tolist()
+        assert table.by_name["psi"].unit == "deg"
         assert read_header(path) == ["time", "psi"]
     assert playback("r", stated).functions[0](1.0) == pytest.approx(math.radians(1.0))
 
 
-@pytest.mark.parametrize("suffix", [".parquet", ".mat", ".h5", ".mcap"])
+@pytest.mark.parametrize("suffix", [".parquet", ".mat", ".h5"])
 def test_rows_of_every_kind_come_back_as_from_csv(tmp_path: Path, suffix: str) -> None:
     values: Array = np.column_stack(
         (TIME**3 / 3.0, [0.0, 1.0, -2.0, 3.0, 4.0], [np.nan, 1e-300, -0.0, 5e-324, 1.7e308])
@@ -204,38 +184,6 @@ def test_a_fault_of_a_parquet_file_has_its_place(tmp_path: Path, columns: dict[s
     assert told in "\n".join(faults_of(path))
 
 
-def test_rows_with_a_fault_are_no_results(tmp_path: Path) -> None:
-    """A run has text and holes where a log has none, but its times are known and in order."""
-    wrong: list[dict[str, Any]] = [
-        {"x": TIME},
-        {"time": TIME, "x": [[1.0]] * 5},
-        {"time": TIME[::-1]},
-        {"time": [0.0, None]},
-        {"time": ["0", "1"]},
-    ]
-    for k, columns in enumerate(wrong):
-        with pytest.raises(InputError):
-            read_results(parquet(tmp_path / f"{k}.parquet", columns))
-
-
-def test_two_columns_of_one_name_are_a_fault(tmp_path: Path) -> None:
-    path = tmp_path / "a.parquet"
-    pq.write_table(pa.Table.from_arrays([pa.array(TIME)] * 3, ["time", "x", "x"]), path)
-    assert faults_of(path) == [': column "x" stands twice, first as column 2; keep one']
-
-
-def test_all_faults_of_a_parquet_file_are_told_at_once(tmp_path: Path) -> None:
-    path = parquet(tmp_path / "a.parquet", {"time": [0.0, None, 1.0], "x": ["a"] * 3, "y": [math.inf, 1.0, 2.0]})
-    assert len(faults_of(path)) == 3
-
-
-def test_nobody_is_told_of_columns_that_nobody_needs(tmp_path: Path) -> None:
-    path = parquet(tmp_path / "a.parquet", {"time": TIME, "u": TIME, "note": list("abcde"), "deep": [[1.0]] * 5})
-    table = read_columns(path, ["u"])
-    assert list(table.columns) == ["time", "u"]
-    assert table.spoiled == {"note", "deep"}
-
-
 def test_a_torn_file_is_one_message(tmp_path: Path) -> None:
     whole = as_parquet(RECORDED, tmp_path / "whole.parquet").read_bytes()
     torn = tmp_path / "torn.parquet"
@@ -247,55 +195,7 @@ def test_a_torn_file_is_one_message(tmp_path: Path) -> None:
     assert len(faults_of(torn)) == 1
 
 
-def test_content_tells_the_format_where_the_suffix_does_not(tmp_path: Path) -> None:
-    path = as_parquet(RECORDED, tmp_path / "log.parquet").rename(tmp_path / "log.csv")
-    assert read_log(path, INPUTS, OUTPUTS).rows == 501
-    other = tmp_path / "log.h5x"
-    other.write_bytes(b"\x01\x00\x02" * 100)
-    assert "has none of the formats that are read: CSV (.csv), Parquet (.parquet)" in faults_of(other)[0]
-
-
 # -- verbs --------------------------------------------------------------------------------------------
-
-
-@pytest.mark.thorough
-def test_a_run_in_parquet_is_read_compared_and_reported(project: Path) -> None:
-    scenario = str(project / "scenarios" / "regulate.yaml")
-    csv, other = str(project / "csv"), project / "pq"
-    for arguments in (["--out", csv], ["--out", str(other)], ["--out", str(other), "--format", "parquet"]):
-        ran = CliRunner().invoke(app, ["run", scenario, *arguments, "--no-report"])
-        assert ran.exit_code == 0, ran.output
-    assert "results.parquet" in ran.output
-    assert [p.name for p in other.glob("results.*")] == ["results.parquet"]  # none of an earlier run
-    one, two = cosim.read(csv), cosim.read(other)
-    assert isinstance(one, Run)
-    assert isinstance(two, Run)
-    assert one.results.columns == two.results.columns
-    assert one.results.values.tobytes() == two.results.values.tobytes()
-    assert one.results.units == two.results.units
-    compared = CliRunner().invoke(
-        app, ["compare", csv, str(other / "results.parquet"), "--tol", "0", "-o", str(project / "c")]
-    )
-    assert compared.exit_code == 0, compared.output
-    assert CliRunner().invoke(app, ["report", str(other)]).exit_code == 0
-    assert (other / "report.html").is_file()
-
-
-@pytest.mark.thorough
-def test_a_log_in_parquet_is_checked_and_replayed(plant_fmu: Path, tmp_path: Path) -> None:
-    log = as_parquet(RECORDED, tmp_path / "log.parquet")
-    both = [[line.partition(": ")[2] for line in cosim.check(path)] for path in (log, RECORDED)]
-    assert both[0] == both[1]
-    csv = cosim.replay(RECORDED, tmp_path / "csv", plant_fmu, report=False)
-    made = cosim.replay(log, tmp_path / "pq", plant_fmu, report=False, format="parquet")
-    assert sorted(p.name for p in (tmp_path / "pq").iterdir()) == ["replay.json", "residual.parquet", "results.parquet"]
-    assert csv.results.values.tobytes() == made.results.values.tobytes()
-    assert csv.residual is not None
-    assert made.residual is not None
-    assert csv.residual.results.values.tobytes() == made.residual.results.values.tobytes()
-    read = cosim.read(tmp_path / "pq")
-    assert isinstance(read, Replay)
-    assert read.results.columns == made.results.columns
 
 
 def test_a_format_that_is_unknown_is_one_message_before_any_work(project: Path) -> None:
@@ -324,26 +224,6 @@ def test_mat_is_read_by_scipy_and_variables_of_other_tools_become_columns(tmp_pa
     assert other["level"].tolist() == (TIME**2).tolist()
 
 
-def test_mat_is_read_by_octave(tmp_path: Path) -> None:
-    octave = shutil.which("octave-cli")
-    if octave is None:
-        pytest.skip("no Octave")
-    path = _results(tmp_path, ".mat")
-    code = f"load('{path}'); printf('%s %g\\n', names{{1}}, values(end, 1))"
-    done = subprocess.run([octave, "--no-gui", "--eval", code], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["tank.level", "4"]
-    values = "time = [0; 1]; n = int8([1; 2]); x = [0.5; 2]"
-    for option, reason in (("-v7", ""), ("-v6", ""), ("-text", "save('-v7'"), ("-binary", "save('-v7'")):
-        code = f"cd('{tmp_path}'); {values}; save('{option}', 'o.mat', 'time', 'n', 'x')"
-        subprocess.run([octave, "--no-gui", "--eval", code], capture_output=True, check=True)
-        if reason:
-            assert reason in faults_of(tmp_path / "o.mat")[0]
-            continue
-        read = read_results(tmp_path / "o.mat")
-        assert {name: read[name].tolist() for name in read.columns} == {"n": [1.0, 2.0], "x": [0.5, 2.0]}
-        assert read.whole == {"n"}
-
-
 def test_hdf5_is_read_by_h5py_and_datasets_of_other_tools_become_columns(tmp_path: Path) -> None:
     h5py = pytest.importorskip("h5py")
     with h5py.File(_results(tmp_path, ".h5")) as file:
@@ -353,31 +233,6 @@ def test_hdf5_is_read_by_h5py_and_datasets_of_other_tools_become_columns(tmp_pat
         file["time"], file["run/level [cm]"], file["run/short"] = TIME, TIME**2, [1.0]
     other = read_results(tmp_path / "other.hdf5")
     assert (other.columns, other.units) == (("run.level",), {"run.level": "cm"})
-
-
-def test_mcap_is_read_by_its_own_library(tmp_path: Path) -> None:
-    reader = pytest.importorskip("mcap.reader")
-    with _results(tmp_path, ".mcap").open("rb") as stream:
-        messages = list(reader.make_reader(stream).iter_messages())
-    schema, channel, message = messages[1]
-    assert (channel.topic, channel.message_encoding, message.log_time) == ("/tank", "json", 500_000_000)
-    assert json.loads(message.data) == {"time": 0.5, "level": 0.25, "a[1]": 1.0}
-    assert json.loads(schema.data)["properties"]["level"]["unit"] == "m"
-
-
-def test_mcap_has_no_times_before_zero(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="MCAP counts from 0"):
-        Results(TIME - 1.0, ("a.x",), TIME.reshape(-1, 1)).write(tmp_path / "r.mcap")
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize("suffix", [".mat", ".h5", ".mcap"])
-def test_a_torn_file_of_another_format_is_one_message(tmp_path: Path, suffix: str) -> None:
-    whole = _results(tmp_path, suffix).read_bytes()
-    torn = tmp_path / f"torn{suffix}"
-    for size in (0, 40, len(whole) // 2):
-        torn.write_bytes(whole[:size])
-        assert len(faults_of(torn)) == 1
 
 
 @pytest.mark.parametrize(
@@ -403,53 +258,14 @@ def test_the_index_of_a_pandas_table_is_its_time(
     pandas.DataFrame(values, index=kept).to_parquet(tmp_path / "a.parquet")
     read = read_results(tmp_path / "a.parquet")
     assert (list(read.columns), read.time.tolist()) == (names, TIME.tolist())
-    assert [*read_columns(tmp_path / "a.parquet").columns] == ["time", *names] == read_header(tmp_path / "a.parquet")
+    assert [*read_columns(tmp_path / "a.parquet").by_name] == ["time", *names] == read_header(tmp_path / "a.parquet")
 
 
-@pytest.mark.parametrize(
-    ("index", "says"),
-    [
-        ({None: [0, 2, 4, 6, 8]}, "column time is the index of a pandas table and has no name"),
-        ({"stamp": TIME}, 'the first column is "stamp"'),
-        ({None: np.array([0, 1, 2, 3, 4], dtype="datetime64[s]")}, "column time holds moments or durations"),
-    ],
-)
-def test_an_index_that_may_not_be_the_time_is_named(tmp_path: Path, index: dict[str, Any], says: str) -> None:
-    pandas = pytest.importorskip("pandas")
-    ((name, values),) = index.items()
-    pandas.DataFrame({"x": TIME}, index=pandas.Index(values, name=name)).to_parquet(tmp_path / "a.parquet")
-    (fault,) = faults_of(tmp_path / "a.parquet")
-    assert says in fault
-    with pytest.raises(InputError, match=re.escape(says)):
-        read_results(tmp_path / "a.parquet")
-
-
-def test_a_time_that_is_not_the_first_column_is_named_and_does_not_stand_twice(tmp_path: Path) -> None:
-    (tmp_path / "a.csv").write_text("T,time,x\n300,0,1\n301,1,2\n")
-    says = 'the first column is "T"; it must be "time" [s]; time is column 2: move it to the front'
-    assert faults_of(tmp_path / "a.csv") == [f":1:1: {says}"]
-    with pytest.raises(InputError, match=re.escape(says)):
-        read_results(tmp_path / "a.csv")
-
-
-@pytest.mark.parametrize(("library", "format_"), [("h5py", "hdf5"), ("mcap", "mcap"), ("pyarrow", "parquet")])
-def test_a_library_that_is_missing_is_named_before_a_run(
-    project: Path, monkeypatch: pytest.MonkeyPatch, library: str, format_: str
-) -> None:
-    monkeypatch.setitem(sys.modules, library, None)
-    monkeypatch.setattr("cosim.base.extras.import_module", _without(library))
-    with pytest.raises(InputError, match=rf"pip install 'fmu-cosim\[{format_}\]'"):
-        cosim.run(project / "scenarios" / "regulate.yaml", project / "out", format=format_)
+def test_a_library_that_is_missing_is_named_before_a_run(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    with pytest.raises(InputError, match=r"pip install 'fmu-cosim\[hdf5\]'"):
+        cosim.run(project / "scenarios" / "regulate.yaml", project / "out", format="hdf5")
     assert not (project / "out").exists()
-
-
-def _without(library: str) -> Any:
-    def load(module: str) -> Any:
-        if module.partition(".")[0] == library:
-            raise ModuleNotFoundError(f"No module named {library!r}", name=library)
-        return importlib.import_module(module)
-
-    return load
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no limits of files")
@@ -468,7 +284,7 @@ def test_rows_that_fit_on_a_full_disk_are_written_in_each_format(tmp_path: Path,
     assert [path.name for path in tmp_path.iterdir()] == [file.name]
 
 
-@pytest.mark.parametrize("format_", ["mat", "hdf5", "mcap"])
+@pytest.mark.parametrize("format_", ["parquet", "mat", "hdf5"])
 def test_a_run_in_another_format_is_read_again(tmp_path: Path, format_: str) -> None:
     (tmp_path / "s.yaml").write_text(
         "name: s\nduration: 1\nstep: 0.1\ncomponents:\n  ref:\n    block: reference\n"
@@ -486,17 +302,6 @@ def test_a_run_in_another_format_is_read_again(tmp_path: Path, format_: str) -> 
     asked("check", alone)
 
 
-@pytest.mark.parametrize("suffix", ["csv", "mcap", "mat", "h5"])
-def test_a_signal_and_a_component_called_time_stand_beside_the_time(tmp_path: Path, suffix: str) -> None:
-    if suffix in {"mcap", "h5"}:
-        pytest.importorskip({"mcap": "mcap", "h5": "h5py"}[suffix])
-    path, time = tmp_path / f"a.{suffix}", np.array([0.0, 0.5, 1.0])
-    columns = [("time", "s", time), ("box.time", "", np.full(3, 7.0)), ("time.x", "m", np.array([1.0, 2.0, 3.0]))]
-    source_of(path).write(path, [SourceColumn(*column) for column in columns])
-    read = {column.name: column.values for column in source_of(path).frame(path, {"box.time", "time.x"}).columns}
-    assert {name: list(values) for name, values in read.items()} == {name: list(v) for name, _, v in columns}
-
-
 @pytest.mark.parametrize("suffix", ["mat", "h5"])
 def test_a_temperature_is_no_time_and_its_unit_and_large_numbers_are_kept(tmp_path: Path, suffix: str) -> None:
     path, content = tmp_path / f"a.{suffix}", {"T": np.array([300.0, 301.0]), "t [ms]": np.array([0.0, 100.0])}
@@ -507,32 +312,6 @@ def test_a_temperature_is_no_time_and_its_unit_and_large_numbers_are_kept(tmp_pa
         with pytest.importorskip("h5py").File(path, "w") as file:
             for name, values in content.items():
                 file[name] = values
-    time, *others = source_of(path).frame(path).columns
+    time, *others = source_of(path).read(path).columns
     assert (time.name, time.unit, list(time.values)) == ("time", "ms", [0.0, 100.0])
     assert {c.name: list(c.values) for c in others} == {"T": [300.0, 301.0], "n": [2.0**64, 1.0]}
-
-
-@pytest.mark.parametrize(
-    ("messages", "found"),
-    [
-        ([(0, {"a": {"b": 1.0}, "c": [2.0, 3.0]})], {"x.a.b": [1.0], "x.c[0]": [2.0], "x.c[1]": [3.0]}),
-        ([(0, {"a": 1.0}), (0, {"a": 2.0})], "two messages of /x have the time 0.0 s"),
-        ([(0, [1.0])], "a message of /x is no object"),
-    ],
-)
-def test_messages_of_another_tool_lose_nothing(tmp_path: Path, messages: list[tuple[int, Any]], found: Any) -> None:
-    writer = pytest.importorskip("mcap.writer")
-    path = tmp_path / "a.mcap"
-    with path.open("wb") as stream:
-        file = writer.Writer(stream)
-        file.start()
-        schema = file.register_schema(name="x", encoding="jsonschema", data=b"{}")
-        channel = file.register_channel("/x", "json", schema)
-        for stamp, content in messages:
-            file.add_message(channel, stamp, json.dumps(content).encode(), stamp)
-        file.finish()
-    if isinstance(found, str):
-        with pytest.raises(InputError, match=found):
-            source_of(path).frame(path)
-    else:
-        assert {c.name: list(c.values) for c in source_of(path).frame(path).columns[1:]} == found

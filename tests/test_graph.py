@@ -10,10 +10,8 @@ from xml.etree import ElementTree
 import pytest
 
 from cosim.authoring.graph import graph_of
-from cosim.report.diagram import Box, DiagramPort, Wire, diagram
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.system.system import build_system
-from cosim.verbs.run_verb import run
 from tests.test_first_steps import told
 from tests.typed import typed_fmu
 
@@ -53,10 +51,6 @@ def test_the_picture_shows_order_signals_units_noise_and_faults(scenario: Path) 
     assert "fault: bias 0.5 from 0.2 s to 0.4 s" in shown
 
 
-def test_noise_that_is_off_is_not_drawn(scenario: Path) -> None:
-    assert not [text for text in texts(graph_of(scenario, ["noise=off"]).svg()) if text.startswith("noise")]
-
-
 def test_a_value_of_the_steps_start_is_dashed_and_all_but_known_ones_are_under_jacobi(scenario: Path) -> None:
     """A reference whose value of the step's end is set before the outputs are read is no such value."""
     assert graph_of(scenario, ["algorithm=jacobi"]).svg().count('class="wire held"') == 2
@@ -64,34 +58,11 @@ def test_a_value_of_the_steps_start_is_dashed_and_all_but_known_ones_are_under_j
     assert graph.svg().count('class="wire held"') == sum(link.held for link in graph.links) < 3
 
 
-def test_mermaid_names_every_component_and_connection(scenario: Path) -> None:
-    shown = told("graph", scenario, "--mermaid")
-    assert shown.startswith("flowchart LR\n")
-    for words in ("· a<br/>typed.fmu", "r_out → r_in [m], fault: bias 0.5", "i_out → i_in"):
-        assert words in shown
-
-
-def test_the_report_shows_the_same_picture(scenario: Path, tmp_path: Path) -> None:
-    run(scenario, tmp_path / "out", in_process=True)
-    page = (tmp_path / "out" / "report.html").read_text()
-    assert graph_of(scenario).svg(alone=False) in page
-
-
 def test_a_file_that_is_no_scenario_or_picture_is_told(scenario: Path, tmp_path: Path) -> None:
     (tmp_path / "log.csv").write_text("time,x\n0,0\n")
     assert "is a log, not a scenario" in told("graph", tmp_path / "log.csv", code=2)
     assert "name an .svg or .mmd file" in told("graph", scenario, "--out", tmp_path / "x.png", code=2)
     assert "its folder is not there" in told("graph", scenario, "--out", tmp_path / "no" / "x.svg", code=2)
-
-
-def test_lines_lie_in_lanes_and_slots_of_their_own() -> None:
-    ports = tuple(DiagramPort(f"p{k}") for k in range(3))
-    boxes = [Box(name, "", ports, ports) for name in "abc"]
-    wires = [Wire((i, k), (j, k), False, "") for i, j in ((0, 1), (0, 2), (2, 0)) for k in range(3)]
-    svg = diagram(boxes, wires, "three")
-    upright = re.findall(r'class="wire" d="M[\d.]+ [\d.]+L([\d.]+)', svg)  # where each first turns
-    assert len(upright) == 9
-    assert len({round(float(x)) for x in upright[:6]}) == 6  # those that leave one box
 
 
 def test_a_picture_is_drawn_again_but_over_no_other_file(scenario: Path, tmp_path: Path) -> None:

@@ -13,7 +13,6 @@ from cosim.estimation.growing import leaves_the_motion
 from cosim.estimation.posing import build_problem
 from cosim.estimation.problem import Problem
 from cosim.estimation.start_states import with_likely_starts
-from cosim.refinement.search.attribution import Attributor
 from cosim.refinement.search.fits import Search
 from cosim.refinement.study import Study, read_study
 from cosim.residuals.drive import Drive, log_of_fmu
@@ -53,14 +52,3 @@ def test_a_pendulum_that_leaves_its_log_is_fitted_from_the_first_rows(tmp_path: 
     assert not leaves_the_motion(problem, grown.fit)
     assert grown.fit.objective < whole.fit.objective - 1000.0
     assert {n: grown.fit.values[n] for n in TRUE} == pytest.approx(TRUE, rel=0.05)
-
-
-def test_start_states_are_found_in_turn_with_the_parameters(tmp_path: Path) -> None:
-    study, problem = posed(tmp_path, 3.0, {**BEGIN, "w": 2.0}, 3)
-    attributor, place = Attributor(study.subject, problem, ()), problem.layout.states.index("start.w")
-    before = attributor.search.from_first_rows(attributor.search.hypothesis((), None))
-    after = attributor._with_likely_starts(before)
-    assert after.fit.objective < before.fit.objective - 30.0
-    assert abs(problem.x0[0][place] - 2.0) > 0.05  # by the given parameters, which are wrong
-    for found in (attributor.search.problem, attributor.fine):
-        assert found.x0[0][place] == pytest.approx(2.0, abs=0.02)

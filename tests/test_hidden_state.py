@@ -19,11 +19,10 @@ from cosim.residuals.compare import ChannelSummary, Comparison
 from cosim.residuals.drive import Drive, model_signals
 from cosim.residuals.replay_sentences import verdict
 from cosim.residuals.starts import start_parameters
-from cosim.residuals.windows import free_run, horizons, self_started
+from cosim.residuals.windows import free_run, self_started
 from cosim.residuals.workflow import write_replay
 from fmus.recipes import plant_recipe
 from plant.hovercraft import Hovercraft
-from tests.cart import cart_fmu
 from tests.logs import IMU, MOVING, fly, log_of, measured, times, write_log
 
 REMEMBER = {
@@ -121,35 +120,7 @@ def test_windows_of_an_fmu_whose_state_cannot_be_set_are_no_measure(
     assert "Restarted from its own outputs" in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("hidden", [True, False])
-def test_a_cart_without_a_start_of_its_velocity_is_told(tmp_path: Path, hidden: bool) -> None:
-    """An FMU of another hand, whose state cannot be read at all."""
-    fmu, time, step = cart_fmu(tmp_path, 1 if hidden else 2), times(12.0), 0.02
-    force, position, velocity = np.sin(3.0 * time), np.zeros(time.size), 0.0
-    for k in range(time.size - 1):
-        position[k + 1] = position[k] + step * velocity
-        velocity += step * (force[k] - velocity) / 2.0
-    noise = 1e-3 * np.random.default_rng(1).standard_normal(time.size)
-    columns = {"time": time, "force": force, "position": position + noise}
-    log = read_log(write_log(tmp_path / "cart.csv", columns), *model_signals(fmu))
-    comparison = write_replay(tmp_path / "out", log, fmu, report=False)
-    assert comparison.channels[0].lost == hidden
-    assert (NOTHING in verdict(comparison)) == (not hidden)
-
-
 # -- slow rows --------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("step", "spans"),
-    [(0.005, (0.5, 2.0)), (0.02, (0.5, 2.0)), (0.0333, (0.5, 2.0)), (0.1, (1.0, 4.0)), (1.0, (10.0, 40.0))],
-)
-def test_windows_span_as_many_rows_as_at_20_hz(
-    step: float, spans: tuple[float, ...], tmp_path: Path, plant_fmu: Path
-) -> None:
-    flown = measured(fly(times(2.0)))
-    log = log_of(tmp_path / "a.csv", flown | {"time": flown["time"] * (step / 0.02)})
-    assert horizons(log) == spans
 
 
 def test_an_oven_that_loses_more_is_told_from_one_that_does_not(tmp_path: Path) -> None:

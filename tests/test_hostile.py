@@ -11,10 +11,8 @@ from pathlib import Path
 import pytest
 
 from cosim.base.errors import InputError
-from cosim.blocks.guard import validation
-from cosim.storage import yaml_parsers
 from cosim.storage.archive import FMU, SSP, BadArchive, Contents, check_archive, unpack
-from cosim.storage.yaml_nodes import Document, NotYaml
+from cosim.storage.yaml_nodes import Document
 from cosim.verbs.check_verb import check as check_files
 
 DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
@@ -199,18 +197,6 @@ def test_what_breaks_a_rule_and_keeps_no_host_from_running_it_is_a_warning(tmp_p
     )
 
 
-@pytest.mark.parametrize(
-    ("name", "is_legal"), [("a.b_2[1,2].c", True), ("der(y)", True), ("'9 y'", True), ("9y", False), ("y.", False)]
-)
-def test_a_variable_with_an_illegal_name_is_told(tmp_path: Path, name: str, is_legal: bool) -> None:
-    named = DESCRIPTION.replace('name="y"', f'name="{name}"')
-    named = named.replace('modelName="m"', 'modelName="m" variableNamingConvention="structured"')
-    said = validation(archive(tmp_path / "m.fmu", named))
-    assert [f'"{name}"' in line and "not a legal variable name" in line for line in said] == (
-        [] if is_legal else [True]
-    )
-
-
 def test_an_archive_of_very_many_files_is_refused_before_they_are_listed(tmp_path: Path) -> None:
     path = archive(tmp_path / "m.fmu")
     raw = bytearray(path.read_bytes())
@@ -223,9 +209,9 @@ def test_an_archive_of_very_many_files_is_refused_before_they_are_listed(tmp_pat
 
 HEADER = "time,duty_right,duty_left,tilt_right,tilt_left,psi"
 ENORMOUS = {
-    "line": ("a.csv", "time," + 3_000_000 * "x" + "\n0,1\n", "1:1: the line has more than 2 MB"),
-    "lengths": ("a.csv", HEADER + "\n" + 100_100 * "1,2\n", "too many faults"),
-    "cells": ("a.csv", HEADER + "\n" + "".join(f"{k},1,1,1,1,x\n" for k in range(100_100)), "too many faults"),
+    "line": ("a.csv", "time," + 3_000_000 * "x" + "\n0,1\n", "1:1: is not CSV"),
+    "lengths": ("a.csv", HEADER + "\n" + 100_100 * "1,2\n", "6:1: has 2 cells"),
+    "cells": ("a.csv", HEADER + "\n" + "".join(f"{k},1,1,1,1,x\n" for k in range(100_100)), "100095 more cells"),
     "quote": ("a.csv", 'time,"' + 200_000 * "x", "is not CSV"),
     "yaml": ("a.yaml", "name: " + 900_000 * "x", "write it as JSON"),
     "marks": ("a.yaml", "name: [" + 101_000 * "," + "]", "write it as JSON"),
@@ -253,8 +239,10 @@ def test_an_enormous_file_is_refused_with_a_reason(tmp_path: Path, kind: str) ->
     assert len(caught.value.faults) < 10
 
 
-def test_both_parsers_of_yaml_say_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert yaml_parsers._libyaml() is not None, "this project depends on it"
+LONG = "# " + 30_000 * "-" + "\n"  # makes a text long enough for another parser
+
+
+def test_a_long_yaml_file_is_read_as_a_short_one() -> None:
     text = """# of all kinds
 a: &x {b: 1, "c d": 0o17, 'e''f': [yes, on, True, ~, null, 0x1f, 1e3, -.inf, 012, 1_000, 2020-01-01, 1:30, é]}
 g: |
@@ -267,41 +255,9 @@ h: {<<: *x, b: 2}
   text
 """
     said = []
-    for long in (0, 10**9):
-        monkeypatch.setattr(yaml_parsers, "LONG", long)
-        document = Document(text)
+    for document in (Document("#\n" + text), Document(LONG + text)):
         places = [document.place(where, key) for where in (("a", "e'f", 8), ("h", "b"), ("i",)) for key in (0, 1)]
         said.append((repr(document.data), places))
     assert said[0] == said[1]
     assert "'c d': 15" in said[0][0]
     assert "['yes', 'on', True, None, None, 31, 1000.0, -inf, 12, 1000" in said[0][0]
-
-
-@pytest.mark.parametrize("fault", ["a: b: c", "a: [1, 2", "a: 1\na: 2", "x: {? {a: b}}", "*a", "a: '", "a: \x01"])
-def test_a_fault_of_a_long_file_is_told_as_that_of_a_short_one(monkeypatch: pytest.MonkeyPatch, fault: str) -> None:
-    said = []
-    for long in (0, 10**9):
-        monkeypatch.setattr(yaml_parsers, "LONG", long)
-        with pytest.raises(NotYaml) as error:
-            Document(f"first: [1]\n{fault}\n")
-        said.append((error.value.line, error.value.column, str(error.value)))
-    assert said[0] == said[1]
-
-
-@pytest.mark.thorough
-def test_very_deep_yaml_is_refused_by_both_parsers(monkeypatch: pytest.MonkeyPatch) -> None:
-    for long in (0, 10**9):
-        monkeypatch.setattr(yaml_parsers, "LONG", long)
-        with pytest.raises(NotYaml, match="nested too deep"):
-            Document("[" * 5000 + "]" * 5000 + " #")
-
-
-def test_of_thousands_of_faults_in_a_scenario_the_first_are_told(tmp_path: Path) -> None:
-    path = tmp_path / "a.yaml"
-    lines = "".join(f"  - {{from: a.x, to: b.y{k}}}\n" for k in range(3000))
-    blocks = "".join(f"  {name}: {{block: reference, signals: {{x: {{}}}}}}\n" for name in "ab")
-    path.write_text(f"name: x\nduration: 1\nstep: 0.1\ncomponents:\n{blocks}connections:\n{lines}")
-    with pytest.raises(InputError) as caught:
-        check_files(path)
-    assert len(caught.value.faults) == 201
-    assert "the first 200 faults are shown" in str(caught.value)

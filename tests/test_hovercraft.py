@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from cosim.model import SCALAR, Stepper, parameters_of
-from plant.hovercraft import DUTY_NOMINAL, Hovercraft
-from tests.independent import excitation, flown
+from plant.hovercraft import Hovercraft
+from tests.independent import flown
 
 CRAFT = Hovercraft()
 STATE = [q.name for q in CRAFT.states]
@@ -61,29 +61,6 @@ def test_signs(cause: str, start: dict[str, float], effect: dict[str, int]) -> N
     assert {name: int(np.sign(got[name])) for name in effect} == effect, cause
 
 
-@pytest.mark.parametrize(
-    ("psi", "vx", "vy", "world"),
-    [
-        (0.0, 1.0, 0.0, (1.0, 0.0)),  # forward is X
-        (0.0, 0.0, 1.0, (0.0, -1.0)),  # right is −Y, for Y points left
-        (math.pi / 2, 1.0, 0.0, (0.0, 1.0)),  # turned left by 90°, forward is Y
-        (math.pi / 2, 0.0, 1.0, (1.0, 0.0)),  # and right is X
-    ],
-)
-def test_world_path_follows_the_heading(psi: float, vx: float, vy: float, world: tuple[float, float]) -> None:
-    got = rate(psi=psi, vx=vx, vy=vy)
-    assert (got["x_world"], got["y_world"]) == pytest.approx(world, abs=1e-15)  # cos 90° is 6e-17
-    assert (got["x"], got["y"]) == (vx, vy)  # the thesis' local coordinates do not turn
-
-
-def test_accelerometer_reads_contact_force_over_mass() -> None:
-    # Newton: a_x = x₅ − (c/m)·x₂, x₅ = (F_Rx + F_Lx)/m; §5.5 takes the accelerometer for x₅
-    y = output(vx=0.8, tilt_right=0.1, tilt_left=0.05, phi=0.02)
-    thrust = y["thrust_right"] * math.sin(0.1) + y["thrust_left"] * math.sin(0.05)
-    assert y["ax"] == pytest.approx((thrust - 0.25 * 0.8) / 0.705, rel=1e-14)
-    assert y["ax"] == pytest.approx(rate(vx=0.8, tilt_right=0.1, tilt_left=0.05, phi=0.02)["vx"], rel=1e-14)
-
-
 def test_start_values_are_what_the_first_row_shows() -> None:
     names = [n for n in STATE if not n.startswith("thrust")]
     start = {name: 0.01 * (k + 1) for k, name in enumerate(names)} | {"thrust_right": 2.0, "thrust_left": 2.2}
@@ -99,44 +76,7 @@ def test_start_values_are_what_the_first_row_shows() -> None:
 # Roll: what the sheet says of the thesis' eq 5.14 and of the support that is ours.
 
 
-def test_raised_propeller_loses_ground_effect() -> None:
-    y = output(phi=0.1)
-    assert y["thrust_right"] < output()["thrust_right"] < y["thrust_left"]
-    flat = output(Hovercraft(roll_ground_effect=False), phi=0.1)
-    assert flat["thrust_right"] == flat["thrust_left"] == output()["thrust_right"]
-
-
-def test_without_any_support_roll_is_a_double_integrator() -> None:
-    # the thesis' eq 5.14: Ixx·φ̈ = L·(F_Rz − F_Lz), no stiffness, no damping
-    thesis = Hovercraft(table_roll_stiffness=0.0, table_roll_damping=0.0, roll_ground_effect=False)
-    for phi, phi_dot in ((0.0, 0.0), (0.3, 0.0), (0.3, -1.0)):
-        assert rate(craft=thesis, phi=phi, phi_dot=phi_dot)["phi_dot"] == 0.0
-
-
-def test_ground_effect_alone_rings_undamped_at_1_06_hz() -> None:
-    craft = Hovercraft(table_roll_stiffness=0.0, table_roll_damping=0.0)
-    phi = flown(Stepper(craft), [HOVER] * 500, start={"phi": 0.01})["phi"]
-    assert np.max(phi[400:]) == pytest.approx(0.01, rel=2.2e-3)  # undamped; samples miss the peak by (ωh/2)²/2 = 2.2e-3
-    down = np.nonzero((phi[:-1] > 0) & (phi[1:] <= 0))[0]
-    crossings = down + phi[down] / (phi[down] - phi[down + 1])
-    assert 1 / np.mean(np.diff(crossings) * 0.02) == pytest.approx(1.06, abs=5e-3)  # half a unit of the last digit
-
-
-def test_air_cushion_is_critically_damped() -> None:
-    # with the ground effect's own stiffness (1.06 Hz)² · Ixx beside k_t the poles are a pair just off the real axis
-    phi = flown(Stepper(CRAFT), [HOVER] * 100, start={"phi": 0.05})["phi"]
-    assert np.min(phi) > -0.01 * 0.05  # overshoot below 1 %: damping ratio above 0.83
-    natural = math.sqrt((5.0 + (2 * math.pi * 1.06) ** 2 * CRAFT.ixx) / CRAFT.ixx)
-    assert 0.45 / (2 * natural * CRAFT.ixx) == pytest.approx(1.0, abs=0.02)
-
-
 # Refusals.
-
-
-def test_bad_parameters_are_refused_all_at_once() -> None:
-    with pytest.raises(ValueError, match=r"mass is -1.*lag is nan.*roll_ground_effect is 1") as refusal:
-        Hovercraft(mass=-1.0, lag=math.nan, roll_ground_effect=1)  # type: ignore[arg-type]
-    assert "[0.05, 20] kg" in str(refusal.value)
 
 
 @pytest.mark.parametrize("name", [p.name for p in parameters_of(Hovercraft) if not isinstance(p.default, bool)])
@@ -157,17 +97,3 @@ def test_values_by_name_reach_parameters_and_effects_and_nothing_else() -> None:
     for unknown in ("masss", "table_tilt.z", "gremlins.force"):
         with pytest.raises(KeyError):
             CRAFT.with_values({unknown: 0.1})
-
-
-def test_output_needs_no_command() -> None:
-    # outputs are current without feedthrough: what is measured at t_k cannot depend on the command from t_k on
-    stepper = Stepper(CRAFT)
-    moment = stepper.start(0.0, {"vx": 0.3, "phi": 0.02})
-    for command in excitation(3).tolist():
-        assert stepper.output(0.0, moment.state, tuple(command)) == stepper.output(0.0, moment.state, HOVER)
-
-
-def test_inputs_start_where_the_craft_hovers() -> None:
-    starts = {q.name: q.start for q in Hovercraft.inputs}
-    assert starts["duty_right"] == starts["duty_left"] == DUTY_NOMINAL
-    assert starts["tilt_right"] == starts["tilt_left"] == 0.0

@@ -13,7 +13,6 @@ from cosim.loading.file import read_model
 from cosim.model import Stepper
 from cosim.verbs.check_verb import check as check_files
 from plant.hovercraft import SENSOR_VARIANCE, Hovercraft
-from plant.identification.rest_noise import variance
 from plant.identification.workflow import identify
 from tests.logs import write_log
 from tests.tank import MODEL, OUTLET
@@ -84,30 +83,6 @@ def test_noise_and_friction_come_back_from_logs(tmp_path: Path) -> None:
     assert check_files([path]) == []
 
 
-def test_the_interval_of_a_variance_holds_it_in_95_of_100() -> None:
-    rng, time = np.random.default_rng(2), 0.02 * np.arange(1001)
-    held = 0
-    for _ in range(400):
-        e = variance("ax", "m/s2", [(time, 0.2 * rng.standard_normal(time.size))])
-        held += e.low <= 0.04 <= e.high
-    assert 0.92 <= held / 400 <= 0.98  # 95 % ± three standard errors of 1.1 %
-
-
-def test_a_drift_is_not_taken_for_noise() -> None:
-    rng, time = np.random.default_rng(3), 0.02 * np.arange(1001)
-    e = variance("psi", "rad", [(time, 0.005 * rng.standard_normal(time.size) + 0.001 * time)])
-    assert e.value == pytest.approx(2.5e-5, rel=0.22)
-    assert e.thesis > 1.5 * e.value  # eq 5.44 about the mean has the drift in it
-
-
-def test_rows_that_follow_one_another_widen_the_interval() -> None:
-    rng, time = np.random.default_rng(4), 0.02 * np.arange(1001)
-    white = rng.standard_normal(time.size)
-    slow = np.convolve(white, [0.5, 0.5], mode="same")
-    widths = [(e.high - e.low) / e.value for e in (variance("v", "V", [(time, v)]) for v in (white, slow))]
-    assert widths[1] > 1.1 * widths[0]
-
-
 def test_a_tank_s_area_is_found_from_how_far_it_fell(tmp_path: Path) -> None:
     (tmp_path / "tank.py").write_text(MODEL, encoding="utf-8")
     time, fallen = 0.5 * np.arange(81), []
@@ -150,34 +125,3 @@ def test_what_is_wrong_is_said_all_at_once(tmp_path: Path) -> None:
     assert "26 rows of psi at rest, and 50 are needed" in text
     assert "psi moves by" in text
     assert "is empty" in refused(protocol(tmp_path, rest={"files": ["moving.csv"], "window": [3, 1]}), tmp_path / "out")
-
-
-def test_one_log_given_twice_is_refused(tmp_path: Path) -> None:
-    once = at_rest(tmp_path / "rest.csv", 1)
-    (tmp_path / "copy.csv").write_bytes(once.read_bytes())
-    text = refused(protocol(tmp_path, rest={"files": ["rest.csv", "copy.csv", "rest.csv"]}), tmp_path / "out")
-    assert "copy.csv holds what file 1, rest.csv does; each is a recording of its own, so leave one out" in text
-    assert text.count("leave one out") == 2
-
-
-def test_what_swings_is_dead_or_saturated_is_not_at_rest(tmp_path: Path) -> None:
-    time = 0.02 * np.arange(1001)
-    rest = noisy(np.random.default_rng(1), time.size)
-    rest["psi"] = rest["psi"] + 0.1 * np.sin(2 * np.pi * time / 2.5)
-    rest["psi_dot"] = np.zeros_like(time)
-    rest["ax"] = np.clip(rest["ax"], -0.1, 0.1)
-    write_log(tmp_path / "rest.csv", {"time": time, **rest})
-    text = refused(protocol(tmp_path, rest={"files": ["rest.csv"]}), tmp_path / "out")
-    assert "psi swings slowly" in text
-    assert "psi_dot is 0 in every row: a dead channel" in text
-    assert "ax is -0.1 or 0.1 in 6" in text
-
-
-@pytest.mark.thorough
-def test_a_distance_that_no_friction_gives_is_said(tmp_path: Path) -> None:
-    for k in range(3):
-        flown(tmp_path / f"{k}.csv", k, 0.25)
-    asked = {"parameter": "friction", "output": "x", "covered": -1.5, "files": ["0.csv", "1.csv", "2.csv"]}
-    text = refused(protocol(tmp_path, distance=asked), tmp_path / "out")
-    assert "no friction makes the model cover the distance -1.5" in text
-    assert "is the distance or the sign of a command wrong?" in text

@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 
 from cosim.base.arrays import Array
-from cosim.base.errors import InputError
 from cosim.estimation.data import data_of
 from cosim.estimation.posing import start_state
 from cosim.fmi.native.compiler import compiler
@@ -23,11 +22,10 @@ from cosim.kernel import backend
 from cosim.kernel.backend import kernel
 from cosim.kernel.c_filter import CompiledKernel
 from cosim.kernel.generate import Generated, generate
-from cosim.kernel.kernel import MEMORY, Data, Filtered, Layout, Simulated, single_steps, steps_one_by_one
+from cosim.kernel.kernel import MEMORY, Data, Filtered, Layout, single_steps, steps_one_by_one
 from cosim.kernel.settling import settling
 from cosim.loading.file import own_model
 from cosim.model import Equations, Model, Namespace, Stepper
-from cosim.model.symbolic.dormant import find_skippable
 from cosim.model.symbolic.functions import Body
 from cosim.model.symbolic.languages import C
 from cosim.storage.cache import cache_path
@@ -86,14 +84,6 @@ def filtered(k: CompiledKernel, data: Data, p: Array) -> Filtered:
     return k.run(data, p, x0, 1e-2 * np.eye(len(q)), q, np.array([2.6e-5, 4.6e-4, 4.5e-2]), states=True)
 
 
-def assert_same(one: Filtered | Simulated, other: Filtered | Simulated) -> None:
-    for name, a in vars(one).items():
-        b = getattr(other, name)
-        scale = np.nanmax(np.abs(a), axis=0, initial=0.0)
-        assert np.array_equal(np.isnan(a), np.isnan(b)), name
-        assert np.all((np.abs(a - b) <= SAME * scale) | np.isnan(a)), name
-
-
 @dataclass(frozen=True, kw_only=True)
 class LateRadio(ActuatorDelay):
     """A delay as another model might call it."""
@@ -141,30 +131,6 @@ def zig(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CC", "")
 
 
-@pytest.mark.thorough
-@NEEDS_C
-@pytest.mark.parametrize("as_recorded", [True, False], ids=["held", "interpolated and late"])
-def test_two_compilers_agree_to_rounding(
-    craft: Generated, seen: Data, as_recorded: bool, request: pytest.FixtureRequest
-) -> None:
-    if not as_recorded:
-        late = 0.4 * np.random.default_rng(3).uniform(-1.0, 1.0, seen.y.shape)
-        seen = replace(seen, interpolated=frozenset({"duty_right", "tilt_left"}), late=late)
-    kernels = [CompiledKernel(craft)]
-    request.getfixturevalue("zig")
-    kernels.append(CompiledKernel(craft))
-    p = parameters(Hovercraft(), craft.layout, **AWAKE)
-    run = filtered(kernels[0], seen, p)
-    assert_same(run, filtered(kernels[1], seen, p))
-    assert np.array_equal(np.isnan(run.errors), np.isnan(seen.y))
-    assert np.ptp(run.memory, axis=0).min() > 0.0  # the play was taken up
-    kicks = 1e-3 * np.random.default_rng(2).standard_normal(run.states.shape)
-    for first, pushed in ((0, None), (20, kicks)):
-        both = [k.simulate(seen, p, run.states[first], run.memory[first], pushed, first=first) for k in kernels]
-        assert_same(*both)
-        assert np.isfinite(both[0].outputs[first:]).all()
-
-
 @NEEDS_C
 def test_single_steps_in_one_call_equal_simulations_one_by_one(craft: Generated, seen: Data) -> None:
     made = CompiledKernel(craft)
@@ -196,17 +162,6 @@ def test_a_covariance_stays_one_on_an_unstable_plant_with_fine_sensors() -> None
     np.testing.assert_allclose(run.covariances, run.covariances.transpose(0, 2, 1), rtol=1e-9)
 
 
-@pytest.mark.thorough
-def test_a_run_that_diverges_has_infinite_errors_from_there_on(craft: Generated, seen: Data) -> None:
-    p = parameters(Hovercraft(), craft.layout, **{"unnamed.vx.vx³": 1e6})
-    run = filtered(CompiledKernel(craft), seen, p)
-    lost = int(np.flatnonzero(np.isinf(run.errors).all(axis=1))[0])
-    assert lost > 0
-    assert np.isinf(run.errors[lost:]).all()
-    assert not np.isinf(run.errors[:lost]).any()
-    assert np.isnan(run.states[lost + 1 :]).all()
-
-
 @pytest.fixture(autouse=True)
 def none_made_yet(monkeypatch: pytest.MonkeyPatch) -> None:
     """Kernels are made once a process: here each test makes its own."""
@@ -220,12 +175,6 @@ def table(tmp_path_factory: pytest.TempPathFactory) -> Model:
     text = (ROOT / "docs" / "own_model.md").read_text(encoding="utf-8")
     (folder / "table.py").write_text(text.split("```python\n")[1].split("```")[0], encoding="utf-8")
     return own_model("table.py:Table", folder)
-
-
-@pytest.fixture(scope="module")
-def generated(table: Model) -> Generated:
-    """The table's kernel, to be compiled."""
-    return generate(table, ("angle",))
 
 
 STAND_IN = """import subprocess, sys
@@ -273,22 +222,6 @@ def steps_as_the_fmu(k: CompiledKernel, table: Model) -> bool:
 
 def files(folder: Path) -> dict[Path, int]:
     return {path: path.stat().st_mtime_ns for path in folder.rglob("*") if path.is_file()}
-
-
-def test_where_neither_is_to_be_had_the_cure_is_told(table: Model, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("CC", "")
-    monkeypatch.setattr("cosim.fmi.native.compiler.can_cross", lambda: False)
-    with pytest.raises(InputError, match=r"found in CC or on PATH; install gcc or clang, .* 'fmu-cosim\[refine\]'"):
-        kernel(table, ("angle",))
-
-
-def test_a_cache_that_cannot_be_written_is_done_without(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
-    elsewhere = cache_path("source", ".py")
-    assert tmp_path not in elsewhere.parents
-    assert elsewhere.parent.is_dir()
-    assert elsewhere == cache_path("source", ".py")
 
 
 @NEEDS_C
@@ -369,24 +302,6 @@ def test_a_library_that_was_cut_is_never_loaded(table: Model, monkeypatch: pytes
     before = again.stat().st_mtime_ns
     assert simulated() == b"True\n"
     assert again.stat().st_mtime_ns == before  # a sound one is taken as it is
-
-
-def test_a_function_that_dormant_terms_alone_use_is_found_with_their_parameters() -> None:
-    import sympy
-
-    x, a, b, c, d = sympy.symbols("x a b c d", real=True)
-    s0, s1, s2, s3 = (sympy.Symbol(f"s{k}", real=True) for k in range(4))
-    lines = [
-        (s0, sympy.tanh(x)),  # of two terms, each in a sum with the other
-        (s1, sympy.exp(x)),  # through another line, of one
-        (s2, (a - 1) * s1 + b),
-        (s3, sympy.cos(x)),  # 1/cos: what 0 makes of it is not plain
-        (None, a * s0 - s0 + b * s0**2 + s2),
-        (None, c / s3 + d * sympy.sin(x) + c * x**3 + b * x**2 + sympy.log(x)),
-    ]
-    found = find_skippable(lines, [{a: 1.0}, {b: 0.0}, {c: 0.0}, {d: 0.0}])
-    assert found == {sympy.tanh(x): {a: 1.0, b: 0.0}, sympy.exp(x): {a: 1.0}, sympy.sin(x): {d: 0.0}, x**3: {c: 0.0}}
-    assert find_skippable(lines, []) == {}
 
 
 @NEEDS_C

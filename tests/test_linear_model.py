@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -21,7 +20,6 @@ from plant.hovercraft import Hovercraft
 
 Matrix = NDArray[np.float64]
 THESIS = Settings()
-OLDER = Settings(thrust_nominal=2.0448, lag=0.12)  # the numbers behind Appendix G and eq E.4
 FIVE = ("x", "vx", "psi", "psi_dot", "a")
 SMOOTH_EFFECTS = (
     ActuatorSecondOrder(natural_frequency=14.0, damping_ratio=0.5),
@@ -90,56 +88,7 @@ def test_dry_friction_at_rest_is_steep_viscous_friction() -> None:
     assert entry(model, "psi_dot", "psi_dot") == pytest.approx(-0.005 / 0.02 / 0.01023, rel=1e-12)
 
 
-def test_names_give_the_order_of_rows_and_columns() -> None:
-    craft = Hovercraft(effects=(ActuatorSecondOrder(natural_frequency=14.0, damping_ratio=0.5),))
-    model = linearize(craft)
-    assert model.states[-1] == "actuator_second_order.tilt_rate_left"
-    assert entry(model, "actuator_second_order.tilt_rate_left", "tilt_left") == -(14.0**2)
-    assert entry(model, "actuator_second_order.tilt_rate_left", "actuator_second_order.tilt_rate_left") == -14.0
-    assert model.B[model.states.index("thrust_right"), model.inputs.index("duty_right")] == pytest.approx(
-        359.9 * 9.81e-3 / 0.0884, rel=1e-14
-    )
-    assert model.C[model.outputs.index("ax"), model.states.index("vx")] == pytest.approx(-0.25 / 0.705, rel=1e-14)
-
-
 # Appendix E: the entries of the thesis' Jacobian.
-
-
-def test_entries_of_eq_e2() -> None:
-    tilt = 0.2
-    craft = Hovercraft(roll_ground_effect=False, table_roll_stiffness=0.0, table_roll_damping=0.0)
-    model = linearize(craft, craft.start({"tilt_right": tilt, "tilt_left": tilt}))
-    L, gain = 0.17145, 1.142024  # Γ; its last digit is 4e-7 of it
-    T = craft.start()[10]
-    expected = {
-        ("vx", "thrust_right"): gain / 0.705 * math.sin(tilt),
-        ("vx", "tilt_right"): gain / 0.705 * T * math.cos(tilt),
-        ("psi_dot", "thrust_right"): L * gain / 0.01023 * math.sin(tilt),
-        ("psi_dot", "tilt_right"): L * gain / 0.01023 * T * math.cos(tilt),
-        ("psi_dot", "tilt_left"): -L * gain / 0.01023 * T * math.cos(tilt),
-        ("phi_dot", "thrust_right"): L * gain / 0.009377 * math.cos(tilt),
-        # E.2 swaps sin and cos in the α columns: differentiating eq 5.14's cos α gives −sin α
-        ("phi_dot", "tilt_right"): -L * gain / 0.009377 * T * math.sin(tilt),
-    }
-    for (row, column), value in expected.items():
-        assert entry(model, row, column) == pytest.approx(value, rel=1e-6), (row, column)
-
-
-@pytest.mark.parametrize(
-    ("row", "column", "value", "digits"),
-    [
-        ("phi_dot", "thrust_right", 20.881, 5e-4),  # L·Γ/Ixx; E.2 prints 20.90
-        ("vx", "vx", -0.25 / 0.705, 1e-12),  # A₂₂ = −c/m
-        ("vy", "vy", -0.25 / 0.705, 1e-12),
-        ("thrust_right", "thrust_right", -11.31, 5e-3),  # −1/τ; eq 5.50 prints −8.333, the older τ = 0.12
-        ("tilt_left", "tilt_left", -11.31, 5e-3),
-        ("x_world", "vx", 1.0, 0.0),
-        ("y_world", "vy", -1.0, 0.0),
-        ("y_world", "psi", 0.0, 0.0),
-    ],
-)
-def test_entries_at_hover(row: str, column: str, value: float, digits: float) -> None:
-    assert entry(linearize(Hovercraft()), row, column) == pytest.approx(value, abs=digits)
 
 
 def test_hover_is_an_equilibrium_with_known_poles() -> None:
@@ -175,65 +124,11 @@ def test_design_model_is_eqs_5_33_and_5_34() -> None:
     assert np.round(B, 2).tolist() == [[0, 0], [0, 0], [0, 0], [41.85, -41.85], [40.07, 40.07]]
 
 
-def test_eq_e4_is_the_older_thrust_and_lag() -> None:
-    # E.4 prints 34.27 and 24.17 and eq 5.50 −8.333, which T_N = 2.0448 N with τ = 0.12 s reproduce and no mixture does
-    A, B = design_model(OLDER)
-    assert (round(B[3, 0], 2), round(B[4, 0], 2), round(A[4, 4], 3)) == (34.27, 24.17, -8.333)
-    for mixture in (replace(OLDER, lag=0.0884), replace(OLDER, thrust_nominal=2.4973), THESIS):
-        A, B = design_model(mixture)
-        assert (round(B[3, 0], 2), round(B[4, 0], 2)) != (34.27, 24.17)
-    assert round(design_model(THESIS)[0][4, 4], 2) == -11.31
-
-
-def residualised(model: LinearModel) -> tuple[Matrix, Matrix]:
-    """The plant at hover in (x, ẋ, ψ, ψ̇, a): sum of the tilts as a, their difference without its lag."""
-    names = ["x", "vx", "psi", "psi_dot", "tilt_right", "tilt_left"]
-    rows = [model.states.index(name) for name in names]
-    A = model.A[np.ix_(rows, rows)]
-    B = model.B[np.ix_(rows, [model.inputs.index("tilt_right"), model.inputs.index("tilt_left")])]
-    others = [k for k in range(len(model.states)) if k not in rows]
-    assert not model.A[np.ix_(rows, others)].any()  # at hover these six feel nothing else
-    push = A[1, 4]
-    T = np.eye(6)
-    T[4, 4:], T[5, 4:] = (push, push), (1.0, -1.0)  # a = push·(α_R + α_L), d = α_R − α_L
-    A, B = T @ A @ np.linalg.inv(T), T @ B
-    # 0 = ḋ = A₆·ξ + A₆₆·d + B₆·u
-    keep, gone = slice(0, 5), 5
-    A_r = A[keep, keep] - np.outer(A[keep, gone], A[gone, keep]) / A[gone, gone]
-    B_r = B[keep] - np.outer(A[keep, gone], B[gone]) / A[gone, gone]
-    return A_r, B_r
-
-
-def test_design_model_is_the_linearized_plant_with_the_differential_lag_residualised() -> None:
-    A, B = residualised(linearize(Hovercraft()))
-    A_design, B_design = design_model(THESIS)
-    assert pytest.approx(A_design, abs=1e-12) == A
-    assert pytest.approx(B_design, rel=3e-6, abs=1e-12) == B  # δ_N is rounded: T_N is 4e-6 N low
-
-
-def test_the_plant_has_the_lag_on_yaw_too() -> None:
-    # eq 5.29 drives ψ̈ by the command; in the plant the command reaches ψ̈ through α only
-    model = linearize(Hovercraft())
-    assert not model.B[model.states.index("psi_dot")].any()
-    assert entry(model, "psi_dot", "tilt_right") == pytest.approx(41.85, abs=5e-3)  # B₄, eq 5.34
-
-
 # Structure: what can be steered and what can be seen (§5.5).
-
-
-def controllability(A: Matrix, B: Matrix) -> Matrix:
-    return np.hstack([np.linalg.matrix_power(A, k) @ B for k in range(5)])
 
 
 def observability(A: Matrix, H: Matrix) -> Matrix:
     return np.vstack([H @ np.linalg.matrix_power(A, k) for k in range(5)])
-
-
-def test_design_model_is_controllable_and_badly_scaled() -> None:
-    C = controllability(*design_model(THESIS))
-    assert np.linalg.matrix_rank(C) == 5
-    # §5.5 prints 22425, a digit short of 224 256; half a unit of the last digit
-    assert np.linalg.cond(C) == pytest.approx(224_256, abs=0.5)
 
 
 @pytest.mark.parametrize(("estimator", "rank"), [("appendix_f", 3), ("lagged", 3), ("consistent", 4)])
@@ -244,14 +139,3 @@ def test_rank_of_observability(estimator: str, rank: int) -> None:
     # x stands in no measurement and in no derivative of one: the position is unobservable under all three
     assert not O[:, FIVE.index("x")].any()
     assert O[:, FIVE.index("vx")].any() == (estimator == "consistent")
-
-
-def test_accelerometer_row_of_the_consistent_filter_is_the_plant_s() -> None:
-    # Newton: a_x = a − (c/m)·ẋ. The plant's own output says so; the thesis' C reads a.
-    model = linearize(Hovercraft())
-    ax = model.C[model.outputs.index("ax")]
-    push = entry(model, "vx", "tilt_right")
-    plant_row = {"vx": ax[model.states.index("vx")], "a": ax[model.states.index("tilt_right")] / push}
-    consistent, thesis = (measurement_matrix(THESIS, e)[2] for e in ("consistent", "appendix_f"))
-    assert consistent.tolist() == pytest.approx([0, plant_row["vx"], 0, 0, plant_row["a"]], rel=1e-12)
-    assert thesis.tolist() == [0, 0, 0, 0, 1]

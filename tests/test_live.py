@@ -1,4 +1,4 @@
-"""Live pages without a browser: extremes of any number of rows, states of run, sweep and refinement."""
+"""Pages of commands without a browser: states of run, sweep and refinement, rows, changes."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import http.client
 import json
 import os
 import shutil
-import struct
 import subprocess
 import sys
 import threading
@@ -14,36 +13,25 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
-from urllib.parse import urlencode
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 import cosim
-from cosim.base.errors import SimulationError
-from cosim.live.envelope import MAX_BLOCKS, MIN_BLOCKS, Envelope
-from cosim.live.live_page import LivePage
-from cosim.live.live_refine import LiveRefine
-from cosim.live.live_run import LiveRun
-from cosim.live.live_sweep import LiveSweep
-from cosim.refinement.stages import ORDER
-from cosim.sweeps.run_chunks import failed_run
-from cosim.sweeps.workflow import CriterionLimit, sweep
+from cosim.pages.work_pages import LiveRefine, LiveRun, LiveSweep, WorkPage
+from cosim.sweeps.workflow import sweep
 from tests.live_pages import slow_scenario
 
 ROOT = Path(__file__).resolve().parent.parent
 
 
-def ask(page: LivePage, path: str, content: Any = None) -> tuple[int, Any]:
+def ask(page: WorkPage, path: str, content: Any = None) -> tuple[int, Any]:
     """Status and JSON of an answer; with content it is a POST."""
-    connection = http.client.HTTPConnection("127.0.0.1", page.server.port, timeout=20)
+    connection = http.client.HTTPConnection("127.0.0.1", page.port, timeout=20)
     body = None if content is None else json.dumps(content)
     headers = {} if body is None else {"Content-Type": "application/json"}
-    connection.request("GET" if body is None else "POST", f"/{page.server.token}/{path}", body, headers)
+    connection.request("GET" if body is None else "POST", f"/{page.token}/{path}", body, headers)
     answer = connection.getresponse()
     raw = answer.read()
     connection.close()
@@ -65,67 +53,6 @@ def events(port: int, token: str) -> Iterator[Iterator[dict[str, Any]]]:
         connection.close()
 
 
-# -- extremes -----------------------------------------------------------------------------------------
-
-
-@settings(max_examples=60, deadline=None)
-@given(
-    st.lists(st.integers(0, 700), min_size=1, max_size=12),
-    st.integers(1, 3),
-    st.integers(0, 3000),
-    st.integers(0, 3000),
-    st.integers(1, 50),
-    st.integers(0, 10**6),
-)
-def test_groups_of_rows_have_the_least_and_the_largest_of_their_rows(
-    parts: list[int], columns: int, first: int, end: int, count: int, seed: int
-) -> None:
-    envelope, rng = Envelope(columns), np.random.default_rng(seed)
-    envelope.limit = 64  # so that blocks are joined often
-    values = rng.normal(size=(sum(parts), columns))
-    begin = 0
-    for part in parts:
-        envelope.add(values[begin : begin + part])
-        begin += part
-    assert envelope.rows == len(values)
-    if len(values):
-        assert (envelope.last() == values[-1]).all()
-    found = envelope.extremes(range(columns), first, end, count)
-    assert found.low.shape == found.high.shape
-    assert found.low.shape[1] <= 2 * count + 1
-    for k in range(found.low.shape[1]):
-        begin = found.first + k * found.size
-        rows, asked = values[begin : begin + found.size], values[begin : min(begin + found.size, end)]
-        low, high = found.low[:, k], found.high[:, k]
-        assert (rows.min(axis=0) <= low).all()
-        assert (high <= rows.max(axis=0)).all()
-        assert len(asked)
-        assert (low <= asked.min(axis=0)).all()
-        assert (high >= asked.max(axis=0)).all()
-    wanted = min(end, len(values))
-    if first < wanted:
-        assert found.first <= first
-        assert found.first + found.low.shape[1] * found.size >= wanted
-
-
-def test_the_memory_of_a_run_does_not_grow_with_its_rows_and_a_peak_is_not_lost() -> None:
-    envelope = Envelope(2)
-    assert envelope.limit == MAX_BLOCKS
-    assert Envelope(100_000).limit == MIN_BLOCKS
-    block = np.zeros((50_000, 2))
-    for k in range(20):
-        block[:, 0] = 0.0
-        if k == 7:
-            block[123, 0] = 9.0
-        envelope.add(block)
-    found = envelope.extremes([0], 0, 1 << 60, 600)
-    assert envelope.rows == 1_000_000
-    assert envelope._low.shape == (MAX_BLOCKS, 2)
-    assert 300 <= found.low.shape[1] <= 600
-    (peak,) = np.flatnonzero(found.high[0] == 9.0)
-    assert peak == (7 * 50_000 + 123) // found.size
-
-
 # -- run ----------------------------------------------------------------------------------------------
 
 
@@ -133,7 +60,7 @@ def test_rows_are_read_while_they_appear_and_wrong_requests_are_refused(tmp_path
     path, (page, seen) = slow_scenario(tmp_path, 0.6), (LiveRun("mill"), list[dict[str, Any]]())
 
     def look() -> None:
-        with events(page.server.port, page.server.token) as states:
+        with events(page.port, page.token) as states:
             for state in states:
                 seen.append(state)
                 if state["phase"] in {"finished", "failed"}:
@@ -155,47 +82,31 @@ def test_rows_are_read_while_they_appear_and_wrong_requests_are_refused(tmp_path
         assert rows[-1] == 61
         assert len({*rows}) > 3  # they appear one after the other
         assert seen[-1]["report"]
-        about = ask(page, "about")[1]
-        names = [signal["name"] for signal in about["signals"]]
-        assert names == list(ran.names)
-        gain = next(v for v in about["variables"] if v["name"] == "mill.gain")
+        (run,), (signals,) = (ask(page, "about")[1][key] for key in ("runs", "sets"))
+        assert (run["rows"], run["from"], run["to"]) == (61, 0.0, 0.6)
+        assert signals[0] == list(ran.names)
+        variables = ask(page, "variables")[1]
+        gain = next(v for v in variables if v["name"] == "mill.gain")
         assert (gain["unit"], gain["bounds"], gain["start"], gain["input"]) == ("m", [0.0, 10.0], "1", False)
-        gear = next(v for v in about["variables"] if v["name"] == "mill.e_in")
-        assert gear["items"] == ["first", "second"]
-        places = [names.index("mill.r_out"), names.index("mill.h")]
-        _, raw = ask(page, "rows?" + urlencode({"signals": ",".join(map(str, places)), "count": 1000}))
-        first, every, count, signals, total = struct.unpack("<5d", raw[:40])
-        assert (first, every, count, signals, total) == (0.0, 0.01, 61, 2, 61)
-        numbers = np.frombuffer(raw[40:])
-        for k, place in enumerate(places):
-            assert numbers[61 * k : 61 * (k + 1)].tolist() == ran[names[place]].tolist()
-        assert numbers[-2:].tolist() == [ran["mill.r_out"][-1], ran["mill.h"][-1]]
-        _, raw = ask(page, f"rows?signals={places[0]}&from=0.3&to=0.4&count=1000")
-        assert struct.unpack("<5d", raw[:40])[2] in {12.0, 13.0, 14.0}  # a row beyond each end
-        for wrong in ("signals=x", "signals=-1", "signals=999", "signals=0&from=nan", "signals=0&count=many"):
-            status, told = ask(page, f"rows?{wrong}")
-            assert (status, told["code"]) == (400, "E-LIV-004")
-        for path_, content in (("set", {"mill.gain": 2}), ("pause", True), ("stop", True)):
-            status, told = ask(page, path_, content)
-            assert (status, told["code"]) == (400, "E-LIV-003")
-        assert ask(page, "pause", "yes")[1]["code"] == "E-LIV-004"
-        assert ask(page, "set", [1])[1]["code"] == "E-LIV-004"
+        assert next(v for v in variables if v["name"] == "mill.e_in")["items"] == ["first", "second"]
+        curves = [[0, "mill.r_out"], [0, "mill.h"]]
+        _, raw = ask(page, "points", {"from": 0.0, "to": 0.6, "width": 1000, "curves": curves})
+        numbers = np.frombuffer(raw)
+        assert numbers[:3].tolist() == [61, 1, 1]
+        assert numbers[64:125].tolist() == ran["mill.r_out"].tolist()
+        assert numbers[128:].tolist() == ran["mill.h"].tolist()
+        for path_, content in (
+            ("set", {"mill.gain": 2}),
+            ("pause", True),
+            ("stop", True),
+            ("pause", "yes"),
+            ("set", [1]),
+        ):
+            assert ask(page, path_, content)[0] == 400
         status, report = ask(page, "report.html")
         assert (status, report[:15]) == (200, b"<!DOCTYPE html>")
     finally:
-        page.server.close()
-
-
-def test_a_failed_run_shows_its_reason() -> None:
-    page = LiveRun("x")
-    try:
-        with pytest.raises(SimulationError), page:
-            raise SimulationError("tank", 1.5, "it is empty")
-        state = page.state()
-        assert (state["phase"], state["message"]) == ("failed", "tank at t = 1.5 s: it is empty")
-        assert ask(page, "report.html")[0] == 404
-    finally:
-        page.server.close()
+        page.close()
 
 
 def test_a_page_that_is_never_opened_does_not_keep_the_command() -> None:
@@ -205,7 +116,8 @@ def test_a_page_that_is_never_opened_does_not_keep_the_command() -> None:
         pass
     page.wait_for_close(said.append, first=0.2, reload=0.1)
     assert len(said) == 1
-    assert page.server.closing.is_set()
+    with pytest.raises(ConnectionRefusedError):
+        ask(page, "about")
 
 
 def test_text_stays_text_and_numbers_may_have_a_unit_or_a_minus_sign(tmp_path: Path) -> None:
@@ -226,7 +138,7 @@ def test_text_stays_text_and_numbers_may_have_a_unit_or_a_minus_sign(tmp_path: P
         ran = cosim.run(slow_scenario(tmp_path, 0.6), observers=[page])
         sender.join(20)
     finally:
-        page.server.close()
+        page.close()
     assert [status for status, _ in told] == [200, 200]
     assert told[0][1]["set"] == {"mill.s_in": "5", "mill.r_in": -2.0, "mill.i_in": 3, "mill.e_in": 2}
     assert told[1][1]["set"] == {"mill.r_in": 60.0, "mill.b_in": True}
@@ -255,55 +167,7 @@ def test_a_sweep_shows_its_runs_and_criteria_so_far(tmp_path: Path) -> None:
         assert [criterion["low"], criterion["high"]] == record["ci95"]
         assert sum(criterion["counts"]) == 6
     finally:
-        page.server.close()
-
-
-def test_earlier_and_failed_runs_of_a_sweep_are_counted() -> None:
-    page = LiveSweep("s")
-    try:
-        ok = SimpleNamespace(status="ok", values=(1.0, float("nan")), met=(True, False))
-        page.begin("named", 10, [CriterionLimit("peak", 2.0, "m"), CriterionLimit("time", 1.0, "s")], [ok, ok])
-        page.add([ok, failed_run(3, "it is empty", 2, "fmus")])
-        state = page.state()
-        assert (state["title"], state["done"], state["total"], state["failed"]) == ("named", 4, 10, 1)
-        assert state["failures"] == [{"why": "it is empty", "count": 1}]
-        peak, settled = state["criteria"]
-        assert (peak["met"], peak["of"], peak["undefined"]) == (3, 3, 0)
-        assert (settled["met"], settled["undefined"], settled["counts"]) == (0, 3, [])
-        assert state["rate"] > 0
-        json.dumps(state, allow_nan=False)
-    finally:
-        page.server.close()
-
-
-def test_a_refinement_shows_its_stages_and_the_ranking_so_far() -> None:
-    told: list[tuple[str, float]] = []
-    page = LiveRefine("study", progress=lambda stage, share: told.append((stage, share)))
-    try:
-        assert page.state()["stages"][0]["state"] == "waiting"
-        page("reading the logs", 0.0)
-        page("recalibrating the base model", 0.0)
-        page("trying every effect, sensor and parameter: candidate 2 of 4", 0.5)
-        hypotheses = [
-            SimpleNamespace(names=names, score=score)
-            for names, score in (((), 10.0), (("leak",), 2.0), (("draw", "leak"), 4.0))
-        ]
-        page.ranking(hypotheses)
-        state = page.state()
-        assert [stage["state"] for stage in state["stages"]] == ["done", "done", "now", *["waiting"] * (len(ORDER) - 3)]
-        assert (state["share"], state["done"], state["fitted"]) == (0.5, 2, 3)
-        assert [(row["names"], row["gain"]) for row in state["ranking"]] == [
-            (["leak"], 8.0), (["draw", "leak"], 6.0), ([], 0.0),
-        ]  # fmt: skip
-        assert len(told) == 3
-        page.show_verdict({"sentence": "A leak explains it."}, Path("none.html"))
-        with page:
-            pass
-        state = page.state()
-        assert (state["phase"], state["message"], state["report"]) == ("finished", "A leak explains it.", False)
-        assert {stage["state"] for stage in state["stages"]} == {"done"}
-    finally:
-        page.server.close()
+        page.close()
 
 
 @pytest.mark.thorough
@@ -320,7 +184,7 @@ def test_a_search_reports_its_ranking(tmp_path: Path) -> None:
         assert state["fitted"] > 2
         assert state["ranking"][0]["names"] == [effect["name"] for effect in result.record["effects"]] == ["leak"]
     finally:
-        page.server.close()
+        page.close()
 
 
 # -- command ------------------------------------------------------------------------------------------
@@ -348,11 +212,11 @@ def test_the_example_runs_with_a_page_and_without_a_display_its_address_is_print
 def test_a_port_in_use_is_told_before_anything_runs(tmp_path: Path) -> None:
     page = LiveRun("x")
     try:
-        command = [sys.executable, "-m", "cosim", "run", "mill.yaml", "--port", str(page.server.port)]
+        command = [sys.executable, "-m", "cosim", "run", "mill.yaml", "--port", str(page.port)]
         slow_scenario(tmp_path)
         done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60)
         assert done.returncode == 2
-        assert f"--port: port {page.server.port} is in use" in done.stderr
+        assert f"--port: port {page.port} is in use" in done.stderr
         assert not (tmp_path / "results").exists()
     finally:
-        page.server.close()
+        page.close()

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
 from cosim.base.errors import InputError
-from cosim.blocks.loading import load_error
 from cosim.fmi.native.compiler import compiler
 from cosim.verbs.check_verb import check as check_files
 from tests.decay import DESCRIPTION, library
@@ -96,24 +93,6 @@ def test_a_library_that_does_not_load_is_told_by_the_loader_with_the_cure(tmp_pa
     assert "modelIdentifier" not in told  # a library of another name is no reason
     assert "cosim-" not in told  # nor is the folder of this run anybody's business
     assert told.count("\n") == 0
-
-
-def test_a_folder_without_programs_is_named_as_such(tmp_path: Path) -> None:
-    made = tmp_path / "x.so"
-    made.write_bytes(library().read_bytes())
-    error = OSError(f"{made}: failed to map segment from shared object: Operation not permitted")
-    assert "set TMPDIR to a folder in which programs may be executed" in load_error(made, error)
-
-
-def test_a_disk_without_programs_is_told_from_a_damaged_library(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    made = tmp_path / "x.so"
-    made.write_bytes(library().read_bytes())
-    error, cure = OSError(f"{made}: failed to map segment from shared object"), "set TMPDIR to a folder"
-    assert cure not in load_error(made, error)
-    monkeypatch.setattr(os, "statvfs", lambda folder: SimpleNamespace(f_flag=os.ST_NOEXEC))
-    assert cure in load_error(made, error)
 
 
 def test_an_fmu_for_another_system_names_the_platforms_that_it_is_for(tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import shutil
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,15 +22,14 @@ from controller.gains import Settings
 from controller.loop import Loop
 from controller.observers import LinearFilter
 from cosim.fmi.fmu_build import build
-from cosim.model import Equations, Model, Namespace, Quantity, Stepper, Values, parameter
-from cosim.model.symbolic.jacobian import load_names, printed_jacobians
-from cosim.model.symbolic.linearize import linearize
+from cosim.model import Stepper
+from cosim.model.symbolic.jacobian import load_names
 from cosim.simulation.run_signals import Run
 from fmus.estimator_fmu import INPUTS, OUTPUTS
 from fmus.estimator_recipes import extended_recipe, filter_recipe, jacobians
 from plant.hovercraft import Hovercraft
 from tests.conftest import ROOT
-from tests.hosts_fmpy import Instance, description_of, refused
+from tests.hosts_fmpy import Instance, description_of
 
 STEP, TEN_DEGREES = 0.02, math.radians(10)
 BOTH = pytest.mark.parametrize("name", ["filter.fmu", "ekf.fmu"])
@@ -88,23 +87,6 @@ def test_the_filter_of_the_thesis_meets_10_percent_and_10_degrees_and_double_int
     assert abs(off(moved, "integration")[-1]) > distance
 
 
-@pytest.mark.thorough
-def test_of_the_three_variants_the_one_that_observes_speed_is_the_worst_with_the_v_of_the_thesis(
-    flown: Mapping[str, Run],
-) -> None:
-    # V says that the model of ẋ is off by 1 cm/s a sample, so `consistent` believes −(c/m)·ẋ of a noisy accelerometer
-    worst = {e: abs(off(flown["localisation"], e)[-1]) for e in ("appendix_f", "lagged", "consistent")}
-    assert worst["consistent"] > 10 * max(worst["appendix_f"], worst["lagged"])
-
-
-@pytest.mark.thorough
-def test_the_estimator_beside_the_controller_is_the_one_within_it(flown: Mapping[str, Run]) -> None:
-    moved = flown["localisation"]
-    for name in ("x", "vx", "psi", "psi_dot", "a"):
-        assert moved[f"appendix_f.{name}_hat"].tolist() == moved[f"controller.{name}_hat"].tolist()
-    assert moved["appendix_f.x_sigma"].tolist() == moved["controller.x_sigma"].tolist()
-
-
 # -- §7.1: fixes --------------------------------------------------------------------------------
 
 
@@ -129,15 +111,6 @@ def test_fixes_of_any_kind_find_a_start_that_nobody_told(
     assert np.abs(off(found, estimator)[settled]).max() < within
     sigma = found[f"{estimator}.x_sigma"]
     assert sigma[settled].max() == pytest.approx(sigma[(found.time > 5) & ~settled].max(), rel=0.5)  # P has settled
-
-
-@pytest.mark.thorough
-def test_without_fixes_the_start_is_never_found_and_p_diverges(flown: Mapping[str, Run]) -> None:
-    found = flown["localisation_fixes"]
-    sigma = found["without.x_sigma"]
-    assert (np.diff(sigma) > 0).all()
-    assert np.abs(off(found, "without")[found.time > 5]).min() > 0.1
-    assert np.abs(off(found, "by_camera")[found.time > 5]).max() < 0.1
 
 
 @pytest.mark.thorough
@@ -174,29 +147,6 @@ def test_the_observability_matrix_is_that_of_eq_5_49() -> None:
     assert np.linalg.matrix_rank(observability) == 3
 
 
-def test_the_jordan_form_is_that_of_eqs_5_50_to_5_53_with_the_older_lag() -> None:
-    A, _ = design_model(Settings(lag=0.12))  # τ of the print, which App G has too
-    V = np.array(
-        [
-            [0.01504, -0.3534, 0.3384, 0, 0],
-            [-0.1253, 0.1253, 0, 0, 0],
-            [0, 0, 0, 1, 0],
-            [0, 0, 0, 0, 1],
-            [1, 0, 0, 0, 0],
-        ]
-    )  # 5.51
-    J = np.linalg.solve(V, A @ V)
-    expected = np.zeros((5, 5))
-    expected[0, 0], expected[1, 1], expected[3, 4] = -8.333, -0.3546, 1.0
-    np.testing.assert_allclose(J, expected, atol=4e-3)  # 5.50, by four digits of V
-    inverse = np.linalg.inv(V)
-    assert inverse[0] == pytest.approx([0, 0, 0, 0, 1], abs=1e-12)  # 5.52: x̂₁ is the acceleration
-    assert inverse[1, [1, 4]] == pytest.approx([8.333 - 0.3546, 1.0], rel=1e-3)  # 7.978
-    assert inverse[2, [0, 1, 4]] == pytest.approx([2.955, 8.333, 1.0], rel=1e-3)
-    seen = measurement_matrix(Settings(), "appendix_f") @ V
-    assert np.flatnonzero(seen.any(axis=0)).tolist() == [0, 3, 4]  # 5.53: x̂₂ and x̂₃ cannot be observed
-
-
 @pytest.mark.thorough
 def test_noise_from_20_s_at_rest_is_that_of_eqs_5_44_to_5_46(flown: Mapping[str, Run]) -> None:
     rest = flown["localisation_rest"]
@@ -208,55 +158,6 @@ def test_noise_from_20_s_at_rest_is_that_of_eqs_5_44_to_5_46(flown: Mapping[str,
 
 
 # -- Jacobians and the extended filter ----------------------------------------------------------
-
-
-@dataclass(frozen=True, kw_only=True)
-class Pendulum(Model):
-    """A pendulum with a motor: l·θ̈ = −g·sin θ − d·θ̇ + u; it tells how high it is."""
-
-    base_states = (Quantity("angle", "rad", "θ"), Quantity("rate", "rad/s", "θ̇"))
-    inputs = (Quantity("push", "m/s2", "u"),)
-    outputs = (Quantity("height", "m", "l·(1 − cos θ)"),)
-
-    length: float = parameter(0.5, unit="m", bounds=(0.1, 10), doc="l")
-    damping: float = parameter(0.2, unit="m/s", bounds=(0, 10), doc="d")
-
-    def equations(self, m: Namespace) -> Equations:
-        """Bind them."""
-
-        def derivative(t: Any, state: Values, command: Values) -> Values:
-            angle, rate = state
-            return rate, (-9.81 * m.sin(angle) - self.damping * rate + command[0]) / self.length
-
-        return Equations(derivative, lambda t, state, command: (self.length * (1.0 - m.cos(state[0])),))
-
-
-MOVING = (0.3, -0.1, 0.2, 0.1, 0.7, 0.5, -0.2, 0.4, 0.01, 0.02, 2.2, 2.1, 0.15, -0.05)
-
-
-@pytest.mark.parametrize(
-    ("model", "outputs", "state", "command"),
-    [
-        (Hovercraft(), ("ax",), Hovercraft().start(), Hovercraft().start_command()),
-        (Hovercraft(mass=0.9, friction=0.4), ("ax", "phi"), MOVING, (6.5, 6.3, 0.1, -0.1)),
-        (Pendulum(), ("height",), (0.8, -0.3), (0.2,)),
-        (Pendulum(length=2.0), ("height",), (2.5, 1.0), (0.0,)),
-    ],
-)
-def test_printed_jacobians_are_the_linearised_model(
-    model: Model, outputs: tuple[str, ...], state: Values, command: Values
-) -> None:
-    printed = load_names(printed_jacobians(model, outputs))
-    linear = linearize(model, state, command)
-    numbers = [float(getattr(model, name)) for name in printed["PARAMETERS"]]
-    rows = [linear.outputs.index(name) for name in outputs]
-    for name, exact in (("state", linear.A), ("output", linear.C[rows])):
-        entries = [0.0] * len(printed[name.upper()])
-        printed[f"{name}_jacobian"](0.0, list(state), list(command), numbers, entries)
-        matrix = np.zeros(exact.shape)
-        for (i, j), entry in zip(printed[name.upper()], entries, strict=True):
-            matrix[i, j] = entry
-        np.testing.assert_allclose(matrix, exact, rtol=1e-11, atol=1e-11)  # rounding of two orders of summing
 
 
 def manoeuvre(extended: ExtendedFilter, *, wrong: float = 0.0) -> tuple[Any, Any, list[float]]:
@@ -346,48 +247,3 @@ def test_the_extended_fmu_is_the_plain_filter(folder: Path) -> None:
             assert list(told.values()) == pytest.approx(
                 [*plain.estimate, *plain.sigma, plain.nis], rel=1e-12, abs=1e-15
             )
-
-
-@pytest.mark.parametrize(
-    ("name", "values", "said"),
-    [
-        ("filter.fmu", {"estimator": "kalman"}, "it is one of appendix_f, lagged, consistent, double_integration"),
-        ("ekf.fmu", {"axes": "room", "mass": 99.0}, "20] kg; axes is 'room'; it is one of own, world"),
-        ("ekf.fmu", {"measurement_variance_y": -1.0}, "measurement_variance_y is -1.0; it lies in"),
-    ],
-)  # fmt: skip
-def test_what_an_estimator_cannot_take_is_told_with_what_it_can(
-    folder: Path, name: str, values: dict[str, Any], said: str
-) -> None:
-    assert said in refused(folder / "build" / name, values, lambda fmu: fmu.outputs())
-
-
-@BOTH
-def test_an_estimator_is_sampled_and_refuses_another_step(folder: Path, name: str) -> None:
-    def call(fmu: Instance) -> None:
-        fmu.call("exitInitializationMode")
-        fmu.step(0.0, 0.05)
-
-    assert "the estimator is sampled at 0.02 s (parameter sample_time)" in refused(folder / "build" / name, {}, call)
-
-
-@pytest.mark.thorough
-def test_inputs_for_fixes_are_recorded_and_told_only_where_something_feeds_them(
-    folder: Path, flown: Mapping[str, Run]
-) -> None:
-    without = cosim.run(folder / "scenarios" / "regulate.yaml", set={"duration": 0.2}, in_process=True)
-    ports = {f"controller.{n}" for n in ("x_meas", "y_meas", "fix")}
-    assert not ports & set(without.names)
-    assert without.warnings == []
-    fed = flown["localisation_fixes"]
-    assert ports & set(fed.names) == {"controller.x_meas", "controller.fix"}
-    given = {"duration": 0.2, "components.controller.start.fix": 1}
-    assert "controller.fix" in cosim.run(folder / "scenarios" / "regulate.yaml", set=given, in_process=True).names
-
-
-def test_a_manifest_repeats_a_run_with_fixes_to_the_byte(folder: Path, tmp_path: Path) -> None:
-    scenario, short = folder / "scenarios" / "localisation_fixes.yaml", {"duration": 0.6, "criteria": {}}
-    cosim.run(scenario, tmp_path / "first", set=short, report=False)
-    cosim.run(tmp_path / "first" / "manifest.json", tmp_path / "again", report=False, in_process=True)  # or in a worker
-    first, again = (tmp_path / name / "results.csv" for name in ("first", "again"))
-    assert first.read_bytes() == again.read_bytes()

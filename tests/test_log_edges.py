@@ -11,16 +11,12 @@ import numpy as np
 import pytest
 
 from cosim.base.arrays import Array
-from cosim.base.messages import Message
-from cosim.logs.channel_noise import noise_level, surprise
 from cosim.logs.finding import Finding
 from cosim.logs.frames import frame_findings
-from cosim.logs.gate import gate, gate_faults
+from cosim.logs.gate import gate
 from cosim.logs.holes import fill_holes
-from cosim.logs.log import Log, _absurd_rows, _unwrap, slowness, stretches, usual_step
-from cosim.logs.planar_motion import axis_findings
-from cosim.logs.spikes import _neighbours_agree, find_spikes, out_of_line
-from cosim.logs.static_table import table_findings
+from cosim.logs.log import Log, slowness, stretches, usual_step
+from cosim.logs.spikes import find_spikes, out_of_line
 
 NOISE = 0.01
 
@@ -58,7 +54,6 @@ def test_a_log_below_ten_seconds_is_short(seconds: float, short: bool) -> None:
     assert ("short" in found) is short
     if short:
         assert found["short"].numbers["duration"] == pytest.approx(seconds)
-        assert "20.0 s and more" in found["short"].sentence.replace("\u00a0", " ")
     slow = moving(300, 1.0)  # rows every second: everything lasts 20 times as long
     assert slow.slowness == 20
     assert "short" not in kinds(slow)
@@ -100,33 +95,32 @@ def test_jitter_is_noted_from_a_hundredth_and_a_warning_from_a_tenth() -> None:
 
 
 @pytest.mark.parametrize(
-    ("ratio", "strict", "severity", "words"),
+    ("ratio", "strict", "severity"),
     [
-        (1.0, False, None, ""),
-        (1.01, False, None, ""),
-        (1.3, False, "note", "no whole number of rows a step"),
-        (1.5, True, "note", "no whole number"),
-        (1.6, False, "warning", "what was commanded between two rows"),
-        (1.6, True, "fault", "log every command"),
-        (0.5, False, "note", ": 2 rows a step"),
-        (0.4, False, "note", "no whole number"),
-        (1 / 49, False, "note", "49 rows a step"),
-        (1 / 51, False, "warning", "fewer would do"),
-        (600.0, False, "fault", 'in ms? Then call it "time [ms]"'),
-        (1900.0, False, "fault", 'in ms? Then call it "time [ms]"'),
-        (2100.0, False, "warning", "what was commanded between"),
-        (6e5, False, "fault", "in us"),
+        (1.0, False, None),
+        (1.01, False, None),
+        (1.3, False, "note"),
+        (1.5, True, "note"),
+        (1.6, False, "warning"),
+        (1.6, True, "fault"),
+        (0.5, False, "note"),
+        (0.4, False, "note"),
+        (1 / 49, False, "note"),
+        (1 / 51, False, "warning"),
+        (600.0, False, "fault"),
+        (1900.0, False, "fault"),
+        (2100.0, False, "warning"),
+        (6e5, False, "fault"),
     ],
 )
-def test_rows_are_as_far_apart_as_the_steps_of_the_model(ratio: float, strict: bool, severity: Any, words: str) -> None:
+def test_rows_are_as_far_apart_as_the_steps_of_the_model(ratio: float, strict: bool, severity: Any) -> None:
     found = kinds(moving(), 0.02 / ratio, strict=strict).get("rate")
     assert (found and found.severity) == severity
-    assert found is None or words in found.sentence.replace("\u00a0", " ")
 
 
 def test_minutes_are_meant_only_where_a_log_seems_to_be_over_in_seconds() -> None:
     rows = moving(400, 0.02 / 60.0)
-    assert "min?" in kinds(rows, 0.02)["rate"].sentence
+    assert kinds(rows, 0.02)["rate"].severity == "fault"
     assert kinds(replace(rows, written={"time": "s"}), 0.02)["rate"].severity == "warning"
     assert kinds(moving(400, 0.04), 2.4)["rate"].severity == "warning"  # of 16 s
 
@@ -154,7 +148,6 @@ def test_inputs_that_move_alike_cannot_be_separated(rho: float, alike: bool) -> 
     assert (found is not None) is alike
     if found:
         assert found.numbers["correlation"] == pytest.approx(rho, abs=1e-3)
-        assert found.sentence.startswith("moves with v" if rho > 0 else "moves against v")
 
 
 def test_excitation_is_rms_bandwidth_and_share_at_the_ends() -> None:
@@ -175,21 +168,6 @@ def test_excitation_is_rms_bandwidth_and_share_at_the_ends() -> None:
 
 def with_output(values: Array, **more: Any) -> Log:
     return replace(moving(values.size, **more), outputs={"y": values})
-
-
-def test_an_output_that_stands_still_is_named_with_its_value() -> None:
-    k = np.arange(1500)
-    for size, still in ((0.9e-12, True), (3e-12, False)):
-        found = kinds(with_output(1.0 + size * (k % 2))).get("constant")
-        assert (found is not None) is still
-        assert found is None or found.numbers == {"value": 1.0}
-
-
-def test_missing_cells_are_a_share_and_a_time_apart() -> None:
-    y = moving().outputs["y"].copy()
-    y[np.arange(1500) % 5 != 0] = np.nan
-    assert kinds(with_output(y))["missing"].numbers == {"share": 0.2, "every": pytest.approx(0.1)}
-    assert "missing" not in kinds(moving())
 
 
 @pytest.mark.parametrize(("every", "kind"), [(1, None), (2, "held"), (5, "held")])
@@ -235,40 +213,6 @@ def test_where_an_input_has_jumped_an_output_may_answer() -> None:
         assert np.argmax(out_of_line(log, y)) == 700
     slow = replace(with_output(y), inputs={"u": np.sin(0.01 * np.arange(1500))})
     assert find_spikes(slow)["y"].tolist() == [700]
-
-
-def test_a_wild_reading_is_a_spike_from_twelve_times_the_noise() -> None:
-    y = NOISE * np.random.default_rng(8).standard_normal(1500)
-    for times, spikes in ((8.0, {}), (20.0, {"y": [600]})):
-        wild = y.copy()
-        wild[600] += times * NOISE
-        assert {name: rows.tolist() for name, rows in find_spikes(with_output(wild)).items()} == spikes
-
-
-def test_neighbours_agree_where_they_change_evenly_without_the_one_between() -> None:
-    even = np.array([0.0, 1.0, 9.0, 3.0, 4.0])
-    assert _neighbours_agree(even, 2, 1.0)
-    assert not _neighbours_agree(np.array([0.0, 1.0, 3.5, 3.0, 0.0]), 2, 1.0)
-    for k in (0, 1, 3, 4):  # there are no two on each side
-        assert not _neighbours_agree(even, k, 1.0)
-    # bends of 1 beside a reading that is 9 off: less than a quarter of it, though more than half the noise
-    assert _neighbours_agree(np.array([-1.0, 1.0, 11.0, 3.0, 5.0]), 2, 1.0)
-
-
-# -- noise ------------------------------------------------------------------------------------------
-
-
-def test_neighbours_of_a_slower_sensor_are_its_own_and_those_beyond_a_gap_are_none() -> None:
-    values = np.full(200, np.nan)
-    values[::4] = np.arange(50.0) ** 3 / 100  # a cubic is no surprise
-    found = surprise(values)
-    assert np.flatnonzero(np.isfinite(found)).tolist() == list(range(8, 192, 4))
-    assert np.nanmax(np.abs(found)) < 1e-9
-    values[100:112] = np.nan  # three readings lost: 28 rows for five where 16 are usual
-    finite = np.flatnonzero(np.isfinite(surprise(values)))
-    assert not {92, 96, 112, 116} & {*finite.tolist()}
-    assert math.isnan(noise_level(np.ones(4)))
-    assert noise_level(np.ones(5)) < 1e-15
 
 
 # -- lost rows --------------------------------------------------------------------------------------
@@ -333,30 +277,6 @@ def test_a_clock_of_two_spacings_keeps_the_time_of_its_rows() -> None:
     assert (np.diff(log.grid) >= 1).all()
 
 
-def test_marks_of_a_logger_are_far_beyond_the_rest() -> None:
-    for values, rows in (
-        ([1.0] * 9 + [3.4e38], [9]),
-        ([1.0] * 9 + [0.9e9], []),  # a column that mostly rests may jump
-        ([1.0] * 9 + [-1.1e9], [9]),
-        ([1e5] * 9 + [0.9e11], []),
-        ([1e5] * 9 + [1.1e11], [9]),
-        ([1e28] * 9 + [2e30], [9]),
-        ([math.nan] * 4, []),
-    ):
-        assert _absurd_rows(np.array(values)).tolist() == rows
-
-
-def test_jumps_of_a_turn_are_undone_and_an_angle_of_many_turns_is_left_alone() -> None:
-    steady = np.linspace(3.0, 5.0, 21)
-    wrapped = (steady + np.pi) % (2 * np.pi) - np.pi
-    angle, jumps = _unwrap(wrapped)
-    assert angle - angle[0] == pytest.approx(steady - steady[0])
-    assert jumps.tolist() == [2]
-    assert _unwrap(steady)[1].size == 0
-    turns = np.array([0.0, 4.0, 0.0, 7.0])
-    assert _unwrap(turns)[0] is turns
-
-
 # -- frames -----------------------------------------------------------------------------------------
 
 
@@ -391,14 +311,6 @@ def test_a_rate_is_the_slope_of_its_angle(scale: float, kind: str | None, channe
         assert found[kind].numbers["slope"] == pytest.approx(1 / scale, rel=0.02)
 
 
-def test_a_bias_of_the_rate_is_noted_with_its_sign() -> None:
-    (drift,) = frame_findings(turning(bias=0.05))
-    assert drift.kind == "drift"
-    assert drift.numbers["drift"] == pytest.approx(-0.05, rel=0.03)
-    assert drift.sentence.startswith("is 2.9")
-    assert list(frame_findings(turning(bias=1e-5))) == []
-
-
 def test_angles_that_no_one_turns_are_taken_for_degrees() -> None:
     t = 0.02 * np.arange(1000)
     for size, told in ((6.2, False), (6.4, True)):
@@ -412,91 +324,3 @@ def test_angles_that_no_one_turns_are_taken_for_degrees() -> None:
     (found,) = frame_findings(jumpy)
     assert (found.kind, found.numbers) == ("jumps", {"count": 1.0, "first": pytest.approx(5.0)})
     assert list(frame_findings(replace(jumpy, outputs={"psi": np.where(t >= 5.0, 3.1, 0.0)}))) == []
-
-
-def test_a_body_that_moves_where_its_mirror_image_points_is_mirrored() -> None:
-    t = 0.02 * np.arange(2000)
-    heading = 0.8 * np.sin(0.3 * t) + 0.3
-    x, y = np.cumsum(np.cos(heading)) * 0.02, np.cumsum(np.sin(heading)) * 0.02
-    frame: Any = type("Frame", (), {"x": "x", "y": "y", "heading": "psi"})()
-
-    def found(sign: float, rows: int = 2000) -> int:
-        outputs = {"x": x[:rows], "y": sign * y[:rows], "psi": heading[:rows]}
-        return len(list(axis_findings(log_of(t[:rows], {}, outputs), frame)))
-
-    assert (found(1.0), found(-1.0)) == (0, 1)
-    assert (found(-1.0, 191), found(-1.0, 190)) == (1, 0)  # every 10th row: 20 places, 19
-
-
-# -- tables -----------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("rows", "severity"), [(1, "fault"), (2, "warning"), (7, "warning"), (8, None)])
-def test_a_table_of_few_rows_says_little(rows: int, severity: str | None) -> None:
-    k = np.arange(12.0)
-    y = np.where(k < rows, k * k, np.nan)
-    log = replace(log_of(k, {"u": np.sin(k)}, {"y": y}), table=True)
-    found = {f.kind: f for f in table_findings(log)}
-    assert (("short" in found and found["short"].severity) or None) == severity
-    assert "short" not in found or found["short"].numbers == {"rows": rows}
-    assert ("missing" in found) is True
-    assert found["missing"].numbers == {"share": rows / 12}
-
-
-def test_columns_of_a_table_that_stand_still_or_go_together_are_named() -> None:
-    k = np.arange(12.0)
-    u = np.sin(k)
-    for v, kind in ((2.0 * u + 0.1 * np.cos(k), "alike"), (np.cos(k), None), (5.0 + 2e-9 * u, "constant")):
-        log = replace(log_of(k, {"u": u, "v": v}, {"y": k}), table=True)
-        assert [f.kind for f in table_findings(log) if f.channel in "uv"] == ([kind] if kind else [])
-    for sign, word in ((1.0, "with"), (-1.0, "against")):
-        log = replace(log_of(k, {"u": u, "v": sign * u}, {"y": k}), table=True)
-        (found,) = (f for f in table_findings(log) if f.kind == "alike")
-        assert f"goes {word} v" in found.sentence
-    still = replace(log_of(k, {"u": 0.0 * k + 3.0}, {"y": 0.0 * k + 2.0}), table=True)
-    assert [(f.kind, f.channel) for f in gate(still)] == [("no_excitation", ""), ("constant", "y"), ("constant", "u")]
-    assert [f.kind for f in gate(replace(still, written={"time": "s"})) if f.channel == "time"] == ["time"]
-
-
-def test_a_fault_of_a_log_has_the_cell_of_its_column() -> None:
-    log = replace(moving(), header=3, cells={"y": 7})
-    faults = gate_faults(
-        log, [Finding("fault", "sign", "y", Message("is wrong")), Finding("warning", "x", "y", Message("is not"))]
-    )
-    assert [(f.line, f.column, f.message) for f in faults] == [(3, 7, "y: is wrong")]
-    assert gate_faults(log, [Finding("fault", "rate", "", Message("is slow"))])[0].column == 1
-
-
-@pytest.mark.parametrize(("seconds", "told"), [(3.6, False), (4.6, True)])
-def test_a_sign_takes_eight_blocks_of_half_a_second_and_an_angle_that_moves(seconds: float, told: bool) -> None:
-    log = turning(-1.0)
-    rows = round(seconds / 0.02)
-    short = {name: values[:rows] for name, values in log.outputs.items()}
-    found = [f.kind for f in frame_findings(replace(log, time=log.time[:rows], outputs=short)) if f.kind == "sign"]
-    assert found == (["sign"] if told else [])
-    t = log.time
-    for outputs in (
-        {"psi": 1e-10 * np.sin(0.9 * t), "psi_dot": 0.45 * np.cos(0.9 * t)},  # rounding
-        {"psi": 0.5 * np.sin(0.9 * t), "psi_dot": 0.0 * t},
-    ):
-        assert list(frame_findings(replace(log, outputs=outputs))) == []
-
-
-@pytest.mark.parametrize(("size", "answers"), [(0.04, False), (0.06, True)])
-def test_a_jump_is_a_twentieth_of_the_range_of_its_input(size: float, answers: bool) -> None:
-    k = np.arange(1500)
-    y = NOISE * np.random.default_rng(5).standard_normal(1500)
-    y[700] = 0.5
-    u = (1.0 - size) * (k >= 100) + size * (k >= 700)  # 0 … 1
-    log = replace(with_output(y), inputs={"u": u})
-    assert (700 not in find_spikes(log).get("y", [])) is answers
-
-
-@pytest.mark.parametrize(("times", "answers"), [(7.5, False), (8.5, True)])
-def test_a_jump_is_eight_times_the_usual_change_of_its_input(times: float, answers: bool) -> None:
-    k = np.arange(1500)
-    y = NOISE * np.random.default_rng(5).standard_normal(1500)
-    y[700] = 0.5
-    u = 0.01 * np.abs(k % 20 - 10) + (times - 1.0) * 0.01 * (k >= 700)  # a triangle that rises by 0.01 there
-    log = replace(with_output(y), inputs={"u": u})
-    assert (700 not in find_spikes(log).get("y", [])) is answers

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import json
 import math
-import warnings
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -320,13 +319,6 @@ def test_runs_are_compared_by_the_definitions_of_their_units(
         assert {d.name: d.largest for d in earlier.differences}["m.y"] == 0.0
 
 
-def test_a_manifest_has_the_definitions_of_uncommon_units_only(tmp_path: Path) -> None:
-    angle = '<Unit name="deg"><BaseUnit rad="1" factor="0.0174532925199433"/></Unit>'
-    unit_fmu(tmp_path / "m.fmu", ("kW", "deg"), power(1000, "kW") + angle)
-    ran(tmp_path, "simulate", "m.fmu")
-    assert json.loads((tmp_path / "out" / "manifest.json").read_text())["unit_definitions"] == {}
-
-
 # -- discrete signals in compare ------------------------------------------------------------------
 
 
@@ -361,16 +353,6 @@ def test_a_switch_at_another_time_is_a_difference_in_both_directions(tmp_path: P
     assert forth == back
     assert forth[0] == 5
     assert forth[1]["m.on"] == 1.0
-
-
-def test_a_component_with_a_longer_step_is_held_between_its_steps(tmp_path: Path) -> None:
-    unit_fmu(tmp_path / "m.fmu", **{'<Real start="0"': '<Real start="2"'})
-    (tmp_path / "in.csv").write_text("time,u\n" + "".join(f"{k / 10},{k}\n" for k in range(21)))
-    for name, step in (("a", 0.1), ("b", 0.2)):
-        components = {"p": {"block": "playback", "file": "in.csv"}, "slow": {"fmu": "m.fmu", "step": 0.4}}
-        path = scenario(tmp_path, components, {"slow.u": "p.u"}, duration=2, step=step)
-        assert cosim("run", path, "--out", name, "--no-report", cwd=tmp_path).returncode == 0
-    assert differs(tmp_path, "a", "b")[0] == differs(tmp_path, "b", "a")[0] == 0
 
 
 ONE = "time,y,n,s\n0,0,1,x\n0.9,0,1,x\n1,1,2,z\n1.1,1,2,z\n2,1,2,z\n"
@@ -455,17 +437,6 @@ def test_times_whose_differences_no_double_holds_are_a_fault(tmp_path: Path, ver
     assert done.returncode == 2
     assert "t.csv:" in done.stdout + done.stderr
     assert "RuntimeWarning" not in done.stderr
-
-
-def test_long_names_draw_without_a_warning(tmp_path: Path) -> None:
-    pytest.importorskip("matplotlib")
-    name = "machine." + "very_long_part." * 20 + "x"
-    for run, value in (("a", 3), ("b", 4)):
-        (tmp_path / f"{run}.csv").write_text(f"time,{name},m.y\n0,1,2\n1,2,{value}\n")
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        cosim_package.read(tmp_path / "a.csv").plot().savefig(tmp_path / "a.png")
-        cosim_package.compare(tmp_path / "a.csv", tmp_path / "b.csv").plot().savefig(tmp_path / "ab.png")
 
 
 def test_characters_that_yaml_does_not_take_are_no_fault_of_a_description(tmp_path: Path) -> None:

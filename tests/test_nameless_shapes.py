@@ -9,17 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.estimation.fit import fit
 from cosim.estimation.posing import build_problem
 from cosim.estimation.problem import Problem
-from cosim.kernel.nameless import KNOTS, bump, rise
+from cosim.kernel.nameless import bump, rise
 from cosim.logs.log import read_log
 from cosim.model import Equations, Model, Namespace, Quantity, parameter
-from cosim.refinement.decision.sentences import dependence_text, unexplained_text
 from cosim.refinement.search.fits import Search
-from cosim.refinement.search.resemblance import law_of
 from cosim.refinement.search.shapes import Shape
-from cosim.refinement.search.unnamed import Leftover, UnnamedTerm, _Terms, find_unnamed_terms
+from cosim.refinement.search.unnamed import Leftover, find_unnamed_terms
 from cosim.subject.model_subject import ModelSubject
 from tests.logs import write_log
 
@@ -89,7 +86,6 @@ def test_a_push_that_begins_at_a_time_is_a_step_there(tmp_path: Path) -> None:
     assert first.shape is not None
     assert (first.shape.kind, first.signal) == ("step", "time")
     assert first.shape.place == pytest.approx(10.0, abs=first.shape.width)
-    assert dependence_text(first.signal, first.shape).startswith("depends on time, changing at ")
 
 
 @pytest.mark.thorough
@@ -103,20 +99,6 @@ def test_a_law_that_holds_everywhere_is_not_told_as_local(tmp_path: Path) -> Non
 @pytest.mark.thorough
 def test_where_nothing_is_hidden_no_shape_is_found(tmp_path: Path) -> None:
     assert left(tmp_path, lambda t, x, v: 0.0)[1].terms == ()
-
-
-@pytest.mark.thorough
-def test_each_bump_of_a_spline_is_paid_for_and_every_shape_tried_is_counted(tmp_path: Path) -> None:
-    problem, _ = left(tmp_path, lambda t, x, v: 0.0)
-    looked = _Terms(problem, fit(problem, [], problem.values, problem.plain, iterations=0), PRICE)
-    looked.tried = 1000
-    single, spline = (
-        UnnamedTerm("speed", "place", 0.0, 1.0, 0.0, shape=Shape("speed", ("place",), kind, 0.0, 0.1))
-        for kind in ("bump", "spline")
-    )
-    simple = UnnamedTerm("speed", "1", 0.0, 1.0, 0.0)
-    assert looked.costs(spline) - looked.costs(single) == pytest.approx(PRICE * (KNOTS - 1))
-    assert looked.costs(single) - looked.costs(simple) == pytest.approx(np.log(1.0 + 1000 / len(looked.names)))
 
 
 SHAPES = [
@@ -168,51 +150,3 @@ def test_an_angle_that_turns_meets_its_place_every_turn() -> None:
     angles = 1.0 + 2.0 * np.pi * np.array([0.0, 3.0, -7.0])
     assert spot.columns({"angle": angles})[:, 0] == pytest.approx(1.0)
     assert spot.columns({"angle": angles + 0.25})[:, 0] == pytest.approx(0.5)
-
-
-def test_a_sentence_says_where_and_how_wide() -> None:
-    shape = Shape("vx", ("x_world",), "bump", 0.31, 0.1, unit="m")
-    term = UnnamedTerm("vx", "x_world", 30.0, -0.2, 30.0, 0.42, shape=shape, sizes=(-0.2,))
-    residual = {"equation": "vx", "signals": ["x_world"], "share": 0.42, "terms": [term.entry]}
-    assert unexplained_text(residual, ()) == (
-        "Something outside the catalogue acts on vx; it depends on x_world, most near 0.310\u00a0m "
-        "(width 0.10\u00a0m). This dependence explains 42\u00a0% of what is missing."
-    )
-    assert Shape.of_entry("vx", term.entry["local"]) == shape
-    assert dependence_text("x_world", replace(shape, kind="spline")) == "depends on x_world, by no simple law"
-    rubbing = replace(shape, times=("vx",), dry=True, slip=0.1)
-    assert dependence_text("x_world", rubbing).endswith(", times the sign of vx")
-
-
-@pytest.mark.parametrize(
-    ("law", "is_rate", "words"),
-    [
-        (np.sign, True, "dry friction"),
-        (lambda z: z * np.abs(z), True, "drag with the square of the speed"),
-        (lambda z: np.clip(z, -0.2, 0.2), False, "free play"),
-        (lambda z: z**3, False, "a spring with the cube of the deflection"),
-        (lambda z: np.cos(9.0 * z), False, ""),
-        (lambda z: 3.0 * z + 1.0, False, ""),
-    ],
-    ids=["dry", "square", "play", "cubic", "wave", "line"],
-)
-def test_a_spline_is_told_by_the_law_that_it_resembles_beside_a_line(
-    law: Callable[[np.ndarray], np.ndarray], is_rate: bool, words: str
-) -> None:
-    z = np.random.default_rng(3).uniform(-1.0, 1.0, 2000)
-    spline = Shape("speed", ("place",), "spline", -1.0, 2.0 / (KNOTS - 1))
-    columns = spline.columns({"place": z})
-    sizes = np.linalg.lstsq(columns, law(z) - 0.5 * z, rcond=None)[0]
-    assert words in law_of([(spline, sizes)], {"place": z}, is_rate=is_rate).split(" or ")
-
-
-def test_a_sentence_says_what_a_shape_is_like() -> None:
-    shape = Shape("phi1", ("phi1", "phi2"), "spline", -1.0, 0.3, unit="rad")
-    assert dependence_text("phi1 − phi2", shape, "free play") == "depends on phi1 − phi2, like free play"
-    term = UnnamedTerm("phi1", "phi1 − phi2", 30.0, 0.1, 30.0, 0.5, shape, (0.1,) * KNOTS, like="free play")
-    assert term.entry["like"] == "free play"
-    residual = {"equation": None, "signals": ["phi1 − phi2"], "share": 0.5, "terms": [term.entry]}
-    assert unexplained_text(residual, (), something="Something that was not tried") == (
-        "Something that was not tried depends on phi1 − phi2, like free play; on what it acts, the logs do not agree. "
-        "This dependence explains 50\u00a0% of what is missing."
-    )

@@ -15,7 +15,6 @@ from cosim.fmi.fmu_build import build
 from cosim.residuals.replay_settings import start_values
 from cosim.residuals.workflow import replay
 from cosim.simulation.workflow import run
-from cosim.verbs.check_verb import check as check_files
 from cosim.verbs.cli import app
 from fmus.recipes import plant_recipe
 from tests.test_log import RECORDED
@@ -169,9 +168,3 @@ def test_a_file_of_another_kind_is_told_with_the_command_that_reads_it(
         app(arguments.split(), standalone_mode=False)
     assert words in str(caught.value)
     assert caught.value.exit_code == 2
-
-
-def test_a_log_is_known_whatever_the_case_of_its_ending(tmp_path: Path) -> None:
-    path = tmp_path / "log.CSV"
-    path.write_bytes(RECORDED.read_bytes())
-    assert any("moves" in line for line in check_files(path))

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import fmpy
 import pytest
-from fmpy.validation import validate_fmu
 
 from cosim.base.errors import InputError
 from cosim.fmi.native.check import Check
 from cosim.fmi.native.printing import ModelPrinter
 from cosim.fmi.ports import model_ports
 from cosim.kernel.backend import kernel
-from cosim.loading.build import build
 from cosim.loading.build_native import build_native
 from cosim.loading.file import load_model
 from cosim.model import Model
@@ -158,17 +155,6 @@ def test_what_c_would_say_otherwise_is_refused_at_its_line(
     assert not (tmp_path / "out").exists()
 
 
-def test_names_that_are_not_structured_are_said_to_be_flat(tmp_path: Path) -> None:
-    own = rotor(tmp_path, 'Q("left", "rad/s", "left", 0.3)', 'Q("left <ü>", "rad/s", "left", 0.3)')
-    file = tmp_path / "rotor.py"
-    text = file.read_text(encoding="utf-8").replace('forced = ("left",)', 'forced = ("right",)')
-    file.write_text(text.replace('sensor_variance = {"left"', 'sensor_variance = {"right"'), encoding="utf-8")
-    (native,) = build_native(tmp_path, own)
-    for fmu in (native.path, build(tmp_path, own)[0]):
-        assert fmpy.read_model_description(fmu).variableNamingConvention == "flat"
-        assert not validate_fmu(str(fmu))
-
-
 @pytest.mark.parametrize("name", ["", "tanks.py:Tanks", "quarter_car.py:QuarterCar", "drive_train.py:DriveTrain"])
 def test_what_is_printed_says_what_the_python_says(name: str) -> None:
     model: Model = load_model(str(PLANTS / name), Path()).model if name else Hovercraft()
@@ -196,14 +182,3 @@ def test_a_filter_is_not_made_of_what_only_numbers_bear(tmp_path: Path, at: str,
 def test_a_filter_takes_a_remainder_of_time(tmp_path: Path) -> None:
     model = load_model(rotor(tmp_path, "#last", "left = left + t % 3.0"), Path()).model
     assert kernel(model, [q.name for q in model.outputs]).layout.states
-
-
-def test_equations_that_sympy_cannot_differentiate_are_refused_and_not_a_traceback(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def endless(*arguments: object) -> None:
-        raise RecursionError("maximum recursion depth exceeded")
-
-    monkeypatch.setattr("cosim.fmi.native.package.native_model", endless)
-    with pytest.raises(InputError, match="sympy finds no end in differentiating its equations"):
-        build_native(tmp_path, model="base")

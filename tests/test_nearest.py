@@ -1,4 +1,4 @@
-"""`--nearest`: where a refine is named, the model that came nearest in it, with `build`, `run` and `design:`."""
+"""`--nearest`: where a refine is named, the model that came nearest in it, with `build` and `run`."""
 
 from __future__ import annotations
 
@@ -12,8 +12,6 @@ from typer.testing import CliRunner
 from cosim.base.errors import InputError
 from cosim.blocks.fmu import read_description
 from cosim.loading.build import build
-from cosim.scenario.controller_design import designed_values
-from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.workflow import run
 from cosim.verbs.cli import app
 
@@ -86,61 +84,14 @@ def test_where_there_is_no_nearest_model_build_says_so_in_a_line(
     assert not Path("built").exists()
 
 
-def test_a_design_is_made_for_the_nearest_model_where_it_asks_for_that(project: Path) -> None:
-    refine_left(project / "refined")
-    scenario = project / "scenarios" / "regulate.yaml"
-
-    def mass(design: str) -> float:
-        file = ScenarioFile(scenario, [f"design={design}"])
-        values = designed_values(file)
-        assert not file.faults, file.faults
-        return float(values["controller"]["mass"])
-
-    assert mass(f"{{model: {project}/refined, nearest: true}}") == 0.9
-    assert mass(f"{{model: {project}/refined/model.yaml, nearest: true}}") == 0.9
-    assert mass(f"{{model: {project}/refined}}") == 0.8
-    for design, words in (
-        ("{nearest: true}", "nearest is of a refine; name its folder as model"),
-        ("{model: base, nearest: true}", "is of no refine, so there is no nearest model"),
-    ):
-        file = ScenarioFile(scenario, [f"design={design}"])
-        designed_values(file)
-        (fault,) = file.faults
-        assert words in str(fault)
-        assert fault.exit_code == 2
-
-
 @pytest.mark.thorough
-def test_a_run_takes_the_nearest_plant_and_a_controller_for_it(project: Path, plant_fmu: Path) -> None:
+def test_a_run_takes_the_nearest_plant(project: Path, plant_fmu: Path) -> None:
     refined = refine_left(project / "refined", fmu=plant_fmu)
-    settings = ["duration=0.1", "criteria={}", f"design={{model: {project}/refined/model.yaml}}"]
-    settings += [f"components.plant.fmu={project}/refined/plant.fmu"]
+    settings = ["duration=0.1", "criteria={}", f"components.plant.fmu={project}/refined/plant.fmu"]
     scenario = project / "scenarios" / "regulate.yaml"
     record = run(scenario, project / "out", settings, nearest=True, report=False).manifest
     assert record["fmus"]["plant"]["path"] == str(refined / "nearest.fmu")
-    assert record["scenario"]["components"]["controller"]["start"]["mass"] == 0.9
     as_it_was = run(scenario, project / "out", settings, report=False).manifest
     assert as_it_was["fmus"]["plant"]["path"] == str(refined / "plant.fmu")
     again = run(project / "out" / "manifest.json", project / "again", report=False).manifest
     assert again["scenario"] == as_it_was["scenario"]
-
-
-def test_a_run_that_names_no_refine_or_repeats_another_is_told(project: Path, plant_fmu: Path) -> None:
-    scenario = project / "scenarios" / "regulate.yaml"
-    done = CliRunner().invoke(app, ["run", str(scenario), "--nearest", "--out", str(project / "out")])
-    assert isinstance(done.exception, InputError)
-    assert str(done.exception) == (
-        f"{scenario}: no component or design uses a result of `cosim refine`, so --nearest has no effect; "
-        "name the FMU or the model.yaml of such a result, or leave --nearest out"
-    )
-    refine_left(project / "refined", fmu=plant_fmu)
-    settings = ["duration=0.1", "criteria={}", f"components.plant.fmu={project}/refined/plant.fmu"]
-    run(scenario, project / "first", settings, report=False)
-    with pytest.raises(InputError, match="a manifest repeats its run as it was; leave --nearest out"):
-        run(project / "first" / "manifest.json", project / "again", nearest=True, report=False)
-    (project / "refined" / "nearest.fmu").unlink()
-    with pytest.raises(InputError) as refused:
-        run(scenario, project / "again", [*settings, "sed=3"], nearest=True, report=False)
-    told = str(refused.value)
-    assert "holds no nearest.fmu; refine its study again, or leave nearest out" in told
-    assert 'unknown key "sed"; did you mean "seed"?' in told  # every fault at once

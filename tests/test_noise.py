@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 
 from cosim.base.errors import InputError
-from cosim.blocks.noise import gaussian, stream
+from cosim.blocks.faults import gaussian, stream
 from cosim.blocks.profile import Change, Profile, profile_function
 from cosim.blocks.sources import playback
 from cosim.master.master import simulate
-from cosim.scenario.controller_design import designed_values
 from cosim.scenario.scenario_file import ScenarioFile
-from cosim.simulation import metrics
+from cosim.simulation import criteria
 from cosim.system.system import build_system
 
 
@@ -111,34 +110,16 @@ def test_a_faulty_playback_file_is_told_cell_by_cell(tmp_path: Path) -> None:
     assert [t.split(" ")[0] for t in told] == ["3:2:", "4:1:", "5:1:", "6:2:"]
 
 
-def test_a_design_is_resolved_once_and_gives_the_gain_of_eq_6_5(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    file = ScenarioFile(project / "scenarios" / "regulate.yaml")
-    monkeypatch.setenv("XDG_CACHE_HOME", str(project / "cache"))
-    first = designed_values(file)["controller"]
-    assert [first[f"k_2_{j}"] for j in range(1, 6)] == pytest.approx(
-        [0.70711, 0.65934, -0.22361, -0.10170, 0.04958], abs=5e-6
-    )
-    monkeypatch.setattr("controller.synthesis.lqr_gain", lambda *a: pytest.fail("designed twice"))
-    assert designed_values(file)["controller"] == first
-
-
-def test_a_design_of_appendix_g_gives_its_gain(project: Path) -> None:
-    file = ScenarioFile(project / "scenarios" / "regulate.yaml", ["design.thrust_nominal=2.0448", "design.lag=0.12"])
-    gains = designed_values(file)["controller"]
-    expected = [0.70711, 0.69265, 0.22361, 0.10735, 0.06922]  # eq G.5, recomputed
-    assert [gains[f"k_1_{j}"] for j in range(1, 6)] == pytest.approx(expected, abs=5e-6)
-
-
 def test_metrics_on_a_signal_known_by_hand() -> None:
     t = np.arange(6) * 0.5
     signal = np.array([0.0, 0.6, 1.3, 0.9, 1.05, 1.0])
-    assert metrics.settling_time(t, signal, 1.0, 0.1) == 1.0  # 0.9 at 1.5 s is on the band's edge
-    assert metrics.settling_time(t, signal, 1.0, 0.01) == 2.0
-    assert metrics.settling_time(t, signal, 1.0, 2.0) == 0.0
-    assert metrics.settling_time(t, signal, 0.0, 0.1) == math.inf
-    assert metrics.overshoot(signal, 1.0) == pytest.approx(0.3)
-    assert metrics.overshoot(-signal, -1.0) == pytest.approx(0.3)
-    assert metrics.rms_error(signal, 1.0) == pytest.approx(math.sqrt((1 + 0.16 + 0.09 + 0.01 + 0.0025) / 6))
-    assert metrics.final_error(signal, 1.2) == pytest.approx(0.2)
-    assert metrics.peak(-signal) == 1.3
-    assert metrics.effort(t, signal) == pytest.approx(0.5 * (0.6 + 1.3 + 0.9 + 1.05))
+    assert criteria.settling_time(t, signal, 1.0, 0.1) == 1.0  # 0.9 at 1.5 s is on the band's edge
+    assert criteria.settling_time(t, signal, 1.0, 0.01) == 2.0
+    assert criteria.settling_time(t, signal, 1.0, 2.0) == 0.0
+    assert criteria.settling_time(t, signal, 0.0, 0.1) == math.inf
+    assert criteria.overshoot(signal, 1.0) == pytest.approx(0.3)
+    assert criteria.overshoot(-signal, -1.0) == pytest.approx(0.3)
+    assert criteria.rms_error(signal, 1.0) == pytest.approx(math.sqrt((1 + 0.16 + 0.09 + 0.01 + 0.0025) / 6))
+    assert criteria.final_error(signal, 1.2) == pytest.approx(0.2)
+    assert criteria.peak(-signal) == 1.3
+    assert criteria.effort(t, signal) == pytest.approx(0.5 * (0.6 + 1.3 + 0.9 + 1.05))

@@ -19,7 +19,7 @@ import pytest
 import cosim
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
-from cosim.base.notebook import ProgressLine, shows_progress
+from cosim.base.notebook import shows_progress
 from cosim.calibration.fitted import Fitted
 from cosim.comparison.differences import compare_runs
 from cosim.comparison.several import ComparedRuns
@@ -55,7 +55,7 @@ def test_a_result_shows_its_charts_in_a_frame_that_reaches_nothing() -> None:
     assert 'sandbox="allow-scripts allow-downloads"' in shown  # without the rights of the notebook
     assert "default-src 'none'" in frame
     assert len(re.findall(r"<figure ", frame)) == 1  # one unit, one panel
-    assert '"rows":500,' in frame
+    assert '"of":500' in frame
     assert not re.findall(r"""(?:src|href)=["']?(?:https?:)?//""", frame)
     assert "rows, which keep" not in shown
 
@@ -132,61 +132,48 @@ def test_a_comparison_and_estimates_show_themselves(tmp_path: Path) -> None:
 # -- progress -------------------------------------------------------------------------------------------
 
 
-class Cell:
-    """What a cell displays: each line, and the number of its changes."""
+@pytest.mark.parametrize(
+    ("calls", "lines", "most"),
+    [
+        ([(0.001 * k, (k, 10_000)) for k in range(10_000)], ["run: 10.0 s"], 37),  # 1000 calls a second
+        ([(0.5, (1, 2))], [], 0),
+        ([(2.0, ("screening", 0.5))], ["run: 2.0 s"], 1),
+    ],
+)
+def test_progress_in_a_notebook_is_one_line_that_changes_a_few_times_a_second(
+    monkeypatch: pytest.MonkeyPatch, calls: list[tuple[float, Any]], lines: list[str], most: int
+) -> None:
+    now, shown, changes = [0.0], list[str](), [0]
 
-    def __init__(self) -> None:
-        self.lines: list[str] = []
-        self.changes = 0
+    class Line:
+        def update(self, content: dict[str, str], raw: bool) -> None:
+            shown[-1] = content["text/plain"]
+            changes[0] += 1
 
-    def show(self, text: str, html: str) -> Any:
-        self.lines.append(text)
-        return self.replace
+    def display(content: dict[str, str], **options: Any) -> Line:
+        shown.append(content["text/plain"])
+        return Line()
 
-    def replace(self, text: str, html: str) -> None:
-        self.lines[-1] = text
-        self.changes += 1
-
-
-def test_progress_is_one_line_that_changes_a_few_times_a_second() -> None:
-    now, cell = [0.0], Cell()
-    line = ProgressLine("run", cell.show, lambda: now[0])
-    for step in range(10_000):  # 10 s, 1000 calls a second
-        now[0] = step / 1000
-        line(step, 10_000)
-    assert re.fullmatch(r"run: \d\d%, 10 s|run: 100%, 10 s", cell.lines[-1])
-    line.end()
-    assert cell.lines == ["run: 10.0 s"]
-    assert cell.changes <= 37
-
-
-def test_a_short_run_shows_no_progress_and_stages_show_their_names() -> None:
-    now, cell = [0.0], Cell()
-    line = ProgressLine("fit", cell.show, lambda: now[0])
-    line(1, 2)
-    line.end()
-    assert cell.lines == []
-    now[0] = 2.0
-    line("screening", 0.5)
-    assert cell.lines == ["fit: screening, 50%, 2 s"]
-
-
-def test_only_a_notebook_shows_progress_and_a_function_of_your_own_replaces_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    def work(progress: Any = None) -> Any:
+    def run(progress: Any = None) -> Any:
+        for time, call in calls if callable(progress) and progress is not print else []:
+            now[0] = time
+            progress(*call)
+        now[0] = round(now[0])
         return progress
 
-    shown = shows_progress(work)
-    python = ModuleType("IPython")
-    shell = type("Shell", (), {})()  # of a terminal
-    monkeypatch.setitem(sys.modules, "IPython", python)
+    python, shell = ModuleType("IPython"), type("Shell", (), {})()  # of a terminal
+    shows = ModuleType("IPython.display")
     monkeypatch.setattr(python, "get_ipython", lambda: shell, raising=False)
-    assert shown() is None
+    monkeypatch.setattr(shows, "display", display, raising=False)
+    monkeypatch.setitem(sys.modules, "IPython", python)
+    monkeypatch.setitem(sys.modules, "IPython.display", shows)
+    monkeypatch.setattr("time.monotonic", lambda: now[0])
+    assert shows_progress(run)() is None
     shell.kernel = object()
-    display = ModuleType("IPython.display")
-    monkeypatch.setattr(display, "display", print, raising=False)
-    monkeypatch.setitem(sys.modules, "IPython.display", display)
-    assert isinstance(shown(), ProgressLine)
-    assert shown(progress=print) is print
+    assert shows_progress(run)(progress=print) is print
+    shows_progress(run)()
+    assert shown == lines
+    assert changes[0] <= most
 
 
 # -- within an event loop, and in a kernel --------------------------------------------------------------

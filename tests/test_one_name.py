@@ -151,15 +151,6 @@ def test_an_fmu_that_uses_a_library_of_the_process_in_place_of_its_own_is_warned
             assert sum(LIBM in line and loaded in line for line in cosim.check(checked)) == count
 
 
-def test_a_library_of_the_process_without_the_function_is_named_as_the_cause(tmp_path: Path) -> None:
-    for name, soname in (("own.so", LIBM), ("libz.so", "libz.so.1")):
-        with_library(tmp_path / "own.fmu", 2.0, name=name, soname=soname)
-        done = command("check", "own.fmu", cwd=tmp_path)
-        assert (done.returncode, len(done.stderr.splitlines())) == (3, 1)
-        assert f"own.fmu brings {soname}" in done.stderr
-        assert "export it again" not in done.stderr
-
-
 BIAS = TermCode(
     source="static void readings(double t, const double *y, const double *p, double *out) { out[0] = y[0] + p[0]; }",
     parameters=(Parameter("bias.level", 0.0, "", "added to the output", neutral=0.0),),

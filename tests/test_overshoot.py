@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from controller.synthesis import numbers_of
-from cosim.base.errors import InputError
 from cosim.loading.file import read_model
 from cosim.model import Stepper
 from cosim.refinement.workflow import refine
@@ -84,31 +83,8 @@ def test_the_craft_takes_the_refined_actuator_and_its_regulator_is_made_for_it(r
     assert delay != pytest.approx(0.0884, rel=0.1)
 
 
-def test_a_model_file_that_takes_parameters_from_nowhere_says_so(tmp_path: Path) -> None:
-    def refused(text: str) -> str:
-        (tmp_path / "a.yaml").write_text(text)
-        with pytest.raises(InputError) as error:
-            read_model(tmp_path / "a.yaml")
-        return str(error.value)
-
-    (tmp_path / "cells.yaml").write_text("model: bench\nparameters: {z_zero: 3.2}\n")
-    (tmp_path / "heavy.yaml").write_text("model: bench\nparameters: {lag: 0.1, z_zero: 3.2}\n")
-    assert "no such model file: none.yaml" in refused("model: hovercraft\nparameters_from: none.yaml\n")
-    assert "holds no parameter that" in refused("model: hovercraft\nparameters_from: cells.yaml\n")
-    assert "takes its parameters from here itself" in refused("model: hovercraft\nparameters_from: a.yaml\n")
-    (tmp_path / "a.yaml").write_text("model: hovercraft\nparameters_from: heavy.yaml\nparameters: {mass: 0.8}\n")
-    loaded = read_model(tmp_path / "a.yaml")
-    assert loaded.parameters == {"lag": 0.1, "mass": 0.8}
-
-
 def test_the_bench_with_a_dormant_overshoot_is_the_bench() -> None:
     plain, dormant = Bench(), Bench().with_values({"actuator_second_order.damping_ratio": 0.3})
     assert dormant.awake == ()
     assert len(plain.states) == 5
     assert len(Bench().with_values({"actuator_second_order.natural_frequency": 16.0}).states) == 6
-
-
-def test_the_example_says_what_its_files_say() -> None:
-    study = (EXAMPLE / "study.yaml").read_text(encoding="utf-8")
-    assert "model: bench.yaml" in study
-    assert "truth" not in study  # what is to be found is read by what makes the logs alone

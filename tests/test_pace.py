@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import json
 from array import array
+from collections.abc import Mapping
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import cosim
 from cosim.base.errors import InputError
 from cosim.isolation.rows import WAITING
 from cosim.master.observer import ObservedRun, Observer
-from cosim.master.pacing import NAP, Pacer
+from cosim.master.pacing import Pacer
+from examples.live.thermostat import BAND, GOAL, POWER, main
 from tests.cases import some
 from tests.deeds import deeds_scenario
 
@@ -78,31 +81,6 @@ def test_a_run_that_cannot_keep_up_says_so() -> None:
     assert wall.naps == []
     (note,) = pacer.notes(0.0)
     assert "is not kept" in note
-    assert "and the last 200 ms" in note
-
-
-def test_a_pause_shifts_the_times_and_long_waits_look_for_a_requested_end() -> None:
-    wall, asked = Wall(), list[int]()
-    pacer = Pacer(1.0, 3, 1.0, wall.doing, asked.append, clock=wall.clock, sleep=wall.sleep)
-    pacer.wait(0)
-    wall.now += 50.0
-    pacer.shift(50.0)
-    pacer.wait(1)
-    assert wall.now == pytest.approx(151.0, abs=1e-3)
-    assert asked == [1] * len(asked)
-    assert len(asked) >= 9
-    assert max(wall.naps) <= NAP
-
-
-def test_the_preparation_of_the_loop_makes_no_point_late() -> None:
-    wall = Wall()
-    pacer = wall.pacer(1.0, 20, 0.01)
-    pacer.wait(0)
-    wall.now += 0.5
-    pacer.restart()
-    for k in range(1, 21):
-        pacer.wait(k)
-    assert pacer.record(0.0)["overruns"] == {"count": 0}
 
 
 @pytest.mark.parametrize("in_process", [False, True])
@@ -154,3 +132,33 @@ def test_a_wrong_pace_is_refused_with_its_place(tmp_path: Path, pace: str) -> No
     (fault,) = refused.value.faults
     assert (fault.line, fault.exit_code) == (len(path.read_text().splitlines()), 2)
     assert "pace" in str(fault)
+
+
+def test_functions_set_inputs_and_the_manifest_repeats_them(tmp_path: Path) -> None:
+    path = deeds_scenario(tmp_path, "none", "none", duration=4.0)
+
+    def twice(time: float, row: Mapping[str, float]) -> float:
+        return 2.0 * time + 0.0 * row["good.y0"]
+
+    ran = cosim.run(path, tmp_path / "o", pace=4.0, inputs={"good.u0": twice}, report=False)
+    assert len({*ran["good.u0"]}) > 3
+    assert ran.manifest["real_time"] == {"pace": 4.0}
+    again = cosim.run(tmp_path / "o" / "manifest.json", tmp_path / "again", report=False)
+    assert (tmp_path / "again" / "results.csv").read_bytes() == (tmp_path / "o" / "results.csv").read_bytes()
+    assert "changes" not in again.manifest
+
+
+@pytest.mark.parametrize(("name", "function"), [("good.u9", lambda time, row: 1.0), ("good.u0", 3)])
+def test_a_function_for_no_input_and_no_function_are_refused(tmp_path: Path, name: str, function: object) -> None:
+    path = deeds_scenario(tmp_path, "none", "none")
+    with pytest.raises(InputError) as refused:
+        cosim.run(path, inputs={name: function})  # type: ignore[dict-item]
+    assert refused.value.exit_code == 2
+
+
+def test_the_thermostat_of_the_example_switches_the_heater(tmp_path: Path) -> None:
+    ran = main(tmp_path / "build", pace=40.0)
+    power, board = ran["oven.power"], ran["oven.board"]
+    off = int(np.argmax(power == 0.0))
+    assert {*power} == {600.0, POWER, 0.0}  # the start value, then those of the thermostat
+    assert board[:off].max() > GOAL + BAND

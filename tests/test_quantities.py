@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 import cosim
 from cosim.base.errors import InputError
-from cosim.base.units import conversion, factor, parse, read_quantity, square_unit, unit_definitions
+from cosim.base.units import parse, read_quantity, square_unit
 from cosim.blocks.component import Signal
 from cosim.comparison.differences import compare_runs
 from cosim.loading.file import read_model
@@ -73,22 +73,6 @@ def test_a_quantity_is_its_number_in_the_unit_that_is_wanted(text: str, unit: st
     assert read_quantity(text, unit) == pytest.approx(value, rel=1e-14, abs=1e-12)  # a rounding or two
 
 
-@pytest.mark.parametrize("text", ["2 degC", "2 K", "3.6 degF"])
-def test_a_difference_of_temperatures_has_no_offset(text: str) -> None:
-    assert read_quantity(text, "K", difference=True) == pytest.approx(2.0, rel=1e-15)
-    assert read_quantity(text, "degC", difference=True) == pytest.approx(2.0, rel=1e-15)
-
-
-def test_a_factor_alone_is_none_where_an_offset_is_needed() -> None:
-    assert factor("degC", "K") is None
-    assert factor("W/degC", "W/K") == 1.0
-    there, back = conversion("degF", "degC"), conversion("degC", "degF")
-    assert there is not None
-    assert back is not None
-    assert there(212.0) == pytest.approx(100.0, rel=1e-14)
-    assert back(there(17.0)) == pytest.approx(17.0, rel=1e-13)
-
-
 @pytest.mark.parametrize(
     ("text", "unit", "said"),
     [
@@ -111,12 +95,6 @@ def test_the_square_of_a_unit_has_its_exponents_twice() -> None:
         assert twice is not None
         assert twice.exponents == {name: 2 * power for name, power in once.exponents.items()}
         assert twice.factor == pytest.approx(once.factor**2, rel=1e-15)
-
-
-def test_a_definition_has_the_offset() -> None:
-    (base,) = [node.find("BaseUnit") for node in unit_definitions({"degC"})]
-    assert base is not None
-    assert base.attrib == {"K": "1", "offset": "273.15"}
 
 
 # -- scenarios, --set and Python -------------------------------------------------------------------
@@ -234,18 +212,6 @@ def test_units_are_taken_from_set_and_from_python(tmp_path: Path) -> None:
     assert cosim.read(tmp_path / "out").time[-1] == pytest.approx(0.2)  # type: ignore[union-attr]
 
 
-@pytest.mark.parametrize("value", ["0", "-1", "3 kg", "[1]"])
-def test_a_fault_of_set_names_the_option_and_no_line_of_the_file(tmp_path: Path, value: str) -> None:
-    path = heated(tmp_path)
-    (fault,) = [f for f in ScenarioFile(path, [f"step={value}"]).faults if "step" in f.message]
-    assert (fault.line, fault.column) == (0, 0)
-    assert fault.message.startswith(f'--set "step={value}": step is ')
-    (fault,) = ScenarioFile(path, ["duration=0.7"]).faults  # which the step of the file does not divide
-    assert fault.message.startswith('--set "duration=0.7": step is 0.5 s')
-    (fault,) = ScenarioFile(path, ["criteria.peak.of=r.T"]).faults
-    assert fault.message == '--set "criteria.peak.of=r.T": "criteria.peak.max" is missing; add it'
-
-
 # -- logs ------------------------------------------------------------------------------------------
 
 
@@ -257,14 +223,14 @@ def test_a_column_in_degrees_is_converted_to_kelvin(tmp_path: Path, unit: str, s
     assert log.inputs["power"][0] == 1000.0
 
 
+# -- models, studies, sweeps, protocols ------------------------------------------------------------
+
+
 def test_runs_in_kelvin_and_in_degrees_are_compared(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("time,T [degC]\n0,0\n1,20\n")
     (tmp_path / "b.csv").write_text("time,T [K]\n0,273.15\n1,293.15\n")
     assert compare_runs(*(read_ran(tmp_path / f"{name}.csv") for name in "ab"), tolerance=0.0).same
     assert compare_runs(*(read_ran(tmp_path / f"{name}.csv") for name in "ba"), tolerance=0.0).same
-
-
-# -- models, studies, sweeps, protocols ------------------------------------------------------------
 
 
 def test_parameters_of_a_model_file_are_converted(tmp_path: Path) -> None:
@@ -312,18 +278,6 @@ def test_distributions_of_a_sweep_may_be_written_with_units(tmp_path: Path) -> N
     assert phi.mean() == pytest.approx(10.0, abs=0.02)
     assert phi.std() == pytest.approx(math.degrees(0.001), rel=0.3)  # of 50 draws
     assert sweep.scenario.duration == 2.0
-
-
-def test_a_spread_of_temperatures_in_a_sweep_is_a_difference(tmp_path: Path) -> None:
-    heated(tmp_path, start_time=0)
-    text = "scenario: s.json\nruns: 50\nsignals: [r.T]\nset: {duration: 2 s}\nvary:\n"
-    (tmp_path / "sweep.yaml").write_text(text + "  components.r.signals.T.start: {normal: [20 degC, 1.8 degF]}\n")
-    drawn = np.array(read_sweep(tmp_path / "sweep.yaml").columns["components.r.signals.T.start"])
-    assert drawn.mean() == pytest.approx(20.0, abs=0.2)
-    assert drawn.std() == pytest.approx(1.0, rel=0.3)
-    (tmp_path / "sweep.yaml").write_text(text + "  components.r.signals.T.start: {uniform: [1 kg, 2 kg]}\n")
-    with pytest.raises(InputError, match=r"sweep.yaml:6:.*'1 kg': it is a number \[degC\]"):
-        read_sweep(tmp_path / "sweep.yaml")
 
 
 def test_numbers_of_a_protocol_may_be_written_with_units() -> None:

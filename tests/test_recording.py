@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,11 +11,9 @@ import pytest
 
 import cosim
 from cosim.base.errors import InputError
-from cosim.blocks.fmu import FmuBlock
-from cosim.simulation import workflow
 from cosim.simulation.run_signals import Run
 from cosim.simulation.workflow import run
-from cosim.system.recording import _is_meant, _objection
+from cosim.system.recording import _is_meant
 from tests.test_resume import check_equal, stopped
 from tests.walker import walker_scenario
 
@@ -75,7 +71,7 @@ def test_a_part_has_the_values_of_all_rows_and_nothing_else(walk: tuple[Path, An
 def test_a_stopped_run_goes_on_to_the_same_bytes(walk: tuple[Path, Any, Any], tmp_path: Path) -> None:
     scenario, _, part = walk
     again = stopped(scenario, tmp_path / "again", [PART])
-    assert (again / "checkpoint" / "all-rows").is_file()
+    assert (again / "checkpoint" / "rows").is_file()
     plain = shutil.copytree(again, tmp_path / "plain")
     shutil.rmtree(plain / "checkpoint")  # as without the key
     for folder, note in ((again, "goes on from"), (plain, "the run is made again from t = 0 s")):
@@ -98,10 +94,10 @@ def test_a_finished_run_is_extended_with_and_without_all_rows(tmp_path: Path) ->
         assert (each / "results.csv").read_bytes() == (longer / "results.csv").read_bytes()
 
 
-@pytest.mark.parametrize("format_", ["csv", "parquet", "mat", "hdf5", "mcap"])
+@pytest.mark.parametrize("format_", ["csv", "parquet", "mat", "hdf5"])
 @pytest.mark.parametrize("in_process", [True, False])
 def test_every_format_has_the_part(tmp_path: Path, format_: str, in_process: bool) -> None:
-    for library in {"parquet": ["pyarrow"], "hdf5": ["h5py"], "mcap": ["mcap"]}.get(format_, []):
+    for library in {"parquet": ["pyarrow"], "hdf5": ["h5py"]}.get(format_, []):
         pytest.importorskip(library)
     if in_process and format_ != "csv":
         pytest.skip("rows are written in one place")
@@ -155,32 +151,6 @@ def test_a_fault_of_record_has_its_place_and_cure(tmp_path: Path, record: str, o
     assert message in str(refused.value)
 
 
-def test_check_says_which_charts_a_report_will_lack(tmp_path: Path) -> None:
-    scenario = walker_scenario(tmp_path)
-    content = scenario.read_text().replace('record: ["*.kicks"]', "record: {signals: [saving.y]}")
-    scenario.write_text(content)
-    (note,) = cosim.check(scenario, load=False)
-    assert "note: 1 of 8 signals are recorded; the report has no chart of the connections other.y → saving.u" in note
-
-
-def test_many_rows_of_csv_offer_parquet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(workflow, "MANY_ROWS", 50)
-    for format_, record, told in (("csv", "[]", 1), ("mat", "[]", 0), ("csv", "{every: 0.1}", 0)):
-        said: list[str] = []
-        run(_file(tmp_path, record), tmp_path / "out", report=False, in_process=True, format_=format_, tell=said.append)
-        assert len(said) == told
-        assert all("the run has 101 rows; --format parquet" in text for text in said)
-
-
-def test_a_manifest_repeats_the_part(tmp_path: Path) -> None:
-    first = run(_file(tmp_path), tmp_path / "out", report=False, in_process=True)
-    assert first.manifest["scenario"]["record"] == {"signals": ["ref.x"], "every": 0.1}
-    run(tmp_path / "out" / "manifest.json", tmp_path / "again", report=False, in_process=True)
-    rows = [(tmp_path / name / "results.csv").read_bytes() for name in ("out", "again")]
-    assert rows[0] == rows[1]
-    assert json.loads((tmp_path / "again" / "manifest.json").read_text())["beside"] == []
-
-
 @pytest.mark.parametrize(
     ("pattern", "column", "is_meant"),
     [("a.y", "a.y[1]", True), ("a.y", "a.y[1,2]", True), ("a.y", "a.y2[1]", False), ("a.y[1]", "a.y[1]", True),
@@ -188,14 +158,3 @@ def test_a_manifest_repeats_the_part(tmp_path: Path) -> None:
 )  # fmt: skip
 def test_the_name_of_an_array_means_its_elements(pattern: str, column: str, is_meant: bool) -> None:
     assert _is_meant(pattern, column) is is_meant
-
-
-def test_the_time_of_an_fmu_is_no_signal_and_is_not_suggested() -> None:
-    component: Any = object.__new__(FmuBlock)
-    variables = [SimpleNamespace(name=n, causality=c) for n, c in (("time", "independent"), ("tide", "local"))]
-    object.__setattr__(component, "description", SimpleNamespace(modelVariables=variables))
-    scenario: Any = SimpleNamespace(components={"d": None})
-    layout: Any = SimpleNamespace(columns=["d.x"], beside=[])
-    said = [str(_objection(pattern, scenario, {"d": component}, layout)) for pattern in ("d.time", "d.tim")]
-    assert said[0] == "d.time is the time, the first column of every result; leave it out"
-    assert said[1] == 'no signal matches "d.tim"; did you mean "d.tide"?'

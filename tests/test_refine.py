@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import csv
 import json
-import math
 import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -25,7 +24,6 @@ from cosim.estimation.posing import build_problem
 from cosim.fmi.fmu_build import build
 from cosim.fmi.native import compiler
 from cosim.kernel.kernel import DISTURBANCE, MEMORY
-from cosim.loading.build_native import class_fmu
 from cosim.loading.file import load_model, read_model
 from cosim.logs.log import read_log
 from cosim.model import Stepper
@@ -35,7 +33,6 @@ from cosim.refinement.proof import measure, proof_replays
 from cosim.refinement.proof.refined_models import Variant
 from cosim.refinement.record import SCHEMA, Replayed, schema
 from cosim.refinement.refinement import Refinement
-from cosim.refinement.report.refine_page import write_refine_report
 from cosim.refinement.study import read_study
 from cosim.refinement.workflow import refine
 from cosim.residuals.drive import Drive, StoppedReplay
@@ -46,7 +43,6 @@ from cosim.subject.fmu_replayer import FmuReplayer
 from cosim.subject.interface import Workplace
 from cosim.subject.model_subject import ModelSubject, neutral_values
 from cosim.verbs.check_verb import check as check_files
-from cosim.verbs.cli import entry
 from fmus.recipes import plant_recipe
 from plant.hovercraft import Hovercraft
 from tests.native import NEEDS_COMPILER
@@ -163,16 +159,7 @@ def test_without_a_compiler_replays_are_in_python_and_say_why(
     with Workplace(tmp_path, in_process=True) as place:
         _, way = short_of(rubbing, place).replay({"after": rubbing.variants["after"]})
     assert (way.through, way.log, way.apart) == ("python", "", None)
-    assert way.why.startswith("no C compiler is found")
     assert not [*proof_replays.warnings_of(way)]
-
-
-@NEEDS_COMPILER
-def test_one_native_fmu_serves_every_value_of_a_class(tmp_path: Path) -> None:
-    base = load_model("base", tmp_path)
-    other = replace(base, model=base.model.with_values({"mass": 2.0, "coulomb_friction.force": 0.1}))
-    paths = [class_fmu(loaded, tmp_path / f"{k}.fmu") for k, loaded in enumerate((base, other))]
-    assert paths[0].read_bytes() == paths[1].read_bytes()
 
 
 class Drifting(Hovercraft):
@@ -222,30 +209,6 @@ def test_a_study_that_claims_nothing_writes_the_nearest_model_beside(complete: R
 
 
 @pytest.mark.thorough
-def test_errors_are_those_of_the_outputs_that_a_log_measures(complete: Refinement) -> None:
-    for error in (complete.record["error"], *complete.record["horizons"].values()):
-        assert error["nearest"]["validation"].keys() == error["after"]["validation"].keys()
-        assert error["before"] == error["after"]
-        assert set(error["after"]["estimation"]) - set(error["after"]["validation"]) == {"x_world", "y_world"}
-
-
-@pytest.mark.thorough  # a delay and a lag, a sensor beside an effect and two surplus effects are named in other files
-def test_two_missing_effects_are_found_together(tmp_path: Path) -> None:
-    r = refined(tmp_path, {"quadratic_drag": {"coefficient": 0.5}, "servo_dead_band": {"width": math.radians(1.5)}})
-    assert r.record["verdict"] == "effect_found"
-    assert named(r) == {"quadratic_drag", "servo_dead_band"}
-    assert holds(r, "servo_dead_band", "width", math.radians(1.5))
-
-
-@pytest.mark.thorough  # four percent more are found too: test_refine_stands
-def test_a_wrong_parameter_is_told_from_a_missing_effect(tmp_path: Path) -> None:
-    r = refined(tmp_path, {"mass": {"value": 0.85}})
-    assert r.record["verdict"] == "parameter_error"
-    assert named(r) == {"mass"}
-    assert holds(r, "mass", "value", 0.85)
-
-
-@pytest.mark.thorough
 def test_an_imu_alone_tells_a_biased_gyroscope_and_leaves_the_plant_unchanged(tmp_path: Path) -> None:
     r = refined(tmp_path, {"gyro_bias": {"value": 0.03}}, position=False)
     assert r.record["verdict"] == "sensor_error"
@@ -260,13 +223,6 @@ def test_an_imu_alone_tells_a_biased_gyroscope_and_leaves_the_plant_unchanged(tm
     starts = [{v.name: v.start for v in description.modelVariables} for description in built]
     assert starts[0] == starts[1]
     assert r.record["error"]["after"]["validation"]["psi_dot"] < r.record["error"]["before"]["validation"]["psi_dot"]
-
-
-@pytest.mark.thorough  # of the refined model the same is shown above, of a motor in test_refine_conditions
-def test_a_craft_that_lacks_nothing_is_left_alone(tmp_path: Path) -> None:
-    r = refined(tmp_path, {}, kind="nothing")
-    assert (r.record["verdict"], r.record["effects"]) == ("no_effect", [])
-    assert read_model(r.folder / "model.yaml").parameters == {}
 
 
 def without(path: Path, *outputs: str) -> None:
@@ -293,36 +249,8 @@ def test_logs_that_excite_nothing_are_said_to(tmp_path: Path) -> None:
     study.write_text("model: base\nlogs: {estimation: [a.csv], validation: [b.csv]}\n")
     r = proven(study, tmp_path / "out")
     assert r.record["verdict"] == "ambiguous"
-    assert r.record["sentence"].startswith("Nothing moves in these logs: ")
     assert len(r.record["rivals"]) > 5
     assert r.record["experiment"]
-
-
-@pytest.mark.thorough
-def test_what_is_in_no_catalogue_is_not_named(tmp_path: Path) -> None:
-    from tests.blind.truth_outside import OUTSIDE
-
-    name = next(n for n in OUTSIDE if "tether" in n)
-    truth = {name: {p: sum(limits) / 2 for p, limits in OUTSIDE[name].ranges.items()}}
-    r = refined(tmp_path, truth, kind="outside")
-    assert r.record["verdict"] in {"unexplained", "ambiguous"}
-    assert r.record["residual"]["equation"] in {"vx", "vy"}
-
-
-@pytest.mark.thorough
-def test_an_effect_that_rises_above_a_disturbance_is_claimed_at_its_size(tmp_path: Path) -> None:
-    r = refined(tmp_path, {"quadratic_drag": {"coefficient": 0.06}}, disturbed=True)
-    assert (r.record["verdict"], named(r)) == ("effect_found", {"quadratic_drag"})
-    assert holds(r, "quadratic_drag", "coefficient", 0.06)
-    assert r.record["held_out_gain"] > 0.0
-    assert any(entry["inflated"] for entry in r.record["residual"]["process_noise"].values())  # it is there still
-
-
-@pytest.mark.thorough
-def test_an_effect_that_drowns_in_a_disturbance_is_not_claimed(tmp_path: Path) -> None:
-    r = refined(tmp_path, {"quadratic_drag": {"coefficient": 0.01}}, disturbed=True)
-    assert r.record["verdict"] in {"no_effect", "unexplained"}
-    assert r.record["effects"] == []
 
 
 def test_the_kernel_runs_the_same_equations_as_the_fmu(tmp_path: Path) -> None:
@@ -353,38 +281,6 @@ def test_the_kernel_runs_the_same_equations_as_the_fmu(tmp_path: Path) -> None:
     for k in range(1, len(data.u)):
         moment = stepper.step(moment, tuple(data.u[k - 1].tolist()), 0.02)
         assert np.allclose(run.states[k, columns], moment.state, rtol=1e-9, atol=1e-9)
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (("e2.csv", "e3.csv"), "no such file"),
-        (("v1.csv", "e1.csv"), "is listed for estimation too"),
-        (("model: base", "model: none.yaml"), "no such model: none.yaml"),
-        (("model: base", "modle: base"), 'unknown key "modle"; did you mean "model"?'),
-        (("mass]", "mas]"), 'no candidate "mas"; did you mean "mass"?'),
-    ],
-)
-def test_a_faulty_study_is_told_with_its_place(tmp_path: Path, change: tuple[str, str], words: str) -> None:
-    path = study_of(tmp_path, {})
-    path.write_text(path.read_text().replace(*change))
-    with pytest.raises(InputError) as caught:
-        read_study(path)
-    assert any(words in str(f) and str(tmp_path) in str(f) for f in caught.value.faults), caught.value
-
-
-def test_a_faulty_model_file_is_told_all_at_once(tmp_path: Path) -> None:
-    path = tmp_path / "model.yaml"
-    path.write_text(
-        "schema_version: 1\nparameters:\n  mass: -1\n  coulomb_fiction.force: 0.1\n  coulomb_friction.force: 99\n"
-        "sensors:\n  gyro_bias.value: 7\n"
-    )
-    with pytest.raises(InputError) as caught:
-        read_model(path)
-    told = [str(f).removeprefix(f"{path}:") for f in caught.value.faults]
-    assert [t.split(":")[0] for t in told] == ["3", "4", "5", "7"]
-    assert 'did you mean "coulomb_friction.force"?' in told[1]
 
 
 def thinned(folder: Path, keep: Callable[[np.ndarray], np.ndarray], logs: str = "*.csv") -> None:
@@ -426,22 +322,6 @@ def test_rows_that_are_missing_change_no_verdict(rubbing: Refinement, patchy: Re
     assert sorted(p.name for p in r.folder.iterdir()) == ["model.yaml", "plant.fmu", "refine.json"]
 
 
-@pytest.mark.thorough
-def test_each_log_may_measure_something_else(patchy: Refinement, tmp_path: Path) -> None:
-    assert patchy.problem.kernel.layout.outputs == ("x_world", "y_world", "psi", "psi_dot", "ax")
-    write_refine_report(tmp_path / "report.html", patchy)
-
-
-def test_logs_that_measure_nothing_in_common_make_one_problem(tmp_path: Path) -> None:
-    path, craft = study_of(tmp_path, {}), Hovercraft()
-    without(path.with_name("e1.csv"), "psi", "ax")
-    without(path.with_name("e2.csv"), "x_world", "y_world")
-    logs = [read_log(path.with_name(n), craft.inputs, craft.outputs) for n in ("e1.csv", "e2.csv")]
-    problem = build_problem(ModelSubject.of(craft), logs)
-    measured = [np.isfinite(data.y).all(axis=0).tolist() for data in problem.logs]
-    assert measured == [[True, True, False, False, False], [False, False, True, True, True]]
-
-
 def test_a_sensor_that_starts_late_tells_nothing_of_the_start(tmp_path: Path) -> None:
     path = study_of(tmp_path, {})
     craft = Hovercraft()
@@ -453,28 +333,6 @@ def test_a_sensor_that_starts_late_tells_nothing_of_the_start(tmp_path: Path) ->
     assert problem.P0[0, 0] == 1.0
     run = problem.run(problem.values, problem.plain, 0, states=True)
     assert np.abs(run.states[75:, place] - late["x_world"][75:]).max() < 0.02  # from its first measurement on
-
-
-@pytest.mark.thorough
-def test_a_state_that_nothing_measures_may_start_anywhere(tmp_path: Path) -> None:
-    text = (Path(__file__).parent.parent / "docs" / "own_model.md").read_text()
-    (tmp_path / "table.py").write_text(text.split("```python\n")[1].split("```")[0])
-    table = load_model("table.py:Table", tmp_path).model
-    for seed, name in enumerate("abc"):
-        rng = np.random.default_rng(seed)
-        torque = 0.1 * np.repeat(rng.standard_normal(120), 5)
-        stepper = Stepper(table.with_values({"dry_friction.level": 0.05}))
-        moment, rate = stepper.start(0.0, {"angle": 0.9}), []
-        for u in torque.tolist():
-            rate.append(moment.state[1])
-            moment = stepper.step(moment, (u,), 0.02)
-        columns = np.column_stack([0.02 * np.arange(600), torque, np.array(rate) + 1e-2 * rng.standard_normal(600)])
-        np.savetxt(tmp_path / f"{name}.csv", columns, delimiter=",", header="time,torque,rate", comments="")
-    study = tmp_path / "study.yaml"
-    study.write_text("model: table.py:Table\nlogs: {estimation: [a.csv, b.csv], validation: [c.csv]}\n")
-    r = proven(study, tmp_path / "out")
-    assert named(r) == {"dry_friction"}
-    assert r.record["error"]["after"]["validation"]["rate"] < 2.0 * r.record["noise_floor"]["rate"]
 
 
 @pytest.mark.thorough
@@ -522,34 +380,6 @@ def test_an_earlier_result_outlives_a_refine_that_fails(tmp_path: Path, monkeypa
     with pytest.raises(KeyboardInterrupt):
         refine(path, out)
     assert {p.name: p.read_text() for p in out.iterdir()} == dict.fromkeys(files, "earlier")
-
-
-def test_a_claim_leaves_no_nearest_model_of_an_earlier_refine(rubbing: Refinement) -> None:
-    assert rubbing.record["grade"] == "claimed"
-    assert sorted(p.name for p in rubbing.folder.iterdir()) == ["model.yaml", "plant.fmu", "refine.json", "runs"]
-    assert (rubbing.folder / "runs" / "0001" / "nearest.yaml").read_text() == "earlier"
-
-
-def test_where_results_cannot_be_written_nothing_is_fitted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = study_of(tmp_path / "study", {})
-    (tmp_path / "out").write_text("a file")
-    monkeypatch.setattr(workflow, "attribute", None)
-    with pytest.raises(InputError, match="cannot be the folder for results"):
-        refine(path, tmp_path / "out")
-
-
-def test_the_command_line_prints_what_the_gate_warns_of(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = study_of(tmp_path / "study", {})
-    thinned(path.parent, paused)
-    (warning, *_) = read_study(path).warnings
-    assert warning.startswith("e1.csv: 50 rows missing in 1 place")
-    monkeypatch.setattr("sys.argv", ["cosim", "check", str(path)])
-    with pytest.raises(SystemExit) as left:
-        entry()
-    assert left.value.code == 0
-    assert f"{path}: warning: {warning}" in capsys.readouterr().out
 
 
 RIG = '''

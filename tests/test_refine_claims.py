@@ -14,31 +14,20 @@ import pytest
 from cosim.base.linear_algebra import square_roots
 from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
-from cosim.logs.channel_noise import NORMAL_95
 from cosim.refinement.decision import judgement
 from cosim.refinement.decision.claims import (
     Claims,
     Doubt,
     Grade,
     Improvement,
-    MovedParameter,
-    Nearest,
     Rung,
     judge,
     name_of,
 )
-from cosim.refinement.decision.sentences import (
-    _moved_text,
-    improvement_text,
-    nearest_text,
-    remainder_text,
-    sentence,
-)
-from cosim.refinement.proof import agreement, replay_check
+from cosim.refinement.proof import agreement
 from cosim.refinement.proof.agreement import compare_with_predictions
-from cosim.refinement.proof.nearest import held_out_improvement, is_as_good, nearest
+from cosim.refinement.proof.nearest import nearest
 from cosim.refinement.proof.replay_check import check_claim, check_on_sealed_logs
-from cosim.refinement.proof.sealed import sealed_improvement
 from cosim.refinement.record import effects
 from cosim.refinement.search.fits import Search
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis, Support
@@ -51,7 +40,6 @@ from tests.blind import arm
 CRAFT = ModelSubject.of(Hovercraft())
 CANDIDATES = {c.name: c for c in CRAFT.candidates(())}
 FRICTION, DRAG, DAMPING, STRIBECK = "coulomb_friction", "quadratic_drag", "yaw_damping", "stribeck_friction"
-NO_PLACE: dict[str, Any] = {"equation": "vx", "signals": [], "share": None, "terms": []}
 NOISE = Noise(np.zeros(1), math.log(0.15), np.zeros(1), np.full(1, -np.inf))
 
 
@@ -85,109 +73,12 @@ def test_beside_an_unknown_input_a_claim_must_halve_the_error() -> None:
     assert (parameter.name, parameter.claimed, parameter.rivals) == ("unexplained", None, ("mass",))
 
 
-def test_a_part_that_an_unnamed_term_replaces_is_left_out_and_the_others_stay() -> None:
-    best = fitted(FRICTION, DRAG)
-    other = replace(best.fit, values={**best.fit.values, "quadratic_drag.coefficient": 0.0})
-    term = UnnamedTerm("vx", "vx", 30.0, 0.1, 30.0)
-    claims = judged(attribution(best), Leftover((term,), other, 30.0, 8.0))
-    assert claims.claimed is not None
-    assert (claims.name, claims.grade, claims.claimed.names) == ("effect_found", "part", (FRICTION,))
-    none = replace(other, values=dict.fromkeys(other.values, 0.0))
-    assert judged(attribution(best, ratios=(0.6, 0.7)), Leftover((term,), none, 30.0, 8.0)).name == "unexplained"
-    halved = judged(attribution(best), Leftover((term,), none, 30.0, 8.0))
-    assert (halved.name, halved.grade, halved.replaced) == ("effect_found", "part", tuple(sorted((FRICTION, DRAG))))
-
-
 def test_a_term_that_does_not_lead_on_every_log_is_not_named() -> None:
     term = UnnamedTerm("vx", "vx", 30.0, 0.1, 30.0, 0.2)
     best = fitted(FRICTION)
     for is_stable in (True, False):
         claims = judged(attribution(best), Leftover((term,), best.fit, 30.0, 8.0, is_stable=is_stable))
-        assert (claims.term is not None, claims.residual["signals"]) == (is_stable, ["vx"] if is_stable else [])
-
-
-@pytest.mark.parametrize(
-    ("score", "deviations", "is_supported", "best", "rivals"),
-    [
-        (-199.0, 3.0, True, STRIBECK, []),
-        (-199.0, 2.0, True, FRICTION, [STRIBECK]),  # not refuted
-        (-199.0, 3.0, False, FRICTION, [STRIBECK]),
-        (-196.0, 3.0, True, FRICTION, []),  # far behind
-    ],
-)
-def test_a_rival_with_more_parameters_that_refutes_the_best_takes_its_place(
-    monkeypatch: pytest.MonkeyPatch, score: float, deviations: float, is_supported: bool, best: str, rivals: list[str]
-) -> None:
-    simple, rich = (replace(fitted(n, score=s), ended=True) for n, s in ((FRICTION, -200.0), (STRIBECK, score)))
-
-    def refutation(problem: Any, better: Fit, worse: Fit, costs: float) -> float:
-        return deviations if better is rich.fit else 9.0
-
-    def remainder(search: Any, h: Hypothesis) -> judgement._Remainder:
-        return judgement._Remainder(h if is_supported else fitted())
-
-    problem = SimpleNamespace(scatter=1.0)
-    search: Any = SimpleNamespace(problem=problem, tried={h.names: h for h in (simple, rich)}, subject=CRAFT)
-    search.cost = lambda parts: 10.0
-    monkeypatch.setattr(judgement, "refutation", refutation)
-    monkeypatch.setattr(judgement, "_remainder", remainder)
-    chosen = judgement._unrefuted(search, judgement._Remainder(simple)).best
-    assert chosen.names == (best,)
-    assert [h.names for h in judgement._rivals(search, chosen)] == [(name,) for name in rivals]
-
-
-@pytest.mark.parametrize(
-    ("score", "sigma", "steady", "names"),
-    [
-        (-199.6, 0.01, 2.4, {FRICTION, DRAG, DAMPING}),
-        (-199.6, 0.05, 2.4, {DAMPING}),  # not certain in the fuller hypothesis either
-        (-199.6, 0.01, 1.4, {DAMPING}),  # what both gain may be chance
-        (-196.0, 0.01, 2.4, {DAMPING}),
-    ],
-)
-def test_a_part_that_differs_between_logs_is_judged_beside_one_that_may_be_missing(
-    monkeypatch: pytest.MonkeyPatch, score: float, sigma: float, steady: float, names: set[str]
-) -> None:
-    def known_to(h: Hypothesis, sigma: float) -> Hypothesis:
-        return replace(h, fit=replace(h.fit, information=sigma**-2 * np.eye(len(h.fit.free))), ended=True)
-
-    best = known_to(fitted(FRICTION, DAMPING), 0.05)
-    rest = known_to(fitted(DAMPING, score=-198.0), 0.01)
-    fuller = known_to(fitted(FRICTION, DRAG, DAMPING, score=score), sigma)
-    tried = {h.names: h for h in (best, rest, fuller)}
-    search: Any = SimpleNamespace(problem=SimpleNamespace(values=CRAFT.values), tried=tried, on_trial=20)
-    monkeypatch.setattr(judgement, "with_intervals", lambda search, h: h)
-    monkeypatch.setattr(judgement, "_drop_unsupported", lambda search, h: judgement._Remainder(h))
-    monkeypatch.setattr(judgement, "_parameters_at_limit", lambda h, parts, neutral: [])
-    monkeypatch.setattr(judgement, "_support", lambda *hypotheses: Support(23.0, steady, 20.0, 1.0))
-    monkeypatch.setattr(judgement, "_fit_without_each", lambda search, h: {})
-    monkeypatch.setattr(judgement, "_halves_error", lambda search, h, c: False)
-    monkeypatch.setattr(judgement, "chance_limit", lambda problem, f, tried: 1.9)
-    assert set(judgement._remainder(search, best).best.names) == names
-
-
-@pytest.mark.parametrize(
-    ("score", "support", "named"),
-    [
-        (-199.2, Support(10.0, 2.8, 9.0, 1.0), {FRICTION, DAMPING}),
-        (-199.2, Support(10.0, 1.8, 9.0, 1.0), {FRICTION}),  # its gain may be chance
-        (-199.2, Support(10.0, 2.8, -1.0, 1.0), {FRICTION}),
-        (-196.0, Support(10.0, 2.8, 9.0, 1.0), {FRICTION}),  # its gain is far below its cost
-    ],
-)
-def test_a_part_whose_gain_nearly_pays_its_cost_is_named_beside_the_claim(
-    monkeypatch: pytest.MonkeyPatch, score: float, support: Support, named: set[str]
-) -> None:
-    best = replace(fitted(FRICTION), ended=True)
-    fuller = replace(fitted(FRICTION, DAMPING, score=score), ended=True)
-    search: Any = SimpleNamespace(
-        problem=SimpleNamespace(values=CRAFT.values), tried={h.names: h for h in (best, fuller)}, on_trial=20
-    )
-    monkeypatch.setattr(judgement, "_support", lambda search, better, worse: support)
-    monkeypatch.setattr(judgement, "chance_limit", lambda problem, f, tried: 2.4)
-    rest = judgement._with_nearly_paid(search, judgement._Remainder(best))
-    assert rest.best is best
-    assert set((rest.fuller or best).names) == named
+        assert (claims.term is not None, claims.misfit["signals"]) == (is_stable, ["vx"] if is_stable else [])
 
 
 def test_what_all_rivals_contain_is_claimed_with_an_interval_over_all_of_them() -> None:
@@ -270,11 +161,6 @@ def test_a_claim_that_leaves_most_of_the_excess_error_of_a_sealed_channel_is_a_p
     assert (part.name, part.grade, part.nearest_hypothesis) == ("effect_found", "part", claims.claimed)
     assert part.part is not None
     assert part.part.share == pytest.approx(63 / 99)
-    assert "on sealed logs replays keep 64 % of the excess error of x." in sentence(part, CRAFT).replace("\u00a0", " ")
-    worse = check_on_sealed_logs(
-        replace(claims, improvement=Improvement({"x": 143 / 99, "y": 0.0}, "recalibrated")), floor
-    )
-    assert "keep nearly all of the excess error of x." in sentence(worse, CRAFT)
     disputed = replace(claims, name="ambiguous", grade="part", improvement=Improvement({"x": 143 / 99}, "recalibrated"))
     assert check_on_sealed_logs(disputed, floor) is disputed
 
@@ -282,148 +168,6 @@ def test_a_claim_that_leaves_most_of_the_excess_error_of_a_sealed_channel_is_a_p
 def test_the_error_ratio_is_the_mean_over_the_logs_and_each_log_has_to_improve() -> None:
     ratios = {(0.4, 0.6): True, (0.1, 1.1): False, (0.6, 0.6): False, (): False}
     assert {logs: attribution(fitted(FRICTION), ratios=logs).halves_error for logs in ratios} == ratios
-
-
-@pytest.mark.parametrize(
-    ("by_filter", "noise", "expected"),
-    [((0.4, 0.8), 1e3, (0.2, 0.4)), ((0.4, 0.5), 1e3, (0.4, 0.5)), ((0.4, 0.8), 0.0, (0.4, 0.8))],
-)
-def test_beside_an_unknown_input_fits_to_predictions_show_whether_the_error_is_halved(
-    monkeypatch: pytest.MonkeyPatch, by_filter: tuple[float, ...], noise: float, expected: tuple[float, ...]
-) -> None:
-    ratios = {False: by_filter, True: (0.2, 0.4)}
-    monkeypatch.setattr(judgement, "error_ratios", lambda *fits, to_predictions: ratios[to_predictions])
-    search = cast(
-        Search,
-        SimpleNamespace(subject=CRAFT, problem=SimpleNamespace(logs=[1, 2], table=False, own=(), values=CRAFT.values)),
-    )
-    assert judgement._error_ratios(search, fitted(FRICTION), fitted(), (noise,)) == expected
-
-
-def test_of_two_models_within_one_standard_error_the_simpler_is_taken() -> None:
-    worse, alike, on_one_log = np.array([0.3, 0.5]), np.array([0.0, 0.04]), np.array([0.3, -0.2])
-    assert [is_as_good(e) for e in (worse, alike, on_one_log, np.array([0.3]))] == [False, True, True, False]
-
-
-@pytest.mark.parametrize(
-    ("remaining", "shares"),
-    [
-        ({"x": 0.02, "v": 0.04}, ("97", "3\u00a0% remain, mostly in v.")),
-        ({"x": 0.25}, ("75", "25\u00a0% remain.")),
-        ({"x": 1.2}, None),
-    ],
-)
-def test_the_improvement_on_sealed_logs_comes_first(
-    remaining: dict[str, float], shares: tuple[str, str] | None
-) -> None:
-    error = "the squared error above the noise floor that the recalibrated model has on sealed logs"
-    text = f"The claim explains {shares[0]}\u00a0% of {error}; {shares[1]}" if shares else ""
-    assert improvement_text(Improvement(remaining, "recalibrated")) == text
-    assert improvement_text(Improvement({"x": 0.0}, "recalibrated")) == f"The claim explains {error}."
-    of_rivals = improvement_text(Improvement(remaining, "recalibrated"), whole="The first hypothesis")
-    assert of_rivals == text.replace("The claim", "The first hypothesis")
-
-
-@pytest.mark.parametrize(
-    ("beside", "whole", "rest", "is_kept"),
-    [
-        ((0.4, 0.5), (0.9, 0.9), (0.9, 0.9), True),
-        ((0.8, 0.7), (0.5, 0.4), (0.6, 0.6), True),  # the hypothesis halves the error only with the part
-        ((0.8, 0.7), (0.5, 0.4), (0.5, 0.5), False),
-        ((1.1, 0.6), (0.5, 0.4), (0.6, 0.6), False),  # it is of no use on one log
-        ((0.8, 0.7), (0.6, 0.5), (0.6, 0.6), False),
-    ],
-)
-def test_a_part_without_which_the_error_is_not_halved_counts_as_one_that_halves_it(
-    monkeypatch: pytest.MonkeyPatch,
-    beside: tuple[float, ...],
-    whole: tuple[float, ...],
-    rest: tuple[float, ...],
-    is_kept: bool,
-) -> None:
-    both, alone, base = fitted(FRICTION, DRAG), fitted(FRICTION), fitted()
-    search: Any = SimpleNamespace(problem=None, tried={h.names: h for h in (both, alone, base)})
-    ratios = {(2, 1): beside, (2, 0): whole, (1, 0): rest}
-    monkeypatch.setattr(judgement, "noise_gain", lambda problem, f: ())
-    monkeypatch.setattr(
-        judgement, "_error_ratios", lambda search, h, worse, noise: ratios[len(h.names), len(worse.names)]
-    )
-    assert judgement._halves_error(search, both, CANDIDATES[DRAG]) is is_kept
-
-
-def sealed_logs(**sizes: float) -> dict[str, Any]:
-    """Replays of eight parts of a sealed log: variant → errors of this size, with some scatter."""
-    noise = np.random.default_rng(1).standard_normal(8000)
-    log = SimpleNamespace(outputs={"x": np.zeros(8000)})
-
-    def replays(size: float) -> Any:
-        outputs = {"x": size * noise}
-        errors = {"x": -outputs["x"]}
-        return SimpleNamespace(
-            outputs=outputs, time=np.arange(8000), starts=(), horizon=math.inf, errors=lambda log: errors
-        )
-
-    return {name: [(log, replays(size))] for name, size in sizes.items()}
-
-
-@pytest.mark.parametrize(
-    ("floor", "near", "expected"),
-    [
-        (0.1, 0.5, ((0.5**2 - 0.1**2) / (1.0 - 0.1**2), "recalibrated", True, True)),
-        (0.6, 0.5, (0.25, "recalibrated", False, True)),  # the floor may include what is missing
-        (0.1, 1.05, ((1.05**2 - 0.1**2) / (1.0 - 0.1**2), "recalibrated", True, False)),
-    ],
-)
-def test_what_the_nearest_model_leaves_is_measured_as_what_a_claim_leaves(
-    floor: float, near: float, expected: tuple[Any, ...]
-) -> None:
-    claims = Claims("unexplained", nearest=Nearest(fitted(FRICTION)))
-    sealed = sealed_logs(before=1.1, recalibrated=1.0, after=1.1, nearest=near)
-    i = sealed_improvement(claims, sealed, {"x": floor})
-    assert i is not None
-    assert (i.share, i.baseline, i.is_excess, i.is_clear) == (pytest.approx(expected[0], rel=0.05), *expected[1:])
-    worse = sealed_improvement(claims, sealed_logs(before=0.9, recalibrated=1.0, nearest=near), {"x": floor})
-    assert worse is not None
-    assert worse.baseline == "before"
-
-
-@pytest.mark.parametrize(
-    ("h", "share", "text"),
-    [
-        (fitted(FRICTION), 0.25, "The nearest model (coulomb_friction) removes 75\u00a0% of the recalibrated model's"),
-        (fitted(), 0.64, "The recalibrated model removes 36\u00a0% of the unchanged model's squared error on held-out"),
-        (None, 0.81, "No model that was tried predicts held-out logs clearly better than the unchanged one; the best"),
-    ],
-)
-def test_without_sealed_logs_the_verdict_begins_with_held_out_logs(h: Any, share: float, text: str) -> None:
-    rungs = [
-        Rung(None, np.log([1.0, 1.0])),
-        Rung(fitted(), np.log([1.0, 0.64])),
-        Rung(fitted(FRICTION), np.log([0.5, 0.32])),
-    ]
-    if h is None:
-        rungs = [rungs[0], Rung(fitted(), np.log([0.9, 0.9]))]
-    h = next(r.hypothesis for r in rungs if (r.hypothesis and r.hypothesis.names) == (h and h.names))
-    i = held_out_improvement(rungs, h)
-    assert i is not None
-    assert i.share == pytest.approx(share)
-    told = sentence(Claims("unexplained", nearest=Nearest(h, why="no gain"), improvement=i, misfit=NO_PLACE), CRAFT)
-    assert told.startswith(text)
-    assert ("It is not claimed (no gain)." in told) == bool(h and h.names)
-
-
-def test_a_verdict_begins_with_what_the_nearest_model_improves_on_sealed_logs() -> None:
-    i = Improvement({"x": 0.1, "v": 0.3}, "recalibrated")
-    claims = Claims("unexplained", nearest=Nearest(fitted(FRICTION)), improvement=i, misfit=NO_PLACE)
-    assert sentence(claims, CRAFT).startswith(
-        "The nearest model (coulomb_friction) removes 80\u00a0% of the recalibrated model's squared error above the "
-        "noise floor on sealed logs. It leaves 20\u00a0%, mostly in v. It is not claimed."
-    )
-    assert "on sealed logs, perhaps by chance." in sentence(
-        replace(claims, improvement=replace(i, is_clear=False)), CRAFT
-    )
-    no_better = sentence(replace(claims, improvement=replace(i, remaining={"x": 1.1})), CRAFT)
-    assert no_better.startswith("The nearest model (coulomb_friction) improves nothing on sealed logs: 110\u00a0%")
 
 
 def test_square_roots_of_covariances_exist_for_singular_and_diverged_ones_too() -> None:
@@ -475,7 +219,7 @@ def test_a_part_on_which_filter_and_predictions_disagree_is_not_claimed(
     monkeypatch.setattr(agreement, "with_intervals", lambda search, h: h)
     monkeypatch.setattr(judgement, "_halves_error", lambda search, h, c: c.name in halving)
     a = attribution(best, ratios=(ratio,))
-    problem = SimpleNamespace(logs=[1, 2], table=False, own=(), values=CRAFT.values)
+    problem = SimpleNamespace(logs=[1, 2], own=(), values=CRAFT.values)
     search = cast(Search, SimpleNamespace(subject=CRAFT, problem=problem, on_trial=1))
     after = compare_with_predictions(search, a, Claims("effect_found", best, grade="claimed"))
     names = after.claimed.names if after.claimed else None
@@ -483,22 +227,6 @@ def test_a_part_on_which_filter_and_predictions_disagree_is_not_claimed(
     if after.claimed is None:
         assert after.doubt is not None
         assert after.doubt.kind == "disagreeing"
-
-
-@pytest.mark.parametrize(("grade", "sigma"), [("claimed", 0.01), ("part", 0.01 + 0.02 / NORMAL_95)])
-def test_intervals_of_a_part_include_the_value_of_predictions(
-    monkeypatch: pytest.MonkeyPatch, grade: Grade, sigma: float
-) -> None:
-    best = fitted(FRICTION)
-    refit = replace(best.fit, values={n: v + 0.02 for n, v in best.fit.values.items()})
-    monkeypatch.setattr(agreement, "fit_to_predictions", lambda *arguments: refit)
-    monkeypatch.setattr(agreement, "_predicts_better", lambda search, h: False)
-    problem = SimpleNamespace(logs=[1, 2], table=False, own=(), values=CRAFT.values)
-    search = cast(Search, SimpleNamespace(subject=CRAFT, problem=problem, on_trial=1))
-    after = compare_with_predictions(search, attribution(best), Claims("effect_found", best, grade=grade)).claimed
-    assert after is not None
-    assert after.fit.values == best.fit.values
-    assert after.fit.sigma("coulomb_friction.force") == pytest.approx(sigma)
 
 
 def test_the_simplest_model_within_a_standard_error_of_the_best_is_the_nearest() -> None:
@@ -511,60 +239,6 @@ def test_the_simplest_model_within_a_standard_error_of_the_best_is_the_nearest()
     ]
     assert nearest(rungs) is one
     assert nearest([*rungs[:2], rungs[3]]) is two
-
-
-def test_a_recalibration_beyond_tolerance_is_said_with_its_numbers() -> None:
-    moved = tuple(MovedParameter(name, 1.0, 2.0) for name in ("a", "b", "c", "d"))
-    text = nearest_text((), fitted=True, moved=_moved_text(moved, {"a": "kg"}))
-    assert "recalibrated, beyond tolerance: a 1.00 → 2.00 kg, b 1.00 → 2.00, c 1.00 → 2.00 and 1 more" in text.replace(
-        "\u00a0", " "
-    )
-
-
-def test_a_term_that_explains_next_to_nothing_is_not_described() -> None:
-    term = UnnamedTerm("rate", "angle", 30.0, 0.1, 30.0, 0.012)
-    rest = (
-        "Something remains in the equation of rate; no term in a state, an input or time explains even 5\u00a0% of it."
-    )
-    assert remainder_text(term, 90.0) == rest
-    assert "angle" in remainder_text(replace(term, share=0.2), 90.0)
-
-
-@pytest.mark.parametrize(
-    ("error", "others", "missed"),
-    [
-        ({"x": 3.0, "y": 5.0}, [{"x": 2.5, "y": 1.0}, {"x": 9.0, "y": 1.0}], ("x", 2.5)),
-        ({"x": 3.0, "y": 1.0}, [{"x": 1.9, "y": 1.0}, {"x": 9.0, "y": 1.0}], None),  # one rival holds
-        ({"x": 1.0, "y": 1.0}, [{"x": 2.5, "y": 1.0}], None),
-    ],
-)
-def test_sealed_logs_that_every_rival_misses_are_named(
-    monkeypatch: pytest.MonkeyPatch, error: dict[str, float], others: list[dict[str, float]], missed: tuple[str, float]
-) -> None:
-    best, *rivals = (fitted(name) for name in (FRICTION, DRAG, DAMPING)[: 1 + len(others)])
-    claims = judged(attribution(best, *rivals))
-    assert (claims.name, claims.others) == ("ambiguous", tuple(rivals))
-    errors = {id(h): e for h, e in zip(rivals, others, strict=True)}
-    monkeypatch.setattr(replay_check, "refined_subject", lambda subject, settings, h: h)
-    monkeypatch.setattr(replay_check, "variant_of", lambda h, settings, fit: h)
-    monkeypatch.setattr(replay_check, "predicted_errors", lambda h, problem, logs: errors[id(h)])
-    study: Any = SimpleNamespace(subject=None, settings=None)
-    nothing: Any = None
-    judged_again = replay_check.with_miss_of_rivals(study, claims, nothing, [], error, {"x": 1.0, "y": 1.0})
-    assert judged_again.missed == dict([missed] if missed else ())
-    said = "Every rival misses the sealed logs: the best misses x by 2.5 times the noise floor."
-    assert (said in sentence(judged_again, CRAFT)) == (missed is not None)
-    clear = judged(attribution(best))
-    assert replay_check.with_miss_of_rivals(study, clear, nothing, [], error, {"x": 1.0, "y": 1.0}) is clear
-
-
-def test_a_refused_part_that_gains_far_more_than_chance_is_no_disturbance() -> None:
-    nothing = fitted(score=0.0)
-    a = replace(attribution(nothing, ratios=()), refused={"stribeck": "stribeck.softness is at its limit"})
-    claims = judged(a)
-    assert (claims.name, claims.rivals) == ("unexplained", ("stribeck",))
-    assert "far more than chance would, but stribeck.softness is at its limit" in sentence(claims, CRAFT)
-    assert judged(attribution(nothing, ratios=())).name == "no_effect"
 
 
 def test_a_subset_that_halves_the_held_out_error_is_the_answer_if_the_whole_does_not(

@@ -22,7 +22,7 @@ from cosim.estimation.problem import Problem
 from cosim.estimation.sensor_noise import first_noise, sensor_noise
 from cosim.experiment.excite import excite
 from cosim.experiment.question import ask
-from cosim.kernel.remote_kernel import LEAST, LONGEST, PATIENCE, RemoteLibraryKernel, processor_time
+from cosim.kernel.remote_kernel import RemoteLibraryKernel, processor_time
 from cosim.model import Equations, Model, Namespace, Quantity, Values, parameter
 from cosim.model.model import Number
 from cosim.refinement.record import effects
@@ -184,12 +184,6 @@ def test_a_parameter_of_the_fmu_changes_the_filter(study: Study) -> None:
     assert other > own + 100.0
 
 
-def test_the_way_is_part_of_the_origin(study: Study, way: str) -> None:
-    words = {"model_exchange": "a filter over the states", "co_simulation": "free runs of the FMU"}
-    assert words[way] in study.subject.source
-    assert bool(study.subject.untried) is (way == "co_simulation")
-
-
 def test_terms_stand_at_inputs_pairs_storages_and_outputs(study: Study, way: str) -> None:
     names = {c.name for c in study.subject.candidates(["voltage", "load_torque"])}
     assert {"dead_band_at_voltage", "coulomb_at_speed", "bias_at_angle", "delay", "resistance"} <= names
@@ -210,8 +204,7 @@ def test_a_crash_or_a_hang_costs_one_evaluation(folder: Path, fault: str) -> Non
     assert processor_time() - begin > 3.0 * (fault == "hangs")  # the time of a fit is limited, though it sleeps
     assert problem.score(problem.values, noise).nll == good
     assert len(problem.kernel.failures) == 1
-    (warning,) = failure_warnings(problem)
-    assert warning.startswith("the FMU failed in 1 evaluation, which count as diverged; the first time: ")
+    assert len([*failure_warnings(problem)]) == 1
 
 
 @pytest.mark.thorough
@@ -229,17 +222,6 @@ def test_a_candidate_with_which_the_fmu_hangs_costs_that_candidate_only(folder: 
     assert "takes longer than" in said
     fitted = {n for c in record["candidates"] if c["fitted"] for n in c["names"]}
     assert {"coulomb_at_speed", "quadratic_drag_at_speed"} <= fitted
-
-
-def test_after_a_hang_a_pass_may_take_a_multiple_of_the_longest_that_succeeded(folder: Path) -> None:
-    study = study_of_way(folder, "model_exchange")
-    kernel = problem_of(study).kernel
-    assert isinstance(kernel, RemoteLibraryKernel)
-    assert kernel.limits_of(2).load == 2 * LONGEST
-    kernel.pace = replace(kernel.pace, longest=0.2, has_hung=True)
-    assert kernel.limits_of(2).load == PATIENCE * 0.2
-    kernel.pace = replace(kernel.pace, longest=1e-3)
-    assert kernel.limits_of(2).load == LEAST
 
 
 def test_names_of_the_fmu_are_those_of_study_and_log(tmp_path: Path) -> None:
@@ -265,18 +247,6 @@ def test_outputs_called_position_and_velocity_are_a_pair_by_probing(tmp_path: Pa
     assert subject.traits.rates == {"position": "velocity"}
 
 
-def test_a_study_sets_the_horizon_of_its_replays(folder: Path) -> None:
-    fmu = build(folder / "model_exchange2.fmu", "dc_motor")
-
-    def horizon(**keys: Any) -> float:
-        return float(read_study(write_study(folder, fmu, [folder / "e1.csv"], noise=NOISE, **keys)).subject.horizon)
-
-    assert (horizon(horizon="free run"), horizon(horizon="500 ms")) == (math.inf, 0.5)
-    assert horizon() == 1.0  # 50 rows
-    with pytest.raises(InputError, match="free run"):
-        horizon(horizon="long")
-
-
 def test_noise_hidden_by_motion_begins_at_the_level_of_both(folder: Path) -> None:
     fmu = build(folder / "model_exchange2.fmu", "dc_motor")
     time = STEP * np.arange(400)
@@ -300,23 +270,21 @@ def test_faults_of_a_study_of_an_fmu(folder: Path) -> None:
         read_study(write_study(folder, folder / "motor.fmu", [folder / "e1.csv"]))
     with pytest.raises(InputError, match="per_log"):
         build_problem_of_per_log(folder, fmu)
+    with pytest.raises(InputError) as removed:
+        read_study(write_study(folder, fmu, [folder / "e1.csv"], delivery="ssp"))
+    assert [fault.line for fault in removed.value.faults] == [1]
 
 
-def test_check_says_what_refine_can_find_and_what_not(folder: Path) -> None:
-    fmu = build(folder / "co_simulation2.fmu", "dc_motor", 2, ways=("co_simulation",))
-    columns = columns_of(folder / "e1.csv")
-    still = write_log(folder / "still.csv", {**columns, "load_torque": 0.0 * columns["time"]})
-    told = cosim.check(write_study(folder, fmu, [still], noise=NOISE))
-    text = "\n".join(told)
-    for words in (
-        "`cosim refine` will use co-simulation: free runs of the FMU, with estimated deviations of the outputs",
-        "forces at speed (through ",
-        "not visible: terms at load_torque, which never changes",
-        "at least 2 estimation logs are needed",
-        "no validation log",
-    ):  # fmt: skip
-        assert words in text, (words, text)
-    assert cosim.check(write_study(folder, fmu, [still]), load=False)[0].endswith("tolerance are not checked")
+def test_a_study_of_an_fmu_without_a_c_compiler_is_refused_before_the_work(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fmu = build(folder / "model_exchange2.fmu", "dc_motor")
+    monkeypatch.setenv("CC", "no-such-compiler")
+    monkeypatch.setattr("cosim.fmi.native.compiler.can_cross", lambda: False)
+    with pytest.raises(InputError, match=r"fmu-cosim\[refine\]") as refused:
+        cosim.refine(write_study(folder, fmu, [folder / "e1.csv"]), folder / "refused")
+    assert [fault.file for fault in refused.value.faults] == [fmu]
+    assert not (folder / "refused").exists()
 
 
 def test_a_replay_leaves_the_study_that_goes_on(folder: Path, tmp_path: Path) -> None:
@@ -350,16 +318,6 @@ def test_a_replay_of_a_refined_fmu_names_the_claimed_error_of_a_sensor(folder: P
     assert (said in done.stdout) == (kind == "sensor")
     assert ("cosim refine" in done.stdout) == (kind == "effect")
     assert (tmp_path / "out" / "study.yaml").exists() == (kind == "effect")
-
-
-@pytest.mark.thorough
-def test_a_fit_takes_the_study_of_a_replay(folder: Path, tmp_path: Path) -> None:
-    fmu = build(folder / "model_exchange2.fmu", "dc_motor", 2, ways=("model_exchange",))
-    columns = columns_of(folder / "dry_e1.csv")
-    log = write_log(tmp_path / "log.csv", {n.replace("speed", "w"): v for n, v in columns.items()})
-    cosim.replay(log, tmp_path / "out", fmu, columns=["w=speed"], report=False)
-    fitted = cosim.fit(tmp_path / "out" / "study.yaml", vary=["resistance"], in_process=True, report=False)
-    assert set(fitted.values) == {"resistance"}
 
 
 def columns_of(path: Path) -> dict[str, Any]:

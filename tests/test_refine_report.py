@@ -7,49 +7,40 @@ import json
 import math
 import re
 import shlex
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import jsonschema
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from cosim.base.text import display, written
 from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.posing import build_problem
 from cosim.estimation.screen import ScoreTest
 from cosim.loading.file import BASE, LoadedModel
 from cosim.model import Stepper
-from cosim.refinement.decision.claims import Claims, Nearest, Rung, judge
-from cosim.refinement.decision.judgement import Refusal, decide
-from cosim.refinement.decision.sentences import DISTURBED, IN_PART, sentence
+from cosim.refinement.decision.claims import Claims, judge
+from cosim.refinement.decision.judgement import decide
+from cosim.refinement.decision.sentences import DISTURBED, sentence
 from cosim.refinement.proof.refined_models import Variant
-from cosim.refinement.proof.replay_check import check_claim
-from cosim.refinement.record import SCHEMA, _rungs, ranking, schema
+from cosim.refinement.record import SCHEMA, ranking, schema
 from cosim.refinement.refinement import Refinement
-from cosim.refinement.report.dependence import bins, explained_share
 from cosim.refinement.report.effect_plots import EffectComparison, compare_effects
-from cosim.refinement.report.error_tables import NOTHING_TO_EXPLAIN, error_tables, is_below_floor, second_sentence
 from cosim.refinement.report.innovations import innovations
-from cosim.refinement.report.plots import over_time, runs
-from cosim.refinement.report.rankings import noise_rows, parameter_tables
-from cosim.refinement.report.refine_page import _uncompared_text, context, write_refine_report
+from cosim.refinement.report.refine_page import context, write_refine_report
 from cosim.refinement.search.attribution import Attributor
 from cosim.refinement.search.fits import SearchResult
 from cosim.refinement.search.hypotheses import Attribution, Hypothesis, Support
-from cosim.refinement.search.unnamed import Leftover, UnnamedTerm, find_unnamed_terms
+from cosim.refinement.search.unnamed import Leftover, find_unnamed_terms
 from cosim.refinement.study import LogLists, Study, StudyFile
 from cosim.refinement.workflow import refine
-from cosim.report.drawing import Charts
+from cosim.report.charts import Charts
 from cosim.residuals.residual_statistics import remaining_excess
 from cosim.residuals.windows import Replay
 from cosim.subject.model_subject import ModelSubject
-from cosim.verbs.cli import app
 from plant.hovercraft import Hovercraft
 from tests.logs import IMU, fly, log_of, measured, times, write_log
 from tests.seen import faults
@@ -216,25 +207,12 @@ def test_names_from_files_never_become_markup(cart: Refinement, tmp_path: Path) 
     assert "Cart &lt;of mine&gt;" in text
 
 
-def test_every_chart_of_the_page_can_be_looked_into(cart: Refinement, tmp_path: Path) -> None:
-    text = page(cart, tmp_path).partition("<script")[0]
-    assert text.count("<figure") == text.count(" data-chart ") == text.count(" data-box>") > 5
-    drawn = re.findall(r'data-line="(\w+)"', text)
-    assert len(set(drawn)) == len(drawn)  # each curve has rows of its own
-
-
 @pytest.mark.thorough
 def test_nothing_serious_hinders_who_uses_keys_or_sees_little_in_the_page_of_a_refine(
     cart: Refinement, tmp_path: Path
 ) -> None:
     page(cart, tmp_path)
     assert faults(tmp_path / "report.html") == []
-
-
-def test_what_is_to_be_typed_stands_as_code(cart: Refinement, tmp_path: Path) -> None:
-    record = {**cart.record, "sentence": "These logs <cannot> tell; `cosim excite` designs it."}
-    text = page(replace(cart, record=record), tmp_path)
-    assert "These logs &lt;cannot&gt; tell; <code>cosim excite</code> designs it." in text
 
 
 def test_the_commands_to_repeat_a_study_name_files_from_the_current_folder(
@@ -254,32 +232,6 @@ def test_the_commands_to_repeat_a_study_name_files_from_the_current_folder(
     assert not [word for word in words if str(cart.folder.parent) in word]
     assert Path(study).is_file()
     assert Path(words[words.index("--set") + 1].partition("=")[2]).is_file()
-
-
-def test_the_second_sentence_says_what_the_record_says_of_sealed_runs(cart: Refinement) -> None:
-    error, floor = cart.record["error"], cart.record["noise_floors"]["validation"]["s"]
-    shown_sizes = re.findall(r"([\d.]+)\u00a0mm", second_sentence(cart))
-    expected = [error["before"]["validation"]["s"], error["after"]["validation"]["s"], floor]
-    # three digits are printed: 0.5 % at most off
-    assert [float(x) for x in shown_sizes] == pytest.approx([1000 * v for v in expected], rel=5e-3)
-    assert "On sealed logs" in second_sentence(cart)
-    without = replace(cart, record=cart.record | {"noise_floors": {"validation": {}}})
-    assert second_sentence(without).endswith("mm.")
-    assert "noise floor" not in second_sentence(without)
-
-
-@pytest.mark.thorough
-def test_the_command_tells_the_verdict_and_what_became_of_the_error(cart: Refinement, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    result = CliRunner().invoke(app, ["refine", str(cart.study.path), "--out", str(out), "--no-report"])
-    assert result.exit_code == 0, result.output
-    lines = result.output.strip().splitlines()
-    at = lines.index("verdict: effect_found")
-    assert lines[at + 1] == f"{cart.record['sentence']} {second_sentence(cart)}"
-    shown = error_tables(cart)[-1].rows[0]
-    assert [line.split("  ")[0] for line in lines[at + 4 : at + 6]] == ["channel", "s"]
-    assert all(text in lines[at + 5] for text in (shown.before, shown.after, shown.floor))
-    assert lines[-2:] == [f"model:   {out / 'model.yaml'}", f"FMU:     {out / 'plant.fmu'}"]
 
 
 def dry_friction(r: Refinement) -> EffectComparison:
@@ -321,19 +273,9 @@ def test_an_imu_alone_and_no_sealed_log_are_enough(craft: Refinement, tmp_path: 
     text = page(craft, tmp_path)
     assert "no log sealed" in text
     assert "Sealed validation logs" not in text
-    assert "no log was kept for a test at the end" in second_sentence(craft)
     (found,) = compare_effects(craft)
     assert (found.effect, found.where, found.against.name) == ("yaw_damping", "psi_dot", "psi_dot")
     assert found.correlation > 0.9
-
-
-@pytest.mark.thorough
-def test_each_restart_of_the_model_breaks_its_curve(craft: Refinement) -> None:
-    (run,) = runs(craft, Charts())
-    for pair in (*run.channels, *run.quiet):
-        refined = next(c for c in pair.plots[0].curves if c.label == "refined")
-        assert refined.path.count("M") == 5
-        assert pair.plots[0].band_label == "every other replay"
 
 
 NONE = ("", {"process_noise": {"v": {"before": 1e-3, "after": 1e-3, "inflated": True}}})
@@ -364,255 +306,11 @@ def test_every_verdict_has_its_page(
     assert ('id="term"' in text) == (name == "unexplained" or claimed is not None)
 
 
-def unclaimed(r: Refinement) -> Refinement:
-    """The study as if its claim were the nearest model only."""
-    error = {**r.record["error"], "after": r.record["error"]["before"], "nearest": r.record["error"]["after"]}
-    horizons = dict.fromkeys(r.record["horizons"], error)
-    evidence = {**r.evidence, "after": r.evidence["before"], "nearest": r.evidence["after"]}
-    verdict = Claims("unexplained", misfit=NONE[1], nearest=Nearest(r.attribution.best))
-    record = {**r.record, "error": error, "horizons": horizons, "verdict": "unexplained", "nearest": ["dry"]}
-    return replace(r, verdict=verdict, record=record, evidence=evidence)
-
-
-def test_a_page_without_a_claim_leads_to_the_nearest_model_and_draws_it(cart: Refinement, tmp_path: Path) -> None:
-    for name in ("model.yaml", "plant.fmu", "nearest.yaml", "nearest.fmu"):
-        (tmp_path / name).touch()
-    values = context(r := replace(unclaimed(cart), folder=tmp_path))
-    assert values["use_lead"].startswith("Nothing was refined; the model that predicts best is nearest.fmu.")
-    assert values["use"].endswith("/nearest.fmu")
-    labels = [curve.label for curve in values["lead"]["plots"][0].curves]
-    assert labels == ["measured", "model", "nearest"]
-    labels = [row.label for row in values["provenance"]]
-    assert labels[-5:-1] == ["Model, unchanged", "FMU, unchanged", "Nearest model", "Nearest FMU"]
-    assert any(badge.text.endswith(" s elapsed") for badge in values["badges"])
-    tables = {table.title: table for table in parameter_tables(r)}
-    assert [row.name for row in tables["Added parameters of the nearest model"].rows] == ["dry.force"]
-    assert "only if its whole interval lies outside the tolerance" in tables["Base parameters, recalibrated"].note
-    neither = context(replace(r, verdict=replace(r.verdict, nearest=Nearest(None))))
-    assert neither["use_lead"].startswith("Nothing was refined; the delivered model is the model as it was.")
-    assert neither["use"].endswith("/plant.fmu")
-    assert [curve.label for curve in neither["lead"]["plots"][0].curves] == ["measured", "model"]
-    assert context(cart)["use_lead"].startswith("To use the refined model")
-
-
-def test_a_claim_without_a_fit_to_predictions_is_said_to_have_none(cart: Refinement) -> None:
-    assert context(cart)["uncompared"] == ""
-    table = SimpleNamespace(table=True)
-    said = _uncompared_text(replace(cart, problem=table))
-    assert said.endswith("fit to predictions of held-out logs, because a table has no predictions over time.")
-    assert _uncompared_text(replace(unclaimed(cart), problem=table)) == ""
-
-
-def test_a_noise_floor_with_an_unknown_input_is_not_called_sensor_noise(cart: Refinement) -> None:
-    def floor_of(r: Refinement) -> str:
-        return next(row.value for row in context(r)["error_words"] if row.label == "Noise floor")
-
-    assert "(the error by sensor noise alone)" in second_sentence(cart)
-    assert floor_of(cart).startswith("The error that sensor noise alone would cause.")
-    r = unclaimed(cart)
-    base = replace(r, verdict=replace(r.verdict, nearest=Nearest(cart.attribution.base)))  # lacks dry friction
-    said = second_sentence(base)
-    rest = "the estimated unknown input, which may include what is missing,"
-    two = re.search(rf"; sensor noise alone makes ([\d.]+)\u00a0mm, {rest} ([\d.]+)\u00a0mm\.$", said)
-    assert two is not None, said
-    part = "validation" if said.startswith("On sealed logs") else "estimation"
-    assert 0.95 <= float(two[1]) <= 1.1  # 1 mm in the logs
-    floor = 1e3 * base.record["noise_floors"][part]["s"]
-    assert math.hypot(float(two[1]), float(two[2])) == pytest.approx(floor, rel=0.02)
-    assert "may include what is missing" in floor_of(base)
-    assert not is_below_floor(base)
-    assert "lie below it" not in floor_of(base)
-    high = {part: {"s": 2.0 * of["s"]} for part, of in base.record["error"]["nearest"].items()}
-    below = replace(base, record={**base.record, "noise_floors": high})
-    assert "below the noise floor" not in second_sentence(below)
-    excesses = {row.excess for table in error_tables(below) for row in table.rows}
-    assert NOTHING_TO_EXPLAIN not in excesses  # a floor with what is missing makes no error small
-    assert floor_of(below).endswith("The floor is an estimate; some errors lie below it.")
-
-
-@pytest.mark.parametrize(
-    ("before", "after", "inflated", "gain", "words"),
-    [
-        (1e-3, 1e-3, False, 2.8, "no unknown input needed (gain 2.8)"),
-        (1e-3, 1e-3, False, None, "no unknown input needed"),
-        (1e-3, 1e-9, False, 0.0, "was incomplete, now complete"),
-        (1e-3, 1e-3, True, 9.0, "incomplete"),
-        (1e-3, 1e-4, True, 9.0, "incomplete; the best hypothesis explains a part"),
-        (1e-12, 1e-12, False, 0.0, "complete"),
-    ],
-)
-def test_an_equation_is_called_complete_only_where_its_noise_fell(
-    cart: Refinement, before: float, after: float, inflated: bool, gain: float | None, words: str
-) -> None:
-    noise = {"v": {"before": before, "after": after, "inflated": inflated, "gain": gain}}
-    (row,) = noise_rows(replace(cart, verdict=Claims("unexplained", misfit={"process_noise": noise})))
-    assert row.words == words
-    assert row.before.endswith("mm/s per √s")
-
-
-def test_the_ladder_says_from_how_many_logs_its_scatter_is(cart: Refinement) -> None:
-    base, best = cart.attribution.base, cart.attribution.best
-    rungs = (None, (0.0, 0.0)), (base, (0.1, 0.2)), (best, (-0.3, -0.1))
-    verdict = replace(unclaimed(cart).verdict, ladder=tuple(Rung(h, np.array(e)) for h, e in rungs))
-    ladder = [rung.model_dump(mode="json") for rung in _rungs(verdict.ladder)]
-    values = context(replace(unclaimed(cart), verdict=verdict, record={**unclaimed(cart).record, "ladder": ladder}))
-    assert [row.scatter for row in values["ladder"]] == ["± 10\u00a0%, 2 logs", "± 5.8\u00a0%, 2 logs", ""]
-    assert "From 2 logs it has 1 degree of freedom" in values["ladder_note"]
-    assert values["ladder_note"].endswith("does not carry over to the one held out: 116\u00a0%.")
-
-
-def test_a_reason_that_stems_from_another_set_names_it(cart: Refinement) -> None:
-    a, subject = cart.attribution, cart.study.subject
-    dry, push = (next(c for c in subject.candidates(()) if c.name == name) for name in ("dry", "push"))
-    base, alone, single, both = (
-        Hypothesis(parts, replace(a.base.fit, penalty=0.0), 0.0) for parts in ((), (dry,), (push,), (dry, push))
-    )
-    refusal = Refusal(both.names, "gains 3.1, less than the 9 that it costs")
-    reasons = {h.names: refusal.against("push", h) for h in (single, both)} | {alone.names: ""}
-    found = replace(a, base=base, best=base, tried=(alone, both, base, single), reasons=reasons)
-    near = Nearest(alone)
-    why = {tuple(row.names): row.why for row in ranking(found, Claims("unexplained", nearest=near))}
-    assert why["push",] == "in the set dry + push: push: gains 3.1, less than the 9 that it costs"
-    assert why["dry", "push"] == "push: gains 3.1, less than the 9 that it costs"
-    # what nearest.yaml contains is another hypothesis than the base model
-    assert why[()] == "incomplete; held-out logs are predicted better by dry"
-    unlike = {tuple(row.names): row.why for row in ranking(found, Claims("unexplained", nearest=Nearest(base)))}
-    assert unlike[()] == "nearest, but incomplete"
-    assert "penalty of the priors" in context(cart)["ranking_lead"]
-
-
-def test_what_is_left_is_drawn_with_the_term_that_explains_it(cart: Refinement) -> None:
-    terms = [{"equation": "v", "signal": n, "gain": 99.0, "coefficient": c} for n, c in (("v", -0.5), ("1", 5.0))]
-    residual = {**NONE[1], "equation": "v", "signals": ["v", "1"], "share": 0.6, "terms": terms}
-    base = replace(cart.attribution, best=cart.attribution.base)
-    r = replace(cart, attribution=base, verdict=Claims("unexplained", misfit=residual))
-    (found,) = compare_effects(r)
-    assert (found.against.name, found.share) == ("v", 0.6)
-    assert found.term is not None
-    speed, lacking = found.against.values, found.estimated
-    # dry friction as a drag: the slope is that of the least squares
-    assert np.polyfit(speed, found.term, 1) == pytest.approx(
-        [lacking @ speed / (speed @ speed), 0.0], rel=1e-9, abs=1e-9
-    )
-    assert "the term in v explains 60\u00a0%" in context(r)["terms"][0]["sentence"]
-
-
-def test_a_term_is_compared_by_means_where_much_changes_from_row_to_row(cart: Refinement) -> None:
-    (effect,) = compare_effects(cart)
-    assert effect.term is not None
-    jumping = 5.0 * np.std(effect.term) * (-1.0) ** np.arange(effect.term.size)
-    effect = replace(effect, estimated=effect.term + jumping)
-    assert effect.share < 0.1
-    assert effect.share_of_means > 0.9
-    effect = replace(effect, horizon=20 * effect.step)
-    assert "data, mean over" in over_time(effect, Charts()).curves[0].label
-    assert over_time(replace(effect, horizon=0.0), Charts()).curves[0].label == "data"
-
-
-def test_a_replay_with_most_of_the_squared_error_is_named(cart: Refinement) -> None:
-    assert not any("One replay" in table.note for table in error_tables(cart))
-    log, played = cart.evidence["after"]["estimation"][0]
-    first = sorted(played.starts)[3]
-    outputs = {name: values.copy() for name, values in played.outputs.items()}
-    outputs["s"][first + 5 : first + 20] += 100.0
-    others = cart.evidence["after"]["estimation"][1:]
-    after = {**cart.evidence["after"], "estimation": [(log, replace(played, outputs=outputs)), *others]}
-    (note,) = (
-        t.note for t in error_tables(replace(cart, evidence={**cart.evidence, "after": after})) if "fits" in t.title
-    )
-    assert f"One replay, {log.path.name} from t = {log.time[first]:.6g}\u00a0s, has more than 99\u00a0% of the" in note
-
-
 CRAFT = ModelSubject.of(Hovercraft())
 
 
 def words(claims: Claims, r: Refinement) -> str:
     return sentence(claims, r.study.subject)
-
-
-@dataclass(frozen=True)
-class Judged:
-    """The cart's attribution, to be judged with another outcome."""
-
-    r: Refinement
-
-    def __call__(self, *unnamed: UnnamedTerm, moves: float = 0.0, **changed: Any) -> Claims:
-        a = replace(self.r.attribution, **changed)
-        left = Leftover(unnamed, a.best.fit if unnamed else None, sum(u.gain for u in unnamed), 8.0)
-        return judge(a, left, self.r.study.subject, ["v"], {"v": moves} if moves else {}, still=False)
-
-    def single(self, name: str) -> Hypothesis:
-        """One candidate alone, as the claim was fitted: whether it was worth a fit of its own does not matter here."""
-        subject, a = self.r.study.subject, self.r.attribution
-        candidate = next(c for c in subject.candidates(()) if c.name == name)
-        return replace(a.best, candidates=(candidate,))
-
-
-def test_what_rivals_have_in_common_is_said_to_be_missing(cart: Refinement) -> None:
-    judged = Judged(cart)
-    dry, (push,) = judged.single("dry"), judged.single("push").candidates
-    best, rival = (replace(dry, candidates=(*dry.candidates, c)) for c in (push, replace(push, name="shove")))
-    verdict = judged(best=best, rivals=(rival,))
-    assert (verdict.name, verdict.rivals) == ("ambiguous", ("dry + push", "dry + shove"))
-    assert words(verdict, cart).startswith("The model lacks dry (force = 0.")
-    assert ". Beside this, these logs cannot tell push from shove. An experiment that may decide: " in words(
-        verdict, cart
-    )
-    alone = judged(best=dry, rivals=(judged.single("push"),))
-    assert words(alone, cart).startswith("These logs cannot tell dry from push. ")
-
-
-def test_what_gains_too_little_to_be_told_from_chance_is_named_beside_the_claim(cart: Refinement) -> None:
-    judged = Judged(cart)
-    dry, (push,) = judged.single("dry"), judged.single("push").candidates
-    fuller = replace(dry, candidates=(*dry.candidates, push), score=dry.score - 1.0)
-    claimed = judged(best=dry, rivals=(), fuller=fuller)
-    assert (claimed.name, claimed.claimed) == ("effect_found", dry)
-    assert words(claimed, cart).endswith(" Perhaps also push; that gain may be chance.")
-    base = cart.attribution.base
-    none = judged(best=base, rivals=(), noise_gain=(0.0,), fuller=dry)
-    assert (
-        none.name,
-        words(none, cart).endswith("noise. Perhaps also dry; that gain may be chance."),
-    ) == (
-        "no_effect",
-        True,
-    )
-    assert "Perhaps" not in words(judged(best=dry, rivals=(), fuller=None), cart)
-    # where nothing is certain it is one of those that the logs leave open
-    shove = replace(push, name="shove")
-    other = replace(dry, candidates=(shove,))
-    open_ = judged(best=dry, rivals=(other,), fuller=fuller)
-    assert open_.rivals == ("dry", "shove", "dry + push")
-    assert words(open_, cart).startswith("These logs cannot decide between dry, shove and dry + push. ")
-    refused = Refusal(fuller.names, "its gain may be chance: 3.1, 1.2 times its scatter").against("push", fuller)
-    lost = {("shove",): "explains as well as dry", fuller.names: refused, (): "no gain"}
-    tried = replace(cart.attribution, best=dry, tried=(fuller, dry, other, base), reasons=lost)
-    why = {" + ".join(row.names): row.why for row in ranking(tried, open_)}
-    assert why.pop("") == "no gain"
-    assert all(text.startswith("a rival: ") for text in why.values())
-    assert why.keys() == {*open_.rivals}
-    otherwise = {" + ".join(row.names): row.why for row in ranking(tried, claimed)}
-    assert otherwise == {"dry": "claimed", "shove": lost["shove",], "dry + push": refused, "": "no gain"}
-
-
-def test_a_fit_that_had_not_settled_is_said_to(cart: Refinement) -> None:
-    judged = Judged(cart)
-    best = judged.single("dry")
-    moving = replace(best, fit=replace(best.fit, converged=False))
-    settled = words(judged(best=best, rivals=()), cart)
-    assert words(judged(best=moving, rivals=()), cart).startswith(
-        f"{settled.partition('. ')[0].rstrip('.')}. The fit was still"
-    )
-    assert "still moving" not in settled
-
-
-def test_what_could_not_have_shown_is_said_where_nothing_is_missing(cart: Refinement) -> None:
-    judged, base = Judged(cart), cart.attribution.base
-    verdict = judged(best=base, rivals=(), noise_gain=(0.0,), hidden=("push",))
-    assert verdict.name == "no_effect"
-    assert words(verdict, cart).endswith("down to the sensors' noise. These logs would not show push.")
-    assert "(" not in words(judged(best=base, rivals=(), noise_gain=(0.0,)), cart)
 
 
 def test_the_deficient_equation_is_that_whose_noise_is_worth_most_not_that_of_the_largest_number() -> None:
@@ -626,67 +324,13 @@ def test_the_deficient_equation_is_that_whose_noise_is_worth_most_not_that_of_th
         return judge(a, Leftover((), None, 0.0, 8.0), ModelSubject.of(Hovercraft()), forced, moves, still=False)
 
     small = judged(vx=0.018, vy=0.01)
-    assert (small.name, small.residual["equation"]) == ("no_effect", "vy")
-    assert [q["inflated"] for q in small.residual["process_noise"].values()] == [False, True, True]
+    assert (small.name, small.misfit["equation"]) == ("no_effect", "vy")
+    assert [q["inflated"] for q in small.misfit["process_noise"].values()] == [False, True, True]
     sizes = "Its size: 2\u00a0% of the derivative of vx and 1\u00a0% of the derivative of vy."
     assert sentence(small, CRAFT) == f"{DISTURBED} {sizes}"
     # where a disturbance is no small one, it is the equation that it moves most
     large = judged(vx=0.3, vy=0.03)
-    assert (large.name, large.claimed, large.residual["equation"]) == ("unexplained", None, "vx")
-    assert sentence(large, CRAFT) == "The remaining error shows no stable pattern."
-
-
-def test_a_claim_that_leaves_much_of_the_error_says_so_and_one_that_leaves_most_is_withdrawn(cart: Refinement) -> None:
-    verdict = Judged(cart)(rivals=())
-    before, same = {"x": 11.0, "v": 5.0, "quiet": 1.5}, {"x": 11.0, "v": 5.0, "quiet": 1.5}
-    floor = dict.fromkeys(before, 1.0)
-
-    def held(
-        after: dict[str, float], before: dict[str, float] = before, recalibrated: dict[str, float] = same
-    ) -> Claims:
-        errors = {"before": before, "recalibrated": recalibrated, "after": after}
-        return check_claim(verdict, errors, floor, alternative="recalibrated")
-
-    assert held({"x": 1.2, "v": 1.5, "quiet": 1.5}) is verdict  # 5 % of the excess of v stays
-    part = held({"x": 1.2, "v": 2.1, "quiet": 1.5})  # 3.41 of 24
-    assert (part.name, part.grade, part.claimed) == (verdict.name, "part", verdict.claimed)
-    assert words(part, cart).startswith(words(verdict, cart))
-    assert f"{IN_PART}: replays keep 14\u00a0% of the excess error of v. The rest has no place" in words(part, cart)
-    assert held({"x": 1.2, "v": 5.0, "quiet": 1.5}).grade == "part"  # one channel is mended
-    withdrawn = held({"x": 9.0, "v": 5.0, "quiet": 1.0})
-    assert withdrawn.grade == "nearest"
-    assert (withdrawn.name, withdrawn.claimed, withdrawn.rivals) == ("unexplained", None, cart.attribution.best.names)
-    assert words(withdrawn, cart).endswith("With it, replays keep 67\u00a0% of the excess error.")  # 80 of 120
-    # where no channel was far off before, there is no excess to tell of
-    near = {**before, "x": 1.9, "v": 1.9}
-    assert held({"x": 1.9, "v": 1.9, "quiet": 1.0}, near) is verdict
-    # but an effect has to do better than the base parameters do without it
-    worse = held({"x": 1.9, "v": 1.9, "quiet": 1.5}, near, {"x": 1.8, "v": 1.7, "quiet": 1.5})
-    assert worse.name == "unexplained"
-    assert words(worse, cart).endswith("nearer on no channel than those of the model without it.")
-
-
-def test_a_sentence_says_of_a_term_without_a_name_how_much_it_is(cart: Refinement) -> None:
-    judged, base = Judged(cart), cart.attribution.base
-    terms = (UnnamedTerm("v", "1", 40.0, 0.1, 41.0, 0.79), UnnamedTerm("v", "time", 30.0, 0.1, 30.0))
-    verdict = judged(*terms, best=base, rivals=(), noise_gain=(50.0,))
-    assert verdict.name == "unexplained"
-    assert "acts on v; it is constant. This dependence explains 79\u00a0% of what is missing." in words(verdict, cart)
-    assert (verdict.residual["signals"], verdict.residual["share"]) == (["1", "time"], 0.79)
-    nothing = judged(UnnamedTerm("v", "1", 40.0, 0.1, 41.0, 0.0), best=base, rivals=(), noise_gain=(50.0,))
-    assert words(nothing, cart).endswith("acts on v; it is constant.")
-    gained = base.score - cart.attribution.best.score
-    # a claim that halves the held-out error stays, whatever a term without a name would add to it
-    assert cart.attribution.halves_error
-    assert judged(UnnamedTerm("v", "|v|", 0.35 * gained, 0.1, 0.35 * gained), rivals=()).claimed
-    disputed = judged(UnnamedTerm("v", "|v|", 0.35 * gained, 0.1, 0.35 * gained), rivals=(), error_ratios=(0.7, 0.8))
-    assert (disputed.name, disputed.claimed, disputed.rivals) == ("unexplained", None, cart.attribution.best.names)
-    left = judged(UnnamedTerm("v", "|v|", 0.25 * gained, 0.1, 0.25 * gained), rivals=())
-    assert left.claimed is cart.attribution.best
-    assert (
-        "in the equation of v that depends on |v|. A term without a name would add 25\u00a0% to the claim's"
-        in words(left, cart)
-    )
+    assert (large.name, large.claimed, large.misfit["equation"]) == ("unexplained", None, "vx")
 
 
 def test_a_base_model_in_a_local_optimum_is_fitted_again_from_the_best_hypothesis(
@@ -746,33 +390,3 @@ def test_excess_left_is_that_of_the_contract() -> None:
     assert remaining_excess(5.0, 5.0, 1.0) == 1.0
     assert math.isnan(remaining_excess(2.0, 1.0, 1.0))  # before is not above twice the floor
     assert math.isnan(remaining_excess(math.nan, 1.0, 1.0))
-
-
-def test_bins_hold_every_row_once_and_none_too_few() -> None:
-    x = np.concatenate((np.random.default_rng(1).standard_normal(500), [40.0]))
-    found = bins(x, 20, 10)
-    assert sorted(np.concatenate(found).tolist()) == list(range(501))
-    assert min(map(len, found)) >= 10
-    assert [k.tolist() for k in bins(np.ones(3), 4, 2)] == [[0, 1, 2]]
-    assert explained_share(x**2, x) > 0.9
-    assert explained_share(x, np.ones(501)) == 0.0
-
-
-@pytest.mark.parametrize(
-    ("unit", "printed"), [("N.s2/m2", "N\u00a0s²/m²"), ("rad/s2", "°/s²"), ("1", ""), ("kg.m2", "kg\u00a0m²"), ("", "")]
-)
-def test_units_are_printed_as_one_writes_them(unit: str, printed: str) -> None:
-    assert display(unit)[0] == printed
-
-
-@pytest.mark.parametrize(
-    ("unit", "in_sentences"), [("N.m.s/rad", "N·m·s/rad"), ("N.s2/m2", "N·s²/m²"), ("kg.m2", "kg·m²"), ("1", "")]
-)
-def test_units_in_sentences_join_their_factors_by_dots(unit: str, in_sentences: str) -> None:
-    assert written(unit) == in_sentences
-
-
-@pytest.mark.thorough
-def test_the_same_refine_gives_the_same_page(cart: Refinement, tmp_path: Path) -> None:
-    assert page(cart, tmp_path) == page(cart, tmp_path)
-    assert context(cart)["windowed"]

@@ -60,9 +60,7 @@ def test_what_only_recalibration_explains_is_said_where_no_candidate_accounts_fo
     study = study_of(tmp_path / "study", {"mass": {"value": 1.1 * Hovercraft().mass}})
     r = flown(with_candidates(study, "coriolis, gyro_bias"), tmp_path / "out")
     assert r.record["verdict"] == "unexplained"
-    assert "The model as it stands misses" in r.record["sentence"]
     assert "mass 0.705 → 0.77" in r.record["sentence"]
-    assert r.record["sentence"].endswith("Only the candidates that the study names were tried.")
 
 
 @pytest.mark.thorough
@@ -71,19 +69,6 @@ def test_an_effect_that_the_model_has_too_much_of_is_taken_out(tmp_path: Path) -
     study = with_candidates(study, "coulomb_friction, yaw_damping, table_tilt")
     r = flown(study, tmp_path / "out")
     assert (r.record["verdict"], named(r)) == ("parameter_error", {"coulomb_friction", "yaw_damping"})
-    assert "The model has a wrong " in r.record["sentence"]
-    assert r.record["sentence"].count("; the logs show none") == 2
-
-
-@pytest.mark.thorough
-def test_a_biased_sensor_is_found_beside_an_effect(tmp_path: Path) -> None:
-    truth = {"table_tilt": {"x": 0.006, "y": -0.003}, "accelerometer_bias": {"value": 0.12}}
-    study = with_candidates(
-        study_of(tmp_path / "study", truth), "table_tilt, coulomb_friction, accelerometer_bias, gyro_bias"
-    )
-    r = flown(study, tmp_path / "out")
-    assert named(r) == {"table_tilt", "accelerometer_bias"}
-    assert holds(r, "accelerometer_bias", "value", 0.12)
 
 
 def test_a_sensor_is_not_blamed_while_replays_stay_wrong() -> None:
@@ -107,9 +92,6 @@ def test_a_sensor_is_not_blamed_while_replays_stay_wrong() -> None:
     withdrawn = held(8.0)
     assert craft.untried in sentence(withdrawn, craft)
     assert (withdrawn.name, withdrawn.claimed, withdrawn.rivals) == ("unexplained", None, ("accelerometer_scale",))
-    assert sentence(withdrawn, ModelSubject.of(Hovercraft())).endswith(
-        "With it, replays still miss x by 8.0 times the noise floor."
-    )
 
 
 @pytest.mark.thorough
@@ -156,5 +138,5 @@ def test_an_experiment_is_not_put_over_the_refined_fmu(tmp_path: Path) -> None:
     (tmp_path / "refine.json").write_text(record)
     (tmp_path / "plant.fmu").write_bytes(b"refined")
     with pytest.raises(InputError, match=OVER):
-        excite(str(tmp_path), tmp_path, ["yaw_damping", "coriolis"])
+        excite(str(tmp_path), tmp_path, ["yaw_damping", "coriolis"], force=True)
     assert (tmp_path / "plant.fmu").read_bytes() == b"refined"

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import signal
-import subprocess
-import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from cosim.base.errors import Terminated
 from cosim.refinement import workflow
 from cosim.storage.files import delay_stops, scratch_folder
 from cosim.subject import model_subject
@@ -21,12 +20,18 @@ from tests.test_refine_conditions import motor_study
 CODES = {signal.SIGINT: 130, signal.SIGTERM: 4}
 
 
+def terminate(number: int, frame: object) -> None:
+    raise Terminated(signal.Signals(number).name)
+
+
 @pytest.fixture(autouse=True)
 def interruptible() -> Iterator[None]:
-    """Also where the suite runs in the background of a shell, which has it ignore the keyboard."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    """As in a program, also where the suite runs in the background of a shell, which has it ignore the keyboard."""
+    handlers = dict.fromkeys(CODES, terminate) | {signal.SIGINT: signal.default_int_handler}
+    before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
     yield
-    signal.signal(signal.SIGINT, before)
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
 @pytest.fixture(scope="module")
@@ -107,35 +112,3 @@ def test_where_no_signal_can_come_nothing_waits(tmp_path: Path) -> None:
     thread.join()
     assert seen == [True]
     assert list(tmp_path.iterdir()) == []
-
-
-STUCK = """
-import ctypes, signal, sys
-from cosim.base.program import ending_when_stuck
-for number in (signal.SIGTERM, signal.SIGINT):
-    signal.signal(number, lambda *_: print("handled", flush=True))
-lock, mutex = ctypes.CDLL(None).pthread_mutex_lock, ctypes.create_string_buffer(64)
-lock(mutex)
-with ending_when_stuck(patience=0.1):
-    print("ready", flush=True)
-    lock(mutex)  # never returns to Python, as LAPACK may not
-"""
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="locks a mutex of glibc twice")
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 4), (signal.SIGINT, 130)])
-def test_a_library_that_does_not_return_is_ended_by_a_signal(number: int, code: int) -> None:
-    with subprocess.Popen([sys.executable, "-c", STUCK], stdout=subprocess.PIPE, text=True) as process:
-        try:
-            assert process.stdout is not None
-            assert process.stdout.readline() == "ready\n"
-            process.send_signal(number)
-            assert process.wait(timeout=60) == code
-        finally:
-            process.kill()
-
-
-def test_a_block_that_is_left_in_time_is_not_ended() -> None:
-    code = STUCK.replace("    lock(mutex)", "    signal.raise_signal(signal.SIGTERM)") + "import time; time.sleep(0.5)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
-    assert (done.returncode, done.stdout) == (0, "ready\nhandled\n")

@@ -11,9 +11,8 @@ from scipy.integrate import solve_ivp
 
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.innovations import innovations, modes
-from cosim.refinement.report.rankings import noise_rows
 from cosim.refinement.workflow import refine
-from cosim.report.drawing import Charts
+from cosim.report.charts import Charts
 from tests.logs import times, write_log
 
 pytestmark = pytest.mark.optimized
@@ -96,11 +95,3 @@ def test_a_filter_that_trusts_the_equations_hardly_weighs_their_noise(
     assert float(there.size[0]) == pytest.approx(float(here.size[0]), rel=0.05)  # on that grid again
     assert here.size[1] == there.size[1]
     assert float(here.size[0]) > 2.0 * float(here.size[1])
-
-
-@pytest.mark.thorough
-def test_the_bars_of_the_process_noise_do_not_depend_on_the_unit(metres: Refinement, millimetres: Refinement) -> None:
-    (here,), (there,) = (noise_rows(r) for r in (metres, millimetres))
-    assert (here.equation, here.words) == (there.equation, there.words) == ("speed", "incomplete")
-    assert 10.0 < here.before_width < 90.0
-    assert there.before_width == pytest.approx(here.before_width, abs=1.0)

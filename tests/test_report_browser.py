@@ -1,9 +1,10 @@
-"""The page of a run in a real browser: what it reads out is a row, and what it shows can be looked into."""
+"""Reports in a real browser: what is read out is a row, and each chart is zoomed, read and saved."""
 
 from __future__ import annotations
 
 import csv
 import io
+import itertools
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,7 +13,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from cosim.report.packed import power
+from cosim.report.charts import Abscissa, Charts, decimals_of
+from cosim.report.panels import Band, Panel, Trace
+from cosim.report.template import render
 from cosim.simulation.report import write_report
 from cosim.storage.results import Results
 
@@ -23,6 +26,22 @@ CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shuti
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
 COLUMNS = ("tank.level", "pump.measured", "pump.speed", "valve.opening")
 LINKS = [{"from": "tank.level", "to": "pump.measured", "noise": {"variance": 1e-4, "bias": 0.0}}]
+TEMPLATE = """{% from "plot.html.j2" import plots as drawn %}<!DOCTYPE html><html lang="en"><head><title>charts</title>
+<style>{{ style | safe }}</style></head><body><main><h1>Charts</h1>{{ drawn(plots) }}<p id="row" hidden></p></main>
+<script type="application/json" id="run-data">{{ data | safe }}</script><script>{{ script | safe }}</script></body>
+</html>
+"""
+RNG = np.random.default_rng(7)
+TIME = np.arange(801) * 0.05
+LEVEL, MODEL = np.cumsum(RNG.normal(size=(2, 801)), axis=1)
+STARTS = [0, 200, 400, 600]  # rows at which the model is started anew
+FLOW, MEAN = np.sort(RNG.uniform(0.0, 9.0, 15)), RNG.normal(size=15)
+FINE = np.linspace(0.0, 9.0, 60)
+CURVE = np.cos(FINE)
+LAGS, RHO = np.arange(1, 31) * 0.1, RNG.uniform(-1.0, 1.0, 30)
+OMEGA = np.geomspace(0.01, 1000.0, 501)
+GAIN = -10.0 * np.log10(1.0 + OMEGA**2)
+POLES = np.array([-4 + 0j, -2 - 3j, -2 + 3j, 0j])  # two of them one above the other
 
 
 def recorded(rows: int = 9001) -> Results:
@@ -47,36 +66,56 @@ def browser() -> Iterator[Browser]:
 
 
 @pytest.fixture(scope="module")
-def report(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Results]:
-    path, results = tmp_path_factory.mktemp("page") / "report.html", recorded()
-    write_report(path, results, {"scenario": {"name": "tank", "connections": LINKS}})
-    return path, results
+def paths(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """The page of a run, and one with charts over different axes."""
+    folder = tmp_path_factory.mktemp("pages")
+    write_report(folder / "run.html", recorded(), {"scenario": {"name": "tank", "connections": LINKS}})
+    charts = Charts()
+    both = [Trace("level", LEVEL, "estimate"), Trace("model", MODEL, "true", anew=True)]
+    plots = charts.over(TIME, Abscissa(breaks=STARTS)).plots([Panel("Level", "m", both), Panel("Left", "m", both[:1])])
+    data = Trace("data", MEAN - 0.2, "warm", x=FLOW, upper=MEAN + 0.2)
+    traces = [data, Trace("mean", MEAN, "s1 dots", x=FLOW), Trace("claim", CURVE, "true", x=FINE)]
+    band = Band("95 %", CURVE - 0.1, CURVE + 0.1, FINE)
+    plots.append(charts.alone(Panel("Loss against flow", "kW", traces, band), (0.0, 9.0), ("flow", "l/s")))
+    stems = Panel("Autocorrelation", "1", [Trace("residual", RHO, "error", stems=True)])
+    plots += charts.over(LAGS, Abscissa(("lag", "s"), (0.05, 3.05))).plots([stems])
+    gain = Panel("Gain", "dB", [Trace("y", GAIN, "s0")])
+    plots += charts.over(OMEGA, Abscissa(("frequency", "rad/s"), log=True)).plots([gain])
+    poles = Panel("Poles", "rad/s", [Trace("imaginary part", POLES.imag, "s0 crosses", x=POLES.real)])
+    also, reach = {"size": np.abs(POLES)}, (-4.0, 4.0)
+    plots.append(charts.points(poles, (-5.0, 1.0), ("real part", "1/s"), also, reach=reach))
+    (folder / "page.html.j2").write_text(TEMPLATE)
+    (folder / "charts.html").write_text(render(folder / "page.html.j2", {"plots": plots, "data": charts.data()}))
+    return {"run": folder / "run.html", "charts": folder / "charts.html"}
 
 
 @pytest.fixture
-def page(browser: Browser, report: tuple[Path, Results]) -> Iterator[Page]:
-    opened = browser.new_page(viewport={"width": 1200, "height": 900}, reduced_motion="reduce")
+def page(browser: Browser, paths: dict[str, Path], request: pytest.FixtureRequest) -> Iterator[Page]:
+    opened = browser.new_page(viewport={"width": 1200, "height": 2400}, reduced_motion="reduce")
     faults: list[str] = []
     opened.on("pageerror", lambda error: faults.append(str(error)))
-    opened.goto(report[0].as_uri())
+    opened.goto(paths[getattr(request, "param", "charts")].as_uri())
     opened.wait_for_selector("html[data-ready]", state="attached")
     yield opened
     opened.close()
     assert faults == []
 
 
+run_page = pytest.mark.parametrize("page", ["run"], indirect=True)
+
+
 def read_outs(page: Page) -> dict[str, str]:
     """Label → what is read out of it, of every chart."""
     text = "entries => Object.fromEntries(entries.map(e => [e.children[1].textContent, e.children[2].textContent]))"
-    found: dict[str, str] = page.locator(".legend .entry:has(output)").evaluate_all(text)
+    found: dict[str, str] = page.locator(".legend .entry:has(output):has(svg)").evaluate_all(text)
     return {label.split(",")[0]: value.replace("\u2212", "-") for label, value in found.items()}
 
 
-def box(page: Page, number: int) -> dict[str, float]:
-    chart = page.locator("[data-box]").nth(number)
-    chart.scroll_into_view_if_needed()
-    found: Any = chart.bounding_box()
-    return dict(found)
+def point_at(page: Page, chart: int, share: float, up: float = 0.5) -> dict[str, float]:
+    """Move the pointer in a chart; return the place of the chart."""
+    there: Any = page.locator("[data-box]").nth(chart).bounding_box()
+    page.mouse.move(there["x"] + share * there["width"], there["y"] + up * there["height"])
+    return dict(there)
 
 
 def shapes(page: Page) -> list[str]:
@@ -84,70 +123,70 @@ def shapes(page: Page) -> list[str]:
     return found
 
 
-@pytest.mark.thorough
-def test_at_any_time_every_read_out_is_the_row(page: Page, report: tuple[Path, Results]) -> None:
-    results, rng = report[1], np.random.default_rng(5)
-    shown = {c: results[c] for c in COLUMNS}
+def saved(page: Page, title: str, kind: str) -> bytes:
+    with page.expect_download() as waiting:
+        page.get_by_role("button", name=f"{title} as {kind}").first.click()
+    return Path(waiting.value.path()).read_bytes()
+
+
+def table_of(page: Page, title: str) -> tuple[list[str], list[list[str]]]:
+    header, *rows = csv.reader(io.StringIO(saved(page, title, "CSV").decode()))
+    return header, rows
+
+
+def near(values: np.ndarray[Any, Any], told: str, value: float) -> bool:
+    """Whether what is told of a signal is a value, to the decimals of the signal."""
+    return float(told) == pytest.approx(value, abs=0.51 * 10.0 ** -decimals_of(values))
+
+
+@run_page
+def test_at_any_time_every_read_out_is_the_row(page: Page) -> None:
+    results, rng = recorded(), np.random.default_rng(5)
     for t in rng.uniform(0.0, results.time[-1], 20):
         page.evaluate("t => { location.hash = '#t=' + t }", float(t))
         page.wait_for_function(
             "t => Math.abs(parseFloat(document.querySelector('.when').textContent) - t) < 0.011", arg=t
         )
-        when = page.locator(".when").first.inner_text()
         row = int(np.abs(results.time - t).argmin())
-        assert when == f"{results.time[row]:g} s"
+        assert page.locator(".when").first.inner_text() == f"{results.time[row]:g} s"
         for name, told in read_outs(page).items():
-            value, decimals = shown[name][row], power(shown[name])
-            if np.isnan(value):
-                assert told == "\u2013"
-            else:
-                assert float(told) == pytest.approx(value, abs=0.5000001 * 10.0**-decimals), name
+            value = results[name][row]
+            assert told == "\u2013" if np.isnan(value) else near(results[name], told, value), name
 
 
+@run_page
 def test_dragging_across_one_chart_zooms_all_and_a_double_click_takes_it_back(page: Page) -> None:
-    before, there = shapes(page), box(page, 1)
-    y = there["y"] + 40
-    page.mouse.move(there["x"] + 0.25 * there["width"], y)
+    before = shapes(page)
+    point_at(page, 1, 0.25)
     page.mouse.down()
-    page.mouse.move(there["x"] + 0.5 * there["width"], y, steps=5)
+    point_at(page, 1, 0.5)
     page.mouse.up()
     ticks = page.locator(".x-ticks").evaluate_all("all => all.map(e => e.textContent)")
     assert len(set(ticks)) == 1  # one axis for all
-    assert ticks[0].startswith("45") or ticks[0].startswith("50")
+    assert ticks[0].startswith(("45", "50"))
     assert all(a != b for a, b in zip(shapes(page), before, strict=True))
-    page.mouse.dblclick(there["x"] + 0.5 * there["width"], y)
+    there = point_at(page, 1, 0.5)
+    page.mouse.dblclick(there["x"] + 0.5 * there["width"], there["y"] + 40)
+    page.wait_for_timeout(300)  # the labels of the axes have their width again
     assert shapes(page) == before
 
 
-@pytest.mark.thorough  # keys move the cursor in test_report_charts
-def test_a_chart_takes_keys_when_it_has_the_focus_and_the_page_scrolls_as_any(page: Page) -> None:
-    page.keyboard.press("Space")
-    page.wait_for_function("scrollY > 100")
-    chart = page.locator("[data-box]").first
-    chart.focus()
-    chart.press("Home")
-    page.wait_for_timeout(600)  # until it has scrolled
-    place = page.evaluate("scrollY")
-    for _ in range(3):
-        chart.press("ArrowRight")
-    assert page.locator(".when").first.inner_text() == "0.06 s"
-    spoken = page.locator("p[role=status].unseen").inner_text()
-    assert spoken.startswith("t = 0.06 s: pump.measured")
-    chart.press("+")
-    assert "zoomed" in (page.locator("html").get_attribute("class") or "")
-    chart.press("Escape")
-    assert "zoomed" not in (page.locator("html").get_attribute("class") or "")
-    assert page.evaluate("scrollY") == place
-
-
-def test_a_curve_is_hidden_and_shown_by_its_name(page: Page) -> None:
+@run_page
+def test_a_curve_is_hidden_by_its_name_and_a_chart_saves_what_it_shows(page: Page) -> None:
+    results = recorded()
     name = page.get_by_role("button", name="tank.level").first
-    line = page.locator("[data-line]").nth(1)
     name.click()
     assert name.get_attribute("aria-pressed") == "false"
-    assert not line.is_visible()
+    assert not page.locator("[data-line]").nth(1).is_visible()
     name.click()
-    assert line.is_visible()
+    header, rows = table_of(page, "tank.level → pump.measured")
+    assert (header[0], header[2]) == ("time [s]", "tank.level [m]")
+    assert len(rows) == results.time.size
+    level = np.array([float(row[2]) for row in rows])
+    assert np.abs(level - results["tank.level"]).max() <= 0.51e-4
+    assert [row[1] == "" for row in rows] == np.isnan(results["pump.measured"]).tolist()
+    assert saved(page, "tank.level → pump.measured", "SVG").startswith(b"<svg ")
+    assert saved(page, "tank.level → pump.measured", "PNG").startswith(b"\x89PNG")
 
 
 def test_every_chart_is_saved_under_a_name_of_its_own_with_its_unit_where_titles_are_alike(
@@ -160,31 +199,133 @@ def test_every_chart_is_saved_under_a_name_of_its_own_with_its_unit_where_titles
     opened = browser.new_page()
     opened.goto((tmp_path / "report.html").as_uri())
     opened.wait_for_selector("html[data-ready]", state="attached")
-    titles = opened.eval_on_selector_all("[data-chart]", "all => all.map((c) => c.dataset.title)")
     names = []
     for button in opened.get_by_role("button", name="as CSV").all():
         with opened.expect_download() as waiting:
             button.click()
         names.append(waiting.value.suggested_filename)
     opened.close()
-    assert len(set(names)) == len(names) == len(titles) > len(set(titles))
+    assert len(set(names)) == len(names) == 4
     assert {"tank_m.csv", "tank_m_s.csv", "tank_deg.csv"} <= set(names)
 
 
+def test_a_run_of_one_row_shows_dots_and_a_page_without_scripts_says_so(browser: Browser, tmp_path: Path) -> None:
+    results = Results(np.array([1.5]), ("tank.level", "tank.flow"), np.array([[0.25, -3.0]]), {"tank.level": "m"})
+    write_report(tmp_path / "report.html", results, {"status": "failed"})
+    opened = browser.new_page()
+    opened.goto((tmp_path / "report.html").as_uri())
+    opened.wait_for_selector("html[data-ready]", state="attached")
+    assert read_outs(opened) == {"tank.level": "0.25000", "tank.flow": "-3.0000"}
+    assert [path.count("h0") for path in shapes(opened)] == [1, 1]
+    opened.close()
+    opened = browser.new_page(java_script_enabled=False)
+    opened.goto((tmp_path / "report.html").as_uri())
+    assert opened.locator("noscript").inner_text()
+    assert opened.locator(".summary").all_inner_texts() == ["tank.level from 0.25 to 0.25", "tank.flow from -3 to -3"]
+    opened.close()
+
+
+def test_a_cursor_moves_in_the_charts_of_its_axis_alone_and_names_the_row_while_a_chart_is_read(page: Page) -> None:
+    row, before = page.locator("#row"), page.locator(".when").all_inner_texts()
+    assert row.is_hidden()
+    point_at(page, 0, 0.5)
+    after = page.locator(".when").all_inner_texts()
+    assert after[0] == after[1] == "20 s"
+    assert after[2:] == before[2:]
+    assert "row 401 of 801, t = 20 s" in row.inner_text()
+    assert near(MODEL, read_outs(page)["model"], MODEL[400])
+    page.mouse.move(2, 2)
+    assert row.is_hidden()
+
+
+def test_a_zoom_changes_the_charts_of_its_axis_alone_and_lines_still_begin_anew(page: Page) -> None:
+    before = shapes(page)
+    assert before[1].count("M") == len(STARTS) + 1  # nothing before the first start but that row
+    first = page.locator("[data-box]").first
+    first.focus()
+    page.mouse.move(0, 0)
+    for key in ("Home", "+"):
+        first.press(key)
+    after = shapes(page)
+    assert [a != b for a, b in zip(after, before, strict=True)] == [True] * 3 + [False] * 6
+    assert after[0].count("M") == 1
+    assert after[1].count("M") == 4  # half of the rows: those after two starts, the first row, and one beyond the end
+    first.press("Escape")
+    page.wait_for_timeout(300)
+    assert shapes(page) == before
+
+
 @pytest.mark.thorough
-def test_what_a_chart_shows_is_saved_as_numbers_and_as_pictures(page: Page, report: tuple[Path, Results]) -> None:
-    results = report[1]
-    kept = {}
-    for kind in ("CSV", "SVG", "PNG"):
-        with page.expect_download() as waiting:
-            page.get_by_role("button", name=f"as {kind}").first.click()
-        kept[kind] = Path(waiting.value.path()).read_bytes()
-    header, *rows = csv.reader(io.StringIO(kept["CSV"].decode()))
-    assert header[0] == "time [s]"
-    assert header[2] == "tank.level [m]"
-    assert len(rows) == results.time.size
-    level = np.array([float(row[2]) for row in rows])
-    assert np.abs(level - results["tank.level"]).max() <= 0.51e-4
-    assert [row[1] == "" for row in rows] == np.isnan(results["pump.measured"]).tolist()
-    assert kept["SVG"].startswith(b"<svg ")
-    assert kept["PNG"].startswith(b"\x89PNG")
+def test_of_curves_with_points_of_their_own_the_nearest_are_read(page: Page) -> None:
+    for share in np.random.default_rng(8).uniform(0.02, 0.98, 12):
+        there = point_at(page, 2, share)
+        at = float(page.locator(".when").nth(2).inner_text().split()[0])
+        every = np.concatenate((FLOW, FINE))
+        assert np.abs(every - at).min() < 1e-4  # it is where some point is, and none is nearer to the pointer
+        assert abs(at - 9.0 * share) <= np.abs(every - 9.0 * share).min() + 9.0 * 1.5 / there["width"]
+        read, k, j = read_outs(page), int(np.abs(FLOW - at).argmin()), int(np.abs(FINE - at).argmin())
+        assert near(MEAN, read["mean"], MEAN[k])
+        low, high = (float(v) for v in read["data"].split(" … "))
+        assert (low, high) == pytest.approx((MEAN[k] - 0.2, MEAN[k] + 0.2), abs=1e-4)
+        assert near(CURVE, read["claim"], CURVE[j])
+
+
+def test_marks_are_drawn_again_where_they_are_looked_at_and_keys_go_from_point_to_point(page: Page) -> None:
+    before, figure = shapes(page), page.locator("[data-box]").nth(3)
+    figure.focus()
+    figure.press("Home")
+    figure.press("ArrowRight")
+    assert page.locator(".when").nth(3).inner_text() == "0.2 s"
+    assert f"{RHO[1]:.{decimals_of(RHO)}f}".replace("-", "\u2212") in page.locator("p.told").inner_text()
+    for _ in range(2):
+        figure.press("+")
+    after = shapes(page)
+    assert [k for k, (a, b) in enumerate(zip(after, before, strict=True)) if a != b] == [6]
+    assert 8 <= after[6].count("M") <= 10  # a quarter of 30, and one beyond each end
+
+
+def test_the_numbers_of_a_chart_with_bars_are_saved_with_both_ends(page: Page) -> None:
+    header, rows = table_of(page, "Loss against flow")
+    assert header == ["flow [l/s]", "data, lower [kW]", "data, upper [kW]", "mean [kW]", "claim [kW]"]
+    assert len(rows) == FLOW.size + FINE.size
+    means = np.array([(float(row[0]), float(row[3])) for row in rows if row[3]])
+    assert means == pytest.approx(np.column_stack((FLOW, MEAN)), abs=1e-4)
+    assert saved(page, "Loss against flow", "SVG").count(b"h0") >= FLOW.size
+
+
+def test_over_decades_the_frequency_that_is_read_is_a_row_of_the_response(page: Page) -> None:
+    for share in (0.1, 0.4, 0.77):
+        point_at(page, 4, share)
+        omega = float(page.locator(".when").nth(4).inner_text().split()[0])
+        row = int(np.abs(np.log(OMEGA / omega)).argmin())
+        assert omega == pytest.approx(OMEGA[row], rel=1e-4)
+        assert np.log10(omega) == pytest.approx(-2.0 + 5.0 * share, abs=0.01)
+        assert near(GAIN, read_outs(page)["y"], GAIN[row])
+    chart = page.locator("[data-box]").nth(4)
+    chart.focus()
+    for _ in range(4):
+        chart.press("+")
+    ticks = page.locator(".x-ticks").nth(4).locator("span").all_inner_texts()
+    assert len(ticks) >= 3
+    assert all(float(a) < float(b) for a, b in itertools.pairwise(ticks))
+    header, rows = table_of(page, "Gain")
+    assert header[0] == "frequency [rad/s]"
+    shown = np.array([float(row[0]) for row in rows])
+    assert np.abs(np.log(shown[:, None] / OMEGA)).min(axis=1).max() < 1e-4
+
+
+def test_of_points_in_a_plane_the_nearest_is_read_with_all_that_belongs_to_it(page: Page) -> None:
+    for pole in POLES:
+        x, y = (pole.real + 5.0) / 6.0, 0.5 - pole.imag / 8.0
+        there = point_at(page, 5, x + 0.01, y - 0.02)
+        shown = page.locator("figure").nth(5).locator("output").all_inner_texts()
+        assert [float(v.replace("\u2212", "-")) for v in shown] == pytest.approx([pole.imag, abs(pole)], abs=1e-4)
+        ring: Any = page.locator(".ring").nth(5).bounding_box()
+        assert ring["x"] + ring["width"] / 2 == pytest.approx(there["x"] + x * there["width"], abs=2.0)
+        assert ring["y"] + ring["height"] / 2 == pytest.approx(there["y"] + y * there["height"], abs=2.0)
+    chart = page.locator("[data-box]").nth(5)
+    chart.focus()
+    for key in ("Home", "ArrowRight", "ArrowRight"):  # to the one above, at the same place of the axis
+        chart.press(key)
+    assert page.locator(".when").nth(5).inner_text().replace("\u2212", "-") == "-2 1/s"
+    assert page.locator("figure").nth(5).locator("output").first.inner_text() == "3"

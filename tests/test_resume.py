@@ -16,12 +16,11 @@ import pytest
 import cosim
 from cosim.base.arrays import Array
 from cosim.base.errors import CosimError, InputError, Interrupted, SimulationError
-from cosim.base.messages import code_of
+from cosim.base.messages import Note
 from cosim.base.version import __version__
-from cosim.master import replay
 from cosim.master.observer import ObservedRun, Observer
 from cosim.simulation.workflow import run
-from cosim.storage.state_file import BadState, pack, unpack
+from cosim.storage.state_file import pack, unpack
 from tests.conftest import ROOT
 from tests.instants import CONSTANT, instants_fmu
 from tests.walker import walker_fmu, walker_scenario
@@ -85,16 +84,6 @@ def walk(request: pytest.FixtureRequest) -> Walk:
     return loaded
 
 
-@pytest.mark.parametrize(("more", "names"), [((), "other"), (("interpolate=linear",), "saving, three, other")])
-def test_a_run_with_checkpoints_tells_beforehand_whose_steps_are_replayed(
-    in_c: Walk, more: tuple[str, ...], names: str, tmp_path: Path
-) -> None:
-    said: list[str] = []
-    run(in_c[0], tmp_path / "out", ["checkpoint=10 min", *more], report=False, tell=said.append)
-    (note,) = [text for text in said if "replays the recorded inputs" in text]
-    assert f"the state of {names}:" in note
-
-
 def test_a_run_stopped_from_the_keyboard_goes_on_to_the_same_bytes(walk: Walk, tmp_path: Path) -> None:
     _, whole, part = walk
     said: list[str] = []
@@ -108,46 +97,12 @@ def test_a_run_stopped_from_the_keyboard_goes_on_to_the_same_bytes(walk: Walk, t
     assert sorted(path.name for path in again.iterdir()) == ["manifest.json", "results.csv"]
 
 
-def test_a_run_without_a_checkpoint_goes_on_by_a_replay_of_all(walk: Walk, tmp_path: Path) -> None:
+def test_a_run_without_a_checkpoint_makes_all_steps_again(walk: Walk, tmp_path: Path) -> None:
     _, whole, part = walk
     again = shutil.copytree(part, tmp_path / "again")
     shutil.rmtree(again / "checkpoint")
     cosim.run(again, resume=True, report=False, in_process=True)
     assert (again / "results.csv").read_bytes() == (whole / "results.csv").read_bytes()
-
-
-def test_c_and_python_replay_the_same_and_find_other_outputs(
-    walk: Walk, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    _, whole, part = walk
-    replayed: list[list[str]] = []
-    monkeypatch.setattr(replay, "POINTS", 7)  # so that events and ends of blocks fall anywhere
-    make = replay.CompiledReplay.__init__
-
-    def note(self: Any, master: Any, slots: Any) -> None:
-        replayed.append([part.stage.component.name for part, _ in slots])
-        make(self, master, slots)
-
-    monkeypatch.setattr(replay.CompiledReplay, "__init__", note)
-    for name, in_c in (("c", True), ("python", False)):
-        again = shutil.copytree(part, tmp_path / name)
-        shutil.rmtree(again / "checkpoint")
-        if not in_c:
-            monkeypatch.setattr(replay.Replay, "_compiled", lambda self, last: ())
-        cosim.run(again, resume=True, report=False, in_process=True)
-        assert (again / "results.csv").read_bytes() == (whole / "results.csv").read_bytes()
-    assert len(replayed) == 1
-    assert replayed[0]
-    monkeypatch.undo()
-    lines = (part / "results.csv").read_text().splitlines()
-    column = lines[0].split(",").index(f"{replayed[0][0]}.y")
-    cells = lines[9].split(",")
-    cells[column] = repr(float(cells[column]) + 1e-9)
-    other = shutil.copytree(part, tmp_path / "other")
-    shutil.rmtree(other / "checkpoint")
-    (other / "results.csv").write_text("\n".join([*lines[:9], ",".join(cells), *lines[10:]]) + "\n")
-    with pytest.raises(SimulationError, match=rf"{replayed[0][0]} at t = .*differ from the recorded ones"):
-        cosim.run(other, resume=True, report=False)
 
 
 def test_a_finished_run_is_extended_with_and_without_its_last_state(walk: Walk, tmp_path: Path) -> None:
@@ -170,16 +125,6 @@ def test_a_finished_run_is_extended_with_and_without_its_last_state(walk: Walk, 
     assert "saving" not in said[0]
 
 
-def test_a_run_is_stopped_again_and_again(walk: Walk, tmp_path: Path) -> None:
-    scenario, whole, _ = walk
-    part = stopped(scenario, tmp_path / "part", ["checkpoint=40 ms"], after=0.2)
-    for after in (0.4, 0.6):
-        with pytest.raises(Interrupted):
-            run(part, resume=True, observers=[Stop(after)], report=False)
-    run(part, resume=True, report=False)
-    assert (part / "results.csv").read_bytes() == (whole / "results.csv").read_bytes()
-
-
 @pytest.mark.thorough  # small FMUs that save their state go on above
 def test_the_example_is_stopped_goes_on_and_gets_longer(project: Path) -> None:
     scenario = project / "scenarios" / "endurance.yaml"
@@ -189,7 +134,7 @@ def test_the_example_is_stopped_goes_on_and_gets_longer(project: Path) -> None:
     assert 26 < len((part / "results.csv").read_text().splitlines()) < 1002
     said: list[str] = []
     run(part, resume=True, report=False, tell=said.append)
-    assert "replayed" not in said[0]  # Both FMUs save their state.
+    assert "made again" not in said[0]  # Both FMUs save their state.
     check_equal(part, whole)
     longer = run(scenario, project / "longer", ["duration=25"], report=False).folder
     run(part, until=25.0, report=False)
@@ -237,7 +182,7 @@ def bound_scenario(folder: Path, version: str) -> Path:
 
 
 @pytest.mark.parametrize("version", ["2", "3"])
-def test_an_fmu_whose_state_holds_the_end_is_replayed_in_a_longer_run(version: str, tmp_path: Path) -> None:
+def test_an_fmu_whose_state_holds_the_end_is_stepped_again_in_a_longer_run(version: str, tmp_path: Path) -> None:
     scenario = bound_scenario(tmp_path, version)
     short = run(scenario, tmp_path / "short", report=False).folder
     longer = run(scenario, tmp_path / "longer", ["duration=0.8"], report=False).folder
@@ -245,41 +190,26 @@ def test_an_fmu_whose_state_holds_the_end_is_replayed_in_a_longer_run(version: s
     run(short, until=0.7, report=False, tell=told.append)
     run(short, until=0.8, report=False, tell=told.append)
     check_equal(short, longer)
-    assert [code_of(text) for text in told] == ["N-SIM-088", "N-SIM-070"] * 2
+    assert [*map(type, told)] == [Note] * 4
     assert all("bound" in text and "free" not in text for text in told)
 
 
-def test_an_fmu_of_a_stopped_run_whose_state_holds_the_end_is_replayed_beyond_it(tmp_path: Path) -> None:
-    scenario = bound_scenario(tmp_path, "2")
-    slow = ["components.free.start.pause=3000"]
-    part = stopped(scenario, tmp_path / "part", slow, after=0.2)
-    run(part, until=0.8, report=False)
-    check_equal(part, run(scenario, tmp_path / "whole", [*slow, "duration=0.8"], report=False).folder)
-
-
 @pytest.mark.parametrize("checkpoint", ["10 min", "null"])
-def test_a_longer_run_that_fails_leaves_the_finished_run_as_it_was(checkpoint: str, tmp_path: Path) -> None:
+def test_a_longer_run_that_fails_keeps_the_rows_of_the_finished_one(checkpoint: str, tmp_path: Path) -> None:
     scenario = bound_scenario(tmp_path, "2")
     settings = ["components.free.start.limit=0.6", f"checkpoint={checkpoint}"]
     folder = run(scenario, tmp_path / "out", settings).folder
-    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-    told: list[str] = []
+    before = (folder / "results.csv").read_bytes()
     with pytest.raises(SimulationError, match=r"free at t = 0\.6 s") as failed:
-        run(folder, until=0.8, report=False, tell=told.append)
-    left = failed.value.left
-    assert left == folder / "runs" / "0001"
-    assert code_of(told[-1]) == "N-SIM-089"
-    rows = (left / "results.csv").read_bytes()
-    assert rows.startswith(before[folder / "results.csv"])
+        run(folder, until=0.8, report=False)
+    assert failed.value.left == folder
+    rows = (folder / "results.csv").read_bytes()
+    assert rows.startswith(before)
     assert len(rows.splitlines()) == 62
-    assert json.loads((left / "manifest.json").read_text())["status"].startswith("failed: free")
-    shutil.rmtree(folder / "runs")
-    assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
-    run(folder, until=0.6, report=False)  # It goes on to a time within the limit.
+    assert json.loads((folder / "manifest.json").read_text())["status"].startswith("failed: free")
     with pytest.raises(SimulationError):
         run(folder, until=0.7, report=False)  # without a new row
-    assert not (folder / "runs").exists()
-    assert json.loads((folder / "manifest.json").read_text())["rows"] == 61
+    assert (folder / "results.csv").read_bytes() == rows
 
 
 # -- bad input ------------------------------------------------------------------------------------
@@ -337,73 +267,68 @@ def removed_all(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("damage", "code"),
+    "damage",
     [
-        (changed_version, "E-SIM-063"),
-        (other_format, "E-SIM-063"),
-        (half_written, "E-SIM-064"),
-        (changed_row, "E-SIM-065"),
-        (changed_fmu, "E-SIM-001"),
-        (removed_rows, "E-SIM-065"),
-        (cut_rows, "E-SIM-065"),
-        (damaged_record, "E-SIM-064"),
-        (edited_record, "E-SIM-064"),
-        (removed_all, "E-SIM-060"),
+        changed_version,
+        other_format,
+        half_written,
+        changed_row,
+        changed_fmu,
+        removed_rows,
+        cut_rows,
+        damaged_record,
+        edited_record,
+        removed_all,
     ],
 )
 @pytest.mark.parametrize("options", [{"resume": True}, {"until": 2.0}])
 def test_a_folder_that_does_not_belong_together_is_refused_and_left_alone(
-    in_c: Walk, tmp_path: Path, damage: Callable[[Path], None], code: str, options: dict[str, Any]
+    in_c: Walk, tmp_path: Path, damage: Callable[[Path], None], options: dict[str, Any]
 ) -> None:
     part = shutil.copytree(in_c[2], tmp_path / "part")
     damage(part)
     before = {path: path.read_bytes() for path in part.rglob("*") if path.is_file()}
     with pytest.raises(InputError) as refused:
         run(part, report=False, **options)
-    assert refused.value.code == code
     assert refused.value.exit_code == 2
     assert before == {path: path.read_bytes() for path in part.rglob("*") if path.is_file()}
 
 
-@pytest.mark.parametrize(
-    ("options", "code"),
-    [({"resume": True}, "E-SIM-061"), ({"until": 1.0}, "E-SIM-062"), ({"until": 0.5}, "E-SIM-062")],
-)
-def test_a_finished_run_has_nothing_to_resume(in_c: Walk, options: dict[str, Any], code: str) -> None:
+@pytest.mark.parametrize("options", [{"resume": True}, {"until": 1.0}, {"until": 0.5}])
+def test_a_finished_run_has_nothing_to_resume(in_c: Walk, options: dict[str, Any]) -> None:
     with pytest.raises(InputError) as refused:
         run(in_c[1], report=False, **options)
-    assert refused.value.code == code
+    assert refused.value.exit_code == 2
 
 
 def test_an_end_between_two_communication_points_is_refused(in_c: Walk) -> None:
     for folder, end, ends in ((in_c[1], 1.0049, r"give 1\.01 s"), (in_c[2], 1.0049, r"give 1 s or 1\.01 s")):
         with pytest.raises(InputError, match=rf"--until 1\.0049 s .* {ends}$") as refused:
             run(folder, until=end, report=False)
-        assert (refused.value.code, refused.value.exit_code) == ("E-SIM-078", 2)
+        assert refused.value.exit_code == 2
 
 
 def test_a_run_that_goes_on_takes_no_other_settings(in_c: Walk, tmp_path: Path) -> None:
     for options in ({"out": tmp_path / "other"}, {"seed": 3}, {"set": {"noise": False}}):
         with pytest.raises(InputError) as refused:
             cosim.run(in_c[1], until=2.0, **options)  # type: ignore[arg-type]
-        assert refused.value.code == "E-SIM-068"
-    with pytest.raises(InputError) as refused:
+        assert refused.value.exit_code == 2
+    with pytest.raises(InputError):
         run(tmp_path / "none", resume=True)
-    assert refused.value.code == "E-SIM-074"
 
 
-def test_a_state_that_an_fmu_does_not_restore_ends_the_run_with_its_rows_kept(in_c: Walk, tmp_path: Path) -> None:
-    part = shutil.copytree(in_c[2], tmp_path / "part")
+def test_a_state_that_an_fmu_does_not_restore_ends_the_run_with_its_rows_kept(tmp_path: Path) -> None:
+    part = stopped(bound_scenario(tmp_path, "2"), tmp_path / "part", ["components.free.start.pause=3000"], after=0.2)
     state = part / "checkpoint" / "state"
     content = unpack(state.read_bytes())
-    saved = bytearray(content["components"]["saving"]["state"])
+    saved = bytearray(content["components"]["free"]["state"])
     saved[8] ^= 1  # the lowest bit of the output
-    content["components"]["saving"]["state"] = bytes(saved)
+    content["components"]["free"]["state"] = bytes(saved)
     state.write_bytes(pack(content))
     rows = (part / "results.csv").read_bytes()
     with pytest.raises(SimulationError) as failed:
         run(part, resume=True, report=False)
-    assert (failed.value.code, failed.value.component, failed.value.exit_code) == ("E-MAS-002", "saving", 4)
+    assert (failed.value.component, failed.value.exit_code) == ("free", 4)
     assert (part / "results.csv").read_bytes() == rows
 
 
@@ -417,7 +342,7 @@ def test_an_fmu_that_does_not_repeat_itself_is_found(in_c: Walk, tmp_path: Path)
     (part / "results.csv").write_text("\n".join(rows) + "\n")
     with pytest.raises(SimulationError) as failed:
         run(part, resume=True, report=False)
-    assert (failed.value.code, failed.value.component) == ("E-MAS-060", "other")
+    assert failed.value.component == "other"
     assert failed.value.time == pytest.approx(0.08)
 
 
@@ -436,12 +361,6 @@ def test_a_state_file_gives_its_content_back_bit_for_bit() -> None:
     content = {"a": [1, -0.0, 1e-300, float("inf"), None, "é"], "b": {"state": b"\0\1{}", "more": [b"", b"x" * 999]}}
     assert repr(unpack(pack(content))) == repr(content)
     assert __version__
-
-
-@pytest.mark.parametrize("damage", [lambda d: d[:-1], lambda d: b"x" + d, lambda d: d[:90] + b"?" + d[91:]])
-def test_a_damaged_state_file_is_refused(damage: Callable[[bytes], bytes]) -> None:
-    with pytest.raises(BadState):
-        unpack(damage(pack({"a": b"1234567890" * 20})))
 
 
 # -- changes while a run is stepped, and event mode -----------------------------------------------

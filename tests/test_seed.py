@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 import math
-import re
 import shlex
 from dataclasses import replace
 from pathlib import Path
@@ -44,17 +42,6 @@ def rows() -> list[list[str]]:
     return [c for c in cells if len(c) >= 5 and c[1] in STATUSES]
 
 
-def test_every_row_names_a_test_that_is_there() -> None:
-    assert len(rows()) > 30
-    for row in rows():
-        if row[1] == "not software":
-            continue
-        named = re.findall(r"`(test_\w+)::(test_\w+)`", row[2])
-        assert named or "make seed" in row[2], row
-        for module, test in named:
-            assert hasattr(importlib.import_module(f"tests.{module}"), test), f"{module}::{test}"
-
-
 def asked_for() -> list[list[str]]:
     """Rows of the page's own list: what was asked for, the rows that answer it, a command."""
     section = PAGE.read_text(encoding="utf-8").partition("## What has to be here")[2].partition("\n## ")[0]
@@ -62,56 +49,6 @@ def asked_for() -> list[list[str]]:
         [c.strip() for c in line.strip("|").split(" | ")] for line in section.splitlines() if line.startswith("| ")
     ]
     return cells[1:]
-
-
-def test_whatever_was_asked_for_has_its_rows() -> None:
-    titles, lacking = [row[0] for row in rows()], []
-    assert asked_for()
-    for key, answers, _ in asked_for():
-        for answer in answers.split("; "):
-            found = [row for row, title in zip(rows(), titles, strict=True) if title.startswith(answer)]
-            if not found or (key.endswith(" NS") and any(row[1] != "not software" for row in found)):
-                lacking.append((key, answer))
-    assert lacking == []
-
-
-def test_every_row_has_what_is_printed_and_ours() -> None:
-    assert [row[0] for row in rows() if row[1] != "not software" and not (row[3] and row[4])] == []
-    assert [row[0] for row in rows() if row[1] == "corrected" and len(row) < 6] == []
-    assert [row[0] for row in rows() if "in `make seed`" in row[4]] == []
-
-
-def test_every_command_of_the_list_is_one_that_can_be_given() -> None:
-    from typer.main import get_command
-
-    from cosim.verbs.cli import app
-
-    verbs = get_command(app).commands  # type: ignore[attr-defined]
-    names = " ".join(re.findall(r"def (test_\w+)", "".join(p.read_text() for p in TESTS.glob("test_*.py"))))
-    for key, command in ((row[0], each) for row in asked_for() for each in row[2].split("; ")):
-        words = shlex.split(command.strip("`"))
-        if words[:2] == ["pytest", "-k"]:
-            assert all(word in names for word in words[2].split(" or ")), key
-        elif words[0] == "pytest":
-            assert (ROOT / words[1]).is_file(), key
-        elif words[0] == "cosim":
-            assert words[1] in verbs, key
-            assert all((ROOT / w.partition("@")[0]).is_file() for w in words[2:] if ".yaml" in w), key
-        else:
-            assert command in ("–", "`make seed`", "`python -m tests.controllers`"), key
-
-
-def test_a_command_that_runs_tests_runs_those_that_its_rows_name() -> None:
-    missed = []
-    for key, answers, commands in asked_for():
-        words = shlex.split(commands.strip("`"))
-        if words[0] != "pytest" or "; " in commands:
-            continue
-        shown = [row[2] for row in rows() for answer in answers.split("; ") if row[0].startswith(answer)]
-        for file, name in re.findall(r"`(\w+)::(test_\w+)`", " ".join(shown)):
-            there = [w in name for w in words[2].split(" or ")] if words[1] == "-k" else [f"/{file}.py" in words[1]]
-            missed += [] if any(there) else [(key, name)]
-    assert missed == []
 
 
 def test_commands_that_linearise_show_the_numbers_of_their_rows() -> None:
@@ -136,18 +73,6 @@ def _linear(words: list[str]) -> Linear:
         options.setdefault(option.removeprefix("--"), []).append(value)
     lists = {name: values[0].split(",") for name, values in options.items() if name not in {"at", "set"}}
     return linearize(words[2], at=options.get("at", []), set=options.get("set", []), **lists).first
-
-
-def test_the_list_is_that_of_the_order() -> None:
-    order = ROOT.parent / "shared" / "spec" / "seed-rows.md"
-    if not order.is_file():
-        pytest.skip("the list that was ordered is not beside the project")
-    wanted: list[str] = []
-    for line in order.read_text(encoding="utf-8").splitlines():
-        if line.startswith("- **"):
-            keys = line[2:].partition(": ")[2].strip().removesuffix(".")
-            wanted += [k.replace("**", "") for k in re.split(r" · |\. (?=\*\*|The )", keys)]
-    assert [key for key, _, _ in asked_for()] == wanted
 
 
 # -- rows that are short enough to stand here -------------------------------------------------

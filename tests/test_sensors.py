@@ -210,14 +210,6 @@ def test_a_gain_is_the_same_in_plant_batch_symbols_kernel_and_fmu(tmp_path: Path
         np.testing.assert_allclose(replayed.outputs[q.name][1:], by_fmu[1:, k], rtol=0, atol=1e-9)
 
 
-@pytest.mark.thorough
-def test_a_gain_that_a_mass_would_do_as_well_is_a_rival_of_it(tmp_path: Path) -> None:
-    study = rover_study(tmp_path / "study", gain=1.3)
-    study.write_text(study.read_text() + "candidates: [motor_gain, air_drag, mass]\n")
-    r = proven(study, tmp_path / "out")
-    assert (r.record["verdict"], {*r.record["rivals"]}) == ("ambiguous", {"mass", "motor_gain"})
-
-
 # -- studies ------------------------------------------------------------------------------------
 
 
@@ -228,29 +220,6 @@ def down_to_noise(r: Refinement, *channels: str) -> bool:
         if not all(after[n] < 1.2 * floor[n] and before[n] > 2.0 * floor[n] for n in channels):
             return False
     return True
-
-
-@pytest.mark.thorough
-def test_a_marker_ahead_of_the_centre_and_a_gyroscope_that_drifts_are_named_with_how_far_and_how_fast(
-    tmp_path: Path,
-) -> None:
-    study = rover_study(tmp_path / "study", marker=0.08, drift=3e-3)
-    few = "[marker_lever_arm, accelerometer_lever_arm, gyro_bias, gyro_drift, camera_latency]"
-    study.write_text(study.read_text() + f"candidates: {few}\n")
-    r = proven(study, tmp_path / "out")
-    assert (r.record["verdict"], named(r)) == ("sensor_error", {"marker_lever_arm", "gyro_drift"})
-    assert holds(r, "marker_lever_arm", "value", 0.08)
-    assert holds(r, "gyro_drift", "value", 3e-3)
-    assert down_to_noise(r, "x", "y", "rate")
-    pictures = {p.effect: p for p in compare_effects(r)}
-    marker, drift = pictures["marker_lever_arm"], pictures["gyro_drift"]
-    assert marker.where in {"x", "y"}
-    assert marker.against.name.startswith("psi")  # of which it is a function
-    assert marker.share > 0.98
-    assert (drift.where, drift.against.name) == ("rate", "time")
-    assert drift.share > 0.9
-    slope, _ = np.polyfit(drift.time, drift.estimated, 1)
-    assert slope == pytest.approx(3e-3, rel=0.1)
 
 
 @pytest.mark.thorough
@@ -300,21 +269,6 @@ def test_a_replay_knows_nothing_that_was_logged_after_its_start(tmp_path: Path) 
     )
     counted = replayed(variant, posed, [before], tmp_path)[subject.horizon][0][1]
     assert np.abs(counted.outputs["x"][rows] - runs[0].outputs["x"][rows]).max() > 1e-3
-
-
-def test_a_state_known_by_then_is_that_of_a_filter_which_ends_there(tmp_path: Path) -> None:
-    read = read_study(rover_study(tmp_path, late=0.1, seconds=8.0))
-    posed = build_problem(read.subject, read.logs)
-    values = {**posed.values, "camera_latency.value": 0.1}
-    data = posed.data(values, 0)
-    (row,) = rows = [300]
-    known = posed.filter_causally(data, values, posed.plain, 0, rows).states[row]
-    logged = replace(posed, logs=[posed.logs[0].rows(0, row + 1), *posed.logs[1:]])
-    np.testing.assert_array_equal(known, logged.run(values, posed.plain, 0, states=True).states[row])
-    assert np.abs(known - posed.run(values, posed.plain, 0, states=True).states[row]).max() > 1e-4
-    # asked for others too, a few readings long ago are missing
-    among = posed.filter_causally(data, values, posed.plain, 0, [100, 200, 300]).states[row]
-    np.testing.assert_allclose(among[:3], known[:3], atol=1e-3)  # as good as a reading of the camera
 
 
 def test_a_lag_goes_on_from_the_reading_before_the_first_value() -> None:

@@ -11,7 +11,6 @@ import pytest
 
 from cosim.estimation.fit import Fit
 from cosim.refinement.decision.claims import Claims, NotExcluded
-from cosim.refinement.decision.sentences import not_excluded_text
 from cosim.refinement.decision.special_cases import not_excluded
 from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.subject.candidates import Candidate, Free
@@ -56,20 +55,3 @@ def test_a_friction_that_decreases_with_speed_is_excluded_only_by_logs_that_show
         [("stribeck_at_w", "coulomb_at_w", "breakaway")] if largest else []
     )
     assert [x.up_to for x in told] == pytest.approx([largest] if largest else [])
-
-
-def test_an_effect_that_was_not_fitted_is_not_said_to_be_open() -> None:
-    assert found(3.0, 1.0, tried=False) == ()
-    assert not_excluded(SimpleNamespace(), Claims("unexplained"), [STRIBECK]) == ()  # type: ignore[arg-type]
-
-
-def test_an_effect_of_another_place_explains_less() -> None:
-    assert found(3.0, 1.0, behind=0.5)
-    assert found(3.0, 1.0, behind=2.0) == ()
-
-
-def test_the_sentence_names_both_and_the_value_that_remains_possible() -> None:
-    (other,) = found(2.0, 0.5)
-    text = not_excluded_text(other)
-    assert text.startswith("These logs do not exclude stribeck_at_w in place of coulomb_at_w, with breakaway up to 3")
-    assert text.endswith("N·m.")

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import csv
-import importlib.util
 import json
 import os
 import re
-import shlex
 import subprocess
 import sys
 import zipfile
@@ -17,20 +14,13 @@ from typing import Any
 import numpy as np
 import pytest
 from fmpy.ssp.ssd import read_ssd, read_ssv
-from typer.testing import CliRunner
 
 from cosim import check
 from cosim.authoring.export import export_ssp
 from cosim.base.errors import InputError
-from cosim.blocks.profile import Profile, profile_function
-from cosim.fmi.native import compiler as native_compiler
-from cosim.fmi.native.signal_source import build_source
 from cosim.simulation.workflow import run
 from cosim.storage import archive as archive_rules
 from cosim.storage.results import Results
-from cosim.verbs.cli import app
-from tests.hosts import table
-from tests.hosts_fmpy import Instance
 from tests.lag import bound, component, connection, lag_fmu, real, ssp
 from tests.test_fmu_hosts import AGREEMENT, LIBRARIES, MISSING, ROOT
 from tests.typed import typed_fmu
@@ -84,13 +74,6 @@ def test_a_system_runs_as_the_scenario_that_says_the_same(tmp_path: Path) -> Non
     )
     equal(ours, ran(wanted, tmp_path))
     assert np.ptp(ours["b.y"]) > 0.1
-
-
-def test_what_is_left_of_an_ssp_repeats_the_run(tmp_path: Path) -> None:
-    first = ran(pair(tmp_path, bound({"a.bias": real(2.0)})), tmp_path)
-    (tmp_path / "pair.ssp").unlink()
-    again = run(tmp_path / "ran" / "manifest.json", tmp_path / "again", report=False, in_process=True).results
-    equal(again, first)
 
 
 def test_systems_within_systems_become_one(tmp_path: Path) -> None:
@@ -263,17 +246,6 @@ def test_every_fault_is_told_at_once_with_its_place_and_cure(tmp_path: Path) -> 
     assert all(line.startswith(f"{path}:") and line.removeprefix(f"{path}:").split(":")[0].isdigit() for line in told)
 
 
-def test_two_sources_of_an_input_are_told_once_with_both_names(tmp_path: Path) -> None:
-    (told,) = faults_of(pair(tmp_path, connections=connection("b.y", "a.u") + connection("a.y", "a.u")))
-    assert told.endswith("two sources for a.u: b.y and a.y; keep one")
-
-
-def test_a_fault_of_a_file_within_is_told_of_that_file(tmp_path: Path) -> None:
-    binding = '<ssd:ParameterBinding source="resources/v.ssv"/>'
-    (told,) = faults_of(pair(tmp_path, binding, v_ssv="<other/>"))
-    assert told.startswith(f"{tmp_path}/pair.ssp/resources/v.ssv:1:1: ")
-
-
 @pytest.mark.parametrize(
     ("kind", "words"),
     [
@@ -334,13 +306,6 @@ def test_doubled_connections_through_many_levels_are_told_in_no_time(tmp_path: P
     whole = f'<ssd:System name="root">{values}<ssd:Elements>{inner}</ssd:Elements></ssd:System>'
     path = ssp(tmp_path / "deep.ssp", whole, {"resources/lag.fmu": lag_fmu(tmp_path / "lag.fmu")})
     assert sum("two sources" in line for line in faults_of(path)) == 24
-
-
-def test_faults_leave_nothing_behind(tmp_path: Path) -> None:
-    path = pair(tmp_path, connections=connection("a.y", "c.u"))
-    done = CliRunner().invoke(app, ["run", str(path), "--out", str(tmp_path / "out")])
-    assert isinstance(done.exception, InputError)
-    assert not (tmp_path / "out").exists()
 
 
 # -- written ----------------------------------------------------------------------------------------
@@ -451,51 +416,6 @@ def test_values_of_every_type_that_importers_take_are_written(tmp_path: Path) ->
     assert again.exact["x.s_out"][0] == "<&>"
 
 
-def test_a_connection_that_converts_units_is_refused(tmp_path: Path) -> None:
-    source = lags(tmp_path)
-    lag_fmu(tmp_path / "in.fmu", ("deg", ""))
-    with pytest.raises(InputError, match=r"converts: r.drive \[rad\] to a.u \[deg\]; not all importers"):
-        export_ssp(source, tmp_path / "x.ssp")
-
-
-def test_without_a_compiler_a_reference_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    source = lags(tmp_path)
-    monkeypatch.setenv("CC", "no-such-compiler")
-    monkeypatch.setattr(native_compiler, "can_cross", lambda: False)
-    with pytest.raises(InputError, match="cannot be compiled: no C compiler is found in CC or on PATH"):
-        export_ssp(source, tmp_path / "x.ssp")
-    assert not (tmp_path / "x.ssp").exists()
-
-
-def test_noise_and_criteria_are_left_out_which_is_said(tmp_path: Path) -> None:
-    noisy = [{"from": "r.drive", "to": "a.u", "noise": {"variance": 0.1}}]
-    source = lags(tmp_path, connections=noisy, algorithm="gauss-seidel")
-    done = CliRunner().invoke(app, ["export-ssp", str(source), "--out", str(tmp_path)])
-    assert done.exit_code == 0, done.output
-    assert (tmp_path / "same.ssp").is_file()
-    assert "noise is left out" in done.output
-    assert "--set algorithm=jacobi" in done.output
-
-
-def test_a_source_is_its_profile_at_every_time(tmp_path: Path) -> None:
-    from cosim.authoring.export import _profile
-
-    lag_fmu(tmp_path / "lag.fmu")  # skips without a compiler
-    changes = [{"at": 0.5, "to": 2.0, "rate": 1.5}, {"at": 1.0, "to": -1}, {"at": 1.5, "to": 3, "rate": 100}]
-    profile = Profile.model_validate({"start": 0.25, "changes": changes})
-    other = Profile.model_validate({"unit": "deg", "changes": [{"at": 0, "to": 180, "rate": 90}]})
-    path = build_source("r", {"y": _profile(profile), "z": _profile(other)}, tmp_path / "r.fmu")
-    want, angle = profile_function(profile), profile_function(other, np.pi / 180)
-    with Instance(path) as one, Instance(path, "other") as two:
-        one.initialize(), two.initialize(start_time=1.0)
-        assert one.get(["y"]) == [want(0.0)]
-        assert two.get(["y"]) == [want(1.0)]
-        for k in range(40):
-            got = one.step(k * 0.05, 0.05)
-            assert got["y"] == want(k * 0.05 + 0.05)
-            assert got["z"] == pytest.approx(angle(k * 0.05 + 0.05), abs=1e-15)
-
-
 # -- in other hosts -----------------------------------------------------------------------------------
 
 
@@ -538,41 +458,3 @@ def agrees(host: str, path: Path, folder: Path, step: float, steps: int) -> Resu
 def test_lags_move_in_other_hosts_as_here(host: str, tmp_path: Path) -> None:
     ours = agrees(host, export_ssp(lags(tmp_path), tmp_path / "lags.ssp").path, tmp_path, 0.0625, 32)
     assert np.ptp(ours["b.y"]) > 0.1
-
-
-@pytest.mark.thorough
-@pytest.mark.hosts
-def test_what_the_page_shows_runs(project: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    lag_fmu(tmp_path / "lag.fmu")  # skips without a compiler
-    text = (ROOT / "docs" / "ssp.md").read_text()
-    (block,) = re.findall(r"```sh\n(.*?)```", text, re.DOTALL)
-    monkeypatch.chdir(project)
-    short = {
-        "export-ssp": ["--set", "duration=2", "--set", "criteria={}"],
-        "run": ["--no-report"],
-        "check": ["--no-load"],
-    }
-    for line in block.splitlines():
-        words = shlex.split(line, comments=True)[1:]
-        done = CliRunner().invoke(app, [*words, *short[words[0]]])
-        assert done.exit_code == 0, done.output
-    with (project / "flown" / "results.csv").open() as stream:
-        wanted = float(list(csv.DictReader(stream))[-1]["plant.psi"])
-    assert abs(wanted) > 0.5
-    for snippet in re.findall(r"```python\n(.*?)```", text, re.DOTALL):
-        package = snippet.split()[1].split(".")[0]
-        if importlib.util.find_spec(package) is None:
-            continue
-        environment = {**os.environ, "LD_LIBRARY_PATH": str(LIBRARIES)}
-        done_in = subprocess.run(
-            [sys.executable, "-c", snippet], cwd=project, env=environment, capture_output=True, text=True, check=False
-        )
-        assert done_in.returncode == 0, (package, done_in.stderr)
-        (psi,) = (float(line) for line in done_in.stdout.splitlines() if re.fullmatch(r"[-\d.e]+", line))
-        assert psi == pytest.approx(wanted, abs=0.05 if package == "fmpy" else AGREEMENT), package  # zeros at first
-
-
-def test_the_matrix_says_of_each_host_and_fmu_that_is_not_there_why(tmp_path: Path) -> None:
-    rows = table(tmp_path).splitlines()[2:]
-    assert len(rows) == 7
-    assert all("not built" in row or "not here" in row for row in rows), rows

@@ -2,41 +2,25 @@
 
 from __future__ import annotations
 
-import ctypes
-import json
-import os
 import re
 import signal
-import subprocess
 import sys
-from array import array
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 import yaml
 
-from benchmarks.bench_native import native_figures
 from cosim.base.errors import InputError, Interrupted
+from cosim.blocks.coupling import OWN
 from cosim.blocks.description import read_description
-from cosim.blocks.faults import fault_function
-from cosim.blocks.fmi import EXCHANGE, STEP2
-from cosim.blocks.fmi_types import FMI2, FMI3, Exchange
 from cosim.blocks.fmu import FmuBlock
-from cosim.blocks.profile import Change, Profile, profile_function
-from cosim.blocks.sources import Recorded
-from cosim.blocks.stepping import LinkKind, Loop, Slot, StopReason, Transfer, fmu_slot, library, link, move, transfer
-from cosim.coupling.algorithms import OWN
-from cosim.fmi.native import compiler as native_compiler
 from cosim.isolation.rows import Rows
 from cosim.master.master import StoppedRun, simulate
 from cosim.scenario.scenario_file import ScenarioFile
-from cosim.simulation.workflow import run
 from cosim.storage.results import Results
 from cosim.system.system import build_system
-from cosim.verbs.schema_verb import schema_of
 from tests.conftest import ROOT
 from tests.deeds import deeds_fmu, deeds_scenario
 from tests.lag import lag_fmu
@@ -44,171 +28,6 @@ from tests.native import NEEDS_COMPILER, is_subnormal
 from tests.typed import TYPED2, numbers_fmu, typed_fmu
 
 pytestmark = NEEDS_COMPILER
-
-
-class Counter:
-    """An FMU of Python whose output is its input plus the number of its steps; what it is told stands in `calls`."""
-
-    def __init__(self, row: Any, first: int, calls: list[Any], **status: int) -> None:
-        self.u, self.steps, self.calls, self.status = 0.0, 0, calls, status
-        self.functions = EXCHANGE(self.set), STEP2(self.step), EXCHANGE(self.get)
-        kind, one = FMI2["Real"], SimpleNamespace(name="v", valueReference=0, shape=())
-        self.exchanges = Exchange(kind, [one]), Exchange(kind, [one])
-        for k, exchange in enumerate(self.exchanges):
-            exchange.places = slice(first + k, first + k + 1)
-        (put, get), (one, other) = self.functions[::2], self.exchanges
-        self.slot = fmu_slot(2, self.functions[1], 1, [move(put, one, row)], [move(get, other, row, 1)], 0.0)
-        self.slot.keeping = self.slot.keeping, self  # C knows addresses alone
-
-    def set(self, c: int, references: int, n: int, values: int) -> int:
-        self.u = ctypes.c_double.from_address(values).value
-        return self.told("set", self.u)
-
-    def step(self, c: int, t: float, h: float, no: int) -> int:
-        self.steps += 1
-        return self.told("step", t, h)
-
-    def get(self, c: int, references: int, n: int, values: int) -> int:
-        ctypes.c_double.from_address(values).value = (
-            np.nan if self.status.get("nan") == self.steps else self.u + self.steps
-        )
-        return self.told("get")
-
-    def told(self, what: str, *values: float) -> int:
-        self.calls.append((what, *values))
-        return 1 if self.status.get(what) == self.steps else 0
-
-
-def loop_of(slots: list[tuple[Slot, list[Transfer]]], held: list[Transfer], row: Any, steps: int) -> tuple[Loop, Any]:
-    table, made, doing = np.zeros((steps + 1, len(row))), array("q", [1]), array("q", [-1])
-    around = [(*slot, []) for slot in slots]
-    return Loop(around, held, row, table, begin=0.0, h=0.5, counter=made, doing=doing), (table, made, doing)
-
-
-def test_a_step_puts_steps_gets_transfers_and_keeps_the_row() -> None:
-    row, calls = (ctypes.c_double * 4)(), list[Any]()
-    a, b = Counter(row, 0, calls), Counter(row, 2, calls)
-    loop, (table, made, _) = loop_of([(a.slot, []), (b.slot, [transfer(row, 1, 2)])], [transfer(row, 3, 0)], row, 2)
-    assert loop.run(2) == StopReason.FINISHED
-    one = [("set", 0.0), ("step", 0.0, 0.5), ("get",), ("set", 1.0), ("step", 0.0, 0.5), ("get",)]
-    assert calls == [*one, ("set", 2.0), ("step", 0.5, 0.5), ("get",), ("set", 4.0), ("step", 0.5, 0.5), ("get",)]
-    assert table.tolist() == [[0, 0, 0, 0], [2, 1, 1, 2], [6, 4, 4, 6]]
-    assert (made[0], [slot.time for slot in loop.slots]) == (3, [1.0, 1.0])
-
-
-@pytest.mark.parametrize(("what", "place"), [("set", 0), ("step", 1), ("get", 2)])
-def test_what_was_judged_is_not_called_again(what: str, place: int) -> None:
-    row, calls = (ctypes.c_double * 2)(), list[Any]()
-    steps_before = 1 if what == "set" else 2  # of the second point
-    counter = Counter(row, 0, calls, **{what: steps_before})
-    loop, (table, made, _) = loop_of([(counter.slot, [])], [], row, 3)
-    assert loop.run(3) == StopReason.STATUS
-    assert (loop.plan.status, loop.plan.called, loop.plan.next, made[0]) == (1, place, 2, 2)
-    assert len(calls) == 3 + 1 + place
-    assert loop.run(3) == StopReason.FINISHED
-    assert [call[0] for call in calls] == ["set", "step", "get"] * 3
-    assert table[:, 1].tolist() == [0, 1, 2, 3]
-
-
-def test_an_output_that_is_not_finite_stops_before_its_row() -> None:
-    row, calls = (ctypes.c_double * 2)(), list[Any]()
-    loop, (table, made, _) = loop_of([(Counter(row, 0, calls, nan=2).slot, [])], [], row, 3)
-    assert (loop.run(3), made[0], loop.plan.place) == (StopReason.NOT_FINITE, 2, 0)
-    assert np.isnan(row[1])
-    assert table[2].tolist() == [0, 0]
-
-
-def test_python_is_asked_before_a_row_is_kept_and_may_change_it() -> None:
-    row, calls = (ctypes.c_double * 2)(), list[Any]()
-    loop, (table, made, _) = loop_of([(Counter(row, 0, calls).slot, [])], [], row, 3)
-    assert (loop.run(3, pause=2), made[0]) == (StopReason.PAUSED, 2)
-    row[1] = 20.0
-    assert loop.run(3) == StopReason.FINISHED
-    assert table[:, 1].tolist() == [0, 1, 20, 3]
-
-
-def test_prepared_values_and_longer_steps() -> None:
-    row, calls = (ctypes.c_double * 4)(), list[Any]()
-    values = np.array([[1.0, 10.0], [2.0, 20.0], [3.0, 30.0], [4.0, 40.0]])
-    source = Slot(0, every=1, scalars=2)
-    source.row = ctypes.addressof(row)
-    slow = Counter(row, 2, calls)
-    slow.slot.every = 2
-    loop, (table, _, _) = loop_of([(source, []), (slow.slot, [transfer(row, 1, 2)])], [], row, 4)
-    loop.prepare(0, values[:3], 1)
-    assert loop.run(3) == StopReason.FINISHED
-    loop.prepare(0, values[3:], 4)
-    assert loop.run(4) == StopReason.FINISHED
-    assert table[:, :2].tolist() == [[0, 0], *values.tolist()]
-    assert calls == [("set", 20.0), ("step", 0.0, 1.0), ("get",), ("set", 40.0), ("step", 1.0, 1.0), ("get",)]
-
-
-def test_a_value_that_is_no_item_stops_where_it_comes() -> None:
-    row, calls = (ctypes.c_double * 4)(), list[Any]()
-    counter, other = Counter(row, 0, calls), Counter(row, 2, [])
-    items = link(LinkKind.ITEMS, values=array("d", [1.0, 2.0]), count=2)
-    loop, (_, made, _) = loop_of([(counter.slot, []), (other.slot, [transfer(row, 1, 2, [items])])], [], row, 4)
-    assert (loop.run(4), made[0], loop.plan.place, row[1]) == (StopReason.NO_ITEM, 3, 1, 3.0)
-
-
-@pytest.mark.parametrize(
-    "name", [k for k in FMI3 if "Int" in k and "64" not in k] + ["Boolean", "Enumeration", "Float32"]
-)
-def test_every_type_goes_to_an_fmu_and_back_as_python_takes_it(name: str) -> None:
-    kind, row = FMI3[name], (ctypes.c_double * 2)()
-    exchange = Exchange(kind, [SimpleNamespace(name="v", valueReference=0, shape=())])
-    low, high = (kind.low, kind.high) if kind.low is not None and kind.high is not None else (-3.3e38, 0.1)
-    echo, step = EXCHANGE(lambda *given: 0), STEP2(lambda *given: 0)
-    put = move(echo, exchange, row)
-    exchange.places = slice(1, 2)
-    slot = fmu_slot(2, step, 1, [put], [move(echo, exchange, row)], 0.0)
-    tried = [low, high, low - 1, high + 1, 0.5, 0, 1, -0.0, np.nan, np.inf]
-    for value in tried:
-        row[0], row[1] = value, -7.0
-        loop, _ = loop_of([(slot, [])], [], row, 1)
-        try:
-            exchange.buffer[0] = kind.encode(float(value))
-        except (ValueError, OverflowError):
-            assert loop.run(1) == StopReason.UNFIT
-        else:
-            assert loop.run(1) == StopReason.FINISHED
-            assert row[1] == float(exchange.decode()[0]) or np.isnan(value)
-
-
-@pytest.mark.parametrize("kind", ["bias", "scale", "stuck", "spike", "delay", "dropout", "freeze"])
-def test_a_fault_in_c_is_that_in_python_bit_for_bit(kind: str) -> None:
-    given = {"value": 0.3, "delay": 3, "probability": 0.4 if kind in {"spike", "dropout"} else None}
-    steps, rng = 60, np.random.default_rng(4)
-    values = rng.standard_normal((steps, 1))
-    for window in ((0, steps), (2, 20), (17, 17), (30, 200)):
-        first, second = (fault_function(kind, window, steps + 1, np.random.default_rng(5), **given) for _ in range(2))  # type: ignore[arg-type]
-        for fault in (first, second):  # as initialization does, more than once
-            fault(0, 1.7), fault(0, 0.6)
-        row = (ctypes.c_double * 2)()
-        source = Slot(0, every=1, scalars=1)
-        source.row = ctypes.addressof(row)
-        loop, (table, _, _) = loop_of([(source, [])], [transfer(row, 0, 1, [first.link()])], row, steps)
-        loop.prepare(0, values, 1)
-        assert loop.run(steps) == StopReason.FINISHED
-        assert table[1:, 1].tolist() == [second(k, v) for k, v in enumerate(values[:, 0].tolist(), 1)]
-
-
-def test_sources_over_many_times_give_what_they_give_at_each() -> None:
-    rng = np.random.default_rng(6)
-    changes = [
-        Change(at=a, to=to, rate=r)
-        for a, to, r in ((0.0, 1.0, None), (0.3, -0.7, 0.9), (0.5, 2.0, 7.0), (1.1, 2.0, 1.0))
-    ]
-    times = np.sort(
-        np.concatenate([0.1 * np.arange(20), rng.uniform(-0.1, 2.0, 200), 0.3 + 1e-9 * rng.uniform(-2, 2, 20)])
-    )
-    recorded = np.sort(rng.uniform(0, 2, 30)).tolist()
-    for function in (
-        profile_function(Profile(start=0.2, changes=changes), 0.1),
-        profile_function(Profile(start=-0.0)),
-        Recorded(recorded, rng.standard_normal(30).tolist()),
-    ):
-        assert np.array([function(t) for t in times.tolist()]).tobytes() == function.over(times).tobytes()
 
 
 # -- whole runs -------------------------------------------------------------------------------------
@@ -271,14 +90,6 @@ def two(folder: Path, **more: Any) -> Path:
     return path
 
 
-@pytest.mark.parametrize("algorithm", ["gauss-seidel", "jacobi"])
-def test_the_rows_are_the_same_bytes_with_sources_noise_and_faults(tmp_path: Path, algorithm: str) -> None:
-    order = {"order": ["r", "rec", "a", "b"]} if algorithm == "gauss-seidel" else {}
-    results = same(two(tmp_path, algorithm=algorithm, **order))
-    assert len(results.time) == 301
-    assert np.ptp(results["b.y2"]) > 0.1
-
-
 def test_an_algorithm_of_a_third_party_is_stepped_by_both_loops(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -292,19 +103,11 @@ def test_an_algorithm_of_a_third_party_is_stepped_by_both_loops(
     path = two(tmp_path, algorithm="reversed", order=["r", "rec", "a", "b"])
     with pytest.raises(InputError, match="algorithm is 'reversed': it should be 'gauss-seidel' or 'jacobi'"):
         build_system(ScenarioFile(path))
-    monkeypatch.setattr("cosim.coupling.algorithms.OWN", (*OWN, names["REVERSED"]))
+    monkeypatch.setattr("cosim.blocks.coupling.OWN", (*OWN, names["REVERSED"]))
     backwards = same(path)
     order = [stage.component.name for stage in build_system(ScenarioFile(path)).stages]
     assert order == ["rec", "r", "b", "a"]  # known signals come first
     assert not np.array_equal(backwards.values, same(two(tmp_path, order=["r", "rec", "a", "b"])).values)
-    assert "reversed steps one after the other, the last one first" in str(schema_of("scenario"))
-
-
-def test_the_rows_are_the_same_bytes_with_steps_of_their_own(tmp_path: Path) -> None:
-    path = two(tmp_path, faults=[], algorithm="jacobi")
-    results = same(path, "components.b.step=0.03")
-    assert np.count_nonzero(np.diff(results["b.y0"])) == 100
-    assert same(path, "components.b.step=0.07", "components.a.step=0.02")["a.y0"][-1] == 150
 
 
 def test_events_and_progress_come_at_their_points(tmp_path: Path) -> None:
@@ -317,27 +120,6 @@ def test_events_and_progress_come_at_their_points(tmp_path: Path) -> None:
     file = ScenarioFile(path)
     simulate(build_system(file), 300, 0.01, told.append)
     assert told == [50, 100, 150, 200, 250, 300]
-
-
-def test_the_craft_flies_the_same_bytes(native_fmus: Path, tmp_path: Path) -> None:
-    from tests.conftest import ROOT
-
-    text = (ROOT / "scenarios" / "manoeuvre.yaml").read_text()
-    for name in ("plant", "controller"):
-        text = text.replace(f"../build/{name}.fmu", str(native_fmus / f"{name}-native.fmu"))
-    (tmp_path / "manoeuvre.yaml").write_text(text)
-    same(tmp_path / "manoeuvre.yaml")
-    same(tmp_path / "manoeuvre.yaml", "noise=off", "algorithm=jacobi")
-
-
-def test_a_long_flight_without_noise_has_no_subnormal_number(native_fmus: Path, tmp_path: Path) -> None:
-    text = (ROOT / "scenarios" / "regulate.yaml").read_text()
-    for name in ("plant", "controller"):
-        text = text.replace(f"../build/{name}.fmu", str(native_fmus / f"{name}-native.fmu"))
-    (tmp_path / "regulate.yaml").write_text(text)
-    results = same(tmp_path / "regulate.yaml", "noise=off", "duration=120", "criteria={}")
-    assert not is_subnormal(results.values).any()
-    assert np.abs(results["plant.phi"][-1]) < 1e-200  # it has come to where they lie
 
 
 def test_a_foreign_fmu_beside_a_native_one_keeps_its_subnormal_numbers(native_plant: Path, tmp_path: Path) -> None:
@@ -460,47 +242,6 @@ def test_an_end_that_one_fmu_alone_asks_for_leaves_a_row_of_that_time(tmp_path: 
     assert "ended the simulation" in in_c[0]
 
 
-def test_the_manifest_names_the_loop_and_why_it_is_in_python(
-    tmp_path: Path, project: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = two(tmp_path, duration=0.1, faults=[])
-
-    def loop(scenario: Path, *overrides: str, **more: Any) -> str:
-        run(scenario, tmp_path / "out", overrides, report=False, **more)
-        return str(json.loads((tmp_path / "out" / "manifest.json").read_text())["loop"])
-
-    assert loop(path, in_process=True) == "C"
-    assert loop(path) == "C"
-    assert loop(path, "components.b.process=own") == "Python: b has a process of its own"
-    regulate = project / "scenarios" / "regulate.yaml"
-    assert (
-        loop(regulate, "duration=0.1", "criteria={}", in_process=True)
-        == "Python: plant is made of Python, by pythonfmu"
-    )
-    monkeypatch.setenv("CC", "none")
-    monkeypatch.setattr(native_compiler, "can_cross", lambda: False)
-    library.cache_clear()
-    try:
-        assert loop(path, in_process=True) == "Python: no C compiler"
-    finally:
-        library.cache_clear()
-
-
-@pytest.mark.thorough
-@pytest.mark.skipif(sys.platform == "win32", reason="the compiler here is a shell script")
-@pytest.mark.parametrize(("does", "told"), [("sleep 1.2; exec cc", "C"), ("exit 1; :", "Python: the C compiler fails")])
-def test_no_limit_counts_the_time_of_a_compiler_and_none_needs_one(tmp_path: Path, does: str, told: str) -> None:
-    path = two(tmp_path, duration=0.1, faults=[], limits={"step": "0.6 s"})
-    slow = tmp_path / "slowcc"
-    slow.write_text(f'#!/bin/sh\n{does} "$@"\n')
-    slow.chmod(0o755)
-    environment = {**os.environ, "CC": str(slow), "XDG_CACHE_HOME": str(tmp_path / "cache"), "PYTHONPATH": str(ROOT)}
-    command = [sys.executable, "-m", "cosim", "run", str(path), "--out", str(tmp_path / "out"), "--no-report", "-q"]
-    subprocess.run(command, env=environment, check=True, timeout=60)
-    manifest = json.loads((tmp_path / "out" / "manifest.json").read_text())
-    assert manifest["loop"].startswith("C" if native_compiler.can_cross() else told)
-
-
 @pytest.mark.skipif(sys.platform == "win32", reason="has no such signal")
 @pytest.mark.parametrize("deed", ["slow", "warning"])
 def test_ctrl_c_in_process_is_seen_within_seconds_and_leaves_the_rows(tmp_path: Path, deed: str) -> None:
@@ -534,13 +275,3 @@ def test_what_stops_the_process_while_an_fmu_speaks_is_raised_behind_it(
     with pytest.raises(KeyboardInterrupt):
         block.set_time(1.0)
     block.set_time(1.0)
-
-
-def test_the_benchs_native_lines_say_so_where_there_is_no_compiler(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("CC", "none")
-    monkeypatch.setattr(native_compiler, "can_cross", lambda: False)
-    figures = native_figures(tmp_path)
-    assert "native_over_c" in figures
-    assert set(figures.values()) == {"no C compiler"}

@@ -22,11 +22,10 @@ from cosim.model.duals import DualNamespace, jacobian
 from cosim.model.namespaces import SCALAR
 from cosim.model.rosenbrock import step
 from cosim.model.symbolic.linearize import linearize
-from cosim.refinement.workflow import refine
 from cosim.subject.model_subject import ModelSubject
 from plant.hovercraft import Hovercraft
 from tests.logs import replay
-from tests.motor import motor_log, motor_study
+from tests.motor import motor_log
 from tests.native import NEEDS_COMPILER
 from tests.test_substep import message_of, motor
 
@@ -189,31 +188,12 @@ def test_a_fast_mode_that_rings_on_is_refused(tmp_path: Path) -> None:
     assert "Ringing is stiff" in said
 
 
-def test_what_a_class_states_is_kept(tmp_path: Path) -> None:
-    stated = motor(tmp_path, inductance=WINDING, integrator="stiff", stated="0.001")
-    assert with_substep(stated) == (stated, [])
-    assert with_substep(motor(tmp_path / "b", integrator="stiff"))[0].model.integrator == "stiff"  # though it need not
-    said = message_of(lambda: motor(tmp_path / "c", integrator="euler"))
-    assert "integrator is 'euler'; it is one of auto, rk4, stiff" in said
-
-
 def test_a_model_file_keeps_the_integrator(tmp_path: Path) -> None:
     loaded = stiff_motor(tmp_path)
     write_model(tmp_path / "model.yaml", loaded)
     read = read_model(tmp_path / "model.yaml")
     assert (read.model.integrator, read.model.substep) == ("stiff", loaded.model.substep)
     assert with_substep(read) == (read, [])
-
-
-@pytest.mark.thorough
-@NEEDS_COMPILER
-def test_a_stiff_motor_is_refined(tmp_path: Path) -> None:
-    r = refine(motor_study(tmp_path, step=ROW, inductance=WINDING), tmp_path / "out")
-    (effect,) = r.record["effects"]
-    assert effect["name"] == "dry_friction"
-    low, high = effect["parameters"]["level"]["ci95"]
-    assert low - (high - low) < 0.01 < high + (high - low)
-    assert read_model(tmp_path / "out" / "model.yaml").model.integrator == "stiff"
 
 
 RINGING = '''

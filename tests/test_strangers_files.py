@@ -14,8 +14,8 @@ import pytest
 
 from cosim.base.version import __version__
 from cosim.master.checkpoint import FORMAT
+from cosim.pages.tables import ColumnTypes, open_rows
 from cosim.storage.state_file import pack
-from cosim.viewing.stored_rows import ColumnTypes, open_rows
 from tests.warm import cosim
 
 TIMES = [k / 10 for k in range(11)]
@@ -179,13 +179,6 @@ def test_a_command_on_all_results_of_a_stranger_ends_without_harm(sent: Path, wo
         assert len(done.stdout.splitlines()) == len(KINDS) + 3
 
 
-def test_a_command_that_is_suggested_names_a_folder_as_a_shell_takes_it(sent: Path) -> None:
-    shutil.copytree(sent / "results" / "sound", sent / "it's; here" / "a b")
-    done = _run(sent, "open", "a b", "--results", "it's; here", "--no-browser")
-    assert done.returncode == 2
-    assert "cosim report 'it'\"'\"'s; here/a b'" in done.stderr
-
-
 def test_layouts_in_a_pipe_are_refused(sent: Path) -> None:
     os.mkfifo(sent / "pipe.json")
     assert _run(sent, "view", "sound", "--prepare", "--layout", "pipe.json").returncode == 2
@@ -193,7 +186,7 @@ def test_layouts_in_a_pipe_are_refused(sent: Path) -> None:
 
 def test_a_conversion_that_came_with_the_results_is_not_believed(tmp_path: Path, monkeypatch: Any) -> None:
     pytest.importorskip("pyarrow")
-    monkeypatch.setattr("cosim.viewing.stored_rows.SMALL", 0)
+    monkeypatch.setattr("cosim.pages.tables.SMALL", 0)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "own"))
     sent, other = tmp_path / "sent" / "results.csv", tmp_path / "other" / "results.csv"
     for file, text in ((sent, ROWS), (other, ROWS.replace("0.5\n", "999\n"))):

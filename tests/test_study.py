@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,6 +10,7 @@ import pytest
 from cosim.base.errors import InputError
 from cosim.refinement.study import read_study
 from cosim.storage import csv_source
+from cosim.storage.yaml_file import REMOVED_KEYS
 from tests.logs import MOVING, fly, measured, times, write_log
 
 
@@ -31,6 +31,13 @@ def told(path: Path) -> list[str]:
     with pytest.raises(InputError) as refused:
         read_study(path)
     return [str(f).removeprefix(str(path)) for f in refused.value.faults]
+
+
+def test_a_removed_key_is_a_fault_at_its_line_with_what_to_use_instead(tmp_path: Path) -> None:
+    path = study(tmp_path)
+    path.write_text(f"{path.read_text()}carry_logs: true\n")
+    (fault,) = (text for text in told(path) if text.startswith(":5:1: "))
+    assert REMOVED_KEYS["carry_logs"] in fault
 
 
 def columns_turned_round(text: bytes) -> bytes:
@@ -93,28 +100,4 @@ def test_a_large_log_is_refused_unread(tmp_path: Path, flown: bytes, monkeypatch
     monkeypatch.setattr(Path, "open", small)
     monkeypatch.setattr(Path, "read_bytes", read)
     (fault,) = told(study(tmp_path))
-    assert "cut it into pieces" in fault
-
-
-def test_names_that_no_file_can_have_are_told(tmp_path: Path, flown: bytes) -> None:
-    (tmp_path / "e.csv").write_bytes(flown)
-    os.mkfifo(tmp_path / "v.csv")
-    assert told(study(tmp_path)) == [f"{tmp_path / 'v.csv'}: is no file"]
-    fault, pipe = told(study(tmp_path, r'["a\0b.csv"]'))
-    assert pipe.endswith("v.csv: is no file")
-    assert fault.startswith(":3:16: ")
-    assert "NUL" in fault
-
-
-def test_what_a_study_leaves_out_is_told_once(tmp_path: Path, flown: bytes) -> None:
-    header, *rows = flown.decode().splitlines()
-    place = header.split(",").index("psi")
-    cells = rows[300].split(",")
-    cells[place] = str(float(cells[place]) + 2.0)
-    rows[300] = ",".join(cells)
-    (tmp_path / "e.csv").write_text("\n".join([header, *rows]) + "\n")
-    (tmp_path / "v.csv").write_bytes(flown)
-    told = [text for text in read_study(study(tmp_path)).warnings if "psi " in text]
-    assert told == [
-        "e.csv: 1 reading of psi left out as outlying, far from the neighbouring readings and from the model"
-    ]
+    assert "pieces" in fault

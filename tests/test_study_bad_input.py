@@ -63,16 +63,6 @@ def told(folder: Path, files: dict[str, str], study: str) -> list[str]:
     return [str(f).removeprefix(f"{folder}/").replace("\u00a0", " ") for f in refused.value.faults]
 
 
-def test_a_tolerance_that_is_none_is_told_wherever_it_stands(tmp_path: Path, tanks: dict[str, str]) -> None:
-    study = "model: tank.py:Tank\ntolerance: {area: -0.1, aera: 0.1}\nlogs: {estimation: [a.csv]}\ncandidates: [leek]\n"
-    assert told(tmp_path, tanks, study) == [
-        "study.yaml:2:19: tolerance.area is -0.1: a tolerance is a share of the parameter, "
-        "at least 1e-06 and at most 2: 0.1 for 10 %",
-        'study.yaml:2:25: no base parameter "aera"; did you mean "area"?',
-        'study.yaml:4:14: no candidate "leek"; did you mean "leak"?',
-    ]
-
-
 @pytest.mark.parametrize("value", some(["0", "30", "1e-300", ".nan", ".inf", "true", "ten", "[0.1]"], every=3))
 def test_a_tolerance_that_is_absurd_is_told_in_one_line(tmp_path: Path, tanks: dict[str, str], value: str) -> None:
     study = f"model: tank.py:Tank\ntolerance: {value}\nlogs: {{estimation: [a.csv]}}\n"
@@ -87,14 +77,6 @@ def test_noise_that_no_sensor_has_is_told(tmp_path: Path, tanks: dict[str, str],
     (line,) = told(tmp_path, tanks, study)
     assert line.startswith("study.yaml:2:16: noise.level: 1.00e")
     assert line.endswith("; state it in their unit")
-
-
-def test_a_way_of_an_input_that_is_none_is_told(tmp_path: Path, tanks: dict[str, str]) -> None:
-    study = "model: tank.py:Tank\ninputs: {inflow: linear, outflow: held}\nlogs: {estimation: [a.csv]}\n"
-    assert told(tmp_path, tanks, study) == [
-        "study.yaml:2:18: inputs.inflow is 'linear': it should be 'held' or 'interpolated'",
-        'study.yaml:2:26: no input "outflow"; did you mean "inflow"?',
-    ]
 
 
 def test_a_unit_that_cannot_be_converted_is_told_of_every_log(tmp_path: Path, tanks: dict[str, str]) -> None:
@@ -166,3 +148,15 @@ def test_a_key_that_nobody_knows_and_a_log_that_is_not_there_hide_no_other_fault
     lines = told(tmp_path, tanks, study)
     assert [line.split(":")[1:3] for line in lines] == [["2", "28"], ["3", "1"], ["4", "13"], ["5", "14"]]
     assert lines[0].endswith("none.csv: no such file beside the study; its logs are named from there")
+
+
+def test_a_model_without_states_is_refused_at_its_line(tmp_path: Path) -> None:
+    model = (
+        "from cosim.model import Equations, Model, Quantity\n\n\nclass Valve(Model):\n"
+        '    base_states, inputs, outputs = (), (Quantity("u", "1", "u"),), (Quantity("y", "1", "y"),)\n\n'
+        "    def equations(self, m):\n        return Equations(lambda t, x, u: (), lambda t, x, u: (u[0],))\n"
+    )
+    log = "time,u,y\n" + "".join(f"{0.1 * k},{k},{k}\n" for k in range(200))
+    files = {"valve.py": model, "a.csv": log}
+    (said,) = told(tmp_path, files, "model: valve.py:Valve\nlogs:\n  estimation: [a.csv]\n")
+    assert said.startswith("study.yaml:1:")

@@ -11,16 +11,13 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from cosim.base.errors import InputError
 from cosim.fmi.native.compiler import load_library
 from cosim.loading.file import own_terms
 from cosim.model.namespaces import SCALAR
 from cosim.model.quantities import Parameter, Quantity, parameters_of
 from cosim.terms.catalogue import (
-    Cogging,
     Coulomb,
     InputLag,
-    Overflow,
     Play,
     RateLimit,
     Saturation,
@@ -30,31 +27,13 @@ from cosim.terms.catalogue import (
     sensor_errors,
 )
 from cosim.terms.fmu_model import Dependencies, FmuModel, fmu_model
-from cosim.terms.language import Force, Place, bind, unit_of, with_place
+from cosim.terms.language import Force, Place, bind, unit_of
 from cosim.terms.term_printing import term_code
 
 INPUT = Place("voltage", {"u": "V", "T": "s"}, {"u": 4.0, "T": 0.1}, input=0)
 PAIR = Place(
     "speed", {"u": "V", "v": "rad/s", "q": "rad", "d": "rad"}, {"u": 4.0, "v": 10.0, "q": 3.0, "d": 9.0}, 0, 0, 1
 )
-STORE = Place("level", {"q": "m", "r": "m/s"}, {"q": 0.1, "r": 0.02}, state=0, middle=0.5)
-
-
-def test_a_bound_term_has_the_name_units_and_sizes_of_its_place() -> None:
-    coulomb = bind(Coulomb, PAIR)
-    level, softness = parameters_of(coulomb)
-    assert coulomb.name == "coulomb_at_speed"
-    assert (level.unit, level.typical, level.bounds, level.neutral) == ("V", pytest.approx(0.4), (0.0, 20.0), 0.0)
-    assert (softness.unit, softness.default, softness.neutral) == ("rad/s", pytest.approx(0.2), None)
-    assert coulomb().dormant
-    assert not coulomb(level=1.0).dormant
-    assert bind(Cogging, PAIR).starts[0]["period"] == pytest.approx(3.0)
-
-
-def test_a_level_counts_from_the_mean_of_its_state() -> None:
-    (coefficient, level) = parameters_of(bind(Overflow, STORE))
-    assert (coefficient.unit, level.unit) == ("1/s", "m")
-    assert (level.default, level.bounds) == (pytest.approx(0.6), pytest.approx((0.1, 0.9)))
 
 
 @pytest.mark.parametrize(
@@ -63,13 +42,6 @@ def test_a_level_counts_from_the_mean_of_its_state() -> None:
 )
 def test_units_are_products_of_those_of_the_place(expression: str, unit: str) -> None:
     assert unit_of(expression, {"u": "V", "v": "rad/s", "x": "furlongs"}) == unit
-
-
-def test_every_term_finds_its_places_and_no_other() -> None:
-    names = {term.name for term in bound_terms([INPUT, PAIR, STORE])}
-    assert {"dead_band_at_voltage", "lag_at_voltage", "stribeck_at_speed", "leak_at_level"} <= names
-    assert "offset_at_speed" not in names  # the port's bias is the same
-    assert not {n for n in names if n.startswith(("coulomb", "leak")) and n.endswith("voltage")}
 
 
 @pytest.mark.parametrize("step", [0.01, 0.05])
@@ -115,33 +87,10 @@ def test_play_and_rate_limit_begin_at_the_first_input() -> None:
     assert (value, memory[0]) == (pytest.approx(2.1), pytest.approx(2.2))  # mean and end at two per second
 
 
-def test_a_limit_of_the_rate_is_tried_at_one_row_for_a_usual_change() -> None:
-    (inverse,) = parameters_of(bind(RateLimit, INPUT))
-    assert (inverse.unit, inverse.typical) == ("s/V", pytest.approx(INPUT.sizes["T"] / INPUT.sizes["u"]))
-
-
-def test_a_peak_of_friction_is_at_least_three_resolved_transitions_wide() -> None:
-    limits = {p.name: p.bounds[0] for p in parameters_of(bind(Stribeck, replace(PAIR, resolution=0.5)))}
-    assert (limits["softness"], limits["speed"]) == (0.5, 1.5)
-
-
 def test_friction_that_is_larger_at_rest_falls_to_its_level() -> None:
     term = bind(Stribeck, PAIR)(level=1.0, breakaway=2.0, speed=0.5, softness=0.02)
     assert -term.force(SCALAR, 0.0, 0.1) == pytest.approx(1.0 + math.exp(-0.04), rel=1e-3)
     assert -term.force(SCALAR, 0.0, 10.0) == pytest.approx(1.0)
-
-
-def test_the_sensors_of_an_output_have_errors_of_its_unit() -> None:
-    errors = {
-        kind.name: parameters_of(kind)[0] for kind in sensor_errors(Quantity("speed", "rad/s", ""), 10.0, 0.01, 20.0)
-    }
-    assert {n: p.unit for n, p in errors.items()} == {
-        "bias_at_speed": "rad/s",
-        "scale_at_speed": "1",
-        "drift_at_speed": "rad/s/s",
-        "latency_at_speed": "s",
-        "lag_at_speed": "s",
-    }
 
 
 def _model() -> FmuModel:
@@ -184,11 +133,6 @@ def test_printed_terms_compute_what_the_terms_state() -> None:
     assert out[0] == 2.0
 
 
-def test_the_equations_of_a_library_are_for_symbols_only() -> None:
-    with pytest.raises(TypeError, match="library"):
-        _model().equations(SCALAR)
-
-
 def test_a_users_file_adds_terms(tmp_path: Path) -> None:
     file = tmp_path / "my_terms.py"
     file.write_text(
@@ -204,13 +148,6 @@ def test_a_users_file_adds_terms(tmp_path: Path) -> None:
     assert (bound.name, bound(coefficient=2.0).force(SCALAR, 0.0, 3.0)) == ("windage_at_speed", -54.0)
 
 
-def test_a_file_without_terms_is_refused(tmp_path: Path) -> None:
-    file = tmp_path / "none.py"
-    file.write_text("LIMIT = 3\n")
-    with pytest.raises(InputError, match="holds no term"):
-        own_terms(file)
-
-
 def test_a_saturation_acts_as_soon_as_it_is_below_the_largest_value_of_the_logs() -> None:
     """The score test steps from neutral; a limit far above all values would promise nothing."""
     bound = bind(Saturation, replace(INPUT, units={**INPUT.units, "M": "V"}, sizes={**INPUT.sizes, "M": 5.0}))
@@ -219,10 +156,6 @@ def test_a_saturation_acts_as_soon_as_it_is_below_the_largest_value_of_the_logs(
     assert bound().change(SCALAR, -9.0) == -9.0
     assert bound(inverse_limit=1.01 * 0.2).change(SCALAR, 5.0) == pytest.approx(5.0 / 1.01)
     assert bound(inverse_limit=1.01 * 0.2).change(SCALAR, 4.9) == 4.9
-
-
-def test_names_of_variables_become_parts_of_names() -> None:
-    assert with_place("load.w[1]") == "load_w_1_"
 
 
 def test_a_sensor_that_never_reads_below_zero_may_show_the_magnitude() -> None:

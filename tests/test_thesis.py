@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-import re
-from pathlib import Path
-
 import pytest
 
 from tests import thesis
-
-PAGE = Path(__file__).resolve().parent.parent / "docs" / "seed.md"
 
 
 def numbers(name: str) -> list[tuple[float, float]]:
@@ -88,18 +83,3 @@ def test_noise_on_the_states_moves_the_tilts_six_times_as_much_as_the_filter_doe
     (direct, filtered), _ = numbers("6.1")
     assert direct == pytest.approx(0.64, abs=0.01)  # [deg]: (K₃²·W₁ + K₄²·W₂ + K₅²·W₃)^½ and what it moves
     assert filtered == pytest.approx(0.097, abs=0.005)
-
-
-@pytest.mark.thorough
-def test_the_command_prints_both_numbers_of_each_row_of_the_page() -> None:
-    text = PAGE.read_text(encoding="utf-8")
-    section = text.partition("## The scripts of the thesis")[2].partition("\n## ")[0]
-    rows = [line for line in section.splitlines() if line.startswith("| ") and "test_thesis::" in line]
-    assert len(rows) == len(thesis.ROWS)
-    for line in rows:
-        name = re.findall(r"`python -m tests.thesis (\S+)`", line)[0]
-        for row in thesis.ROWS[name]():
-            if name not in ("F", "D.3.2"):  # whose last digits differ by machine, or are of one draw
-                assert f"{row.thesis:.4g}" in line, (name, row)
-                assert f"{row.ours:.4g}" in line, (name, row)
-        assert thesis.printed(name)

@@ -12,8 +12,6 @@ import pytest
 import yaml
 
 import cosim
-from cosim.authoring.export import export_ssp
-from cosim.base.errors import InputError
 from tests.follow import FOLLOWS, WAYS, follow_fmu
 from tests.instants import CONSTANT, instants_fmu
 
@@ -158,29 +156,6 @@ def test_noise_and_faults_of_a_connection_act_at_their_row(fmus: Path, algorithm
     assert np.abs(run["me_declared.u"][:13]).max() < 0.6 < run["me_declared.u"][13:].min()
 
 
-def test_a_component_with_a_longer_step_takes_the_value_of_its_point(fmus: Path) -> None:
-    """It holds the value of a point for its own step, so a change between acts at its next point."""
-    kinds = ["cs_declared", "cs_none"]
-    scenario = scenario_of(fmus, source_of(fmus, "playback"), kinds=kinds, duration=2.4)
-    for kind in kinds:
-        scenario["components"][kind]["step"] = 0.3
-    run = cosim.run(scenario, in_process=True)
-    for kind in kinds:
-        assert run[f"{kind}.x"][-1] == pytest.approx(1.2, abs=1e-9)  # from the point 1.2 s on
-    rows = slice(None, None, 3)
-    np.testing.assert_allclose(run["cs_declared.y"][rows], (run["cs_declared.x"] + run["cs_declared.u"])[rows])
-
-
-def test_a_component_in_its_own_process_takes_a_value_at_its_time(fmus: Path) -> None:
-    kinds = ["cs_declared", "me_declared"]
-    scenario = scenario_of(fmus, source_of(fmus, "playback"), kinds=kinds)
-    scenario["components"]["cs_declared"]["process"] = "own"
-    run = cosim.run(scenario)
-    for kind in kinds:
-        assert run[f"{kind}.x"][-1] == pytest.approx(1.0, abs=1e-9)
-        check_follows(run, kind)
-
-
 @pytest.mark.parametrize("algorithm", ["gauss-seidel", "jacobi"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_an_event_acts_on_the_outputs_of_its_row_and_on_inputs_that_follow(
@@ -232,22 +207,6 @@ def test_a_replay_reads_outputs_for_the_command_of_their_row(fmus: Path, tmp_pat
         np.testing.assert_allclose(replayed[f"plant.{name}"], values, rtol=0, atol=1e-9)
 
 
-def test_an_exported_system_has_the_same_rows(fmus: Path, tmp_path: Path) -> None:
-    """The sources of an SSP are FMUs without inputs, which are known signals, too."""
-    (tmp_path / "in.csv").write_text("time,u\n0,0\n0.5,1\n1.5,0\n1.5,2\n")
-    scenario = scenario_of(
-        fmus, {"block": "playback", "file": "in.csv", "interpolation": "linear"}, kinds=["cs_declared"]
-    )
-    path = tmp_path / "follow.yaml"
-    path.write_text(yaml.safe_dump(scenario))
-    own = cosim.run(path, in_process=True)
-    export_ssp(path, tmp_path / "follow.ssp")
-    other = cosim.run(tmp_path / "follow.ssp", set={"duration": STEPS * H, "step": H}, in_process=True)
-    for name in ("u", "x", "y"):
-        np.testing.assert_allclose(other[f"cs_declared.{name}"], own[f"cs_declared.{name}"], rtol=0, atol=1e-9)
-    check_follows(other, "cs_declared")
-
-
 # -- between the rows of an input -----------------------------------------------------------------
 
 
@@ -290,19 +249,6 @@ def test_equal_times_are_a_jump(fmus: Path, tmp_path: Path, interpolation: str, 
     assert run["cs_declared.u"][9] == pytest.approx(before)
     np.testing.assert_array_equal(run["cs_declared.u"][10:], 5.0)
     check_follows(run, "cs_declared")
-
-
-def test_decreasing_times_are_an_error_with_their_line(fmus: Path, tmp_path: Path) -> None:
-    (tmp_path / "in.csv").write_text("time,u\n0,0\n1,1\n0.5,2\n")
-    source = {"block": "playback", "file": str(tmp_path / "in.csv")}
-    for run in (
-        lambda: cosim.simulate(fmus / "cs_none.fmu", input=tmp_path / "in.csv"),
-        lambda: cosim.run(scenario_of(fmus, source)),
-    ):
-        with pytest.raises(InputError) as refused:
-            run()
-        (fault,) = refused.value.faults
-        assert (refused.value.exit_code, fault.line) == (2, 4)
 
 
 # -- times as large as those since 1970 -------------------------------------------------------------

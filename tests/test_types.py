@@ -12,8 +12,7 @@ from typing import Any
 
 import pytest
 
-from cosim.base.errors import FmuError, InputError
-from cosim.blocks.fmi import _route
+from cosim.base.errors import InputError
 from cosim.master.master import StoppedRun, simulate
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.coupling import coupling_error
@@ -104,11 +103,6 @@ def test_binary_data_that_comes_as_no_pointer_has_no_bytes(tmp_path: Path) -> No
 def test_a_value_outside_its_type_is_a_fault(tmp_path: Path, start: dict[str, Any], words: str) -> None:
     path = scenario(tmp_path, {"a": {"fmu": str(typed_fmu(tmp_path, 3)), "start": start}})
     assert any(words in fault for fault in faults_of(path))
-
-
-def test_an_item_that_an_enumeration_does_not_have_is_told_with_those_it_has(tmp_path: Path) -> None:
-    path = scenario(tmp_path, {"a": {"fmu": str(typed_fmu(tmp_path)), "start": {"e_in": "secnd"}}})
-    assert any('it is one of first, second; did you mean "second"?' in fault for fault in faults_of(path))
 
 
 def test_a_value_that_comes_out_of_range_stops_the_run_and_is_never_wrapped(tmp_path: Path) -> None:
@@ -306,13 +300,6 @@ def test_faults_that_let_values_pass_act_on_text_too(tmp_path: Path) -> None:
     assert "a.s_out to b.s_in: no bias fault on String" in faults_of(path)
 
 
-def test_a_delay_that_is_no_whole_number_of_steps_is_told(tmp_path: Path) -> None:
-    fmu = {"fmu": str(typed_fmu(tmp_path))}
-    fault = {"on": "b.r_in", "kind": "delay", "delay": 0.25}
-    system = system_of(scenario(tmp_path, {"a": fmu, "b": fmu}, (("a.r_out", "b.r_in"),), faults=[fault]))
-    assert any("a delay of 0.25 s on b.r_in is no whole number of steps: it is 0.2 s" in w for w in system.warnings)
-
-
 @pytest.mark.parametrize(
     ("fault", "expected"),
     [
@@ -336,18 +323,6 @@ def test_a_fault_acts_on_its_connection_between_its_times(
     assert results["r.u"].tolist() == [0, 1, 2, 3, 4, 5]
 
 
-def test_the_report_marks_where_a_fault_acts(tmp_path: Path) -> None:
-    ramp = {"block": "reference", "signals": {"u": {"start": 0, "changes": [{"at": 0, "to": 9, "rate": 1}]}}}
-    components = {"r": ramp, "a": {"fmu": str(typed_fmu(tmp_path))}}
-    faults = [{"on": "a.r_in", "kind": "bias", "value": 10, "from": 0.2, "to": 0.4}]
-    run(scenario(tmp_path, components, (("r.u", "a.r_in"),), faults=faults), tmp_path / "out")
-    page = (tmp_path / "out" / "report.html").read_text()
-    assert page.count("fault: bias 10.0 from 0.2 s to 0.4 s") >= 2  # at its plot and at its connection
-    unmarked = scenario(tmp_path, components, (("r.u", "a.r_in"),))
-    run(unmarked, tmp_path / "out")
-    assert "fault: " not in (tmp_path / "out" / "report.html").read_text()
-
-
 def test_a_fault_is_on_a_connection_and_has_what_its_kind_needs(tmp_path: Path) -> None:
     components = {"a": {"fmu": str(typed_fmu(tmp_path))}}
     faults = [{"on": "a.r_in", "kind": "bias"}, {"on": "a.r_in", "kind": "freeze", "from": 7}]
@@ -355,32 +330,6 @@ def test_a_fault_is_on_a_connection_and_has_what_its_kind_needs(tmp_path: Path) 
     assert "no connection to a.r_in" in told
     assert "bias needs value" in told
     assert "acts at no communication point" in told
-
-
-def test_a_library_of_another_name_and_slips_of_the_schema_are_warnings(tmp_path: Path) -> None:
-    fmu = typed_fmu(tmp_path, **{'modelIdentifier="typed" canHandle': 'modelIdentifier="other" sloppy="1" canHandle'})
-    outcome = run(scenario(tmp_path, {"a": {"fmu": str(fmu)}}), tmp_path / "out", report=False)
-    told = " ".join(outcome.manifest["warnings"])
-    assert "its library is typed.so, its modelIdentifier other" in told
-    assert "breaks a rule of the FMI standard" in told
-    assert "sloppy" in told
-    assert "more)" not in told
-    (tmp_path / "two").mkdir()
-    two = {'modelIdentifier="typed" canHandle': 'modelIdentifier="typed" sloppy="1" slow="1" canHandle'}
-    slips = run(
-        scenario(tmp_path, {"a": {"fmu": str(typed_fmu(tmp_path / "two", **two))}}), tmp_path / "out", report=False
-    )
-    assert "(and 1 more)" in " ".join(slips.manifest["warnings"])
-
-
-def test_of_several_libraries_none_is_guessed(tmp_path: Path) -> None:
-    fmu = typed_fmu(tmp_path, **{'modelIdentifier="typed" canHandle': 'modelIdentifier="other" canHandle'})
-    with zipfile.ZipFile(fmu, "a") as archive:
-        archive.writestr("binaries/linux64/second.so", b"")
-    with pytest.raises(
-        FmuError, match=r"none of its libraries is other\.so, as its modelIdentifier says: second\.so, typed\.so"
-    ):
-        results_of(scenario(tmp_path, {"a": {"fmu": str(fmu)}}))
 
 
 def test_what_cannot_be_run_is_said_before_the_run(tmp_path: Path) -> None:
@@ -396,14 +345,6 @@ def test_what_cannot_be_run_is_said_before_the_run(tmp_path: Path) -> None:
     assert "offers co-simulation only" in faults_of(path)[0]
 
 
-def test_loops_that_declare_nothing_are_cut_in_the_order_of_the_file(tmp_path: Path) -> None:
-    loose = {' dependencies="1"': ""}
-    fmu = {"fmu": str(typed_fmu(tmp_path, **loose))}
-    system = system_of(scenario(tmp_path, {"a": fmu, "b": fmu}, (("a.r_out", "b.r_in"), ("b.r_out", "a.r_in"))))
-    assert [stage.component.name for stage in system.stages] == ["a", "b"]
-    assert any("a does not declare" in warning for warning in system.warnings)
-
-
 def test_only_outputs_that_go_on_make_a_loop(tmp_path: Path) -> None:
     # r_out follows r_in, h does not: a loop over h is none, so it needs no order and no warning
     fmu = {"fmu": str(typed_fmu(tmp_path))}
@@ -413,15 +354,6 @@ def test_only_outputs_that_go_on_make_a_loop(tmp_path: Path) -> None:
     assert not any("declare" in warning for warning in system.warnings)
     (loop,) = system_of(scenario(tmp_path, {"b": fmu, "a": fmu}, (("a.r_out", "b.r_in"), wires[1]))).loops
     assert set(loop.members) == {"a", "b"}
-
-
-def test_the_order_used_and_names_of_items_stand_in_the_manifest(tmp_path: Path) -> None:
-    fmu = {"fmu": str(typed_fmu(tmp_path))}
-    path = scenario(tmp_path, {"a": fmu, "b": fmu}, (("b.r_out", "a.r_in"),))
-    run(path, tmp_path / "out", report=False)
-    manifest = json.loads((tmp_path / "out" / "manifest.json").read_text())
-    assert manifest["order"] == ["b", "a"]
-    assert manifest["items"]["a.e_out"] == {"first": 1, "second": 2}  # what the numbers of its column are called
 
 
 def test_the_coupling_error_of_a_held_input_falls_with_the_step(tmp_path: Path) -> None:
@@ -462,31 +394,6 @@ def test_a_step_that_is_taken_back_and_made_in_halves_tells_its_own_error(tmp_pa
     assert error.steps["a.y"] == pytest.approx(most, rel=1e-9)
     assert "of a single step, taken back and made again in halves: a.y" in error.sentence
     assert run(path, tmp_path / "out", report=False).results["a.y"][-1] == pytest.approx(state[0], rel=1e-12)
-
-
-def test_an_fmu_that_only_says_that_it_comes_back_is_told(tmp_path: Path) -> None:
-    lag = {"fmu": str(lag_fmu(tmp_path / "lag.fmu", forgets=True)), "start": {"bias": 1.0}}
-    error = coupling_error(scenario(tmp_path, {"a": lag, "b": lag}, (("a.y", "b.u"),)))
-    assert "a at t = 0 s: its outputs differ after a saved state is restored" in error.without
-
-
-def test_where_no_step_can_be_taken_back_the_reason_is_said(tmp_path: Path) -> None:
-    fmu = {"fmu": str(typed_fmu(tmp_path))}
-    error = coupling_error(scenario(tmp_path, {"a": fmu, "b": fmu}, (("b.r_out", "a.r_in"),)))
-    assert error.steps == {}
-    assert error.sentence.endswith("not known: values beside numbers, events or several rates are not taken back")
-
-
-def test_a_fault_on_a_component_with_a_step_of_its_own_is_refused(tmp_path: Path) -> None:
-    fmu = {"fmu": str(typed_fmu(tmp_path))}
-    fault = {"on": "a.r_in", "kind": "delay", "delay": 0.1}
-    path = scenario(tmp_path, {"a": {**fmu, "step": 0.2}, "b": fmu}, (("b.r_out", "a.r_in"),), faults=[fault])
-    assert any("is of a component with a step of its own" in told for told in faults_of(path))
-
-
-def test_a_number_that_is_no_item_of_an_enumeration_is_a_fault(tmp_path: Path) -> None:
-    path = scenario(tmp_path, {"a": {"fmu": str(typed_fmu(tmp_path)), "start": {"e_in": 7}}})
-    assert any("a.e_in is 7; it is one of first (1), second (2)" in told for told in faults_of(path))
 
 
 def test_a_value_that_is_no_item_stops_the_run_when_it_comes_and_is_told_with_both_names(tmp_path: Path) -> None:
@@ -538,40 +445,6 @@ def test_every_type_goes_through_an_fmu_in_a_process_of_its_own(tmp_path: Path, 
     assert ("later" if version == 2 else str(largest + 2)) in csv_of[0]
 
 
-def test_outputs_of_an_fmu_in_a_process_of_its_own_are_read_again_after_initialization(tmp_path: Path) -> None:
-    fmu = {"fmu": str(typed_fmu(tmp_path)), "process": "own"}
-    path = scenario(tmp_path, {"a": fmu, "b": fmu}, (("a.late", "b.r_in"),))
-    first = run(path, tmp_path / "out", report=False).results
-    assert (first["a.late"][0], first["b.r_out"][0]) == (7, 7)
-
-
-def test_faulty_faults_and_events_hide_no_other_fault_and_move_no_place(tmp_path: Path) -> None:
-    fmu = f"{{fmu: {typed_fmu(tmp_path)}}}"
-    path = tmp_path / "scenario.yaml"
-    path.write_text(
-        f"""name: many
-duration: 1
-step: 0.1
-components: {{a: {fmu}, b: {fmu}}}
-connections: [{{from: a.r_out, to: b.r_in}}]
-faults:
-  - {{on: b.r_in, kind: melt}}
-  - {{on: b.r_in, kind: bias}}
-  - {{on: b.r_in, kind: delay, delay: -1}}
-  - {{on: b.i_in, kind: freeze}}
-events:
-  - {{at: soon, set: {{b.gain: 1}}}}
-  - {{at: 7, set: {{b.gain: 1}}}}
-"""
-    )
-    with pytest.raises(InputError) as caught:
-        system_of(path)
-    told = {fault.line: fault.message for fault in caught.value.faults}
-    words = {7: "melt", 8: "bias needs value", 9: "delay is -1", 10: "no connection", 12: "soon", 13: "7 s is not"}
-    assert told.keys() == words.keys()
-    assert all(words[line] in message for line, message in told.items()), told
-
-
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
@@ -590,20 +463,3 @@ def test_text_in_place_of_a_number_in_a_description_is_told(tmp_path: Path, old:
         check_files([fmu])
     assert [words in fault.message for fault in caught.value.faults] == [True]
     assert words in faults_of(scenario(tmp_path, {"a": {"fmu": str(fmu)}}))[0]
-
-
-def test_a_message_reaches_the_instance_that_it_names_whoever_was_made_last() -> None:
-    class Instance:
-        def __init__(self) -> None:
-            self.heard: list[bytes | None] = []
-
-        def listen(self, status: int, message: bytes | None) -> None:
-            self.heard.append(message)
-
-    tank, controller = Instance(), Instance()
-    _route("tank", tank.listen)
-    logger = _route("controller", controller.listen)  # the one that pythonfmu keeps
-    for name, message in ((b"tank", b"division by zero"), (None, b"no name"), (b"stranger", b"another")):
-        logger(None, name, 4, b"", message)
-    assert tank.heard == [b"division by zero"]
-    assert controller.heard == [b"no name", b"another"]

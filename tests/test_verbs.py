@@ -1,13 +1,11 @@
 """Every verb through the shipped start: `cosim VERB …` in a process of its own, with worker processes of its own.
 
-A verb without --out writes to results/NAME: the files of an earlier run there move to results/NAME/runs/0001, files of
-the user stay.
+A verb without --out writes to results/NAME/0001.
 """
 
 from __future__ import annotations
 
 import inspect
-import json
 import os
 import shutil
 import subprocess
@@ -19,7 +17,6 @@ import pytest
 from cosim.base.registry import resolve
 from cosim.fmi.fmu_build import build
 from cosim.loading.file import load_model
-from cosim.storage.artefact import artefacts
 from cosim.verbs import verbs
 from tests.tank import MODEL, tank_log
 from tests.test_identify_craft import at_rest, protocol
@@ -29,19 +26,18 @@ RUN = "name: tank\nduration: 1\nstep: 0.5\ncomponents: {tank: {fmu: tank.fmu}}\n
 STUDY = "model: tank.py:Tank\ncandidates: [leak]\nlogs: {estimation: [e1.csv], validation: [v1.csv]}\n"
 SWEEP = "name: areas\nscenario: run.yaml\nruns: 2\nvary: {tank.area: {values: [0.5, 0.6]}}\n"
 CASES = {  # verb → its words, and a file that it writes
-    "run": ("run.yaml", "results/tank/results.csv"),
+    "run": ("run.yaml", "results/tank/0001/results.csv"),
     "build": ("--model tank.py:Tank", "build/plant.fmu"),
     "export-ssp": ("run.yaml", "tank.ssp"),
     "check": ("run.yaml tank.fmu tank.py e1.csv", ""),
-    "replay": ("e1.csv --plant tank.fmu", "results/e1/residual.csv"),
-    "fit": ("e1.csv --fmu tank.fmu --vary area=0.3..2", "results/tank-fit/fit.json"),
-    "refine": ("study.yaml --no-report", "results/study/refine.json"),
-    "excite": ("tank.py:Tank --against leak --limit level=1 --duration 50", "results/Tank-excitation/excitation.csv"),
+    "replay": ("e1.csv --plant tank.fmu", "results/e1/0001/residual.csv"),
+    "fit": ("e1.csv --fmu tank.fmu --vary area=0.3..2", "results/tank-fit/0001/fit.json"),
+    "refine": ("study.yaml --no-report", "results/study/0001/refine.json"),
+    "excite": ("tank.py:Tank --against leak --limit level=1 --duration 50 --out out", "out/excitation.csv"),
     "info": ("tank.fmu", ""),
     "init": ("tank.fmu --out first.yaml", "first.yaml"),
-    "simulate": ("tank.fmu --stop 1", "results/tank/results.csv"),
-    "serve": (". --check", ""),
-    "compare": ("e1.csv v1.csv", "results/e1-and-v1/comparison.json"),
+    "simulate": ("tank.fmu --stop 1", "results/tank/0001/results.csv"),
+    "compare": ("e1.csv v1.csv", "results/e1-and-v1/0001/comparison.json"),
     "report": ("ran", "ran/report.html"),
     "list": ("", ""),
     "open": ("reported --no-browser", ""),
@@ -49,13 +45,12 @@ CASES = {  # verb → its words, and a file that it writes
     "gc": ("--yes", ""),
     "graph": ("run.yaml", "run.svg"),
     "schema": ("scenario", ""),
-    "linearize": ("tank.py:Tank --at level=1,inflow=0.02", "results/Tank-linear/linear.json"),
-    "consistency": ("--runs 2 --steps 100 --no-report", "results/consistency/consistency.json"),
-    "sweep": ("sweep.yaml --workers 1 --force", "results/areas/sweep.json"),
-    "identify": ("craft.yaml", "results/a-craft/identify.json"),
+    "linearize": ("tank.py:Tank --at level=1,inflow=0.02", "results/Tank-linear/0001/linear.json"),
+    "consistency": ("--runs 2 --steps 100 --no-report", "results/consistency/0001/consistency.json"),
+    "sweep": ("sweep.yaml --workers 1 --force", "results/areas/0001/sweep.json"),
+    "identify": ("craft.yaml", "results/a-craft/0001/identify.json"),
 }
-WRITES_OVER = {"excite", "identify", "linearize"}  # in Python: docs/python.md
-NEEDS = {"sweep": ("pyarrow", "SALib"), "serve": ("zmq", "cryptography")}
+NEEDS = {"sweep": ("pyarrow", "SALib")}
 
 
 @pytest.fixture(scope="module")
@@ -87,19 +82,6 @@ def shipped(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     )  # fmt: skip
 
 
-def earlier_run(folder: Path, verb: str) -> list[str]:
-    """Put files that a verb declares into its folder, as an earlier run of it would, and one of the user."""
-    folder.mkdir(parents=True)
-    (folder / "notes.txt").write_text("of the user")
-    name = "cosim run" if verb == "simulate" else f"cosim {verb}"
-    files = {file.replace("*", "any") for a in artefacts() if a.verb == name for file in a.files}
-    assert files, f"{name} declares no files"
-    for file in files:
-        (folder / file).parent.mkdir(exist_ok=True)
-        (folder / file).write_text("{}")
-    return sorted(files)
-
-
 def test_every_verb_has_a_case() -> None:
     assert set(CASES) == {name for name, verb in verbs() if verb.command}
 
@@ -111,60 +93,20 @@ def test_an_option_has_the_default_of_the_function_in_python(name: str) -> None:
         {key.rstrip("_"): p.default for key, p in inspect.signature(resolve(place)).parameters.items()}
         for place in (verb.command, verb.function)
     )
-    if name in WRITES_OVER:
-        assert (option.pop("force"), argument.pop("force")) == (False, True)
     both = [key for key in option if argument.get(key, inspect.Parameter.empty) is not inspect.Parameter.empty]
     assert {key: option[key] or None for key in both} == {key: argument[key] or None for key in both}
 
 
 @pytest.mark.parametrize("verb", CASES)
-def test_a_verb_works_as_shipped_and_moves_an_earlier_run_aside(desk: Path, tmp_path: Path, verb: str) -> None:
+def test_a_verb_works_as_shipped(desk: Path, tmp_path: Path, verb: str) -> None:
     for library in NEEDS.get(verb, ()):
         pytest.importorskip(library)
     words, file = CASES[verb]
     folder = tmp_path / "desk"
     shutil.copytree(desk, folder)
-    result = folder / file
-    before = earlier_run(result.parent, verb) if file.startswith("results/") else []
     done = shipped(folder, verb, *words.split())
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout
     assert "Traceback" not in done.stderr
-    assert result.exists()
-    if before:
-        assert result.read_text(encoding="utf-8") != "{}"
-        kept = result.parent / "runs" / "0001"
-        moved = sorted(p.relative_to(kept).as_posix() for p in kept.rglob("*") if p.is_file())
-        assert moved == before
-        assert {(kept / name).read_text() for name in before} == {"{}"}
-        assert (result.parent / "notes.txt").read_text() == "of the user"
-        assert sorted(p.name for p in (result.parent / "runs").iterdir()) == [".last", "0001"]
-    else:
-        assert not (folder / "results").exists()
-
-
-# -- earlier runs -------------------------------------------------------------------------------------
-
-
-def test_runs_are_kept_by_default_and_with_out(desk: Path, tmp_path: Path) -> None:
-    import cosim
-    from cosim.simulation.workflow import run
-
-    folder = tmp_path / "desk"
-    shutil.copytree(desk, folder)
-    here = os.getcwd()
-    os.chdir(folder)
-    try:
-        for area in (0.5, 0.6, 0.7):
-            run("run.yaml", None, [f"components.tank.start.area={area}"], report=False)
-        run("run.yaml", "results/tank", ["components.tank.start.area=0.8"], report=False)
-    finally:
-        os.chdir(here)
-    areas = [
-        json.loads((folder / "results" / "tank" / place / "manifest.json").read_text())["scenario"]["components"][
-            "tank"
-        ]["start"]["area"]
-        for place in ("runs/0001", "runs/0002", "runs/0003", ".")
-    ]
-    assert areas == [0.5, 0.6, 0.7, 0.8]
-    assert cosim.read(folder / "results" / "tank" / "runs" / "0002").manifest["scenario"]["name"] == "tank"
+    assert (folder / file).exists()
+    assert file.startswith("results/") or not (folder / "results").exists()

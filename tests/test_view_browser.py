@@ -13,11 +13,10 @@ import numpy as np
 import pytest
 
 from benchmarks.view import write_layout
-from cosim.viewing.layouts import Layouts
-from cosim.viewing.pyramid import TIME, Recording
-from cosim.viewing.stored_rows import ColumnTypes, open_rows
-from cosim.viewing.view_page import ViewPage
-from cosim.viewing.viewed_runs import RunPlace, ViewedRun, file_state
+from cosim.pages.layouts import Layouts
+from cosim.pages.rows import TIME, Recording
+from cosim.pages.runs import RunPlace, ViewedRun
+from cosim.pages.view_page import ViewPage
 from tests.test_live_browser import CHROMIUM, browser, opened, until
 
 if TYPE_CHECKING:
@@ -49,8 +48,7 @@ def page_of_runs(tmp_path: Path) -> Iterator[ViewPage]:
 
 
 def _run(file: Path, number: int, recording: Recording) -> ViewedRun:
-    file.touch()
-    return ViewedRun(RunPlace(f"r{number}", f"run {number} (r{number})", file), recording, file_state(file))
+    return ViewedRun(RunPlace(f"r{number}", f"run {number} (r{number})", file), rows=recording)
 
 
 def _names(page: Page) -> list[str]:
@@ -59,7 +57,7 @@ def _names(page: Page) -> list[str]:
 
 def test_signals_are_searched_dragged_and_added_by_keys(browser: Browser, page_of_runs: ViewPage) -> None:
     faults: list[str] = []
-    page = opened(browser, page_of_runs.server.url, faults, viewport={"width": 1300, "height": 1000})
+    page = opened(browser, page_of_runs.url, faults, viewport={"width": 1300, "height": 1000})
     page.wait_for_selector("html[data-ready=view]", state="attached")
     assert page.locator("[role=treeitem]").count() == 3
     assert "10008 signals of 3 runs" in page.locator("#count").inner_text()
@@ -106,7 +104,7 @@ def test_signals_are_searched_dragged_and_added_by_keys(browser: Browser, page_o
 
 def test_zoom_cursor_files_and_layouts(browser: Browser, page_of_runs: ViewPage, tmp_path: Path) -> None:
     faults: list[str] = []
-    page = opened(browser, page_of_runs.server.url, faults, viewport={"width": 1300, "height": 1000})
+    page = opened(browser, page_of_runs.url, faults, viewport={"width": 1300, "height": 1000})
     page.wait_for_selector("html[data-ready=view]", state="attached")
     page.fill("#find", "mass.")
     page.locator("#tree").focus()
@@ -145,7 +143,6 @@ def test_zoom_cursor_files_and_layouts(browser: Browser, page_of_runs: ViewPage,
     page.fill("#formula", "lowpass(a, a)")
     page.click("#derive-form button:has-text('Add')")
     page.wait_for_selector("#derive-error:not([hidden])")
-    assert "time constant" in page.locator("#derive-error").inner_text()
     page.fill("#formula", "lowpass(a, 0.5)")
     page.fill("#derived-name", "smooth")
     page.click("#derive-form button:has-text('Add')")
@@ -182,10 +179,6 @@ def test_zoom_cursor_files_and_layouts(browser: Browser, page_of_runs: ViewPage,
     until(page, DRAWN)
     assert _names(page) == before
 
-    (tmp_path / "r0.csv").unlink()
-    page.wait_for_selector("#message:not([hidden])")
-    assert "run 0 (r0) was removed" in page.locator("#message").inner_text()
-    assert _names(page) == before
     page.close()
     assert faults == []
 
@@ -214,10 +207,10 @@ def test_derived_signals_of_a_layout_stand_in_any_order_and_texts_are_read_at_th
     faults: list[str] = []
     with ViewPage("3 runs", runs, Layouts(tmp_path / "view.json")) as served:
         for _ in range(2):  # the second time the server has the signals already
-            page = opened(browser, served.server.url, faults, viewport={"width": 1300, "height": 900})
+            page = opened(browser, served.url, faults, viewport={"width": 1300, "height": 900})
             page.wait_for_selector("html[data-ready=view]", state="attached")
             until(page, DRAWN)
-            assert page.locator("#message").inner_text() == "Derived from themselves, and left out: own"
+            assert page.locator("#notes").inner_text() == "Derived from themselves, and left out: own"
             assert sorted(_names(page)) == ["d2 · run 0", "id · run 0", "mode · run 0", "x · run 2"]
             page.locator(".box").focus()
             for key in ("End", "Shift+ArrowLeft"):
@@ -252,7 +245,7 @@ def test_many_curves_are_painted_as_pixels_with_every_peak_and_printed_as_lines(
     write_layout(tmp_path / "view.json", "r0", 30)
     faults: list[str] = []
     with ViewPage("a run", [run], Layouts(tmp_path / "view.json")) as served:
-        page = opened(browser, served.server.url, faults, viewport={"width": 1300, "height": 900})
+        page = opened(browser, served.url, faults, viewport={"width": 1300, "height": 900})
         until(page, DRAWN)
         inked = """() => {
           const canvas = document.querySelector(".box canvas"), { width, height } = canvas,
@@ -274,9 +267,7 @@ def test_many_curves_are_painted_as_pixels_with_every_peak_and_printed_as_lines(
 def test_the_page_is_accessible_narrow_and_on_paper(browser: Browser, page_of_runs: ViewPage, scheme: str) -> None:
     axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="no axe").Axe()
     faults: list[str] = []
-    page = opened(
-        browser, page_of_runs.server.url, faults, viewport={"width": 1300, "height": 900}, color_scheme=scheme
-    )
+    page = opened(browser, page_of_runs.url, faults, viewport={"width": 1300, "height": 900}, color_scheme=scheme)
     page.wait_for_selector("html[data-ready=view]", state="attached")
     page.fill("#find", "mass.")
     page.locator("#tree").focus()
@@ -306,10 +297,10 @@ def test_names_that_end_in_a_blank_or_a_mark_are_derived_from_and_names_that_ste
     for number, name in enumerate(("x\u00a0", "x\ufeff", "x\u202e\x1b[31m")):
         file = tmp_path / f"r{number}.csv"
         file.write_text(f"time,{name} [m]\n{rows}")
-        run = ViewedRun(RunPlace("r\u202e", "run\u202e", file), open_rows(file, ColumnTypes()), file_state(file))
+        run = ViewedRun(RunPlace("r\u202e", "run\u202e", file))
         faults: list[str] = []
         with ViewPage("run\u202e", [run], Layouts(tmp_path / "view.json")) as served:
-            page = opened(browser, served.server.url, faults, viewport={"width": 1300, "height": 900})
+            page = opened(browser, served.url, faults, viewport={"width": 1300, "height": 900})
             page.wait_for_selector("html[data-ready=view]", state="attached")
             page.locator("#tree").focus()
             for key in ("End", "Enter"):

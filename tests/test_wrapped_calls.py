@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import re
-import time
 import zipfile
 from dataclasses import replace
 from pathlib import Path
@@ -17,10 +16,9 @@ from fmpy.fmi1 import FMICallException
 
 from cosim.fmi.native import compiler
 from cosim.fmi.native.compiler import NoCompiler
-from cosim.fmi.native.platforms import PLATFORMS
 from cosim.wrapping.wrap import CannotWrap, wrap
 from tests.hosts_fmpy import Instance
-from tests.native import NEEDS_COMPILER, Exchange
+from tests.native import NEEDS_COMPILER
 from tests.slider import slider_fmu
 from tests.typed import typed_fmu
 from tests.wrapped import EXCHANGE, STEP, STEPS, WAYS, drive_fmu, function, off, push, simulated, states_of, terms_of
@@ -61,17 +59,6 @@ def test_variables_are_those_of_the_original_and_the_parameters(fmi: int, tmp_pa
     for flag in ("canGetAndSetFMUstate", "canSerializeFMUstate", "canHandleVariableCommunicationStepSize"):
         assert getattr(one.coSimulation, flag, None) == getattr(two.coSimulation, flag, None)
     assert (one.guid or one.instantiationToken) != (two.guid or two.instantiationToken)
-
-
-@VERSIONS
-def test_the_original_is_inside_with_all_its_bytes(fmi: int, tmp_path: Path) -> None:
-    path = wrapped_drive(tmp_path, "bias", {}, fmi)
-    with zipfile.ZipFile(drive_fmu(fmi)) as old, zipfile.ZipFile(path) as new:
-        for name in old.namelist():
-            assert new.read(f"resources/original/{name}") == old.read(name)
-            if name.startswith("documentation/"):
-                assert new.read(name) == old.read(name)
-        assert not [name for name in new.namelist() if name.startswith("sources/")]
 
 
 def test_it_is_the_same_file_again(tmp_path: Path) -> None:
@@ -175,69 +162,6 @@ def test_instances_have_parameters_and_memory_of_their_own_and_reset_forgets_bot
         assert [one.step(k * STEP, STEP, {"force": 10.0 * k % 7}) for k in range(10)] == alone[0]
 
 
-def test_values_are_read_as_they_were_set(tmp_path: Path) -> None:
-    path = wrapped_drive(tmp_path, "bias", {"bias_at_force.offset": 2.0})
-    with Instance(path) as plant:
-        plant.begin({"bias_at_force.offset": 3.0, "force": 4.0, "mass": 50.0})
-        assert plant.get(["mass", "bias_at_force.offset", "force", "velocity"]) == [50.0, 3.0, 4.0, 0.0]
-        plant.call("exitInitializationMode")
-        with pytest.raises(FMICallException):
-            plant.set({"bias_at_force.offset": 1.0})
-        assert "bias_at_force.offset is a fixed parameter" in plant.log[-1]
-
-
-@pytest.mark.thorough
-def test_terms_may_fall_asleep_after_inputs_are_set(tmp_path: Path) -> None:
-    path, speeds = wrapped_drive(tmp_path, "coulomb", {"coulomb_at_velocity.level": 5.0}), []
-    for values in (
-        ({"force": 20.0}, {"coulomb_at_velocity.level": 0.0}),
-        ({"coulomb_at_velocity.level": 0.0}, {"force": 20.0}),
-    ):
-        with Instance(path) as plant:
-            plant.begin(values[0])
-            assert plant.get(["force"]) == [values[0].get("force", 0.0)]
-            plant.set(values[1])
-            plant.call("exitInitializationMode")
-            speeds.append(plant.step(0.0, 1.0)["velocity"])
-    assert speeds[0] == speeds[1] > 0.08
-
-
-def test_refusals_and_messages_of_the_original_arrive(tmp_path: Path) -> None:
-    path = wrapped_drive(tmp_path, "coulomb", {"coulomb_at_velocity.level": 5.0})
-    with Instance(path) as plant:
-        plant.initialize()
-        with pytest.raises(FMICallException):
-            plant.call("doStep", float("nan"), STEP)
-        assert "a step is positive and finite" in plant.log[-1]
-    with Instance(path) as plant:
-        again = type(plant.fmu)(
-            guid="of another", modelIdentifier=plant.fmu.modelIdentifier, unzipDirectory=plant.fmu.unzipDirectory
-        )
-        with pytest.raises(Exception, match="instantiate"):
-            again.instantiate(callbacks=plant._callbacks)
-        assert "the GUID is of another" in plant.log[-1]
-
-
-@VERSIONS
-@pytest.mark.thorough
-def test_functions_that_the_original_lacks_are_errors(fmi: int, tmp_path: Path) -> None:
-    original = slider_fmu(tmp_path / "slider.fmu", fmi)
-    name = b"fmi2SetString" if fmi == 2 else b"fmi3SetString"
-    stripped = tmp_path / "stripped.fmu"
-    with zipfile.ZipFile(original) as old, zipfile.ZipFile(stripped, "w") as new:
-        for member in old.namelist():
-            new.writestr(member, old.read(member).replace(name + b"\0", b"x" + name[1:] + b"\0"))
-    wrap(stripped, terms_of("bias"), {}, tmp_path / "w.fmu")
-    log: list[str] = []
-    assert simulated(tmp_path / "w.fmu", STEPS, push(0.5)).shape == (51, 3)
-    folder = fmpy.extract(str(tmp_path / "w.fmu"))
-    description = fmpy.read_model_description(str(tmp_path / "w.fmu"), validate=False)
-    fmu = fmpy.instantiate_fmu(folder, description, "CoSimulation", logger=lambda *said: log.append(str(said)))
-    with pytest.raises(FMICallException):
-        fmu.setString([0], ["text"])
-    fmu.freeInstance()
-
-
 @VERSIONS
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.thorough
@@ -259,39 +183,6 @@ def test_an_original_with_its_own_resources_and_another_library_name(fmi: int, w
     assert off(expected, found) < 1e-9 * np.ptp(expected[:, 1:])
     variables = {v.name: v for v in fmpy.read_model_description(str(tmp_path / "w.fmu"), validate=False).modelVariables}
     assert variables["mass"].start == "2.0"
-
-
-@pytest.mark.thorough
-def test_directional_derivatives_are_withdrawn_only_where_terms_act(tmp_path: Path) -> None:
-    quiet, acting = (
-        wrapped_drive(tmp_path / "0", "coulomb", {}),
-        wrapped_drive(tmp_path / "1", "coulomb", {"coulomb_at_velocity.level": 1.0}),
-    )
-    flags = [fmpy.read_model_description(str(p)).modelExchange.providesDirectionalDerivative for p in (quiet, acting)]
-    assert flags == [True, False]
-    exchange = Exchange(quiet, {})
-    exchange.begin([0.0])
-    slope = exchange.fmu.getDirectionalDerivative(
-        [exchange.place["der(velocity_state)"]], [exchange.place["force"]], [1.0]
-    )
-    assert slope[0] == pytest.approx(1 / 95.0)
-    exchange.finish()
-    exchange = Exchange(quiet, {"coulomb_at_velocity.level": 1.0})
-    exchange.begin([0.0])
-    with pytest.raises(FMICallException):
-        exchange.fmu.getDirectionalDerivative([exchange.place["der(velocity_state)"]], [exchange.place["force"]], [1.0])
-    assert "active terms" in exchange.log[-1]
-    exchange.finish()
-
-
-def test_derivatives_read_by_name_have_the_added_rates(tmp_path: Path) -> None:
-    path = wrapped_drive(tmp_path, "rate", {"viscous_at_velocity.coefficient": 2.0})
-    exchange = Exchange(path, {"velocity_start": 0.5})
-    exchange.begin([0.0])
-    rate = exchange.rates(0.0, np.array([0.0, 0.5]))[1]
-    assert rate == pytest.approx(-200.0 * 0.5 / 95.0 - 2.0 * 0.5)
-    assert exchange.fmu.getReal([exchange.place["der(velocity_state)"]])[0] == rate
-    exchange.finish()
 
 
 @VERSIONS
@@ -327,27 +218,11 @@ def test_platforms_without_a_compiler_are_left_out_by_name(tmp_path: Path, monke
     monkeypatch.setattr(compiler, "can_cross", lambda: False)
     wrapped = wrap(original, terms_of("bias"), {}, tmp_path / "w.fmu")
     assert [*wrapped.platforms] == ["linux64"]
-    assert {name: reason.code for name, reason in wrapped.left_out.items()} == {
-        "linux32": "W-WRP-013", "win64": "E-FMI-004", "darwin64": "W-WRP-014",
-    }  # fmt: skip
+    assert sorted(wrapped.left_out) == ["darwin64", "linux32", "win64"]
     monkeypatch.setenv("CC", "none-such")
-    with pytest.raises(NoCompiler, match="no C compiler") as caught:
+    with pytest.raises(NoCompiler, match="no C compiler"):
         wrap(original, terms_of("bias"), {}, tmp_path / "never.fmu")
-    assert caught.value.args[0].code == "E-WRP-008"
     assert not (tmp_path / "never.fmu").exists()
-
-
-@pytest.mark.thorough
-@pytest.mark.skipif(not compiler.can_cross(), reason="no cross compiler")
-@VERSIONS
-def test_another_platform_is_compiled_for(fmi: int, tmp_path: Path) -> None:
-    original, windows = slider_fmu(tmp_path / "slider.fmu", fmi), PLATFORMS["win64"]
-    with zipfile.ZipFile(original, "a") as archive:
-        archive.writestr(f"binaries/{windows.folder(fmi)}/slider.dll", "library")
-    wrapped = wrap(original, terms_of("coulomb"), {}, tmp_path / "w.fmu", substep=1e-3)
-    assert {*wrapped.platforms} == {"linux64", "win64"}
-    with zipfile.ZipFile(tmp_path / "w.fmu") as archive:
-        assert archive.read(f"binaries/{windows.folder(fmi)}/slider.dll").startswith(b"MZ")
 
 
 @pytest.mark.parametrize(
@@ -363,27 +238,6 @@ def test_terms_of_another_fmu_are_refused(change: dict[str, Any], reason: str, t
     terms = replace(terms_of("coulomb"), **change)
     with pytest.raises(CannotWrap, match=reason):
         wrap(slider_fmu(tmp_path / "slider.fmu", exchange=True), terms, {}, tmp_path / "w.fmu")
-
-
-@pytest.mark.thorough
-def test_the_cost_of_a_step_is_near_that_of_the_original(tmp_path: Path) -> None:
-    paths = [
-        drive_fmu(2),
-        wrapped_drive(tmp_path / "0", "coulomb", {}),
-        wrapped_drive(tmp_path / "1", "bias", {"bias_at_force.offset": 1.0}),
-    ]
-    paths.append(wrapped_drive(tmp_path / "2", "coulomb", {"coulomb_at_velocity.level": 5.0}, substep=None))
-    seconds: list[list[float]] = [[] for _ in paths]
-    for _ in range(7):
-        for k, path in enumerate(paths):
-            with Instance(path) as plant:
-                plant.initialize({"force": 20.0})
-                step, component = plant.fmu.fmi2DoStep, plant.fmu.component
-                begin = time.perf_counter()
-                for n in range(2000):
-                    step(component, n * STEP, STEP, 1)
-                seconds[k].append(time.perf_counter() - begin)
-    print("wrapper over original:", [min(s) / min(seconds[0]) for s in seconds[1:]])
 
 
 @pytest.mark.thorough

@@ -39,7 +39,6 @@ EACH = pytest.mark.parametrize(
     ],
 )
 VERSIONS = pytest.mark.parametrize("fmi", [pytest.param(2, marks=pytest.mark.thorough), 3])
-BOTH = pytest.mark.parametrize("way", WAYS)
 
 
 @EACH

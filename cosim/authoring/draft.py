@@ -3,30 +3,28 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cosim.authoring import messages
-from cosim.authoring.draft_text import BY, scenario_text
+from cosim.authoring.draft_text import scenario_text
 from cosim.authoring.matching import Match, Matches, Port, match_ports, text
 from cosim.authoring.parts import SLACK, STEPS, STOP, DraftPart, RequestedTimes, parts_of, times_of
 from cosim.base.drafts import draft_of
 from cosim.base.errors import Fault, InputError, refuse
+from cosim.base.messages import Note
 from cosim.base.times import difference
 from cosim.base.units import computed_in
 from cosim.blocks.component import Signal
+from cosim.blocks.coupling import DEFAULT, WITHOUT_ORDER, AlgebraicLoop, Algorithm
 from cosim.blocks.description import no_library, platform_of
 from cosim.blocks.sources import read_recording
 from cosim.blocks.summary import experiment_of, platforms_of
-from cosim.coupling.algorithms import DEFAULT, WITHOUT_ORDER, Algorithm
-from cosim.coupling.order import AlgebraicLoop
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.storage.files import check_writable
-from cosim.storage.folders import MOST_BYTES, check_run_folder, keep_earlier
 from cosim.storage.kinds import LOG, check_given
 from cosim.system.system import System, build_system
 
@@ -53,7 +51,6 @@ def write_single(
     step: float | None = None,
     record: Sequence[str] = (),
     interpolation: str = "held",
-    force: bool = False,
 ) -> tuple[Path, tuple[str, ...]]:
     """Write scenario.yaml for a run of one FMU.
 
@@ -67,14 +64,10 @@ def write_single(
         The path and warnings.
 
     Raises:
-        InputError: The FMU or its settings are faulty, no column is an input, or the folder belongs to another command.
+        InputError: The FMU or its settings are faulty, no column is an input.
     """
     (part,) = parts_of([fmu], start)
     path = folder / "scenario.yaml"
-    check_run_folder(folder, part.name, force=force)
-    earlier = _read_earlier(path) if path.is_file() else BY.format("simulate")
-    if not earlier.startswith(BY.format("simulate")):
-        raise InputError.at(path, messages.SCENARIO_EDITED())
     recording = _read_recording(recorded, part) if recorded is not None else None
     request, notes = _choose_times(part, recording, stop, step)
     times = times_of([part], request, most=MAX_SINGLE_STEPS)
@@ -86,13 +79,7 @@ def write_single(
     lines += f"record: {json.dumps(names)}\n" if names else ""
     with draft_of(path) as draft:
         _write_sound(draft, lines, fmu)
-        keep_earlier(folder, "cosim run", [path.name], read=inputs)
     return path, (*notes, *times.notes)
-
-
-def _read_earlier(path: Path) -> str:
-    """Return the text of an earlier scenario, or an empty text for a file larger than MOST_BYTES."""
-    return path.read_text(encoding="utf-8", errors="replace") if path.stat().st_size <= MOST_BYTES else ""
 
 
 def _choose_times(
@@ -108,12 +95,12 @@ def _choose_times(
     start = first if declared is None else max(declared, first)
     end = last if stop is None else stop
     if start > first:
-        notes.append(messages.RUN_STARTS_LATER(recording=name, recorded=first, start=start, component=part.name))
+        notes.append(Note(f"{name}: begins at {first:g} s, the run at {start:g} s as {part.name} says"))
     elif start > (declared or 0.0):
-        notes.append(messages.RUN_STARTS_WITH_RECORDING(start=start, recording=name))
+        notes.append(Note(f"the run begins at {start:g} s, where {name} does"))
     _check_end(recording.path, start, end)
     if end > last * (1 + SLACK):
-        notes.append(messages.RECORDING_ENDS_EARLIER(recording=name, recorded=last, stop=end))
+        notes.append(Note(f"{name}: ends at {last:g} s; its last row is held until {end:g} s"))
     because = f"the end of {name}" if stop is None else "given"
     why_start = f"{name} begins" if start == first else ""
     return RequestedTimes(start, end, step, recording.step, because, why_start), tuple(notes)
@@ -121,7 +108,7 @@ def _choose_times(
 
 def _check_end(source: Path, start: float | None, end: float | None) -> None:
     if end is not None and end <= (start or 0.0):
-        raise InputError.at(source, messages.STOP_BEFORE_START(stop=end, start=start or 0.0))
+        raise InputError.at(source, f"ends at {end:g} s, the run begins at {start or 0.0:g} s; give a later --stop")
 
 
 @dataclass(frozen=True)
@@ -144,18 +131,18 @@ def _read_recording(path: Path, part: DraftPart) -> DraftRecording:
     inputs = {text(port).partition(".")[2]: port for port in part.ports[0]}
     kinds = {signal.name: signal.kind for signal in part.block.exact_inputs}
     log, exact = read_recording(path, inputs, kinds)
-    names = [*(name for name in log.columns if name != "time"), *exact]
+    names = [*(column.name for column in log.columns if column.name != "time"), *exact]
     driving = _driving_columns(path, part, names, inputs)
     source = "recorded" if part.name != "recorded" else "played"
     signals = [
         Signal(name, kind=kinds[name])
         if name in exact
-        else Signal(name, computed_in(log.columns[name].heading.unit)[0], relative=True)
+        else Signal(name, computed_in(log.by_name[name].unit)[0], relative=True)
         for name in driving
     ]
     connections = tuple(Match((source, signal), inputs[signal.name]) for signal in signals)
     unused = ", ".join([*(name for name in names if name not in driving), *sorted(log.spoiled)])
-    notes = (messages.UNUSED_COLUMNS(recording=path.name, component=part.name, columns=unused),) if unused else ()
+    notes = (Note(f"{path.name}: {part.name} has no inputs {unused}: they drive nothing"),) if unused else ()
     time = log["time"]
     steps = np.diff(time)
     steps = steps[steps > 0.0]  # Equal times are a jump.
@@ -172,11 +159,13 @@ def _driving_columns(path: Path, part: DraftPart, columns: Sequence[str], inputs
     driving = [name for name in columns if name in inputs]
     if not driving:
         names = {"columns": ", ".join(columns) or "none", "inputs": ", ".join(inputs) or "none"}
-        message = messages.NO_INPUT_IN_RECORDING(fmu=part.path.name, component=part.name, **names)
+        message = (
+            "no column is an input of {fmu} (its columns: {columns}; inputs of {component}: {inputs}); rename a column"
+        ).format(fmu=part.path.name, component=part.name, **names)
         raise InputError([Fault(path, 1, 1, message)])
     values = {name: part.start[name] for name in driving if name in part.start}
     refuse(
-        Fault(part.path, 0, 0, messages.INPUT_SET_AND_PLAYED(name=name, value=value, recording=path.name))
+        Fault(part.path, 0, 0, f"--set {name}={value}: {path.name} plays it; leave out --set, or the column")
         for name, value in values.items()
     )
     return driving
@@ -191,13 +180,15 @@ def write_draft(path: Path, fmus: Sequence[Path]) -> Draft:
         InputError: An FMU is faulty, no output fits an input, or `path` exists.
     """
     if path.is_dir():
-        raise InputError.at(path, messages.FILE_IS_A_FOLDER())
+        raise InputError.at(path, "is a folder; name the file to write as --out")
     if path.exists():
-        raise InputError.at(path, messages.FILE_EXISTS())
+        raise InputError.at(
+            path, "is there already; it is never written over; give another name as --out, or move it away"
+        )
     if path.suffix.lower() not in (".yaml", ".yml"):
-        raise InputError.at(path, messages.FILE_NOT_YAML())
+        raise InputError.at(path, "a scenario is YAML; name a .yaml or .yml file as --out")
     if not path.parent.is_dir():
-        raise InputError.at(path.parent, messages.NO_FOLDER())
+        raise InputError.at(path.parent, "no such folder; make it first")
     parts = parts_of(fmus)
     inputs, outputs = ([p for part in parts for p in part.ports[side]] for side in (0, 1))
     sizes = {name: size for part in parts for name, size in part.sizes.items()}
@@ -208,8 +199,12 @@ def write_draft(path: Path, fmus: Sequence[Path]) -> Draft:
     algorithm = _algorithm(parts, matches.connections)
     with draft_of(path) as draft:
         system = _write_sound(draft, scenario_text(path.parent, parts, matches, times, algorithm), parts[0].path)
-    warnings = (*_platform_warnings(parts), *times.notes, *system.warnings)
-    return Draft(matches, algorithm.name, warnings)
+    warnings = []
+    for part in parts:
+        here, there = platform_of(part.description), platforms_of(part.path)
+        if here not in there:
+            warnings.append(f"{part.name} does not run on this machine: {no_library(here, there)}")
+    return Draft(matches, algorithm.name, (*warnings, *times.notes, *system.warnings))
 
 
 def _write_sound(path: Path, lines: str, fmu: Path) -> System:
@@ -222,14 +217,6 @@ def _write_sound(path: Path, lines: str, fmu: Path) -> System:
         return build_system(ScenarioFile(path))
     except InputError as error:
         raise InputError([Fault(fmu, 0, 0, f.message, f.exit_code) for f in error.faults]) from None
-
-
-def _platform_warnings(parts: Sequence[DraftPart]) -> Iterator[str]:
-    """Yield a warning for each FMU without a library for this machine."""
-    for part in parts:
-        here, there = platform_of(part.description), platforms_of(part.path)
-        if here not in there:
-            yield messages.OTHER_PLATFORM(component=part.name, reason=no_library(here, there))
 
 
 def _drop_loops(parts: Sequence[DraftPart], matches: Matches) -> Matches:
@@ -258,7 +245,10 @@ def _algorithm(parts: Sequence[DraftPart], matches: Sequence[Match]) -> Algorith
 def _no_fit(fmus: Sequence[Path], inputs: Sequence[Port], outputs: Sequence[Port], sizes: Mapping[str, int]) -> str:
     names = " and ".join(p.name for p in fmus)
     if not outputs or not inputs:
-        return messages.NO_PORTS(fmus=names, ports="inputs" if outputs else "outputs")
+        return (
+            f"{names} cannot be connected: they have no {'inputs' if outputs else 'outputs'}; run each alone by "
+            "`cosim simulate`"
+        )
 
     def describe(port: Port) -> str:
         size = sizes.get(text(port))
@@ -268,4 +258,13 @@ def _no_fit(fmus: Sequence[Path], inputs: Sequence[Port], outputs: Sequence[Port
     for side, ports in (("outputs", outputs), ("inputs", inputs)):
         fields[side] = ", ".join(map(describe, ports[:MAX_PORTS]))
     element = next((f"{port[0]}.{port[1].name}" for port in (*inputs, *outputs) if text(port) in sizes), None)
-    return messages.NO_FIT_OF_ARRAYS(**fields, element=element) if element else messages.NO_FIT(**fields)
+    return (
+        (
+            "{fmus} cannot be connected: no output ({outputs}) fits an input of another ({inputs}) by type, unit "
+            "and number of elements; a scenario may connect elements of an array one by one, as {element}"
+        ).format(**fields, element=element)
+        if element
+        else (
+            "{fmus} cannot be connected: no output ({outputs}) fits an input of another ({inputs}) by type and unit"
+        ).format(**fields)
+    )

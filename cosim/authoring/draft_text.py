@@ -12,8 +12,8 @@ from typing import Any
 from cosim.authoring.matching import Match, Matches, text
 from cosim.authoring.parts import DraftPart, Times
 from cosim.base.text import NOT_IN_YAML, as_yaml, counted
+from cosim.blocks.coupling import DEFAULT, Algorithm
 from cosim.blocks.description import unit_of
-from cosim.coupling.algorithms import DEFAULT, Algorithm
 from cosim.scenario.start_values import settable
 
 BY = "# Written by `cosim {}`."

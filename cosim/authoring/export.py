@@ -10,19 +10,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cosim.authoring import messages
 from cosim.base.errors import Fault, InputError, refuse
+from cosim.base.messages import Note
 from cosim.base.scratch import temporary_folder
+from cosim.base.settings import Names
 from cosim.base.units import computed_in
+from cosim.blocks.coupling import algorithms
 from cosim.blocks.description import enumeration_items, ways
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.profile import Profile, profile_function
-from cosim.coupling.algorithms import algorithms
 from cosim.fmi.native.signal_source import CompilerFailed, NoCompiler, SignalChange, TimeSignal, build_source
-from cosim.scenario.controller_design import designed_values
-from cosim.scenario.nearest_models import take_nearest
 from cosim.scenario.scenario import Connection, FixComponent, FmuComponent, PlaybackComponent, ReferenceComponent
-from cosim.scenario.scenario_file import ScenarioFile
+from cosim.scenario.scenario_file import ScenarioFile, take_nearest
 from cosim.simulation.manifest import check_pinned
 from cosim.simulation.packaged import IMPORTERS
 from cosim.ssp.write import SspConnector, SspFmu, Value, Whole, defined_units, write_ssp
@@ -43,7 +42,7 @@ class Exported:
 
 
 def export_ssp(
-    scenario: FilePath, path: FilePath | None = None, overrides: tuple[str, ...] = (), *, nearest: bool = False
+    scenario: FilePath, path: FilePath | None = None, overrides: Names = (), *, nearest: bool = False
 ) -> Exported:
     """Write a scenario as an SSP 1.0 without noise; reference components become FMUs in C.
 
@@ -63,8 +62,7 @@ def export_ssp(
     if nearest:
         take_nearest(file)
     check_pinned(file)
-    designed = designed_values(file)
-    system = build_system(file, designed)
+    system = build_system(file)
     refuse(_faults(file, system))
     target = _target(file, Path() if path is None else named_path(path))
     with temporary_folder("export") as folder:
@@ -96,9 +94,9 @@ def _target(file: ScenarioFile, path: Path) -> Path:
     if path.is_dir():
         path = path / f"{re.sub(r'[^A-Za-z0-9_.-]+', '_', file.scenario.name) or 'system'}.ssp"
     if path.suffix.lower() != ".ssp":
-        raise InputError.at(path, messages.WRONG_SUFFIX(name=path.with_suffix(".ssp").name))
+        raise InputError.at(path, f"an SSP is known by its ending; name it so: {path.with_suffix('.ssp').name}")
     if path.exists() and any(other.exists() and path.samefile(other) for other in (file.path, *file.files)):
-        raise InputError.at(path, messages.FILE_IS_AN_INPUT())
+        raise InputError.at(path, "is read, and would be written over; give another file as --out")
     return path
 
 
@@ -111,15 +109,18 @@ def _notes(file: ScenarioFile) -> Iterator[str]:
     """Yield notes on parts missing in the SSP, and on a coupling algorithm that importing tools lack."""
     scenario = file.scenario
     if any(connection.noise for connection in scenario.connections):
-        yield messages.NOISE_OMITTED()
+        yield Note("noise is left out: SSP has no word for it")
     tolerances = [c.tolerance for c in scenario.components.values() if isinstance(c, FmuComponent)]
     if any(tolerance is not None for tolerance in (scenario.tolerance, *tolerances)):
-        yield messages.TOLERANCE_OMITTED()
+        yield Note("tolerance is left out: importers take that of each FMU's default experiment, or none")
     if scenario.goals:
-        yield messages.CRITERIA_OMITTED()
+        yield Note("criteria are left out: SSP has no word for them")
     if scenario.algorithm != IMPORTERS.name:
         ours = algorithms()[scenario.algorithm].title
-        yield messages.OTHER_ALGORITHM(theirs=IMPORTERS.title, ours=ours, algorithm=IMPORTERS.name)
+        yield Note(
+            f"libcosim, ecos and FMPy step by {IMPORTERS.title}, this scenario by {ours}, so their results may "
+            f"differ; compare theirs with `cosim run --set algorithm={IMPORTERS.name} --set noise=off`"
+        )
 
 
 def _faults(file: ScenarioFile, system: System) -> Iterator[Fault]:
@@ -127,22 +128,31 @@ def _faults(file: ScenarioFile, system: System) -> Iterator[Fault]:
     scenario = file.scenario
     for key in ("faults", "events"):
         if getattr(scenario, key):
-            yield file.fault((key,), messages.KEY_NOT_IN_SSP(key=key))
+            yield file.fault(
+                (key,), f"{key} cannot be exported, as SSP has no place for them; remove them, or add --set {key}=[]"
+            )
     for name, component in scenario.components.items():
         where = ("components", name)
         if isinstance(component, FixComponent):
-            yield file.fault((*where, "block"), messages.FIX_NOT_IN_SSP())
+            yield file.fault(
+                (*where, "block"),
+                "fixes cannot be exported, as SSP has no place for them; connect the signals without this block",
+            )
         if not isinstance(component, FmuComponent):
             continue
-        if component.at:
-            yield file.fault((*where, "at"), messages.AT_NOT_IN_SSP())
         if component.step is not None and component.step != scenario.step:
-            yield file.fault((*where, "step"), messages.OWN_STEP(step=component.step))
+            yield file.fault(
+                (*where, "step"),
+                (
+                    f"a communication step of its own: an SSP has one; give the scenario step {component.step:g}, or "
+                    "leave it out here"
+                ),
+            )
         description = system.fmus[name][1]
         if description.fmiVersion.startswith("3"):
-            yield file.fault((*where, "fmu"), messages.FMI_3())
+            yield file.fault((*where, "fmu"), "is FMI 3.0; SSP 1.0 and its importers take FMI 1.0 and 2.0")
         elif (component.interface or ways(description)[0]) != "co-simulation":
-            yield file.fault(where, messages.MODEL_EXCHANGE())
+            yield file.fault(where, "is run by model exchange; the importers of SSPs run co-simulation")
     for k, connection in zip(file.places["connections"], scenario.connections, strict=True):
         for message in _objections(file, system, connection):
             yield file.fault(("connections", k), message)
@@ -152,19 +162,24 @@ def _objections(file: ScenarioFile, system: System, connection: Connection) -> I
     """Yield reasons why importing tools cannot hold a connection."""
     signals = system.signals
     if connection.source not in signals or connection.target not in signals:
-        yield messages.ARRAY_CONNECTION()
+        yield "arrays are not what SSP 1.0 can connect; connect their elements"
         return
     source, target = signals[connection.source], signals[connection.target]
     for end, signal in ((connection.source, source), (connection.target, target)):
         if signal.kind not in {"", *TYPES}:
-            yield messages.TYPE_NOT_CONNECTED(signal=end, type=signal.kind, types=", ".join(TYPES))
+            yield f"{end} is {signal.kind}; importers connect {', '.join(TYPES)}"
     names = {"source": connection.source, "target": connection.target}
     if source.kind and target.kind and source.kind != target.kind:
-        yield messages.TYPE_MISMATCH(**names, source_type=source.kind, target_type=target.kind)
+        yield (
+            "{source} is {source_type}, {target} {target_type}: importers of SSPs convert no types; give both one type"
+        ).format(**names, source_type=source.kind, target_type=target.kind)
     assumed = assumed_conversion(file, connection, source, target)
     conversion = connection.conversion or source.conversion(target)
     if (conversion if assumed is None else (assumed.factor, assumed.offset)) != (1.0, 0.0):
-        yield messages.CONVERTING_CONNECTION(**names, source_unit=source.unit, target_unit=target.unit)
+        yield (
+            "the connection converts: {source} [{source_unit}] to {target} [{target_unit}]; not all importers "
+            "of SSPs convert; let both ends have one unit, or an FMU between them convert"
+        ).format(**names, source_unit=source.unit, target_unit=target.unit)
 
 
 # -- models ---------------------------------------------------------------------------------------
@@ -214,7 +229,9 @@ def _source(file: ScenarioFile, name: str, component: ReferenceComponent | Playb
     try:
         fmu = build_source(name, signals, folder / f"{name}.fmu", file.scenario.step, file.scenario.duration)
     except (NoCompiler, CompilerFailed) as error:
-        raise InputError([file.fault(("components", name), messages.NOT_COMPILED.around(error))]) from None
+        raise InputError(
+            [file.fault(("components", name), f"becomes an FMU of C, which cannot be compiled: {error}")]
+        ) from None
     return SspFmu(name, fmu, [SspConnector(n, "output", "Real", s.unit) for n, s in signals.items()])
 
 
@@ -231,11 +248,11 @@ def _profile(profile: Profile) -> TimeSignal:
 def _recording_signals(path: Path, names: set[str], *, is_linear: bool) -> dict[str, TimeSignal]:
     """Return columns of a recording, held or linear between rows."""
     table = read_columns(path, names)
-    times = table.values["time"]
+    times = table["time"].tolist()
     signals = {}
-    for column in (c for c in table.columns.values() if c.name in names):
-        unit, factor = computed_in(column.heading.unit)
-        values = [factor * v for v in table.values[column.name]]
+    for column in (c for c in table.columns if c.name in names):
+        unit, factor = computed_in(column.unit)
+        values = [factor * v for v in table[column.name].tolist()]
         rows = [(t, v) for t, v in zip(times, values, strict=True) if math.isfinite(v)]
         changes = [SignalChange(t, v, v) for t, v in rows]
         for k, ((t, v), (after, to)) in enumerate(itertools.pairwise(rows)):

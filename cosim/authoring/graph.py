@@ -6,11 +6,8 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from cosim.authoring import messages
-from cosim.base.errors import InputError, NotExecuted
+from cosim.base.errors import InputError
 from cosim.base.scratch import temporary_folder
-from cosim.loading.file import without_execution
-from cosim.scenario.controller_design import designed_values
 from cosim.scenario.scenario import resolve_defaults
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.packaged import is_ssp, lay_out
@@ -49,16 +46,13 @@ def check_picture(path: Path, graph: Graph) -> None:
         titles = [DIAGRAM.findall(text) for text in (head, graph.svg())]
         is_earlier = titles[0] != [] and titles[0] == titles[1]
     if not is_earlier:
-        raise InputError.at(path, messages.NOT_A_DIAGRAM(name=graph.name))
+        raise InputError.at(
+            path, f"is there, and no picture of {graph.name}; name another file as --out, or write over it by --force"
+        )
 
 
 def _graph(file: ScenarioFile) -> Graph:
-    with without_execution():
-        try:
-            designed = designed_values(file)
-        except NotExecuted:  # Diagrams show no values.
-            designed = {}
-    system = build_system(file, designed)
+    system = build_system(file)
     units = {name: signal.unit for name, signal in system.signals.items()}
     arrays = {f"{n.partition('.')[0]}.{s.array}": s.unit for n, s in system.signals.items() if s.array}
     held = {transfer.name for transfer in system.held if not transfer.of}

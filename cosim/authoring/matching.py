@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import SequenceMatcher
 from functools import cache
@@ -77,125 +77,78 @@ def match_ports(
 ) -> Matches:
     """Connect outputs to inputs of other components, each once.
 
-    Equal names come first, then similar ones. Equally likely outputs are left to the user.
+    Equal names come first, then similar ones, then what alone is left. Equally likely outputs are left to the user.
 
     Args:
         sizes: Number of elements of each array, by name `component.variable`.
     """
-    return _Matching(outputs, inputs, sizes).matches()
+    open_ = {text(i): i for i in inputs}  # without a decision
+    candidates = {name: [o for o in outputs if o[0] != i[0] and fits(o, i, sizes)] for name, i in open_.items()}
+    connections: dict[str, Match] = {}
+    choices: dict[str, Sequence[Port]] = {}  # likely outputs, from which the user must choose
+    used: set[str] = set()
 
-
-class _Matching:
-    """Connections so far; `open` holds the inputs without a decision, by name."""
-
-    def __init__(self, outputs: Sequence[Port], inputs: Sequence[Port], sizes: Mapping[str, int]) -> None:
-        self.inputs = {text(i): i for i in inputs}
-        self.candidates = {
-            name: [o for o in outputs if o[0] != i[0] and fits(o, i, sizes)] for name, i in self.inputs.items()
-        }
-        self._scores: dict[str, dict[str, float]] = {}  # input → output → similarity of name and unit
-        self._has_similar: dict[str, bool] = {}  # inputs with similar outputs; used ones may be ranked below others
-        self._likely_of: dict[str, list[tuple[float, Port]]] = {}  # input → likely outputs, until one is connected
-        self.open = dict(self.inputs)
-        self.connections: dict[str, Match] = {}
-        self.choices: dict[str, Sequence[Port]] = {}
-        self.used: set[str] = set()  # connected outputs
-
-    def matches(self) -> Matches:
-        """Connect equal names, similar names, then remaining unique pairs."""
-        self._connect_same_names()
-        while best := self._best():
-            target, (source, *others) = best
-            why = "similar name" + (", same unit" if _units_agree(source[1], target[1]) else "")
-            self._connect(Match(source, target, why, tuple(map(text, others[: MAX_CANDIDATES - 1]))))
-        for name, target in [*self.open.items()]:
-            if likely := self._likely(target):
-                self._leave(name, [s for score, s in likely if likely[0][0] - score < MIN_LEAD])
-        self._connect_remaining()
-        connections = tuple(self.connections[name] for name in self.inputs if name in self.connections)
-        unconnected = []
-        for name, target in self.inputs.items():
-            if name not in self.connections:
-                candidates = map(text, [*self.choices.get(name, ()), *self.candidates[name]])
-                unconnected.append((target, tuple(dict.fromkeys(candidates))[:MAX_CANDIDATES]))
-        choices = {name: tuple(map(text, ports)) for name, ports in self.choices.items()}
-        return Matches(connections, tuple(unconnected), choices)
-
-    def _connect(self, match: Match) -> None:
-        del self.open[text(match.target)]
-        self.connections[text(match.target)] = match
-        self.used.add(source := text(match.source))
-        self._likely_of = {
-            name: likely for name, likely in self._likely_of.items() if not self._is_affected(name, likely, source)
-        }
-
-    def _leave(self, name: str, sources: Sequence[Port]) -> None:
-        """Leave an input unconnected and record the likely outputs, from which the user must choose."""
-        del self.open[name]
-        self.choices[name] = sources
-
-    def _connect_same_names(self) -> None:
-        for name, target in self.inputs.items():
-            same = [o for o in self.candidates[name] if o[1].name == target[1].name]
-            if len(same) == 1:
-                self._connect(Match(same[0], target))
-            elif same:
-                self._leave(name, same)
-
-    def _likely(self, target: Port) -> list[tuple[float, Port]]:
-        """Return an input's likely outputs with scores, best first."""
+    def connect(source: Port, target: Port, guess: str = "", others: Sequence[Port] = ()) -> None:
         name = text(target)
-        if name not in self._likely_of:
-            self._likely_of[name] = self._rank(name, target)
-        return self._likely_of[name]
+        del open_[name]
+        connections[name] = Match(source, target, guess, tuple(map(text, others[: MAX_CANDIDATES - 1])))
+        used.add(text(source))
 
-    def _rank(self, name: str, target: Port) -> list[tuple[float, Port]]:
-        """Compare an input with outputs, each pair once; return the likely outputs with scores, best first."""
-        if name not in self._scores:
-            self._scores[name] = {
-                text(o): similarity(o[1].name, target[1].name) + _unit_score(o[1], target[1])
-                for o in self.candidates[name]
-            }
-            self._has_similar[name] = any(score >= MIN_SCORE for score in self._scores[name].values())
-        scores = self._scores[name]
-        scored = []
-        for source in self.candidates[name]:
-            score = scores[text(source)]
-            scored.append((score + USED_OUTPUT * (text(source) in self.used), score, source))
-        scored.sort(key=lambda s: -s[0])  # stable: equal ones keep file order
-        if not scored or scored[0][1] < MIN_SCORE or scored[0][0] < MIN_SCORE / 2:
-            return []
-        return [(net, source) for net, score, source in scored if score >= MIN_SCORE]
+    for name, target in [*open_.items()]:
+        same = [o for o in candidates[name] if o[1].name == target[1].name]
+        if len(same) == 1:
+            connect(same[0], target)
+        elif same:
+            choices[name] = same
+            del open_[name]
+    scores = {
+        name: [(similarity(o[1].name, i[1].name) + _unit_score(o[1], i[1]), o) for o in candidates[name]]
+        for name, i in open_.items()
+    }
+    while True:
+        likely = {name: ranked for name in open_ if (ranked := _likely(scores[name], used))}
+        clear = [name for name, ranked in likely.items() if len(_alike(ranked)) == 1]
+        if not clear:
+            break
+        best = max(clear, key=lambda name: likely[name][0][0])
+        source, *others = (port for _, port in likely[best])
+        target = open_[best]
+        why = "similar name" + (", same unit" if _units_agree(source[1], target[1]) else "")
+        connect(source, target, why, others)
+    for name, ranked in likely.items():
+        choices[name] = _alike(ranked)
+        del open_[name]
+    only: dict[str, Port] = {}  # outputs that alone are left for an input
+    for name, target in open_.items():
+        free = [o for o in candidates[name] if text(o) not in used]
+        free = [o for o in free if _is_reference(o[1].name) == _is_reference(target[1].name)]
+        if len(free) == 1:
+            only[name] = free[0]
+    demand = Counter(map(text, only.values()))
+    for name, source in only.items():
+        if demand[text(source)] == 1:
+            connect(source, open_[name], "nothing else is left that fits")
+    unconnected = []
+    for name, target in ((text(i), i) for i in inputs):
+        if name not in connections:
+            fitting = dict.fromkeys(map(text, [*choices.get(name, ()), *candidates[name]]))
+            unconnected.append((target, tuple(fitting)[:MAX_CANDIDATES]))
+    ordered = tuple(connections[name] for name in map(text, inputs) if name in connections)
+    return Matches(ordered, tuple(unconnected), {name: tuple(map(text, ports)) for name, ports in choices.items()})
 
-    def _is_affected(self, name: str, likely: Sequence[object], source: str) -> bool:
-        """Return whether the use of an output changes the likely outputs of an input."""
-        scores = self._scores[name]
-        return scores.get(source, 0.0) >= MIN_SCORE or (not likely and source in scores and self._has_similar[name])
 
-    def _best(self) -> tuple[Port, list[Port]] | None:
-        """Return the input with the highest score and its likely outputs; None if no input has a clear best output."""
-        best: tuple[float, Port, list[Port]] | None = None
-        for target in self.open.values():
-            likely = self._likely(target)
-            if not likely or (likely[1:] and likely[0][0] - likely[1][0] < MIN_LEAD):
-                continue
-            if best is None or likely[0][0] > best[0]:
-                best = likely[0][0], target, [source for _, source in likely]
-        return None if best is None else best[1:]
+def _likely(scores: Sequence[tuple[float, Port]], used: Collection[str]) -> list[tuple[float, Port]]:
+    """Return an input's likely outputs with scores, best first; outputs in use count less."""
+    ranked = [(score + USED_OUTPUT * (text(source) in used), score, source) for score, source in scores]
+    ranked.sort(key=lambda s: -s[0])  # stable: equal ones keep file order
+    if not ranked or ranked[0][1] < MIN_SCORE or ranked[0][0] < MIN_SCORE / 2:
+        return []
+    return [(net, source) for net, score, source in ranked if score >= MIN_SCORE]
 
-    def _connect_remaining(self) -> None:
-        """Connect each input that a single unused output fits, unless that output also fits another such input."""
-        sources: dict[str, Port] = {}
-        for name, target in self.open.items():
-            is_reference = _is_reference(target[1].name)
-            free = [o for o in self.candidates[name] if text(o) not in self.used]
-            free = [o for o in free if _is_reference(o[1].name) == is_reference]
-            if len(free) == 1:
-                sources[name] = free[0]
-        demand = Counter(map(text, sources.values()))
-        for name, source in sources.items():
-            if demand[text(source)] == 1:
-                self._connect(Match(source, self.inputs[name], "nothing else is left that fits"))
+
+def _alike(ranked: Sequence[tuple[float, Port]]) -> list[Port]:
+    """Return the outputs whose scores differ too little from the best for a decision."""
+    return [source for score, source in ranked if ranked[0][0] - score < MIN_LEAD]
 
 
 def fits(source: Port, target: Port, sizes: Mapping[str, int]) -> bool:

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from cosim.authoring import messages
 from cosim.authoring.matching import Port
 from cosim.base.errors import InputError
+from cosim.base.messages import Note
 from cosim.base.times import difference
 from cosim.blocks.component import Signal
 from cosim.blocks.description import takes_any_step
@@ -150,7 +150,13 @@ def times_of(parts: Sequence[DraftPart], request: RequestedTimes | None = None, 
     own_steps = {p.name: own for p in parts if (own := _own_step(p)) > 0}
     h, why_step = _step(request, experiments, own_steps, duration)
     if request.step is not None and h > duration * (1 + SLACK):
-        raise InputError.at(parts[0].path, messages.STEP_TOO_LONG(step=h, duration=duration, reason=why_duration))
+        raise InputError.at(
+            parts[0].path,
+            (
+                f"--step {h:g}: is longer than the run, {duration:g} s ({why_duration}); give a shorter one, or a "
+                "later --stop"
+            ),
+        )
     steps = max(1, math.ceil(duration / h - SLACK))
     if request.stop is None and steps > most:
         why_duration = f"{most} steps; {why_duration} would be {duration:g} s"
@@ -181,12 +187,9 @@ def _move_end(t: Times, steps: int) -> Times:
     duration = float(f"{steps * t.step:.12g}")
     if abs(duration - t.duration) <= SLACK * t.duration:
         return replace(t, duration=duration)
-    note = messages.STOP_MOVED(
-        end=t.start + duration,
-        requested=t.start + t.duration,
-        why_end=t.why_duration,
-        step=t.step,
-        why_step=t.why_step,
+    note = Note(
+        f"the run ends at {t.start + duration:g} s, not at {t.start + t.duration:g} s ({t.why_duration}): in "
+        f"whole steps of {t.step:g} s ({t.why_step})"
     )
     why = f"whole steps; {t.why_duration} is {t.duration:g} s"
     return replace(t, duration=duration, why_duration=why, notes=(note,))
@@ -197,7 +200,7 @@ def _shorten_step(t: Times, steps: int) -> Times:
     step = t.duration / steps
     if abs(step - t.step) <= SLACK * t.step:
         return replace(t, step=step)
-    note = messages.STEP_SHORTENED(step=step, requested=t.step, why_step=t.why_step, end=t.start + t.duration)
+    note = Note(f"the step is {step:g} s, not {t.step:g} s ({t.why_step}), to end at {t.start + t.duration:g} s")
     why = f"{steps} to the end; not {t.step:g} s, {t.why_step}"
     return replace(t, step=step, why_step=why, notes=(note,))
 

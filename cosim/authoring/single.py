@@ -8,21 +8,18 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from cosim.authoring import messages
 from cosim.authoring.draft import write_single
 from cosim.authoring.parts import parts_of
 from cosim.base.errors import Fault, refuse
 from cosim.base.text import split_assignment
 from cosim.blocks.summary import read_fmus
 from cosim.simulation.workflow import Outcome, run
-from cosim.storage.files import FilePath, named_path
-from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import folder_named
+from cosim.storage.files import FilePath
+from cosim.storage.folders import new_run
 from cosim.storage.yaml_file import short
 from cosim.storage.yaml_nodes import Document, NotYaml
 
 
-@folder_locks()
 def simulate(
     fmu: FilePath,
     folder: FilePath | None = None,
@@ -63,22 +60,22 @@ def simulate(
     _check_times(path, stop, step)
     (description,) = read_fmus([path])
     values = start if isinstance(start, Mapping) else start_pairs(path, start, description)
-    place = folder_named(parts_of([path])[0].name) if folder is None else named_path(folder)
     csv = None if recorded is None else Path(recorded)
-    scenario, notes = write_single(
-        place, path, values, csv, stop=stop, step=step, record=record, interpolation=interpolation, force=force
-    )
-    settings: dict[str, Any] = {"in_process": in_process, "format_": format_, "progress": progress}
-    outcome = run(scenario, place, report=report, force=True, command="cosim simulate", **settings)
+    with new_run(folder, parts_of([path])[0].name, "cosim simulate", force=force) as place:
+        scenario, notes = write_single(
+            place, path, values, csv, stop=stop, step=step, record=record, interpolation=interpolation
+        )
+        settings: dict[str, Any] = {"in_process": in_process, "format_": format_, "progress": progress}
+        outcome = run(scenario, place, report=report, command="cosim simulate", **settings)
     return outcome, notes
 
 
 def _check_times(fmu: Path, stop: float | None, step: float | None) -> None:
     faults = []
     if stop is not None and not math.isfinite(stop):
-        faults.append(Fault(fmu, 0, 0, messages.STOP_NOT_FINITE(value=stop)))
+        faults.append(Fault(fmu, 0, 0, f"--stop {stop:g}: give a number of seconds"))
     if step is not None and not (math.isfinite(step) and step > 0):
-        faults.append(Fault(fmu, 0, 0, messages.STEP_NOT_POSITIVE(value=step)))
+        faults.append(Fault(fmu, 0, 0, f"--step {step:g}: give a number of seconds above 0"))
     refuse(faults)
 
 
@@ -91,7 +88,7 @@ def start_pairs(fmu: Path, texts: Sequence[str], description: Any) -> dict[str, 
     for text in texts:
         name, sign, value = split_assignment(text, names)
         if not sign or not name:
-            faults.append(Fault(fmu, 0, 0, messages.NOT_NAME_VALUE(text=short(text))))
+            faults.append(Fault(fmu, 0, 0, f'--set "{short(text)}" is not NAME=VALUE; for example --set mass=2'))
             continue
         values[name] = value
         if name not in words:

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cosim.base import messages
-from cosim.base.messages import Message, code_of, join, printable, with_prefix
+from cosim.base.messages import printable
 
 
 @dataclass(frozen=True, order=True)
@@ -24,12 +23,7 @@ class Fault:
     def __str__(self) -> str:
         file = printable(str(self.file), one_line=True)
         place = f"{file}:{self.line}:{self.column}" if self.line else file
-        return with_prefix(f"{place}: ", self.message)  # A warning made of a fault keeps its code.
-
-    @property
-    def code(self) -> str:
-        """Return the code of the message."""
-        return code_of(self.message)
+        return f"{place}: {self.message}"
 
 
 class CosimError(Exception):
@@ -38,13 +32,7 @@ class CosimError(Exception):
     exit_code = 1
 
     def __str__(self) -> str:
-        text = super().__str__()
-        return Message(printable(text), code_of(text), getattr(text, "fields", {}))
-
-    @property
-    def code(self) -> str:
-        """Return the code of the message, of several faults that of the first."""
-        return code_of(self)
+        return printable(super().__str__())
 
 
 def _message_only(error: CosimError) -> list[str]:
@@ -59,7 +47,7 @@ class InputError(CosimError):
 
     def __init__(self, faults: Sequence[Fault]) -> None:
         self.faults = tuple(sorted(set(faults)))
-        super().__init__(join("\n", map(str, self.faults)))
+        super().__init__("\n".join(map(str, self.faults)))
 
     @classmethod
     def at(cls, file: Path, message: str, exit_code: int = 2) -> InputError:
@@ -88,7 +76,7 @@ class NotExecuted(CosimError):
 
     def __init__(self, file: Path) -> None:
         self.file = file
-        super().__init__(messages.PYTHON_FILE(file=file))
+        super().__init__(f"{file} is Python, which is not executed here")
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.file,), self.__dict__
@@ -119,7 +107,7 @@ class SimulationError(CosimError):
 
     def __init__(self, component: str, time: float, reason: str) -> None:
         self.component, self.time, self.reason = component, time, reason
-        super().__init__(with_prefix(f"{component} at t = {time:.6g} s: ", reason))  # keeps the code of the reason
+        super().__init__(f"{component} at t = {time:.6g} s: {reason}")
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.component, self.time, self.reason), self.__dict__
@@ -127,6 +115,14 @@ class SimulationError(CosimError):
 
 class Crashed(SimulationError):
     """A crash of the process during a call of an FMU."""
+
+
+class CallFailed(SimulationError):
+    """A call that an FMU refused."""
+
+
+class NotFinite(SimulationError):
+    """A value that is no finite number, or values that do not settle."""
 
 
 class DiskFull(SimulationError):
@@ -168,7 +164,7 @@ class Terminated(BaseException):
 
     def __init__(self, signal: str = "SIGTERM") -> None:
         self.signal = signal
-        super().__init__(messages.END_BY_SIGNAL(signal=signal))
+        super().__init__(f"ended by {signal}")
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.signal,), self.__dict__
@@ -179,7 +175,7 @@ def stop_error(stop: BaseException, now: float, subject: str = "the run") -> Sim
     if isinstance(stop, SimulationError):
         return stop
     if isinstance(stop, KeyboardInterrupt):
-        return Interrupted(subject, now, messages.INTERRUPTION())
+        return Interrupted(subject, now, "interrupted from the keyboard")
     return Signalled(subject, now, str(stop))
 
 

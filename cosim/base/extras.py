@@ -7,20 +7,15 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from cosim.base import messages
 from cosim.base.errors import Fault, InputError
 
 DISTRIBUTION = "fmu-cosim"
 EXTRAS = {  # library → extra that installs it
     "SALib": "sweep",
-    "cryptography": "remote",
     "distributed": "dask",
     "h5py": "hdf5",
-    "mcap": "mcap",
     "pandas": "sweep",
-    "pyarrow": "parquet",
     "ziglang": "native",
-    "zmq": "remote",
 }
 
 
@@ -40,7 +35,7 @@ def optional(module: str, place: str | Callable[[str], Fault]) -> Any:
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] != name:
             raise
-        message = messages.NO_LIBRARY(library=name, command=install_command(EXTRAS[name]))
+        message = f"needs {name}, which is not installed: {install_command(EXTRAS[name])}"
         fault = Fault(Path(place), 0, 0, message) if isinstance(place, str) else place(message)
         raise InputError([fault]) from None
 

@@ -1,16 +1,8 @@
-"""Messages of arguments, units and installed packages, and the form of all messages.
-
-Each room keeps the templates of its messages in its module `messages`. A code names the severity (E error, W warning,
-N note), the room and a number, e.g. E-SCN-012. Codes never change their meaning; wording may change.
-"""
+"""Kinds of messages, and their form on a terminal and in JSON."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from types import MappingProxyType
-from typing import Any, SupportsIndex
 
 # control characters but tab and line feed, marks that change the direction of text, and halves of surrogate pairs
 UNPRINTABLE = re.compile("[\0-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
@@ -27,12 +19,8 @@ def printable(text: str, *, one_line: bool = False) -> str:
     Args:
         one_line: Whether line feeds and tabs are escaped too.
     """
-    shown = UNPRINTABLE.sub(_escape, text) if UNPRINTABLE.search(text) else text
+    shown = UNPRINTABLE.sub(lambda match: f"\\u{ord(match[0]):04x}", text)
     return shown.replace("\n", "\\n").replace("\t", "\\t") if one_line else shown
-
-
-def _escape(match: re.Match[str]) -> str:
-    return f"\\u{ord(match[0]):04x}"
 
 
 def printable_json(text: str) -> str:
@@ -40,119 +28,23 @@ def printable_json(text: str) -> str:
     return ESCAPED.sub(lambda match: match[0] if match[1] == "\\" else f"\\{match[0]}", text)
 
 
-class Message(str):
-    """A text for the user, with a code and field values.
-
-    Attributes:
-        code: Code of its template, "" without template.
-        fields: Values in the text.
-    """
-
-    code: str
-    fields: Mapping[str, Any]
-
-    def __new__(cls, text: str, code: str = "", fields: Mapping[str, Any] = MappingProxyType({})) -> Message:
-        """Return a text with a code."""
-        message = super().__new__(cls, text)
-        message.code, message.fields = code, fields
-        return message
-
-    def __str__(self) -> str:
-        return self  # The text of an exception thus keeps its code.
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (str.__str__(self), self.code, dict(self.fields))
-
-    def replace(self, old: str, new: str, count: SupportsIndex = -1) -> Message:
-        """Return the message with part of its text replaced."""
-        return Message(super().replace(old, new, count), self.code, self.fields)
-
-    def removeprefix(self, prefix: str) -> Message:
-        """Return the message without text at its beginning, e.g. the name of a file."""
-        return Message(super().removeprefix(prefix), self.code, self.fields)
-
-    def after(self, prefix: str) -> Message:
-        """Return the message with text in front, e.g. the name of a file."""
-        return Message(f"{prefix}{self}", self.code, self.fields)
+class Note(str):
+    """A message that is no warning; -q omits it."""
 
 
-@dataclass(frozen=True)
-class Template:
-    """A message with fields in braces, as for `str.format`."""
-
-    code: str
-    text: str
-
-    def __call__(self, **fields: Any) -> Message:
-        """Return the message with these values."""
-        return Message(self.text.format_map(fields), self.code, fields)
-
-    def around(self, error: object, **fields: Any) -> Message:
-        """Return the message with an error in its field `error`; a code of the error replaces the template's."""
-        message = self(error=str(error), **fields)  # errors themselves need not survive a pickle
-        return Message(message, code_of(error) or self.code, message.fields)
+class CheckWarning(str):
+    """A warning about loops, processes or hidden code, which `cosim check` shows."""
 
 
-def code_of(text: object) -> str:
-    """Return the code of a message or of an exception with a message, "" for other texts."""
-    if isinstance(text, BaseException):
-        text = text.args[0] if text.args else ""
-    return getattr(text, "code", "")
+class CheckNote(CheckWarning, Note):
+    """A note of this kind."""
 
 
 def with_severity(text: str) -> str:
-    """Return a warning or a note with its severity in front, by its code; without code it is a warning."""
-    return with_prefix("note: " if code_of(text).startswith("N-") else "warning: ", text)
-
-
-def join(separator: str, texts: Iterable[str]) -> Message:
-    """Return texts as one message, with code and fields of the first."""
-    every = [*texts]
-    first = next((text for text in every if isinstance(text, Message)), Message(""))
-    return Message(separator.join(every), first.code, first.fields)
+    """Return a warning or a note with its severity in front."""
+    return f"{'note' if isinstance(text, Note) else 'warning'}: {text}"
 
 
 def with_prefix(prefix: str, text: str) -> str:
-    """Return a text behind a prefix; a message keeps its code."""
-    return text.after(prefix) if isinstance(text, Message) else f"{prefix}{text}"
-
-
-# -- messages of this room ------------------------------------------------------------------------
-PYTHON_FILE = Template("E-BAS-001", "{file} is Python, which is not executed here")
-END_BY_SIGNAL = Template("E-BAS-002", "ended by {signal}")
-INTERRUPTION = Template("E-BAS-003", "interrupted from the keyboard")
-NO_LIBRARY = Template("E-BAS-004", "needs {library}, which is not installed: {command}")
-NO_MODEL = Template("E-BAS-005", 'no model "{name}" is installed; {cure}')
-REPEATED_NAME = Template("E-BAS-006", '"{name}" is registered by {owners}; uninstall one of them')
-BROKEN_OBJECT = Template("W-BAS-007", "{owner}: {place} cannot be loaded: {reason}")
-WRONG_ARGUMENT = Template("E-BAS-008", "is {value}; give {wanted}")
-WRONG_TIME = Template("E-BAS-009", "is {value}; {error}")
-WRONG_SETTINGS = Template("E-BAS-010", "{value}: give {wanted}")
-WRONG_KEY = Template("E-BAS-011", "{key} is a key; a key is text")
-WRONG_TYPE = Template(
-    "E-BAS-012", "{value} is of type {type}; it is a number, text, true or false, a list or a mapping"
-)
-DEEP_VALUE = Template("E-BAS-013", "it is nested more than {limit} levels deep; write it flatter")
-LARGE_NUMBER = Template("E-BAS-014", "{value} is no finite number; give one below {limit:g}")
-NUL_CHARACTER = Template("E-BAS-015", "{value} holds a NUL character; leave it out")
-HALF_CHARACTER = Template(
-    "E-BAS-016",
-    "{value} contains half a character (one half of a surrogate pair), which UTF-8 cannot hold; write the whole "
-    "character",
-)
-LONG_TEXT = Template("E-BAS-017", "is text of {length} characters; give at most {limit}")
-BLANK_NAME = Template("E-BAS-018", "is blank; give the name of a file or folder")
-LONG_NAME = Template("E-BAS-019", "is {name}, longer than the name of a file can be ({limit} bytes)")
-UNKNOWN_UNIT = Template("E-BAS-020", 'unknown unit "{name}"')
-UNKNOWN_UNIT_TAKEN = Template(
-    "W-BAS-021", 'has no unit in {owner}, and "{unit}" is no unit known here: its numbers are taken as they are'
-)
-AMBIGUOUS_UNIT_TAKEN = Template(
-    "W-BAS-022",
-    'has no unit in {owner}, and "{unit}" may be gram or standard gravity: its numbers are taken as they are;'
-    " write kg, or m/s2",
-)
-SI_UNIT_TAKEN = Template(
-    "W-BAS-023",
-    "has no unit in {owner}: it is taken as {wanted}, so {unit} are converted; {cure} if it is in {unit} itself",
-)
+    """Return a text behind a prefix; a note or warning keeps its kind."""
+    return type(text)(f"{prefix}{text}")

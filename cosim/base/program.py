@@ -1,17 +1,23 @@
-"""Process of a command: it ends with exit code 130 whenever it is stopped from the keyboard, even during imports."""
+"""Process of a command: exit code 130 after Ctrl-C, even during imports, and 4 after SIGTERM or SIGHUP."""
 
 from __future__ import annotations
 
 import atexit
+import gc
 import os
 import signal
-import socket
 import sys
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-STOPPED, TERMINATED = 130, 4  # exit codes: stopped from the keyboard, ended by a signal
+from cosim.base.errors import Terminated
+
+STOPPED = 130  # exit code: stopped from the keyboard
+
+
+def collect_seldom() -> None:
+    """Make garbage collection rare, because nearly all objects read from large files stay in use."""
+    gc.set_threshold(100_000, 20, 100)
 
 
 @contextmanager
@@ -19,87 +25,32 @@ def ending_at_once() -> Iterator[None]:
     """Let Ctrl-C end the process silently. Only for code without need of cleanup."""
     listens = signal.getsignal(signal.SIGINT) is signal.default_int_handler  # A shell's background jobs ignore SIGINT.
     if listens:
-        signal.signal(signal.SIGINT, _end)
+        signal.signal(signal.SIGINT, lambda *_: os._exit(STOPPED))
     yield
     if listens:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def as_program(entry: Callable[[], None]) -> None:
-    """Call the entry function with signal handlers set up."""
-    for name in ("SIGTERM", "SIGHUP"):  # Handlers return to these afterwards, so that the exit code survives.
-        number = getattr(signal, name, None)
-        if number is not None and signal.getsignal(number) is signal.SIG_DFL:
-            signal.signal(number, _ignore)
-            atexit.register(signal.signal, number, signal.SIG_IGN)
-    # Runs after the command's own exit functions: the exit code is settled, and Python soon removes the handlers.
-    atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)
-    keyboard = _Keyboard()
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        signal.signal(signal.SIGINT, keyboard)
+    """Call the entry function of this process, with its signals as KeyboardInterrupt and `Terminated`."""
+    collect_seldom()
+    received: list[int] = []
+
+    def terminate(number: int, frame: object) -> None:
+        received.append(number)
+        if len(received) == 1:  # later ones and those after the end change nothing
+            raise Terminated(signal.Signals(number).name)
+
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+        if number := getattr(signal, name, None):
+            atexit.register(signal.signal, number, signal.SIG_IGN)  # Python's own end would let it kill the process
+            if signal.getsignal(number) is signal.SIG_DFL:  # else nohup
+                signal.signal(number, terminate)
     try:
         entry()
-        keyboard.is_done = True
     except KeyboardInterrupt:  # during the report of the end
-        keyboard.is_done = True
         sys.exit(STOPPED)
-    except BaseException:
-        keyboard.is_done = True
-        raise
-
-
-class _Keyboard:
-    """Handler of SIGINT: interrupt a running command, end the process of a finished command.
-
-    A finished command sets `is_done`. Exchanging the handler instead would leave a moment for a KeyboardInterrupt.
-    """
-
-    is_done = False
-
-    def __call__(self, number: int, frame: object) -> None:
-        if self.is_done:
-            _end(number, frame)
-        raise KeyboardInterrupt
-
-
-@contextmanager
-def ending_when_stuck(patience: float = 5.0) -> Iterator[None]:
-    """End the process if the `with` block ignores a stop for `patience` [s].
-
-    A stop is SIGINT, SIGTERM or SIGHUP. Python calls signal handlers between its own instructions, so a library call
-    without return, as in LAPACK, blocks them for ever. Only for commands, because no cleanup follows; without effect
-    outside the main thread.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    reader, writer = socket.socketpair()
-    writer.setblocking(False)
-    descriptor, ended = signal.set_wakeup_fd(writer.fileno(), warn_on_full_buffer=False), threading.Event()
-    ends = {int(getattr(signal, name)): TERMINATED for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)}
-    ends[int(signal.SIGINT)] = STOPPED
-
-    def watch() -> None:
-        while numbers := reader.recv(1):
-            code = ends.get(numbers[0])
-            if code is not None and not ended.wait(patience):
-                os._exit(code)
-
-    watcher = threading.Thread(target=watch, daemon=True)
-    watcher.start()
-    try:
-        yield
     finally:
-        ended.set()
-        signal.set_wakeup_fd(descriptor)
-        writer.close()
-        watcher.join()
-        reader.close()
-
-
-def _ignore(number: int, frame: object) -> None:
-    """Ignore a signal. Unlike after SIG_IGN, the running command may still install its own handler."""
-
-
-def _end(number: int, frame: object) -> None:
-    os._exit(STOPPED)
+        received.append(0)
+        if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+            signal.signal(signal.SIGINT, lambda *_: os._exit(STOPPED))

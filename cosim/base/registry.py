@@ -1,4 +1,4 @@
-"""Registry of models, report pages, array twins, table formats, coupling algorithms and verbs of packages.
+"""Registry of models, report pages, table formats, coupling algorithms and verbs of packages.
 
 Packages register through entry points, each naming an object of a class below. Objects are imported on first use, so
 a study of one model never loads another. docs/extending.md shows an example package.
@@ -11,18 +11,16 @@ import pkgutil
 import warnings
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, version
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any
 
-from cosim.base import messages
 from cosim.base.errors import InputError
 
-MODELS, PAGES, TWINS, VERBS = "cosim.models", "cosim.pages", "cosim.twins", "cosim.verbs"  # entry point groups
-SOURCES = "cosim.sources"  # table formats: `cosim.storage.table_source.Source`
-ALGORITHMS = "cosim.algorithms"  # coupling algorithms: `cosim.coupling.algorithms.Algorithm`
+MODELS, PAGES, VERBS = "cosim.models", "cosim.pages", "cosim.verbs"  # entry point groups
+SOURCES = "cosim.sources"  # table formats: `cosim.storage.table.Source`
+ALGORITHMS = "cosim.algorithms"  # coupling algorithms: `cosim.blocks.coupling.Algorithm`
 BASE = "base"  # model used by default
-FORMER = "cosim-hovercraft"  # earlier distribution with framework and example in one, without entry points
 
 
 class ExtensionWarning(UserWarning):
@@ -39,12 +37,11 @@ class ModelEntry:
         recipe: Place of the function from parameter values to the recipe of its FMU.
         built: File name → place of a recipe, for the FMUs of `cosim build` without a model.
         beside: File name → place of a recipe, for FMUs built along with each model of this class.
-        native: Name → place of the maker of a native FMU, apart from the model's own.
+        native: Name → place of the maker of a native FMU, apart from the model's own. It takes the designed start
+            values of `NAME.fmu`, if any.
         rig: Place of the class for playing its experiments.
-        design: Place of the designer of its controller, for `design:` of a scenario.
-        cases: Place of its estimators and of the true models for judging them.
-        estimators: Place of a function from (case, runs, steps, random numbers) to the normalised errors and
-            innovations of an estimator.
+        design: Place of a function from (YAML file, model) to the designed start values of FMUs in `beside`, by file
+            name, and warnings: `cosim build --design`. "" for a model without controller.
     """
 
     name: str
@@ -55,8 +52,6 @@ class ModelEntry:
     native: Mapping[str, str] = field(default_factory=dict)
     rig: str = ""
     design: str = ""
-    cases: str = ""
-    estimators: str = ""
 
 
 @dataclass(frozen=True)
@@ -102,23 +97,15 @@ def model_entry(name: str = BASE) -> ModelEntry:
     """Return a model by name; raise InputError if unknown."""
     entry = load(MODELS, name) if name in names(MODELS) else None
     if not isinstance(entry, ModelEntry):
-        raise InputError.at(Path("model"), messages.NO_MODEL(name=name, cure=_cure_without_base()))
+        raise InputError.at(
+            Path("model"), f'no model "{name}" is installed; name a model.yaml or FILE.py:Class of your own'
+        )
     return entry
 
 
 def is_model(name: str) -> bool:
     """Return whether a model is registered under a name."""
     return name in names(MODELS)
-
-
-def _cure_without_base() -> str:
-    """Return the remedy for a missing `base` model."""
-    cure = "name a model.yaml or FILE.py:Class of your own"
-    try:
-        version(FORMER)
-    except PackageNotFoundError:
-        return cure
-    return f"{FORMER} of an earlier release is installed, which registers nothing: pip uninstall {FORMER}; or {cure}"
 
 
 def entry_of(kind: type) -> ModelEntry | None:
@@ -138,11 +125,6 @@ def page_for(components: Iterable[Collection[str]]) -> Page | None:
     sets = [set(variables) for variables in components]
     pages = (page for name in names(PAGES) if isinstance(page := load(PAGES, name), Page))
     return next((page for page in pages if any(page.variables <= variables for variables in sets)), None)
-
-
-def twin_of(model_name: str) -> Any:
-    """Return the factory (`TwinMaker`) of arrays that simulate many runs of a modelName at once, or None."""
-    return load(TWINS, model_name) if model_name in names(TWINS) else None
 
 
 def added_verbs() -> Iterator[tuple[str, Verb]]:
@@ -166,7 +148,7 @@ def load(group: str, name: str) -> Any:
     points = _points_of_group(group)[name]
     if len(points) > 1:
         owners = " and ".join(sorted(map(_owner, points)))
-        raise InputError.at(Path(group), messages.REPEATED_NAME(name=name, owners=owners))
+        raise InputError.at(Path(group), f'"{name}" is registered by {owners}; uninstall one of them')
     return _object_of(points[0])
 
 
@@ -180,7 +162,7 @@ def attempt(name: str, place: str) -> Any:
     try:
         return resolve(place)
     except Exception as error:  # Foreign packages may raise any error when imported.
-        warnings.warn(messages.BROKEN_OBJECT(owner=name, place=place, reason=error), ExtensionWarning, stacklevel=2)
+        warnings.warn(f"{name}: {place} cannot be loaded: {error}", ExtensionWarning, stacklevel=2)
         return None
 
 
@@ -210,7 +192,7 @@ def _object_of(point: EntryPoint) -> Any:
         return point.load()
     except Exception as error:  # Foreign packages may raise any error when imported.
         place = f"the entry point {point.group}:{point.name}"
-        message = messages.BROKEN_OBJECT(owner=_owner(point), place=place, reason=error)
+        message = f"{_owner(point)}: {place} cannot be loaded: {error}"
         warnings.warn(message, ExtensionWarning, stacklevel=2)
         return None
 

@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from fractions import Fraction
 from types import MappingProxyType
 from typing import NamedTuple
 from xml.etree.ElementTree import Element, SubElement
 
-from cosim.base import messages
-from cosim.base.messages import Message
+UNKNOWN_UNIT_TAKEN = 'has no unit in {owner}, and "{unit}" is no unit known here: its numbers are taken as they are'
+AMBIGUOUS_UNIT_TAKEN = (
+    'has no unit in {owner}, and "{unit}" may be gram or standard gravity: its numbers are taken as they are; '
+    "write kg, or m/s2"
+)
 
 SI = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 
@@ -234,7 +236,7 @@ class UnitAssumption(NamedTuple):
 
     unit: str
     factor: float = 1.0
-    sentence: Message = Message("")
+    sentence: str = ""
     offset: float = 0.0
 
 
@@ -249,12 +251,14 @@ def assume_si(written: str, of: str = "the model", cure: str = "leave the unit o
     """
     unit = parse(written)
     if unit is None or written == "g":
-        template = messages.UNKNOWN_UNIT_TAKEN if unit is None else messages.AMBIGUOUS_UNIT_TAKEN
-        return UnitAssumption(written, 1.0, template(owner=of, unit=written))
+        template = UNKNOWN_UNIT_TAKEN if unit is None else AMBIGUOUS_UNIT_TAKEN
+        return UnitAssumption(written, 1.0, template.format(owner=of, unit=written))
     if unit.is_coherent:
         return UnitAssumption(written)
     wanted = coherent(written)
-    note = messages.SI_UNIT_TAKEN(owner=of, wanted=wanted, unit=written, cure=cure)
+    note = (
+        f"has no unit in {of}: it is taken as {wanted}, so {written} are converted; {cure} if it is in {written} itself"
+    )
     return UnitAssumption(wanted, unit.factor, note, unit.offset)
 
 
@@ -302,56 +306,6 @@ def unit_product(factors: Iterable[tuple[str, int]]) -> str:
     return _unit_text(powers) if powers else ""
 
 
-def combined_unit(factors: Iterable[tuple[str, Fraction | int]]) -> tuple[str, float] | None:
-    """Return the unit of a product of powers of units, and the factor of its values; None for an unknown unit or root.
-
-    Different symbols of one dimension become SI: `m2` and 1e-3 for m times mm. Without dimension the unit is "1".
-    """
-    powers = _powers_of(factors)
-    if powers is None:
-        return None
-    sizeless = {symbol: times for symbol, times in powers.items() if not SYMBOLS[symbol].exponents}
-    sized = {symbol: times for symbol, times in powers.items() if symbol not in sizeless}
-    size = _size_of(sizeless)
-    if not sized:
-        return "1", size
-    whole, dimensions = _whole(sized), {tuple(sorted(SYMBOLS[symbol].exponents.items())) for symbol in sized}
-    if whole is not None and len(dimensions) == len(sized):
-        return _unit_text(whole), size
-    exponents: dict[str, Fraction] = {}
-    for symbol, times in sized.items():
-        for name, count in SYMBOLS[symbol].exponents.items():
-            exponents[name] = exponents.get(name, Fraction(0)) + times * count
-    whole = _whole(exponents)
-    return None if whole is None else (_symbol_of(whole) or _unit_text(whole), _size_of(sized, size))
-
-
-def _powers_of(factors: Iterable[tuple[str, Fraction | int]]) -> dict[str, Fraction] | None:
-    """Return the power of each symbol in a product of powers of units; None for an unknown unit."""
-    powers: dict[str, Fraction] = {}
-    for unit, times in factors:
-        words = _words(unit)
-        if words is None:
-            return None
-        for symbol, power in words:
-            powers[symbol] = powers.get(symbol, Fraction(0)) + times * power
-    return {symbol: times for symbol, times in powers.items() if times}
-
-
-def _size_of(powers: Mapping[str, Fraction], size: float = 1.0) -> float:
-    """Return a size times the factors of symbols with powers."""
-    for symbol, times in powers.items():
-        size *= SYMBOLS[symbol].factor ** float(times)
-    return size
-
-
-def _whole(powers: Mapping[str, Fraction]) -> dict[str, int] | None:
-    """Return powers without those of zero; None if one is no whole number."""
-    if any(times.denominator != 1 for times in powers.values()):
-        return None
-    return {name: int(times) for name, times in powers.items() if times}
-
-
 def _symbol_of(exponents: Mapping[str, int]) -> str:
     """Return the SI symbol of a dimension, "" without one."""
     return next((s for s, u in SYMBOLS.items() if u.is_coherent and u.exponents == exponents), "")
@@ -384,7 +338,7 @@ def unit_definitions(names: set[str]) -> Element:
     for name in sorted(names):
         unit = parse(name)
         if unit is None:
-            raise ValueError(messages.UNKNOWN_UNIT(name=name))
+            raise ValueError(f'unknown unit "{name}"')
         node = SubElement(root, "Unit", name=name)
         base = {k: str(v) for k, v in unit.exponents.items()}
         if unit.factor != 1.0:

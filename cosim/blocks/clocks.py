@@ -12,7 +12,6 @@ from typing import Any, Literal
 from xml.etree import ElementTree
 
 from cosim.base.errors import FmuError
-from cosim.blocks import messages
 from cosim.storage.archive import DESCRIPTION
 
 ClockKind = Literal["constant", "fixed", "tunable", "changing", "countdown", "triggered"]
@@ -87,8 +86,10 @@ def read_clocks(path: Path, description: Any) -> dict[str, Clock]:
             numbers = {key: _number(path, name, key, attributes[key]) for key in NUMBERS & attributes.keys()}
             clocks[name] = clock = _clock(variables[name], attributes.get("intervalVariability", "triggered"), numbers)
             if clock.interval is not None and not clock.interval > 0.0:
-                reason = messages.BAD_INTERVAL(interval=clock.interval).after(f"clock {name}: ")
-                raise FmuError(messages.INVALID_FMU.around(reason, file=path))
+                raise FmuError(
+                    f"{path} is not a valid FMU: clock {name}: its interval is {clock.interval:g} s; a periodic clock "
+                    "needs one above 0, another clock one of 0 or more"
+                )
     return clocks
 
 
@@ -97,7 +98,7 @@ def _number(path: Path, clock: str, key: str, text: str) -> float:
     with suppress(ValueError):
         if math.isfinite(number := float(text)) and (number > 0.0 or key != "resolution"):
             return number
-    raise FmuError(messages.INVALID_NUMBER(file=path, place=f"{key} of the clock {clock}", value=text))
+    raise FmuError(f'{path} is not a valid FMU: {f"{key} of the clock {clock}"} is "{text}", which is no number')
 
 
 def _clock(variable: Any, kind: str, numbers: Mapping[str, float]) -> Clock:
@@ -165,11 +166,3 @@ class Timer:
     def tick(self) -> None:
         """Count a tick."""
         self.count += 1
-
-    def state(self) -> list[Any]:
-        """Return the state, for a checkpoint."""
-        return [self.base, self.count, self.interval, self.is_set]
-
-    def restore(self, state: Sequence[Any]) -> None:
-        """Take back a state."""
-        self.base, self.count, self.interval, self.is_set = state

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from cosim.base.errors import FmuError
-from cosim.blocks import messages
 from cosim.blocks.description import CPP, C, library_file
 from cosim.fmi.native.compiler import CompilerFailed, NoCompiler, fmi_headers, library_command, library_of
 
@@ -89,9 +88,9 @@ def compile_library(folder: Path, description: Any, identifier: str) -> Path:
         files = {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
         binary = library_of(files, last, command, [entry], libraries=libraries, limit=LIMIT).read_bytes()
     except NoCompiler as error:
-        raise FmuError(messages.NO_COMPILER.around(error)) from None
+        raise FmuError(f"its sources cannot be compiled: {error}") from None
     except CompilerFailed as error:
-        raise FmuError(messages.COMPILER_ERROR.around(error, output=_excerpt(error.output))) from None
+        raise FmuError(f"its sources do not compile: {error}{_excerpt(error.output)}") from None
     library = library_file(folder, description, identifier)
     library.parent.mkdir(parents=True, exist_ok=True)
     draft = library.with_name(f".{library.name}.{os.getpid()}")
@@ -107,11 +106,17 @@ def _sources_of(folder: Path, description: Any, identifier: str) -> LibrarySourc
         sources = LibrarySources(("all.c",) if (folder / "all.c").is_file() else tuple(sorted(names)))
     for name in (*sources.files, *sources.includes):
         if not (folder / name).resolve().is_relative_to(folder.resolve()):
-            raise FmuError(messages.SOURCE_OUTSIDE(name=name[:60]))
+            raise FmuError(f'its sources cannot be compiled: "{name[:60]}" lies outside its folder')
     if not sources.files:
-        raise FmuError(messages.NO_SOURCES())
+        raise FmuError(
+            "its sources cannot be compiled: it has no C or C++ file in its folder `sources`; export it again "
+            "with its sources"
+        )
     if missing := [name for name in sources.files if not (folder / name).is_file()]:
-        raise FmuError(messages.MISSING_SOURCES(names=", ".join(missing)))
+        raise FmuError(
+            f"its sources cannot be compiled: it lists {', '.join(missing)}, which is not there; export it again "
+            "with all its sources"
+        )
     return sources
 
 
@@ -137,7 +142,7 @@ def _standard(languages: Iterable[str | None]) -> str:
     standard = ""
     for language in filter(None, languages):
         if language not in STANDARDS:
-            raise FmuError(messages.UNKNOWN_LANGUAGE(language=language, languages=", ".join(STANDARDS)))
+            raise FmuError(f"its sources cannot be compiled: they are in {language}; known are {', '.join(STANDARDS)}")
         standard = STANDARDS[language]
     return standard
 

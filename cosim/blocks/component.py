@@ -135,7 +135,7 @@ class Component(Protocol):
 
     @property
     def saves(self) -> bool:
-        """Return whether `checkpoint` gives a state; otherwise inputs are replayed."""
+        """Return whether `checkpoint` gives a state; otherwise a resumed run makes all steps again."""
 
     def checkpoint(self) -> Any:
         """Return the state in JSON types and bytes, if possible."""

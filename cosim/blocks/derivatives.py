@@ -13,7 +13,6 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import SimulationError
-from cosim.blocks import messages
 from cosim.blocks.description import declares_slopes, unit_of
 from cosim.blocks.fmi_types import element_names, is_negated
 from cosim.blocks.fmu import FmuBlock
@@ -201,7 +200,11 @@ def slopes_at(
     z, n = np.concatenate([after, inputs]), len(after)
     rates = block.rates(after, inputs)
     if not np.isfinite(rates).all():
-        raise SimulationError(block.name, t, messages.RATES_NOT_FINITE())
+        raise SimulationError(
+            block.name,
+            t,
+            ("its derivatives or outputs are not finite at these states and inputs; choose another operating point"),
+        )
     if directional:
         slopes = block.directional_slopes()
     else:
@@ -215,5 +218,12 @@ def slopes_at(
         slopes = np.array(columns).T.reshape(rates.size, z.size)
         block.rates(after, inputs)
     if not np.isfinite(slopes).all():
-        raise SimulationError(block.name, t, messages.SLOPES_NOT_FINITE())
+        raise SimulationError(
+            block.name,
+            t,
+            (
+                "the slopes of its derivatives or outputs are not finite at these states and inputs; choose another "
+                "operating point"
+            ),
+        )
     return slopes, rates, after

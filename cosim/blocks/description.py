@@ -12,11 +12,20 @@ from weakref import WeakKeyDictionary
 from xml.etree import ElementTree
 
 from cosim.base.errors import FmuError
-from cosim.base.messages import Message
 from cosim.base.units import SI
-from cosim.blocks import messages
 from cosim.blocks.guard import check_fmu_file, check_identifiers, check_numbers, reason_of
 from cosim.storage.archive import DESCRIPTION
+
+SOURCES_WITH_LIBRARIES = (
+    "it has no library for {platform}; it has some for {others}; it has sources: --compile (in Python "
+    "compile=True) compiles and runs them"
+)
+SOURCES_ONLY = (
+    "it has no library for {platform} or another platform; it has sources: --compile (in Python compile=True) "
+    "compiles and runs them"
+)
+OTHER_PLATFORMS = "it has no library for {platform}; it has some for {others}"
+NO_LIBRARY = "it has no library for {platform} or another platform"
 
 Way = Literal["co-simulation", "model-exchange", "scheduled-execution"]
 PLATFORMS, SOURCES = "binaries/", "sources/"
@@ -46,20 +55,26 @@ def read_description(path: Path) -> Any:
         except fmpy.model_description.ValidationError as error:
             description, slips = fmpy.read_model_description(str(path), validate=False), tuple(error.problems)
     except Exception as error:  # FMPy raises bare Exceptions, lxml its own.
-        raise FmuError(messages.INVALID_FMU.around(reason_of(error), file=path)) from None
+        raise FmuError(f"{path} is not a valid FMU: {reason_of(error)}") from None
     check_identifiers(path, description)
     if slips:
         check_numbers(path, description)
     for variable in description.modelVariables:
         if variable.shape and not 0 <= math.prod(variable.shape) <= MOST_ELEMENTS:
             size = "×".join(map(str, variable.shape))
-            text = messages.ARRAY_TOO_LARGE(file=path, variable=variable.name, size=size, limit=MOST_ELEMENTS)
+            text = f"{path} is not a valid FMU: its array {variable.name} is {size}, not 0 … {MOST_ELEMENTS:g} elements"
             raise FmuError(text)
     if not ways(description):
-        raise FmuError(messages.UNSUPPORTED_INTERFACE(file=path, interface=_kind(description)))
+        raise FmuError(
+            f"{path} is {_kind(description)}; FMI 1.0, 2.0 and 3.0 for co-simulation or model exchange, and 3.0 "
+            "for scheduled execution, are run here"
+        )
     if description.guid is None:
         attribute = "instantiationToken" if description.fmiVersion.startswith("3") else "guid"
-        raise FmuError(messages.NO_GUID(file=path, attribute=attribute))
+        raise FmuError(
+            f"{path} is not a valid FMU: its modelDescription.xml has no {attribute}, which its library compares "
+            "when it is loaded; export the FMU again, or ask the tool that made it"
+        )
     add_unread_attributes(path, description)
     _slips[description] = slips
     return description
@@ -133,14 +148,14 @@ def platforms_among(names: Sequence[str]) -> list[str]:
     return [*sorted(platforms), *([C_CODE] if sources else [])]
 
 
-def no_library(here: str, platforms: Sequence[str]) -> Message:
+def no_library(here: str, platforms: Sequence[str]) -> str:
     """Return a message on a missing library, with remedy."""
     others = ", ".join(p for p in platforms if p != C_CODE)
     if C_CODE in platforms:
-        text = messages.SOURCES_WITH_LIBRARIES if others else messages.SOURCES_ONLY
+        text = SOURCES_WITH_LIBRARIES if others else SOURCES_ONLY
     else:
-        text = messages.OTHER_PLATFORMS if others else messages.NO_LIBRARY
-    return text(platform=here, others=others)
+        text = OTHER_PLATFORMS if others else NO_LIBRARY
+    return text.format(platform=here, others=others)
 
 
 def library_file(folder: Path, description: Any, identifier: str) -> Path:
@@ -163,10 +178,10 @@ def library_of(folder: Path, description: Any, identifier: str) -> tuple[Path, s
         return library, ""
     libraries = sorted(library.parent.glob(f"*{library.suffix}"))
     if len(libraries) == 1:
-        return libraries[0], messages.MISNAMED_LIBRARY(name=libraries[0].name, identifier=identifier)
+        return libraries[0], f"its library is {libraries[0].name}, its modelIdentifier {identifier}"
     if libraries:
         names = ", ".join(p.name for p in libraries)
-        raise FmuError(messages.MISNAMED_LIBRARIES(name=library.name, libraries=names))
+        raise FmuError(f"none of its libraries is {library.name}, as its modelIdentifier says: {names}")
     return None
 
 

@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import SimulationError, Terminated
-from cosim.blocks import messages
 from cosim.blocks.clocks import PERIODIC, Clock, Timer, Timing, read_clocks
 from cosim.blocks.component import Row, Signal
 from cosim.blocks.description import Way, takes_any_step
@@ -457,23 +456,5 @@ class EventFmu(FmuBlock):
         """Return an interval; raise SimulationError if invalid."""
         if math.isfinite(interval) and (interval > 0.0 or (interval == 0.0 and clock.kind not in PERIODIC)):
             return interval
-        message = messages.BAD_INTERVAL(interval=interval)
+        message = f"its interval is {interval:g} s; a periodic clock needs one above 0, another clock one of 0 or more"
         raise SimulationError(f"{self.name}.{clock.name}", self.instance.time, message)
-
-    # -- checkpoints ----------------------------------------------------------------------------------
-
-    def schedule(self) -> dict[str, Any]:
-        """Return the schedule as plain data."""
-        timers = {name: timer.state() for name, timer in self.timers.items()}
-        announced = self.next_event if math.isfinite(self.next_event) else None
-        return {"timers": timers, "next_event": announced, "reached": self.reached, "asks": self.asks}
-
-    def restore_schedule(self, schedule: Mapping[str, Any]) -> None:
-        """Restore a schedule after state and row."""
-        for name, state in schedule["timers"].items():
-            self.timers[name].restore(state)
-        announced = schedule["next_event"]
-        self.next_event = math.inf if announced is None else float(announced)
-        self.reached = self.instance.time = float(schedule["reached"])
-        self.mode, self.active, self.asks = STEP, set(), bool(schedule["asks"])
-        self._given = {id(e): self._values.content(e) for e in self._ports.fed}

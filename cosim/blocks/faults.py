@@ -1,7 +1,8 @@
-"""Faults injected into a connection during an interval."""
+"""Noise of a connection, and faults injected into it during an interval."""
 
 from __future__ import annotations
 
+import hashlib
 from array import array
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,6 +10,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from cosim.base.arrays import Array
 from cosim.base.times import first_point, last_point
 from cosim.blocks.stepping import ConvertedLink, LinkKind, link
 
@@ -177,3 +179,20 @@ def points(begin: float | None, end: float | None, start: float, step: float, co
     first = 0 if begin is None else first_point(begin, start, step)
     last = count - 1 if end is None else last_point(end, start, step)
     return first, last
+
+
+def stream(seed: int, name: str) -> np.random.Generator:
+    """Return an independent random stream for a noise source. Adding a source does not change the streams of others."""
+    key = int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "big")
+    return np.random.default_rng([seed, key])
+
+
+def samples_of(rng: np.random.Generator, variance: float, bias: float, count: int) -> Array:
+    """Return samples of bias + √variance·n in the signal's unit. n is standard normal."""
+    samples: Array = bias + np.sqrt(variance) * rng.standard_normal(count)
+    return samples
+
+
+def gaussian(rng: np.random.Generator, variance: float, bias: float, count: int) -> array[float]:
+    """Return the samples of `samples_of` for loops over single values."""
+    return array("d", samples_of(rng, variance, bias, count).tobytes())

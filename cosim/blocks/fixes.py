@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from cosim.blocks.component import RowComponent, Signal
-from cosim.blocks.noise import stream
+from cosim.blocks.faults import stream
 
 COUNT = "fix"  # name of the counting output
 

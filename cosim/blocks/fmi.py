@@ -14,7 +14,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from cosim.blocks import messages
+from cosim.base.messages import Note
 from cosim.blocks.component import EarlyEnd
 from cosim.blocks.description import Way
 
@@ -91,9 +91,6 @@ class Calls(ABC):
         """End initialization."""
         self.fmu.exitInitializationMode()
 
-    def settle(self) -> None:  # noqa: B027 - co-simulation has no such events
-        """Handle an event at the end of a step that no change of inputs has handled; only model exchange has one."""
-
     def bare(self, prototype: Any, name: str) -> Any:
         """Return a library function without FMPy's checks and copies."""
         function = getattr(self.fmu.dll, self.symbol(name))
@@ -120,21 +117,14 @@ class Calls(ABC):
     def stepping(self) -> Step:
         """Return a function of (component, t, h, flag) → status."""
 
-    def inputs_changed(self, take: Callable[[], None]) -> None:
-        """Apply changed inputs by calling `take`."""
-        take()
+    def inputs_changed(self, take: Callable[[], None] | None) -> None:
+        """Apply changed inputs by calling `take`; None says that no input has changed at the end of a step."""
+        if take is not None:
+            take()
 
     def end_time(self, t: float) -> float | None:
         """Return the end time if the FMU discarded a step to end."""
         return None
-
-    def save(self) -> Any:
-        """Return the memory of these calls between steps."""
-        return None
-
-    def restore(self, memory: Any) -> None:
-        """Restore what the calls remembered."""
-        assert memory is None
 
 
 class CoSimulation2(Calls):
@@ -230,7 +220,7 @@ class CoSimulation3(Calls):
 
 def end_of(name: str, reached: float) -> EarlyEnd:
     """Return the error of an ended FMI 3.0 simulation."""
-    return EarlyEnd(name, reached, messages.END_BY_FMU(), readable=True)
+    return EarlyEnd(name, reached, Note("the FMU ended the simulation"), readable=True)
 
 
 def _route(name: str, listen: Listen) -> Logger:

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import FmuError
-from cosim.blocks import messages
 from cosim.blocks.compiling import permission
 from cosim.blocks.component import ADVANCE, GET, PUT, Row, in_turn
 from cosim.blocks.description import (
@@ -28,8 +27,7 @@ from cosim.blocks.description import (
 )
 from cosim.blocks.fmi import Calls, CoSimulation1, CoSimulation2, CoSimulation3, SingleCall, end_of
 from cosim.blocks.fmi_types import element_names
-from cosim.blocks.instance import Instance
-from cosim.blocks.message_log import MessageLog
+from cosim.blocks.instance import Instance, MessageLog
 from cosim.blocks.model_exchange import ModelExchange1, ModelExchange2, ModelExchange3
 from cosim.blocks.solvers import Solver
 from cosim.blocks.stepping import Plan, Slot, StopReason, fmu_slot
@@ -120,7 +118,9 @@ class FmuBlock:
     def _make_calls(self, way: Way | None) -> Calls:
         kind = CALLS.get((self.description.fmiVersion[0], way or ways(self.description)[0]))
         if kind is None:
-            raise FmuError(messages.SCHEDULED_ONLY(file=self.path))
+            raise FmuError(
+                f"{self.path} is for scheduled execution, which a scenario runs (components: {{name: {{fmu: FILE}}}})"
+            )
         return kind(self.name, self.description)
 
     def _make_ports(self, recorded: frozenset[str]) -> Ports:
@@ -191,10 +191,14 @@ class FmuBlock:
         warnings = []
         if slips := slips_of(self.description):
             more = f" (and {len(slips) - 1} more)" if len(slips) > 1 else ""
-            warnings.append(messages.SCHEMA_VIOLATION(file=self.path.name, violation=slips[0], more=more))
+            warnings.append(
+                f"{self.path.name} breaks a rule of the FMI standard: {slips[0]}{more}; it is used nevertheless"
+            )
         if types := {v.type for v in self.description.modelVariables} - self._ports.kinds.keys() - self.clock_types:
-            warnings.append(messages.UNSUPPORTED_TYPES(types=", ".join(sorted(types))))
-        return tuple(warning.after(f"{self.name}: ") for warning in warnings)
+            warnings.append(
+                f"variables of type {', '.join(sorted(types))} are not supported: they are neither set nor recorded"
+            )
+        return tuple(f"{self.name}: {warning}" for warning in warnings)
 
     @property
     def calls(self) -> Calls:
@@ -328,9 +332,8 @@ class FmuBlock:
 
     def settle(self) -> None:
         """Handle an event of model exchange at the end of a step, if inputs do not change there."""
-        if isinstance(self._calls, ModelExchange2):
-            with self.instance.check_calls():
-                self._calls.settle()
+        with self.instance.check_calls():
+            self._calls.inputs_changed(None)
 
     def change(self, values: Mapping[str, Any]) -> None:
         """Set tunable parameters and inputs during a run."""
@@ -354,11 +357,10 @@ class FmuBlock:
         if state is None:
             return None
         self.log.restore(log)  # Messages of these calls are none of the run.
-        return {"state": state, "calls": self._calls.save(), "time": self.instance.time, "log": log}
+        return {"state": state, "time": self.instance.time, "log": log}
 
     def restore(self, state: dict[str, Any]) -> None:
         self.instance.deserialize(state["state"])
-        self._calls.restore(state["calls"])
         self.instance.time = state["time"]
         self.log.restore(state["log"])
 

@@ -10,7 +10,6 @@ from typing import Any
 
 from cosim.base.errors import FmuError
 from cosim.base.units import SI
-from cosim.blocks import messages
 from cosim.storage.archive import BadArchive, check_archive, check_identifier
 
 # form of pythonfmu's exceptions
@@ -27,9 +26,9 @@ def check_fmu_file(path: Path) -> None:
     try:
         check_archive(path)
     except BadArchive as error:
-        raise FmuError(messages.NO_ARCHIVE.around(error, file=path)) from None
+        raise FmuError(f"{path} is no FMU: {error}") from None
     except OSError as error:
-        raise FmuError(messages.UNREADABLE_FILE(file=path, reason=error.strerror)) from None
+        raise FmuError(f"{path} cannot be read: {error.strerror}") from None
 
 
 def reason_of(error: Exception) -> str:
@@ -47,7 +46,7 @@ def check_identifiers(path: Path, description: Any) -> None:
         for way in filter(None, (description.coSimulation, description.modelExchange)):
             check_identifier(way.modelIdentifier)
     except BadArchive as error:
-        raise FmuError(messages.INVALID_FMU.around(error, file=path)) from None
+        raise FmuError(f"{path} is not a valid FMU: {error}") from None
 
 
 def check_numbers(path: Path, description: Any) -> None:
@@ -56,8 +55,9 @@ def check_numbers(path: Path, description: Any) -> None:
         try:
             int(value) if is_whole else float(value)
         except (TypeError, ValueError):
-            fault = messages.INVALID_WHOLE_NUMBER if is_whole else messages.INVALID_NUMBER
-            raise FmuError(fault(file=path, place=place, value=str(value)[:60])) from None
+            kind = "whole number" if is_whole else "number"
+            message = f'{path} is not a valid FMU: {place} is "{str(value)[:60]}", which is no {kind}'
+            raise FmuError(message) from None
 
 
 def _numbers(description: Any) -> Iterator[tuple[bool, str, Any]]:

@@ -5,23 +5,21 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from cosim.base.drafts import is_full
-from cosim.base.errors import DiskFull, FmuError, SimulationError, Terminated
-from cosim.base.messages import Message, join
+from cosim.base.errors import CallFailed, DiskFull, FmuError, Terminated
 from cosim.base.scratch import process_folder
-from cosim.blocks import messages
 from cosim.blocks.compiling import compile_library
 from cosim.blocks.component import EarlyEnd
 from cosim.blocks.description import C_CODE, library_of, no_library, platform_of, platforms_among
 from cosim.blocks.fmi import Calls, CoSimulation2, CoSimulation3, Step
 from cosim.blocks.guard import without_wrapping
 from cosim.blocks.loading import load_error
-from cosim.blocks.message_log import MessageLog
 from cosim.blocks.model_exchange import ModelExchange2
 from cosim.blocks.shared_code import claim, own_symbols_first
 from cosim.fmi.lifetime import let_go_at_exit
@@ -31,6 +29,58 @@ from cosim.storage.archive import unpack
 STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 WARNING, DISCARD, FATAL = 1, 2, 4
 LONGEST_MESSAGE = 1000  # characters
+KEPT_FIRST, KEPT_LAST = 50, 50  # messages
+
+
+class MessageLog:
+    """The first and the last messages of an FMU, each text once, and the number of those between.
+
+    Attributes:
+        share: Function called with each message, if any.
+    """
+
+    def __init__(self) -> None:
+        self.first: list[str] = []
+        self.last: deque[str] = deque(maxlen=KEPT_LAST)
+        self.omitted = 0
+        self.share: Callable[[str], None] | None = None
+
+    def __iter__(self) -> Iterator[str]:
+        """Yield the messages, with a note in place of those between."""
+        yield from self.first
+        if self.omitted:
+            yield str(
+                f"{self.omitted:,} messages are left out here: the first {len(self.first)} and the last "
+                f"{len(self.last)} are recorded"
+            )
+        yield from self.last
+
+    def __getitem__(self, k: int) -> str:
+        every: list[str] = [*self]
+        return every[k]
+
+    def append(self, text: str) -> None:
+        """Add a message."""
+        if self.share is not None:
+            self.share(text)
+        if text in self.first:
+            return
+        if len(self.first) < KEPT_FIRST:
+            self.first.append(text)
+            return
+        if text in self.last:
+            self.last.remove(text)
+        self.omitted += len(self.last) == KEPT_LAST
+        self.last.append(text)
+
+    def state(self) -> dict[str, Any]:
+        """Return the messages in JSON types."""
+        return {"first": [*self.first], "last": [*self.last], "omitted": self.omitted}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Restore the messages of a state."""
+        self.first, self.omitted = list(state["first"]), int(state["omitted"])
+        self.last = deque(state["last"], maxlen=KEPT_LAST)
 
 
 class Instance:
@@ -85,7 +135,7 @@ class Instance:
             if self.by_pythonfmu and not self._logging:
                 self.calls.limit_logging()
         except Exception as error:  # FMPy raises bare Exceptions; the FMU's own message says more.
-            reason = join("; ", (self.last_words() or str(error), *hidden))
+            reason = "; ".join((self.last_words() or str(error), *hidden))
             raise FmuError(self._load_fault(reason)) from None
         finally:
             os.chdir(previous)  # FMPy changes to the FMU's folder.
@@ -110,9 +160,9 @@ class Instance:
         except Exception as error:  # FMPy raises bare Exceptions.
             raise FmuError(load_error(library, error, hidden=hidden)) from None
 
-    def _load_fault(self, reason: str) -> Message:
+    def _load_fault(self, reason: str) -> str:
         """Return the message of an FMU that does not load; a reason with a code of its own keeps that code."""
-        return messages.NOT_LOADED.around(reason, file=self.path)
+        return f"{self.path} does not load: {reason}"
 
     def _unpack(self) -> Path:
         if self.place is not None:
@@ -123,7 +173,9 @@ class Instance:
             unpack(self.path, folder)
         except Exception as error:  # FMPy raises bare Exceptions, zipfile its own.
             if is_full(error):
-                full = messages.NO_SPACE_TO_UNPACK(file=self.path.name)
+                full = (
+                    f"the disk is full: no room to unpack {self.path.name} in the folder for temporary files (TMPDIR)"
+                )
                 raise DiskFull(self.name, self.time, full) from None
             raise FmuError(self._load_fault(str(error))) from None
         return folder
@@ -206,7 +258,7 @@ class Instance:
             state = fmu.getFMUState() if self.fmi3 else fmu.getFMUstate()
             content = fmu.serializeFMUState(state) if self.fmi3 else fmu.serializeFMUstate(state)
             fmu.freeFMUState(state) if self.fmi3 else fmu.freeFMUstate(state)
-        except Exception:  # FMPy raises its own and bare ones. The run goes on; a resumed run replays this FMU.
+        except Exception:  # FMPy raises its own and bare ones. The run goes on; a resumed run makes all steps again.
             self._refuses = True
             return None
         return bytes(content)
@@ -283,12 +335,16 @@ class Instance:
             SimulationError: The call failed.
         """
         if status == WARNING:
-            self.remember(messages.CALL_WARNING(function=function))
+            self.remember(f"{function} returned Warning")
             return
         if status == DISCARD and function == self.step_name and (reached := self.calls.end_time(self.time)) is not None:
             words = self.last_words()
-            end = messages.END_BY_DISCARD_WITH_REASON if words else messages.END_BY_DISCARD
-            raise EarlyEnd(self.name, reached, end(function=function, reason=words), readable=True)
+            raise EarlyEnd(
+                self.name,
+                reached,
+                f"{function} returned Discard: the FMU ended the simulation early{words and f': {words}'}",
+                readable=True,
+            )
         self._fail(function, status)
 
     def _fail(self, function: str, status: int) -> None:
@@ -298,5 +354,5 @@ class Instance:
         words, name = self.last_words(), STATUS[status] if 0 <= status < len(STATUS) else status
         if "KeyboardInterrupt" in words:  # Ctrl-C arrived while the FMU's Python code ran.
             raise KeyboardInterrupt
-        failure = messages.CALL_FAILED_WITH_REASON if words else messages.CALL_FAILED
-        raise SimulationError(self.name, self.time, failure(function=function, status=name, reason=words))
+        because = f": {words}" if words else ""
+        raise CallFailed(self.name, self.time, f"{function} returned {name}{because}")

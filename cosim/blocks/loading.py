@@ -13,9 +13,6 @@ import sys
 import tempfile
 from pathlib import Path
 
-from cosim.base.messages import Message
-from cosim.blocks import messages
-
 ELF, POINTER_OF_LFS = b"\x7fELF", b"version https://git-lfs"
 OTHER_SYSTEMS = {
     b"MZ": "Windows",
@@ -30,7 +27,7 @@ SYMBOL = re.compile(r"undefined symbol: (?P<name>[^\s,]+)")
 MAKERS = {"GLIBC": "glibc", "GLIBCXX": "libstdc++", "CXXABI": "libstdc++", "GCC": "libgcc"}
 
 
-def load_error(library: Path, error: Exception, *, hidden: bool = False) -> Message:
+def load_error(library: Path, error: Exception, *, hidden: bool = False) -> str:
     """Return the reason in a line, with the remedy, unless libraries that the process hides are a reason."""
     text = " ".join(str(error).split())
     text = text.removeprefix(f"Failed to load shared library {library}. ")  # FMPy's prefix
@@ -38,7 +35,7 @@ def load_error(library: Path, error: Exception, *, hidden: bool = False) -> Mess
     return header_fault(library) or _loader_fault(library.name, text, error, hidden)
 
 
-def header_fault(library: Path) -> Message | None:
+def header_fault(library: Path) -> str | None:
     """Return a library file's misfit with this machine.
 
     Only Linux files are examined; on other systems the loader's own text is clear.
@@ -50,44 +47,74 @@ def header_fault(library: Path) -> Message | None:
         with library.open("rb") as stream:
             head = stream.read(64)
     except OSError as error:
-        return messages.UNREADABLE_LIBRARY(library=name, reason=error.strerror)
+        return f"its library {name}: cannot be read: {error.strerror}"
     if head.startswith(POINTER_OF_LFS):
-        return messages.GIT_LFS_POINTER(library=name)
+        return (
+            f'its library {name}: is a pointer of git-lfs, not the file itself; "git lfs pull" in its repository '
+            "brings it"
+        )
     for magic, system in OTHER_SYSTEMS.items():
         if head.startswith(magic):
-            return messages.OTHER_SYSTEM(library=name, system=system)
+            return (
+                f"its library {name}: is made for {system}, though its folder is that of Linux; export the FMU "
+                "for this platform"
+            )
     if len(head) < 20 or not head.startswith(ELF):
-        return messages.NOT_A_LIBRARY(library=name, head=head[:8].hex(" ") or "nothing")
+        return (
+            f"its library {name}: is no library (it begins with {head[:8].hex(' ') or 'nothing'}); export the "
+            "FMU for this platform"
+        )
     bits, own_bits = BITS.get(head[4], 0), 8 * struct.calcsize("P")
     if bits != own_bits:
-        return messages.OTHER_WORD_SIZE(library=name, bits=bits, own=own_bits)
+        return (
+            f"its library {name}: has {bits} bits (wrong ELF class), this Python {own_bits}; export the FMU for "
+            "this platform"
+        )
     (processor,) = struct.unpack_from("<H" if head[5] == 1 else ">H", head, 18)
     own = MACHINES.get(platform.machine().lower())
     if own is not None and processor != own:
         other = PROCESSORS.get(processor, f"processor {processor}")
-        return messages.OTHER_PROCESSOR(library=name, processor=other, own=PROCESSORS[own])
+        return (
+            f"its library {name}: is made for {other}, this machine is {PROCESSORS[own]}; export the FMU for "
+            "this platform"
+        )
     return None
 
 
-def _loader_fault(name: str, text: str, error: Exception, hidden: bool) -> Message:
+def _loader_fault(name: str, text: str, error: Exception, hidden: bool) -> str:
     """Return the message for a text of the loader, with the remedy of a known cause."""
     if hidden and not isinstance(error, AttributeError) and (TOO_NEW.search(text) or SYMBOL.search(text)):
-        return messages.LOADER_ERROR(library=name, reason=text)
+        return f"its library {name}: {text}"
     if match := TOO_NEW.search(text):
         own = ""
         if sys.platform == "linux" and match["name"] == "GLIBC":
             own = f", this machine has {os.confstr('CS_GNU_LIBC_VERSION')}"
         package = MAKERS.get(match["name"], match["name"])
-        return messages.OLD_SYSTEM(library=name, name=package, version=match["version"], own=own, reason=text)
+        return (
+            f"its library {name}: needs {package} {match['version']}{own} ({text}); run it on a newer system, or "
+            "have the FMU built on an older one"
+        )
     if (match := MISSING.search(text)) and isinstance(_cause(error), OSError):
-        return messages.MISSING_DEPENDENCY(library=name, file=match["file"], reason=text)
+        return (
+            f"its library {name}: needs {match['file']}, which is not on this machine ({text}); install the "
+            f"package that has {match['file']}, or name its folder in LD_LIBRARY_PATH"
+        )
     if match := SYMBOL.search(text):
         if isinstance(error, AttributeError):  # The library is loaded, but an FMI function is missing.
-            return messages.MISSING_FUNCTION(library=name, function=match["name"], reason=text)
-        return messages.MISSING_SYMBOL(library=name, symbol=match["name"], reason=text)
+            return (
+                f"its library {name}: has no function {match['name']}, which FMI demands ({text}); export the "
+                "FMU for this platform with a tool that writes it"
+            )
+        return (
+            f"its library {name}: needs {match['name']}, which no library that it names has ({text}); the FMU "
+            "was linked without the library that has it: export it again, with that library"
+        )
     if _is_execution_refused(text):
-        return messages.FOLDER_NOT_EXECUTABLE(library=name, reason=text)
-    return messages.LOADER_ERROR(library=name, reason=text)
+        return (
+            f"its library {name}: may not be executed where FMUs are unpacked ({text}); set TMPDIR to a folder "
+            "in which programs may be executed (not mounted noexec)"
+        )
+    return f"its library {name}: {text}"
 
 
 def _is_execution_refused(text: str) -> bool:

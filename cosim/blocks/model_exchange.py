@@ -15,11 +15,17 @@ from itertools import pairwise
 from typing import Any
 
 from cosim.base.errors import SimulationError
-from cosim.blocks import messages
+from cosim.base.messages import Note
 from cosim.blocks.component import EarlyEnd
 from cosim.blocks.description import Way
 from cosim.blocks.fmi import EXCHANGE3, Calls, CoSimulation3, Listen, Step, Version1
 from cosim.blocks.solvers import DOUBLES, Solver, SolverFailed, derivatives_of, solver
+
+EVENTS_NOT_SEPARATED = (
+    "its events follow each other within {span:.2g} s, too fast for the solver to separate them: event indicator "
+    "{number} crosses zero and returns ever faster, like a ball before it rests. The FMU needs a mode in which it "
+    "rests. A smaller tolerance separates more events; an end of the run before this time avoids them"
+)
 
 TOLERANCE = 1e-5  # relative tolerance by default, as in FMPy
 LONGEST = 50  # largest solver step as a fraction 1/50 of the whole time, as in FMPy
@@ -81,7 +87,11 @@ class ModelExchange2(Calls):
     def stepping(self) -> Step:
         return self._step
 
-    def inputs_changed(self, take: Callable[[], None]) -> None:
+    def inputs_changed(self, take: Callable[[], None] | None) -> None:
+        if take is None:  # An event at the end of the step is handled without them, unless a change is due.
+            if self.cause and not self.stops_at_events and not self._is_changed_at(self.time, CLOSE * self._length):
+                self.handle_event(self._length)
+            return
         if not self._started:
             take()
             return
@@ -90,11 +100,6 @@ class ModelExchange2(Calls):
             self.cause = ""
         self.event(take)
         self.solver.reset(self.time)
-
-    def settle(self) -> None:
-        """Handle an event at the end of a step that no change of inputs has handled, unless a change is due."""
-        if self.cause and not self.stops_at_events and not self._is_changed_at(self.time, CLOSE * self._length):
-            self.handle_event(self._length)
 
     def event(self, change: Callable[[], None] | None = None) -> None:
         """Handle an event: change inputs, then update discrete states."""
@@ -173,7 +178,9 @@ class ModelExchange2(Calls):
         spacing = math.ulp(max(abs(t), abs(end), end - self.start_time))
         close = ULPS * spacing + CLOSE * h
         if h <= 2 * ULPS * spacing:
-            raise SimulationError(self.name, t, messages.STEP_TOO_SHORT(step=h, spacing=spacing))
+            raise SimulationError(
+                self.name, t, f"a step of {h:.3g} s is too short at this time: doubles are {spacing:.2g} s apart there"
+            )
         while end - self.time > close:
             event = self.next_event
             at_event = event is not None and event <= end + close
@@ -256,7 +263,7 @@ class ModelExchange2(Calls):
             self._place(*saved)
             if SHORTENED * length <= SEPARABLE * spacing:
                 fields = {"span": length, "number": min(hidden | false) + 1}
-                raise SimulationError(self.name, self.time, messages.EVENTS_NOT_SEPARATED(**fields))
+                raise SimulationError(self.name, self.time, EVENTS_NOT_SEPARATED.format(**fields))
             self._shortened += 1
             self.solver.reset(self.time, SHORTENED * length)
 
@@ -269,7 +276,7 @@ class ModelExchange2(Calls):
             if len(spans) < EVER_FASTER or any(b >= a for a, b in pairwise(spans)):
                 continue
             if spans[0] <= SEPARABLE * spacing or all(b[1] > a[1] for a, b in pairwise(last)):
-                fault = messages.EVENTS_NOT_SEPARATED(span=spans[-1], number=crossing[0] + 1)
+                fault = EVENTS_NOT_SEPARATED.format(span=spans[-1], number=crossing[0] + 1)
                 raise SimulationError(self.name, self.time, fault)
 
     def _ahead(self, point: tuple[float, Sequence[float]], slopes: Sequence[float], span: float) -> list[float]:
@@ -307,7 +314,10 @@ class ModelExchange2(Calls):
         derivatives = self.description.derivatives
         are_scalar = len(derivatives) == self.description.numberOfContinuousStates  # Arrays would break the numbering.
         name = derivatives[number].variable.name if are_scalar else f"number {number + 1}"
-        return messages.DERIVATIVE_NOT_FINITE(name=name, value=value)
+        return (
+            f"the derivative {name} is {value}, also with the shortest steps of the solver. If the solution is "
+            "finite, its error grew: make `tolerance` smaller than the smallest state, or use solver: solve_ivp"
+        )
 
     def handle_event(self, h: float) -> None:
         """Handle the event at which the step of `h` [s] has come to; raise SimulationError for chattering."""
@@ -315,7 +325,7 @@ class ModelExchange2(Calls):
         self.event_counts[cause] += 1
         self._events.append(self.time)
         if len(self._events) == self._events.maxlen and self._events[-1] - self._events[0] <= AT_ONCE * h:
-            fault = messages.CHATTERING(count=len(self._events), span=AT_ONCE * h)
+            fault = f"it chatters: {len(self._events)} events within {AT_ONCE * h:.2g} s, so that time stands still"
             raise SimulationError(self.name, self.time, fault)
         before = self._point() if cause == "step" else None
         self.event()
@@ -343,13 +353,16 @@ class ModelExchange2(Calls):
                 return
             self._enter_continuous_time()  # A time event due now is an event of its own.
             self._enter_event()
-        fault = messages.RESTLESS_STATES(count=MOST_EVENTS)
+        fault = f"its discrete states still change after {MOST_EVENTS} updates"
         if due is not None and due <= self.time:
-            fault = messages.PAST_EVENT(count=MOST_EVENTS, time=due)
+            fault = (
+                f"{MOST_EVENTS} times in a row it gives t = {due:.6g} s as the time of its next event, which is "
+                "not in the future; the FMU must give a later time or none"
+            )
         raise SimulationError(self.name, self.time, fault)
 
     def _end(self) -> None:
-        raise EarlyEnd(self.name, self.time, messages.END_BY_FMU(), readable=True)
+        raise EarlyEnd(self.name, self.time, Note("the FMU ended the simulation"), readable=True)
 
 
 def _is_hidden(begin: float, ahead: float, end: float, *, was: bool) -> bool:

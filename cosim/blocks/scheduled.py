@@ -11,9 +11,8 @@ import os
 from collections.abc import Collection
 from typing import Any
 
-from cosim.blocks import messages
 from cosim.blocks.description import Way
-from cosim.blocks.event_mode import CHANGED, EVENT, INITIALIZATION, EventCoSimulation3, EventFmu
+from cosim.blocks.event_mode import EVENT, INITIALIZATION, EventCoSimulation3, EventFmu
 from cosim.blocks.fmi import Calls, Listen
 
 
@@ -43,29 +42,19 @@ class ScheduledExecution3(EventCoSimulation3):
         fmu.clockUpdate = fmi3.fmi3ClockUpdateCallback(lambda _: self.on_update())
         fmu.lockPreemption = fmi3.fmi3LockPreemptionCallback(lambda: None)
         fmu.unlockPreemption = fmi3.fmi3UnlockPreemptionCallback(lambda: None)
-        fmu.component = fmu.fmi3InstantiateScheduledExecution(
-            fmu.instanceName.encode(),
-            fmu.guid.encode(),
-            (os.path.join(fmu.unzipDirectory, "resources") + os.path.sep).encode(),
-            False,
-            logging,
-            None,
-            fmu.logMessage,
-            fmu.clockUpdate,
-            fmu.lockPreemption,
-            fmu.unlockPreemption,
-        )
+        resources = os.path.join(fmu.unzipDirectory, "resources") + os.path.sep
+        about = fmu.instanceName.encode(), fmu.guid.encode(), resources.encode(), False, logging, None
+        callbacks = fmu.logMessage, fmu.clockUpdate, fmu.lockPreemption, fmu.unlockPreemption
+        fmu.component = fmu.fmi3InstantiateScheduledExecution(*about, *callbacks)
         if not fmu.component:
             raise Exception("Failed to instantiate FMU")  # as FMPy does
-
-    def prepare_steps(self) -> None:
-        """Do nothing; only clocks let time pass."""
 
 
 class ScheduledFmu(EventFmu):
     """An FMU for scheduled execution."""
 
     steps = False
+    has_jumped = is_stirred = False  # Inputs are taken by the partitions.
 
     def _make_calls(self, way: Way | None) -> Calls:
         calls = ScheduledExecution3(self.name, self.description)
@@ -88,25 +77,10 @@ class ScheduledFmu(EventFmu):
         if self.mode == INITIALIZATION:
             super().get()
 
-    @property
-    def has_jumped(self) -> bool:
-        """Return False: inputs are taken by the partitions."""
-        return False
-
-    @property
-    def is_stirred(self) -> bool:
-        """Return False: inputs are taken by the partitions."""
-        return False
-
     def go(self, target: float) -> float:
         """Let time pass without a call of the FMU."""
         self.reached = self.instance.time = target
         return target
-
-    def enter(self) -> None:
-        """Set the values of the scenario's events."""
-        self.mode = EVENT
-        super().enter()
 
     def tick(self, names: Collection[str]) -> None:
         """Activate the partitions of clocks by priority.
@@ -127,7 +101,9 @@ class ScheduledFmu(EventFmu):
     def _activate(self, name: str, t: float) -> None:
         """Run a partition between its inputs and outputs."""
         if self._last.get(name, -math.inf) >= t:
-            self.instance.remember(messages.TWICE_AT_ONCE(clock=name, time=t))
+            self.instance.remember(
+                f"clock {name} was due twice at t = {t:.6g} s; FMI allows one activation at a time, so one is left out"
+            )
             if name in self.timers:
                 self.timers[name].tick()
             return
@@ -146,7 +122,7 @@ class ScheduledFmu(EventFmu):
     def _on_update(self) -> None:
         """Read the clocks that the partition has changed."""
         try:
-            self._read_countdowns()
+            self._read_intervals()
             idle = [c for c in self.output_clocks if c.name not in self._fired]
             if idle:
                 with self.instance.check_calls():
@@ -154,14 +130,6 @@ class ScheduledFmu(EventFmu):
                 self._fired += [clock.name for clock, is_active in zip(idle, states, strict=True) if is_active]
         except BaseException as failure:  # Exceptions cannot pass through C.
             self._failure = failure
-
-    def _read_countdowns(self) -> None:
-        for clock in self.clocks.values():
-            if clock.kind == "countdown":
-                with self.instance.check_calls():
-                    qualifier, interval = self._interval(clock)
-                if qualifier == CHANGED:
-                    self.timers[clock.name].once(self.instance.time + self._checked(clock, interval))
 
     def fired(self) -> list[str]:
         """Return output clocks activated since the last call."""
@@ -177,4 +145,4 @@ class ScheduledFmu(EventFmu):
 
     def leave(self) -> None:
         """Wait for the next clock."""
-        self.mode, self.active = EVENT, set()
+        self.active = set()

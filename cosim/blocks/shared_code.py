@@ -20,8 +20,7 @@ from pathlib import Path, PurePosixPath
 from zlib import crc32
 
 from cosim.base.errors import FmuError
-from cosim.base.messages import Message
-from cosim.blocks import messages
+from cosim.base.messages import CheckNote, CheckWarning
 from cosim.blocks.elf import ElfLibrary, read_elf
 from cosim.storage.archive import DAMAGES, DESCRIPTION
 
@@ -147,7 +146,7 @@ def _modules(files: Iterable[tuple[str, str]]) -> dict[str, str]:
 _loaded: dict[Path, Code] = {}  # FMUs of this process, also those that are freed: modules and some libraries stay
 
 
-def claim(path: Path) -> list[Message]:
+def claim(path: Path) -> list[str]:
     """Note that this process loads an FMU; return warnings of modules and libraries that it has from elsewhere.
 
     Raises:
@@ -156,7 +155,10 @@ def claim(path: Path) -> list[Message]:
     code = code_of(path)
     for other, known in _loaded.items():
         if what := code.clash(known):
-            raise SharedCode(messages.SHARED_CODE(file=path, other=other, what=what))
+            raise SharedCode(
+                f"{path} does not load: its {what} differs from that of {other}, which this process has loaded; "
+                "run it in a worker process (without in_process, --in-process)"
+            )
     if code not in _loaded.values():
         _loaded[path] = code
     warnings = []
@@ -164,13 +166,19 @@ def claim(path: Path) -> list[Message]:
         file = getattr(sys.modules.get(name), "__file__", None)
         with suppress(OSError):  # The folder of an earlier FMU with the same code is removed.
             if file is not None and checksum and crc32(Path(file).read_bytes()) != checksum:
-                warnings.append(messages.HIDDEN_MODULE(file=path.name, module=name, other=file))
+                warnings.append(
+                    f"{path.name} does not get its own module {name}, since its process has loaded {file}; "
+                    "rename the module in the FMU"
+                )
     brought = code.needed & {name for name, _ in code.libraries}
     for file in _libraries_of_process() if brought else ():
         name, digest = _soname_and_digest(file)
         if name in brought and (name, digest) not in code.libraries:
-            warnings.append(messages.HIDDEN_LIBRARY(file=path.name, library=name, other=file))
-    return warnings
+            warnings.append(
+                f"{path.name} brings {name}, but its process has already loaded another one, {file}, which the "
+                "FMU therefore uses; rename the FMU's library, or link it statically"
+            )
+    return [*map(CheckWarning, warnings)]
 
 
 def _libraries_of_process() -> list[str]:
@@ -192,7 +200,7 @@ def _soname_and_digest(file: str) -> tuple[str, str]:
     return read_elf(content, symbols=False).soname or Path(file).name, f"{crc32(content):08x}-{len(content)}"
 
 
-def separate(fmus: Iterable[tuple[str, Path]], apart: Iterable[str]) -> tuple[set[str], list[Message]]:
+def separate(fmus: Iterable[tuple[str, Path]], apart: Iterable[str]) -> tuple[set[str], list[str]]:
     """Return the components that need processes of their own, with a note for each.
 
     Args:
@@ -200,7 +208,7 @@ def separate(fmus: Iterable[tuple[str, Path]], apart: Iterable[str]) -> tuple[se
         apart: Components that have processes of their own.
     """
     shared: dict[Path, tuple[str, Code]] = {}
-    names, notes = set[str](), list[Message]()
+    names, notes = set[str](), list[str]()
     for name, path in fmus:
         if name in apart or path in shared:
             continue
@@ -209,7 +217,7 @@ def separate(fmus: Iterable[tuple[str, Path]], apart: Iterable[str]) -> tuple[se
         other, what = next((clash for clash in clashes if clash[1]), ("", ""))
         if what:
             names.add(name)
-            notes.append(messages.OWN_PROCESS(name=name, other=other, what=what))
+            notes.append(CheckNote(f"{name} runs in a process of its own: its {what} differs from that of {other}"))
         else:
             shared[path] = name, code
     return names, notes
@@ -226,7 +234,7 @@ def own_symbols_first(path: Path, library: Path) -> Iterator[None]:
     share the symbols of the process.
     """
     handle, folder = None, os.getcwd()
-    if _needs_own_symbols(code_of(path)):
+    if sys.platform == "linux" and _needs_own_symbols(code_of(path)):
         library = library.resolve()
         os.chdir(library.parent)  # as FMPy does
         with suppress(OSError):  # FMPy's load reports it.
@@ -235,18 +243,20 @@ def own_symbols_first(path: Path, library: Path) -> Iterator[None]:
     try:
         yield  # Another load of the library gets the same one.
     finally:
-        if handle is not None:
+        if sys.platform == "linux" and handle is not None:
             from _ctypes import dlclose
 
             dlclose(handle)
 
 
 def _needs_own_symbols(code: Code) -> bool:
+    if sys.platform != "linux":
+        return False
     if not hasattr(os, "RTLD_DEEPBIND") or "LD_PRELOAD" in os.environ:
         return False
     if code.symbols & ALLOCATORS or any(name.startswith("libpython") for name in code.needed):
         return False
-    from _ctypes import dlsym
+    from _ctypes import dlsym  # type: ignore[attr-defined, unused-ignore]
 
     process = ctypes.CDLL(None)._handle
     for symbol in code.symbols:

@@ -11,9 +11,15 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Literal
 
-from cosim.base.messages import Message
-from cosim.blocks import messages
 from cosim.fmi.native.compiler import CompilerFailed, NoCompiler, load_library
+
+NO_STEP_WITHIN_TOLERANCE = (
+    "{solver} finds no step so short that its error is within the tolerance; a derivative jumps, or has no bound"
+)
+TOO_MANY_SOLVER_STEPS = (
+    "{solver} does not reach the next communication point in {count} steps of its own. Allow more (max_steps), "
+    "shorten the step{other}, or check whether a state grows without bound"
+)
 
 DISCARD = 2
 DOUBLES = ctypes.POINTER(ctypes.c_double)
@@ -22,10 +28,10 @@ REFUSALS = 10  # discarded derivatives that explain a stuck solver
 MAX_STEPS = 500  # of CVODE between communication points and events, as in FMPy
 NORMAL, TOO_MUCH_WORK, ROOT_RETURN = 1, -1, 2  # task and return values of CVODE
 FAILURES = {  # CVODE's error codes with remedies
-    -2: messages.TOLERANCE_TOO_TIGHT(),
-    -3: messages.NO_STEP_WITHIN_TOLERANCE(solver="CVODE"),
-    -4: messages.NO_CONVERGENT_STEP(),
-    -27: messages.SPAN_TOO_SHORT(),
+    -2: "CVODE cannot reach the tolerance, as doubles are not that exact; loosen it",
+    -3: NO_STEP_WITHIN_TOLERANCE.format(solver="CVODE"),
+    -4: "CVODE finds no step so short that its iteration converges; a derivative jumps, or has no bound",
+    -27: "CVODE is to integrate over less time than doubles tell apart",
 }
 
 
@@ -307,14 +313,14 @@ def _silence(integrator: Any) -> None:
             getattr(sundials_core, name)(logger, os.devnull.encode())
 
 
-def _failure(report: tuple[int, str, str, str] | None, max_steps: int = MAX_STEPS) -> Message:
+def _failure(report: tuple[int, str, str, str] | None, max_steps: int = MAX_STEPS) -> str:
     """Return CVODE's reason without source locations."""
     if report is None:
-        return messages.CVODE_FAILED()
+        return "CVODE failed"
     number, _, _, text = report
     if number == TOO_MUCH_WORK:
-        return messages.TOO_MANY_SOLVER_STEPS(solver="CVODE", count=max_steps, other=", or take solver: solve_ivp")
-    return FAILURES.get(number) or messages.CVODE_FAILED_WITH_REASON(number=number, reason=" ".join(text.split()))
+        return TOO_MANY_SOLVER_STEPS.format(solver="CVODE", count=max_steps, other=", or take solver: solve_ivp")
+    return FAILURES.get(number) or f"CVODE failed (code {number}): {' '.join(text.split())}"
 
 
 def _not_finite(values: Any) -> tuple[int, float] | None:
@@ -385,9 +391,9 @@ class SolveIvp:
                 before = self._signs(t, radau.y)
                 radau.step()
             except ValueError as error:  # from a non-finite matrix
-                raise self.discarded or SolverFailed(messages.SOLVE_IVP_FAILED(reason=str(error))) from None
+                raise self.discarded or SolverFailed(f"solve_ivp: {error!s}") from None
             if radau.status == "failed":
-                reason = messages.NO_STEP_WITHIN_TOLERANCE(solver="solve_ivp")
+                reason = NO_STEP_WITHIN_TOLERANCE.format(solver="solve_ivp")
                 raise self.discarded or SolverFailed(reason, self.derivative)
         self._steps += 1
         self.is_first, self.last_step = False, radau.t - t
@@ -395,7 +401,7 @@ class SolveIvp:
             time = self._time_after_crossing(before, t, radau.t, radau.dense_output())
             return True, [int(z > 0) - int(old) for old, z in zip(before, self._z, strict=False)], time
         if radau.status == "running" and self._steps == self.max_steps:
-            raise SolverFailed(messages.TOO_MANY_SOLVER_STEPS(solver="solve_ivp", count=self._steps, other=""))
+            raise SolverFailed(TOO_MANY_SOLVER_STEPS.format(solver="solve_ivp", count=self._steps, other=""))
         self._set(radau.t, radau.y)
         return False, [0] * self.indicators, float(radau.t)
 

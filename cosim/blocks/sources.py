@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bisect
 import ctypes
+import re
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from functools import cached_property
@@ -20,10 +21,10 @@ from cosim.base.units import computed_in
 from cosim.blocks.component import Row, RowComponent, Signal
 from cosim.blocks.profile import Profile, ProfileFunction, profile_function
 from cosim.blocks.stepping import Slot
-from cosim.storage.table import read_columns, read_exactly, whole_numbers_in
-from cosim.storage.table_columns import Table
+from cosim.storage.table import Table, read_columns, source_of
 
 TEXTS = {"String", "Binary"}
+WHOLE = re.compile(r"[-+]?\d+")
 
 
 class SourceBlock(RowComponent):
@@ -141,10 +142,10 @@ def playback(
         InputError: The file has faults; it lists all of them.
     """
     table, exactly = read_recording(path, names, exact)
-    times, signals = table.values["time"], {}
-    for column in (c for c in table.columns.values() if c.name != "time"):
-        unit, factor = computed_in(column.heading.unit)
-        values = [factor * v for v in table.values[column.name]]
+    times, signals = table["time"].tolist(), {}
+    for column in (c for c in table.columns if c.name != "time"):
+        unit, factor = computed_in(column.unit)
+        values = [factor * v for v in table[column.name].tolist()]
         signals[column.name] = (unit, Recorded(times, values, step, is_linear=linear))
     return SourceBlock(name, signals, {n: (exact[n], Recorded(times, held, step)) for n, held in exactly.items()})
 
@@ -159,10 +160,22 @@ def read_recording(
     """
     columns = dict[str, Sequence[Any]]()
     with suppress(InputError):  # The other columns are then read, to list all faults.
-        for name, values in (read_exactly(path, exact.keys(), names) if exact else {}).items():
-            content = [*map(str, values)] if exact[name] in TEXTS else whole_numbers_in(values)
-            columns |= {name: content} if content is not None else {}
+        for column in source_of(path).read(path, names, exact.keys()).columns[1:] if exact else ():
+            if column.name in exact and not column.fault:
+                values = column.values.tolist() if isinstance(column.values, np.ndarray) else column.values
+                with suppress(ValueError):
+                    is_text = exact[column.name] in TEXTS
+                    columns[column.name] = [str(value) if is_text else _whole_number(value) for value in values]
     return read_columns(path, names, columns), columns
+
+
+def _whole_number(value: Any) -> int:
+    """Return an exact whole number; raise ValueError for anything else."""
+    if isinstance(value, int) or (isinstance(value, str) and WHOLE.fullmatch(value.strip())):
+        return int(value)
+    if not (number := float(value)).is_integer():
+        raise ValueError
+    return int(number)
 
 
 class Recorded:

@@ -10,8 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from cosim.base.errors import SimulationError
-from cosim.blocks import messages
+from cosim.base.errors import NotFinite, SimulationError
 from cosim.blocks.component import PUT, Row
 from cosim.blocks.fmi_types import Exchange, as_bytes, element_names, elements, input_aliases, named_bytes, negative
 from cosim.blocks.instance import Instance
@@ -96,11 +95,8 @@ class Values:
     def _put_if_changed(self) -> None:
         values = [self.content(e) for e in self.ports.fed]
         with self.instance.check_calls():
-            if values == self.watched:
-                self._calls.settle()
-                return
-            self.watched = values
-            self._calls.inputs_changed(self.put_all)
+            has_changed, self.watched = values != self.watched, values
+            self._calls.inputs_changed(self.put_all if has_changed else None)
 
     def put_all(self) -> None:
         """Set all connected inputs, without an event."""
@@ -149,7 +145,11 @@ class Values:
         except ValueError as error:
             name, _, reason = str(error).partition(": ")
             component = f"{self.instance.name}.{name}"
-            raise SimulationError(component, self.instance.time, messages.INPUT_UNFIT(reason=reason)) from None
+            raise SimulationError(
+                component,
+                self.instance.time,
+                f"the input {reason}, the range of its type; scale or limit the value connected to it",
+            ) from None
         status = self._setters[function](self._component, *exchange.arguments(self._fmi3))
         if status:
             self.instance.judge(f"{self._calls.prefix}Set{function}", status)
@@ -239,7 +239,14 @@ class Values:
         for name, value in zip(self._finite if names is None else names, values, strict=True):
             if not math.isfinite(value):
                 component = f"{self.instance.name}.{name}"
-                raise SimulationError(component, self.instance.time, messages.VALUE_NOT_FINITE(value=value))
+                raise NotFinite(
+                    component,
+                    self.instance.time,
+                    (
+                        f"the value is {value}, which is no finite number; check the component's inputs and "
+                        "parameters, or take a shorter step"
+                    ),
+                )
 
     def _finite_of(self, exchange: Exchange) -> tuple[str, ...]:
         """Return scalars that must be finite: leading float outputs."""

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from cosim.storage.artefact import Artefact
-from cosim.storage.kind_names import FIT_STUDY
+from cosim.storage.artefact import FIT_STUDY, Artefact
 
 ARTEFACTS = (
     Artefact(
@@ -25,7 +24,6 @@ ARTEFACTS = (
         files=("fit.json", "fitted.ssv", "fitted.fmu", "report.html"),
         folder="the folder of a fit",
         folder_step="its report.html opens in a browser, its fitted.ssv holds the values",
-        sources=("fmu",),
         reader="cosim.calibration.fitted:read_fitted",
     ),
 )

@@ -10,7 +10,6 @@ import numpy as np
 
 from cosim.base.arrays import Array, Flags
 from cosim.base.errors import InputError, SimulationError
-from cosim.calibration import messages
 from cosim.calibration.identifiability import Choice, Combination, find_combination, screen
 from cosim.calibration.intervals import Covariance, covariance
 from cosim.calibration.likelihood import Jacobian, Likelihood, Point
@@ -18,6 +17,10 @@ from cosim.calibration.simulations import Logs, SetDrive, Unknown
 from cosim.calibration.vary import Parameter
 from cosim.logs.channel_noise import noise_level
 from cosim.residuals.windows import free_run, horizons, self_started
+
+NOTHING_IDENTIFIABLE = (
+    "no parameter is identifiable from these logs: {reasons}; name parameters as --vary, or log other inputs"
+)
 
 DRIFTS = 5.0  # error of free runs over that of windows, after the fit, from which free runs are useless
 STAYS = 0.2  # effect of a start value in the last quarter relative to its largest, from which it does not fade
@@ -75,10 +78,15 @@ class Estimate:
             self.screened, kept = screen(likelihood, point)
             if not any(c.estimated for c in self.screened):
                 shown = [f"{c.name}: {c.reason}" for c in self.screened[:NAMED_REASONS]]
-                raise InputError.at(Path("--vary"), messages.NOTHING_IDENTIFIABLE(reasons="; ".join(shown)))
+                raise InputError.at(Path("--vary"), NOTHING_IDENTIFIABLE.format(reasons="; ".join(shown)))
             likelihood, point = likelihood.restricted(kept, point)
             self.likelihood = likelihood
-        self._check_count(likelihood, point)
+        rows, count = int(point.residuals.counts.sum()), len(likelihood.unknowns)
+        if rows <= count:
+            raise InputError.at(
+                self.logs.drives[0].log.path,
+                f"{rows} measured values cannot determine {count} unknowns; name fewer parameters or more logs",
+            )
         slopes = self._fit(likelihood, point)
         if self.logs.horizon is None and (reason := self._why_windows(slopes)):
             self._use_windows(reason)
@@ -102,7 +110,8 @@ class Estimate:
                 self.likelihood = likelihood
                 return likelihood, point
             if self.logs.horizon is not None or not self._has_windows():
-                raise self._failure()
+                assert self.logs.first_failure is not None
+                raise self.logs.first_failure[1]
             self._use_windows("the free run fails with the values before the fit")
 
     def _unknowns(self, parameters: Sequence[Parameter]) -> list[tuple[Unknown, float]]:
@@ -115,16 +124,6 @@ class Estimate:
         values, count = {p.name: p.start for p in parameters}, len(self.logs.drives)
         own = [(Unknown(p, k, hidden=True), p.start) for k in range(count) for p in named]
         return [*shared, *own, *self.logs.start_unknowns(values, values)]
-
-    def _failure(self) -> SimulationError:
-        first = self.logs.first_failure
-        assert first is not None
-        return first[1]
-
-    def _check_count(self, likelihood: Likelihood, point: Point) -> None:
-        rows, count = int(point.residuals.counts.sum()), len(likelihood.unknowns)
-        if rows <= count:
-            raise InputError.at(self.logs.drives[0].log.path, messages.TOO_FEW_VALUES(rows=rows, count=count))
 
     def _fit(self, likelihood: Likelihood, point: Point) -> Jacobian:
         """Move to the largest likelihood; return central differences there."""
@@ -142,7 +141,9 @@ class Estimate:
         if self.logs.horizon is None and _growth(likelihood, point, slopes) > GROWS and self._has_windows():
             return slopes  # the plant is unstable: windows come next
         for number in range(REFINEMENTS):
-            self.settled = likelihood.maximize(point, slopes, self._report_iteration)
+            self.settled = likelihood.maximize(
+                point, slopes, lambda iteration: self.report(f"fitting, iteration {iteration + 1}", 0.0)
+            )
             assert likelihood.best is not None
             gain, point = point.cost - likelihood.best.cost, likelihood.best
             if number and gain < CLOSE:
@@ -163,7 +164,7 @@ class Estimate:
             return likelihood, point, slopes
         if not any(u.log is None and act for u, act in zip(likelihood.unknowns, acts, strict=True)):
             shown = "; ".join(f"{name}: no effect on any measured output" for name in idle)
-            raise InputError.at(Path("--vary"), messages.NOTHING_IDENTIFIABLE(reasons=shown))
+            raise InputError.at(Path("--vary"), NOTHING_IDENTIFIABLE.format(reasons=shown))
         self.idle, self.held = tuple(idle), {**self.held, **idle}
         return self._keep(acts, likelihood, point, slopes)
 
@@ -173,9 +174,6 @@ class Estimate:
         """Return everything for some of the unknowns."""
         self.likelihood, point = likelihood.restricted(kept, point)
         return self.likelihood, point, [s[..., kept] for s in slopes]
-
-    def _report_iteration(self, number: int) -> None:
-        self.report(f"fitting, iteration {number + 1}", 0.0)
 
     def above_noise(self) -> list[str]:
         """Return the outputs whose residual is larger than its white part and is not white."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from cosim.base.messages import Note
 from cosim.base.text import amount, counted, join_names, plain, size
-from cosim.calibration import messages
 from cosim.calibration.fit_record import Outcome
 from cosim.calibration.replay_proof import Part
 from cosim.residuals.replay_sentences import horizon_name
@@ -52,9 +52,14 @@ def _about_values(fitted: Outcome) -> Iterator[str]:
     """Yield warnings about bounds and wide intervals."""
     for name, entry in fitted.parameters.items():
         if entry.status == "at_bound":
-            yield messages.AT_BOUND(name=name, value=amount(entry.value, entry.unit, 4))
+            yield (
+                f"{name} ends at its bound {amount(entry.value, entry.unit, 4)}: its interval ignores the bound, "
+                "and the bound may be wrong"
+            )
         elif entry.ci95 is not None and entry.ci95[1] - entry.ci95[0] > abs(entry.start) > 0.0:
-            yield messages.UNCERTAIN(name=name)
+            yield (
+                f"{name} is barely determined by these logs: its 95 % interval is wider than its value before the fit"
+            )
 
 
 def warnings(fitted: Outcome) -> Iterator[str]:
@@ -62,27 +67,36 @@ def warnings(fitted: Outcome) -> Iterator[str]:
     estimate = fitted.estimate
     for c in estimate.combinations:
         held = fitted.parameters[c.held]
-        yield messages.HELD(sentence=c.sentence, held=c.held, value=amount(held.value, held.unit, 4))
+        yield (
+            f"{c.sentence}; {c.held} is held at {amount(held.value, held.unit, 4)}, and none of them has an interval"
+        )
     if estimate.idle:
-        yield messages.IDLE(names=join_names(estimate.idle))
+        yield f"no effect on any measured output of these logs, so the value is kept: {join_names(estimate.idle)}"
     yield from _about_values(fitted)
     if estimate.covariance is not None and not estimate.settled:
-        yield messages.NOT_CONVERGED()
+        yield "the estimate did not settle: the likelihood is rough, and the intervals are unsure"
     if estimate.logs.first_failure is not None:
         values, error = estimate.logs.first_failure
         shown = ", ".join(f"{n} = {plain(v, 4)}" for n, v in values.items() if n in fitted.parameters)
         counts = {"count": estimate.logs.failed, "runs": estimate.logs.count}
-        yield messages.FAILED_RUNS(**counts, values=shown, reason=error)
+        yield "{count} of {runs} simulations failed and were rejected, first at {values}: {reason}".format(
+            **counts, values=shown, reason=error
+        )
     if estimate.dropped:
-        yield messages.DROPPED_STARTS(names=join_names(estimate.dropped))
+        yield f"windows have start values of their own, so {join_names(estimate.dropped)} is not estimated"
     if fitted.risen:
-        yield messages.RISEN(names=join_names(fitted.risen))
+        yield (
+            f"on sealed logs the error of {join_names(fitted.risen)} rises by more than its scatter from part to part"
+        )
     if estimate.covariance is not None and (names := estimate.above_noise()):
-        yield messages.ABOVE_NOISE(names=join_names(names))
+        yield (
+            f"the error of {join_names(names)} stays above the noise and is not white: no value of these "
+            "parameters explains it. `cosim refine` looks for what the FMU lacks, with a study of the same logs"
+        )
 
 
 def notes(fitted: Outcome) -> Iterator[str]:
     """Yield the notes of a fit."""
     estimate = fitted.estimate
     if estimate.logs.horizon is not None:
-        yield messages.WINDOWS_USED(horizon=estimate.logs.horizon, reason=estimate.reason)
+        yield Note(f"the estimate uses windows of {estimate.logs.horizon:g} s in place of free runs: {estimate.reason}")

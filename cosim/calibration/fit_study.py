@@ -12,7 +12,6 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict
 
 from cosim.base.errors import Fault, InputError, refuse
-from cosim.calibration import messages
 from cosim.isolation.limits import Limits, read_limits
 from cosim.refinement.study import FileName, LogLists
 from cosim.storage.artefact import kind_by_keys
@@ -117,7 +116,15 @@ def read_fit_study(path: FilePath, *, vary: Sequence[str] = (), start: Sequence[
         data = {k: v for k, v in data.items() if k not in unused}
     content = yaml.validate(FitStudyFile, data)
     if not content.model.lower().endswith(FMU_SUFFIX):
-        refuse([yaml.fault(("model",), messages.NO_FMU_IN_STUDY(model=content.model))])
+        refuse(
+            [
+                yaml.fault(
+                    ("model",),
+                    f"{content.model} is no FMU, and `cosim fit` needs one; `cosim refine` estimates the parameters "
+                    "of a model file",
+                )
+            ]
+        )
     return Request(
         _beside(path, content.model),
         [_beside(path, name) for name in content.logs.estimation],
@@ -166,13 +173,19 @@ def request_of(
     kind = kind_of(Path(logs[0])) if len(logs) == 1 else None
     if kind in {STUDY, FIT_STUDY}:
         if fmu is not None or sealed or columns:
-            raise InputError.at(Path(logs[0]), messages.BESIDE_STUDY(kind=kind))
+            raise InputError.at(
+                Path(logs[0]),
+                (
+                    f"is {kind}, which names its FMU, logs and columns; `cosim fit` takes it without --fmu, --sealed "
+                    "and --column"
+                ),
+            )
         request = read_fit_study(logs[0], vary=vary, start=start)
         return replace(request, limits=most) if limits else request
     if fmu is None:
         for log in logs:
             check_given(Path(log), LOG, STUDY, FIT_STUDY)
-        raise InputError.at(Path("--fmu"), messages.NO_FMU())
+        raise InputError.at(Path("--fmu"), "no FMU is named; add --fmu X.fmu, or give a study file alone")
     return Request(Path(fmu), [*map(Path, logs)], [*map(Path, sealed)], vary, start, columns, most)
 
 
@@ -182,10 +195,14 @@ def check_missing(request: Request) -> list[Fault]:
         return []
     faults = []
     if not request.fmu.is_file():
-        faults.append(request.yaml.fault(("model",), messages.MISSING_FILE(file=request.yaml.root["model"])))
+        faults.append(
+            request.yaml.fault(
+                ("model",), f"{request.yaml.root['model']} does not exist; file names are relative to the study"
+            )
+        )
     for index, path in enumerate(request.logs):
         if not path.exists():
-            faults.append(request.log_fault(index, messages.MISSING_FILE(file=path.name)))
+            faults.append(request.log_fault(index, f"{path.name} does not exist; file names are relative to the study"))
     return faults
 
 

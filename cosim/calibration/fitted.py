@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.calibration import messages
 from cosim.storage.folders import content_of
 
 if TYPE_CHECKING:
@@ -52,7 +51,7 @@ class Fitted:
         try:
             import pandas
         except ImportError:
-            raise ImportError(messages.NO_PANDAS()) from None
+            raise ImportError("to_pandas() needs pandas: pip install pandas") from None
         rows = []
         for name, entry in dict(self.record.get("parameters") or {}).items():
             low, high = entry["ci95"] or (None, None)

@@ -13,10 +13,11 @@ import numpy as np
 
 from cosim.base.drafts import draft_of
 from cosim.base.errors import FmuError, SimulationError
-from cosim.base.messages import Message, code_of
-from cosim.calibration import messages
+from cosim.base.messages import Note
 from cosim.residuals.drive import Drive
 from cosim.storage.archive import DESCRIPTION, description_of
+
+UNREADABLE_XML = "the start value of {name} was not found in modelDescription.xml"
 
 START = re.compile(rb"(\sstart\s*=\s*)(\"[^\"]*\"|'[^']*')")
 TAG = re.compile(rb"<(?:[^>\"']|\"[^\"]*\"|'[^']*')*>")
@@ -34,13 +35,13 @@ def with_starts(text: bytes, values: Mapping[str, float]) -> bytes:
     places = _places(text)
     for name in values:
         if name not in places:
-            raise ValueError(messages.UNREADABLE_XML(name=name))
+            raise ValueError(Note(UNREADABLE_XML.format(name=name)))
     for name, place in sorted(places.items(), key=lambda item: -item[1]):
         if name not in values:
             continue
         tag = TAG.match(text, place)
         if tag is None or not START.search(tag[0]):
-            raise ValueError(messages.UNREADABLE_XML(name=name))
+            raise ValueError(Note(UNREADABLE_XML.format(name=name)))
         number = repr(float(values[name])).encode()
         text = text[:place] + START.sub(rb'\g<1>"' + number + b'"', tag[0], count=1) + text[tag.end() :]
     return text
@@ -84,7 +85,7 @@ def write_copy(fmu: Path, values: Mapping[str, float], path: Path) -> None:
 
 def why_no_copy(
     drive: Drive, values: Mapping[str, float], start: Mapping[str, float], path: Path, load: Loader
-) -> Message | None:
+) -> str | None:
     """Write a copy with other start values if its library follows them; return the reason if there is none.
 
     The copy is run without any of the values, and compared with the original that has them set.
@@ -97,7 +98,7 @@ def why_no_copy(
     try:
         write_copy(drive.fmu, values, path)
     except ValueError as error:
-        return Message(str(error), code_of(error))
+        return str(error)
     wanted = drive.run(0, drive.log.rows - 1, {**start, **values})
     try:
         with load(path) as copy:
@@ -108,4 +109,6 @@ def why_no_copy(
     if np.all(np.abs(actual - wanted) <= EQUAL * np.maximum(span, np.abs(wanted).max(axis=0))):
         return None
     path.unlink(missing_ok=True)
-    return messages.IGNORES_XML()
+    return Note(
+        "the library ignores the start values of modelDescription.xml, so a changed copy would still start as before"
+    )

@@ -233,7 +233,7 @@ def _try_forms(
     x = point.x[places]
     moves: list[tuple[str, Array]] = []
     if np.all(x != 0.0):
-        moves.append((_log_form(powers), x * np.exp(MOVE * powers) - x))
+        moves.append(({1: "ratio", -1: "product"}.get(_sign(powers), "combination"), x * np.exp(MOVE * powers) - x))
     sizes = float(np.min(np.abs(x[np.abs(shares) > 0.0]), initial=math.inf)) or float(np.min(scales))
     moves.append(({1: "difference", -1: "sum"}.get(_sign(shares), "combination"), MOVE * sizes * shares))
     for form, move in sorted(moves, key=lambda pair: pair[0] == "combination"):  # a name is preferred
@@ -259,10 +259,6 @@ def _sign(pair: Array) -> int:
     if pair.size != 2 or abs(pair[0]) != 1.0 or abs(pair[1]) != 1.0:
         return 0
     return 1 if pair[0] == pair[1] else -1
-
-
-def _log_form(powers: Array) -> str:
-    return {1: "ratio", -1: "product"}.get(_sign(powers), "combination")
 
 
 def _expression(names: Sequence[str], form: str) -> str:

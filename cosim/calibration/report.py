@@ -13,10 +13,9 @@ from cosim.base.version import __version__
 from cosim.blocks.compiling import permission
 from cosim.calibration.fit_record import Outcome, ParameterEntry, Record, StartEntry
 from cosim.calibration.replay_proof import Part
-from cosim.report.drawing import Charts
+from cosim.report.charts import Charts, Plot
 from cosim.report.html_tables import Badge, Row
 from cosim.report.panels import Panel, Trace
-from cosim.report.svg import Plot
 from cosim.report.template import render
 from cosim.residuals.replay_sentences import horizon_name
 from cosim.residuals.residual_statistics import FREE_RUN
@@ -85,7 +84,7 @@ def _plots(part: Part, charts: Charts) -> list[Plot]:
     log, errors = new.log, part.errors(part.horizon)
     ratios = {n: b / a if a > 0.0 and math.isfinite(b / a) else 1.0 for n, (a, b) in errors.items()}
     names = sorted((n for n in log.outputs if n in ratios), key=lambda n: ratios[n])[:MOST_OUTPUTS]
-    drawing = charts.over(log.time, 3 * len(names))
+    drawing = charts.over(log.time)
     panels = []
     for name in names:
         unit, factor = display(log.units[name])

@@ -14,10 +14,12 @@ from cosim.base.errors import Fault, refuse
 from cosim.base.text import split_assignment
 from cosim.base.units import split_quantity
 from cosim.blocks.description import unit_of
-from cosim.calibration import messages
 from cosim.logs.channel_noise import NORMAL_95
+from cosim.probing.log_runs import limits_of
 from cosim.scenario.start_values import Misfit, convert_value, kind_of, settable
 from cosim.storage.yaml_file import did_you_mean, short
+
+NOT_VARIED = '--vary "{text}" is none of NAME, NAME=20% and NAME=LOW..HIGH, as in mass=0.3..2'
 
 OPTION = Path("--vary")
 REALS = {"Real", "Float64", "Float32"}
@@ -66,7 +68,7 @@ def candidates(description: Any, given: Mapping[str, Any]) -> dict[str, Paramete
     found = {}
     for variable in description.modelVariables:
         if _is_estimable(variable):
-            low, high = _limits(variable)
+            low, high = limits_of(variable)
             value = given.get(variable.name, variable.start)
             start, unit = float(value), unit_of(variable)
             per_log = not _is_parameter(variable) or variable.name.removesuffix("_start") in names - {variable.name}
@@ -83,15 +85,6 @@ def _is_estimable(variable: Any) -> bool:
     if variable.type not in REALS or variable.shape or variable.start is None or not settable(variable):
         return False
     return _is_parameter(variable) or variable.causality in {"local", "internal", "output", None}
-
-
-def _limits(variable: Any) -> tuple[float, float]:
-    """Return min and max of variable or type."""
-    ends = []
-    for end, default in (("min", -math.inf), ("max", math.inf)):
-        values = getattr(variable, end, None), getattr(variable.declaredType, end, None)
-        ends.append(next((float(v) for v in values if v is not None), default))
-    return ends[0], ends[1]
 
 
 def _option_fault(name: str, message: str) -> Fault:
@@ -121,12 +114,21 @@ def read_vary(
             value = _plain(json.loads(value))
         try:
             if not name:
-                raise ValueError(messages.NOT_VARIED(text=short(text)))
+                raise ValueError(NOT_VARIED.format(text=short(text)))
             if name not in offered:
                 raise ValueError(_not_offered(name, variables, offered))
             if name in chosen:
-                raise ValueError(messages.REPEATED_NAME(name=name))
-            chosen[name] = _checked(_bounded(description, variables[name], offered[name], str(value)))
+                raise ValueError(f"{name} is named twice; name it once")
+            parameter = _bounded(description, variables[name], offered[name], str(value))
+            if not parameter.low <= parameter.start <= parameter.high:
+                ends = {"low": parameter.low, "high": parameter.high}
+                raise ValueError(
+                    (
+                        "{name} starts at {value:g}, outside {low:g} to {high:g}; give another value as --start "
+                        "{name}=VALUE"
+                    ).format(name=name, value=parameter.start, **ends)
+                )
+            chosen[name] = parameter
         except ValueError as error:
             faults.append(fault(name, error.args[0]))
     refuse(faults)
@@ -142,7 +144,7 @@ def _plain(value: Any) -> str:
 
 def _not_offered(name: str, variables: Mapping[str, Any], offered: Mapping[str, Parameter]) -> str:
     if name not in variables:
-        return messages.UNKNOWN_VARIABLE(name=name, cure=did_you_mean(name, variables))
+        return f'the FMU has no variable "{name}"{did_you_mean(name, variables)}'
     variable = variables[name]
     kind = "an input" if variable.causality == "input" else kind_of(variable)
     if variable.type not in REALS:
@@ -150,7 +152,10 @@ def _not_offered(name: str, variables: Mapping[str, Any], offered: Mapping[str, 
     elif variable.shape:
         kind = "an array"
     names = [n for n, p in offered.items() if not p.per_log][:MOST_NAMES]
-    return messages.NOT_ESTIMABLE(name=name, kind=kind, names=", ".join(names) or "the FMU has none")
+    return (
+        f"{name} is {kind}, which has no value to estimate; name a parameter, or the start value of a state "
+        f"({', '.join(names) or 'the FMU has none'})"
+    )
 
 
 def _bounded(description: Any, variable: Any, parameter: Parameter, text: str) -> Parameter:
@@ -160,16 +165,16 @@ def _bounded(description: Any, variable: Any, parameter: Parameter, text: str) -
     if text.endswith("%"):
         share = _percentage(parameter.name, text)
         if parameter.start == 0.0:
-            raise ValueError(messages.TOLERANCE_OF_ZERO(name=parameter.name, text=text))
+            raise ValueError(f"{parameter.name} starts at 0, of which {text} is nothing; give a range LOW..HIGH")
         return replace(parameter, tolerance=share * abs(parameter.start))
     first, dots, second = (part.strip() for part in text.partition(".."))
     if not (dots and first and second):
-        raise ValueError(messages.NOT_VARIED(text=short(f"{parameter.name}={text}")))
+        raise ValueError(NOT_VARIED.format(text=short(f"{parameter.name}={text}")))
     unit = (split_quantity(second) or (0.0, ""))[1]
     ends = [f"{first} {unit}" if unit and _is_number(first) else first, second]
     low, high = (_converted(description, variable, end) for end in ends)
     if not low < high:
-        raise ValueError(messages.EMPTY_RANGE(name=parameter.name, low=low, high=high))
+        raise ValueError(f"{parameter.name}: {low:g} is not below {high:g}; give LOW..HIGH with LOW below HIGH")
     return replace(parameter, low=max(low, parameter.low), high=min(high, parameter.high))
 
 
@@ -186,18 +191,11 @@ def _percentage(name: str, text: str) -> float:
         share = float(text.removesuffix("%")) / 100.0
         if 0.0 < share < math.inf:
             return share
-    raise ValueError(messages.WRONG_TOLERANCE(name=name, text=short(text)))
+    raise ValueError(f"{name}: {short(text)} is no tolerance; give a percentage above 0, such as 20%")
 
 
 def _converted(description: Any, variable: Any, text: str) -> float:
     value = convert_value(description, variable, float(text) if _is_number(text) else text)
     if isinstance(value, Misfit):
-        raise ValueError(messages.WRONG_VALUE(name=variable.name, text=short(text), reason=value.reason))
+        raise ValueError(f"{variable.name}: {short(text)} is not allowed: {value.reason}")
     return float(value)
-
-
-def _checked(parameter: Parameter) -> Parameter:
-    if not parameter.low <= parameter.start <= parameter.high:
-        ends = {"low": parameter.low, "high": parameter.high}
-        raise ValueError(messages.START_OUTSIDE(name=parameter.name, value=parameter.start, **ends))
-    return parameter

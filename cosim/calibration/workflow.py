@@ -12,11 +12,10 @@ from typing import Any
 import numpy as np
 
 from cosim.base.errors import Fault, FmuError, InputError, SimulationError, Terminated, TimedOut, refuse, stop_error
-from cosim.base.messages import Message
+from cosim.base.messages import Note
 from cosim.base.text import join_names
 from cosim.blocks.compiling import permission
 from cosim.blocks.description import read_description, unit_definition, unit_of
-from cosim.calibration import messages
 from cosim.calibration.estimate import Estimate, Report
 from cosim.calibration.fit_record import Outcome, Record, parameter_entries, record
 from cosim.calibration.fit_sentences import notes, verdict, warnings
@@ -30,8 +29,7 @@ from cosim.isolation.process import Worker
 from cosim.logs.gate import gate, gate_faults
 from cosim.logs.log import Log, read_column_names
 from cosim.logs.unit_mistakes import input_unit_findings
-from cosim.probing.behaviour import probe_behaviour
-from cosim.probing.messages import EVENTS_ALWAYS, NO_PARAMETERS, NO_UNITS, OWN_STEP, RESET_REFUSED
+from cosim.probing.own_step import probe_own_step
 from cosim.probing.prober import LIMITS
 from cosim.refinement.proof.sealed import find_rises
 from cosim.residuals.drive import Drive, check_files, log_of_fmu
@@ -41,22 +39,18 @@ from cosim.residuals.residual_statistics import FREE_RUN
 from cosim.ssp.write import write_parameter_set
 from cosim.storage.artefact import Checking
 from cosim.storage.files import FilePath, check_writable, hold_stops, named_path, one_stop, write_json, write_text
-from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import begin_unrecorded, check_overwritable, keep_earlier
+from cosim.storage.folders import remove_earlier
 
-UNIMPORTANT = {NO_PARAMETERS.code, NO_UNITS.code, EVENTS_ALWAYS.code, RESET_REFUSED.code}  # for a fit
 FILES = ("fit.json", "fitted.ssv", "fitted.fmu", "report.html")
 
 
 @one_stop()
-@folder_locks()
 def fit(
     request: Request,
     folder: FilePath,
     *,
     in_process: bool = False,
     report: bool = True,
-    force: bool = True,
     progress: Report = lambda stage, share: None,
 ) -> tuple[Record, list[str]]:
     """Estimate an FMU's parameters and start values.
@@ -76,13 +70,12 @@ def fit(
     begin = time.monotonic()
     most, path, place = request.limits, request.fmu, named_path(folder)
     estimation, test = request.estimation, request.sealed
-    check_overwritable(place, "cosim fit", str(path), force=force)
     read, chosen, given = _read(request)
     files = [*request.logs, path, *([request.yaml.path] if request.yaml else [])]
     check_writable(place, FILES, files)
-    begin_unrecorded(place, "cosim fit", files)
     progress("probing the FMU", 0.0)
-    behaved = [] if in_process else find_misbehaviour(request, read[0], given)
+    if not in_process:
+        refuse_own_step(request, read[0], given)
     with ExitStack() as stack:
         worker = None if in_process else stack.enter_context(Worker(*MODULES))
         inner = most.model_copy(update={"total": None, "step": most.step or most.total})
@@ -100,11 +93,11 @@ def fit(
         hold_stops()
         entries = parameter_entries(estimate)
         outcome = Outcome(path, tuple(estimation), tuple(test), estimate, fixed, parts, _risen(parts), entries)
-        keep_earlier(place, "cosim fit", read=files)
-        _remove(place)
-        if request.unused:
-            behaved.append(messages.UNUSED_KEYS(keys=join_names(request.unused)))
-        written, told = _write(place, outcome, begin, stop, lambda file: load(read[0], file), behaved)
+        remove_earlier(place, read=files)
+        unused = (
+            [f"`cosim fit` does not use {join_names(request.unused)}: `cosim refine` does"] if request.unused else []
+        )
+        written, told = _write(place, outcome, begin, stop, lambda file: load(read[0], file), unused)
         if report:
             from cosim.calibration.report import page
 
@@ -127,15 +120,14 @@ def check_fit_study(path: Path, checking: Checking) -> list[str]:
     """
     request = read_fit_study(path)
     logs, chosen, given = _read(request)
-    behaved: list[Message] = []
     if checking.worker is not None:
         with ExitStack() as stack:
             fixed = _without(given, chosen)
             apart = [DriveApart(checking.worker, g, request.fmu, limits=request.limits, given=fixed) for g in logs]
             _refuse_bad([stack.enter_context(drive) for drive in apart])
-        behaved = [finding.after("warning: ") for finding in find_misbehaviour(request, logs[0], given)]
-    will = messages.WILL_ESTIMATE if request.vary else messages.WILL_SCREEN
-    return [*behaved, will(names=join_names([p.name for p in chosen]))]
+        refuse_own_step(request, logs[0], given)
+    aim = "" if request.vary else "what the logs determine of "
+    return [Note(f"`cosim fit` will estimate {aim}{join_names([p.name for p in chosen])}")]
 
 
 def _read(request: Request) -> tuple[list[Log], list[Parameter], dict[str, Any]]:
@@ -178,26 +170,31 @@ def _path_faults(request: Request) -> tuple[list[Fault], list[Path]]:
     faults = check_missing(request)
     paths = [p for p in request.logs if not faults or p.exists()]
     if not request.estimation:
-        faults.append(request.no_logs_fault(messages.NO_LOGS()))
-    faults += [request.log_fault(k, messages.USED_TWICE()) for k, p in enumerate(request.logs) if p in request.logs[:k]]
+        faults.append(request.no_logs_fault("names no log to estimate from; name at least one"))
+    faults += [
+        request.log_fault(k, "is named twice; a log is used once, for the estimate or as a sealed log")
+        for k, p in enumerate(request.logs)
+        if p in request.logs[:k]
+    ]
     return faults, paths
 
 
-def find_misbehaviour(request: Request, log: Log, given: Mapping[str, Any]) -> list[Message]:
-    """Return how the FMU misbehaves along a log.
-
-    Raises:
-        InputError: Its own step is above that of the log.
-    """
+def refuse_own_step(request: Request, log: Log, given: Mapping[str, Any]) -> None:
+    """Raise InputError if the FMU makes steps of its own that are longer than those of a log."""
     numbers = {n: v for n, v in given.items() if isinstance(v, float)}
     try:
-        found = probe_behaviour(request.fmu, [log], numbers, limits=request.limits if request.limits.step else LIMITS)
+        own = probe_own_step(request.fmu, [log], numbers, limits=request.limits if request.limits.step else LIMITS)
     except (FmuError, SimulationError):
-        return []  # the first simulation reports it
-    if found.way == "co-simulation" and found.has(OWN_STEP):
-        message = messages.OWN_STEP_ABOVE(own=found.own_step, step=log.step)
-        raise InputError.at(request.fmu, message)
-    return [f for f in found.findings if f.code not in UNIMPORTANT]
+        return  # the first simulation reports it
+    if own and own.distorts:
+        raise InputError.at(
+            request.fmu,
+            (
+                f"its co-simulation takes steps of its own of about {own.length:.3g} s, above the {log.step:.3g} s "
+                "of the logs, so its results are wrong there; export it with a shorter step, or record rows every "
+                f"{own.length:.3g} s"
+            ),
+        )
 
 
 def _chosen(request: Request, description: Any, given: Mapping[str, Any]) -> list[Parameter]:
@@ -208,7 +205,10 @@ def _chosen(request: Request, description: Any, given: Mapping[str, Any]) -> lis
         return read_vary(description, offered, request.vary, request.vary_fault)
     chosen = [p for p in offered.values() if not p.per_log and p.low <= p.start <= p.high and p.name not in given]
     if not chosen:
-        raise InputError.at(request.fmu, messages.NO_PARAMETERS())
+        raise InputError.at(
+            request.fmu,
+            ("has no parameter to estimate: no floating-point parameter with a start value may be set before a run"),
+        )
     return chosen
 
 
@@ -236,7 +236,14 @@ def _run(estimate: Estimate, chosen: Sequence[Parameter], *, screening: bool, li
     try:
         estimate.run(chosen, screening=screening)
     except OutOfTime:
-        error = TimedOut("the fit", 0.0, messages.STOPPED_AT_LIMIT(limit=limits.total))
+        error = TimedOut(
+            "the fit",
+            0.0,
+            (
+                f"the limit of {limits.total:g} s (limits: total) is reached; the best values so far are written, "
+                "without proof"
+            ),
+        )
         if estimate.point is None:
             raise error from None
         return error
@@ -290,12 +297,6 @@ def _risen(parts: Sequence[Part]) -> tuple[str, ...]:
 # -- files --------------------------------------------------------------------------------------------
 
 
-def _remove(place: Path) -> None:
-    """Remove the files of an earlier fit."""
-    for name in FILES:
-        (place / name).unlink(missing_ok=True)
-
-
 def _write(
     place: Path,
     outcome: Outcome,
@@ -312,7 +313,7 @@ def _write(
         start = {n: v for n, v in estimate.likelihood.values(estimate.point.x, 0).items() if n not in values}
         reason = why_no_copy(estimate.logs.drives[0], values, start, place / "fitted.fmu", load)
         if reason is not None:
-            told.append(messages.NO_COPY(reason=reason, command=command(outcome, values)))
+            told.append(f"no fitted.fmu: {reason}. fitted.ssv has the values; `{command(outcome, values)}` sets them")
     remarks = list(notes(outcome))
     written = record(outcome, verdict(outcome), time.monotonic() - begin, told, remarks)
     write_json(place / "fit.json", written.model_dump(mode="json"), allow_nan=False)

@@ -14,6 +14,5 @@ ARTEFACTS = (
         files=("comparison.json", "report.html"),
         folder="the folder of a comparison",
         folder_step="its report.html opens in a browser, scripts read comparison.json",
-        sources=("a", "b"),
     ),
 )

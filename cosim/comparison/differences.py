@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -11,12 +11,11 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
-from cosim.base.messages import Message, join
 from cosim.base.text import amount, counted
 from cosim.base.times import rounding
 from cosim.base.units import Conversion, conversion, definition_of
 from cosim.blocks.component import Signal
-from cosim.comparison import messages, signals
+from cosim.comparison import signals
 from cosim.comparison.intermediate_rows import rows_at_jumps, rows_between, surroundings
 from cosim.comparison.signals import Difference, Tolerance, format_share, format_size
 from cosim.simulation.run_files import RecordedRun
@@ -26,12 +25,77 @@ if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
 
+    from cosim.report.panels import Panel
+
 MAX_PLOTTED = 4  # signals in a figure by default
 MAX_LISTED = 12  # signals in a short text
 
 
+class Comparison:
+    """What comparisons of two and of several runs show: a text, the cell of a notebook and a figure.
+
+    Attributes:
+        time: Times of the curves [s].
+    """
+
+    time: Array
+
+    @property
+    def _drawable(self) -> list[str]:
+        """Signals with curves, most different first."""
+        raise NotImplementedError
+
+    def _summary(self) -> str:
+        """Return the outcome in a sentence."""
+        raise NotImplementedError
+
+    def _table_rows(self) -> list[tuple[str, ...]]:
+        """Return the headings, and a row for each signal, largest share first."""
+        raise NotImplementedError
+
+    def _curves_of(self, name: str) -> Sequence[Array]:
+        """Return the curves of a signal, one for each run."""
+        raise NotImplementedError
+
+    def _panels(self, name: str, curves: Sequence[Array]) -> list[Panel]:
+        """Return the panels of a signal."""
+        raise NotImplementedError
+
+    def __repr__(self) -> str:
+        rows = self._table_rows()[1:]
+        more = [f"… and {len(rows) - MAX_LISTED} more"] if len(rows) > MAX_LISTED else []
+        return "\n  ".join([self._summary(), *("  ".join(row) for row in rows[:MAX_LISTED]), *more])
+
+    def _repr_html_(self) -> str:
+        from cosim.report.cell.cell import cell_of, heading, rows_to_show, table
+
+        heads, *cells = self._table_rows()
+        listed = table(heads, cells[:MAX_LISTED], len(cells) - MAX_LISTED)
+        drawn = {name: self._curves_of(name) for name in self._drawable[:MAX_PLOTTED]}
+        rows = rows_to_show([values for curves in drawn.values() for values in curves])
+        panels = [p for n, curves in drawn.items() for p in self._panels(n, [values[rows] for values in curves])]
+        omitted = len(cells) - len(drawn)
+        chart = cell_of(self.time[rows], panels, self._summary(), rows=len(self.time), omitted=omitted)
+        return heading(self._summary()) + listed + chart
+
+    def plot(self, *names: str) -> Figure:
+        """Return a matplotlib figure of all runs, by default for the most different signals.
+
+        Raises:
+            KeyError: A signal has no curves.
+        """
+        from cosim.simulation.report.figures import sheet
+        from cosim.storage.yaml_file import did_you_mean
+
+        for name in names:
+            if name not in self._drawable:
+                raise KeyError(f'no curves of "{name}"{did_you_mean(name, self._drawable)}')
+        shown = names or self._drawable[:MAX_PLOTTED]
+        return sheet(self.time, [panel for name in shown for panel in self._panels(name, self._curves_of(name))])
+
+
 @dataclass(frozen=True, repr=False)
-class Compared:
+class Compared(Comparison):
     """Differences of two runs.
 
     Attributes:
@@ -50,7 +114,7 @@ class Compared:
     time: Array
     values: dict[str, tuple[Array, Array]]
     aligned: bool
-    shorter: Message
+    shorter: str
     tolerance: float | None
     absolute: float
 
@@ -79,23 +143,18 @@ class Compared:
         return not self.reasons
 
     @property
-    def reasons(self) -> list[Message]:
+    def reasons(self) -> list[str]:
         """Return the reasons why b does not match a, as phrases; empty for a match."""
         different = self.beyond if self.judged else [d for d in self.differences if d.largest]
         count = sum(d.alike for d in different)
-        template = messages.SIGNALS_BEYOND if self.judged else messages.SIGNALS_DIFFER
-        reasons = [template(count=counted(count, "signal"), verb=_differ(count))] if count else []
-        reasons += [messages.NOT_COMPARABLE(name=d.name, note=d.note) for d in different if not d.alike]
+        verb = "beyond the tolerance" if self.judged else "differs" if count == 1 else "differ"
+        reasons = [f"{counted(count, 'signal')} {verb}"] if count else []
+        reasons += [f"{d.name} is {d.note}" for d in different if not d.alike]
         if missing := len(self.only_a):
             names = ", ".join(self.only_a[:MAX_LISTED]) + (", …" if missing > MAX_LISTED else "")
-            subject = {"count": counted(missing, "signal"), "path": self.a.path, "verb": _are(missing)}
-            reasons.append(messages.SIGNALS_MISSING(**subject, other=self.b.path, names=names))
+            verb = "is" if missing == 1 else "are"
+            reasons.append(f"{counted(missing, 'signal')} of {self.a.path} {verb} missing in {self.b.path}: {names}")
         return reasons + ([self.shorter] if self.shorter else [])
-
-    def __repr__(self) -> str:
-        cells, more = self._table()
-        lines = ["  ".join(row) for row in cells] + ([more] if more else [])
-        return "\n  ".join([self._heading(), *lines])
 
     def to_pandas(self) -> pandas.DataFrame:
         """Return one row per common signal, the largest difference first; raise ImportError without pandas."""
@@ -105,46 +164,33 @@ class Compared:
             raise ImportError("to_pandas needs pandas: pip install pandas") from None
         return pandas.DataFrame([asdict(d) for d in self.ranking]).set_index("name")
 
-    def plot(self, *names: str) -> Figure:
-        """Return a matplotlib figure with both runs and b − a, by default for the most different signals.
+    @property
+    def _drawable(self) -> list[str]:
+        return [d.name for d in self.ranking if d.name in self.values]
 
-        Raises:
-            KeyError: A name is not numeric in both runs.
-        """
-        from cosim.comparison.signal_panels import panels_of
-        from cosim.simulation.report.figures import sheet
-        from cosim.storage.yaml_file import did_you_mean
-
-        for name in names:
-            if name not in self.values:
-                raise KeyError(f'no signal "{name}" in both{did_you_mean(name, self.values)}')
-        numeric = [d for d in self.ranking if d.name in self.values]
-        plotted = [d for d in numeric if d.name in names] if names else numeric[:MAX_PLOTTED]
-        runs = self.a.name, self.b.name
-        return sheet(self.time, [p for d in plotted for p in panels_of(d.name, d.unit, runs, self.values[d.name])])
-
-    def _repr_html_(self) -> str:
-        from cosim.comparison.signal_panels import panels_of
-        from cosim.report.cell.cell import cell_of, heading, rows_to_show, table
-
-        cells = self._table()[0]
-        listed = table(("signal", "largest", "at", "of its range"), cells, len(self.differences) - len(cells))
-        drawn = [d for d in self.ranking if d.name in self.values][:MAX_PLOTTED]
-        rows = rows_to_show([values for d in drawn for values in self.values[d.name]])
-        pairs = [(self.values[d.name][0][rows], self.values[d.name][1][rows]) for d in drawn]
-        runs = self.a.name, self.b.name
-        panels = [p for d, pair in zip(drawn, pairs, strict=True) for p in panels_of(d.name, d.unit, runs, pair)]
-        omitted = len(self.values) - len(drawn)
-        chart = cell_of(self.time[rows], panels, self._heading(), rows=len(self.time), omitted=omitted)
-        return heading(self._heading()) + listed + chart
-
-    def _heading(self) -> str:
+    def _summary(self) -> str:
         return f"{self.a.name} and {self.b.name}: {sentence(self)}"
 
-    def _table(self) -> tuple[list[tuple[str, str, str, str]], str]:
-        """Return the rows of the largest differences as texts, and a text with the number of omitted signals."""
+    def _table_rows(self) -> list[tuple[str, ...]]:
         cells = [(d.name, format_size(d, d.largest), f"{d.at:.6g} s", format_share(d)) for d in self.ranking]
-        return cells[:MAX_LISTED], f"… and {len(cells) - MAX_LISTED} more" if len(cells) > MAX_LISTED else ""
+        return [("signal", "largest", "at", "of its range"), *cells]
+
+    def _curves_of(self, name: str) -> Sequence[Array]:
+        return self.values[name]
+
+    def _panels(self, name: str, curves: Sequence[Array]) -> list[Panel]:
+        from cosim.comparison.signal_panels import panels_of
+
+        unit = next(d.unit for d in self.differences if d.name == name)
+        return panels_of(name, unit, (self.a.name, self.b.name), (curves[0], curves[1]))
+
+    def verdict(self) -> dict[str, Any]:
+        """Return the verdict and its reasons as plain data."""
+        return {
+            "within": self.same if self.judged else None,
+            "reasons": self.reasons if self.judged else None,
+            "shorter": self.shorter or None,
+        }
 
     def as_json(self) -> dict[str, Any]:
         """Return the comparison as plain data; non-finite becomes None."""
@@ -153,17 +199,12 @@ class Compared:
             "b": str(self.b.path),
             "tolerance": self.tolerance,
             "absolute": self.absolute,
-            "within": self.same if self.judged else None,
-            "reasons": self.reasons if self.judged else None,
-            "shorter": self.shorter or None,
-            "signals": [
-                {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in asdict(d).items()}
-                for d in self.differences
-            ],
+            **self.verdict(),
+            "signals": [d.as_json() for d in self.differences],
             "only_a": list(self.only_a),
             "only_b": list(self.only_b),
             "same_times": self.aligned,
-            "criteria": [{"what": w, "a": a, "b": b} for w, a, b in criteria_of(self)],
+            "criteria": [{"what": what, "a": a, "b": b} for what, (a, b) in criteria_of((self.a, self.b)).items()],
         }
 
 
@@ -181,71 +222,62 @@ def compare_runs(a: RecordedRun, b: RecordedRun, tolerance: float | None = None,
         InputError: The runs have no common signal or time.
     """
     a, b = (replace(run, results=run.results.with_integers()) for run in (a, b))
-    in_both = {*_names(a)} & {*_names(b)}
-    common = [name for name in _names(a) if name in in_both]
+    in_a, in_b = (dict.fromkeys((*run.results.columns, *run.results.exact)) for run in (a, b))
+    common = [name for name in in_a if name in in_b]
     if not common:
-        names = [", ".join(_names(r)[:5]) or "none" for r in (a, b)]
-        raise InputError.at(b.path, messages.NO_COMMON_SIGNAL(other=a.path, own=names[1], theirs=names[0]))
+        names = [", ".join([*each][:5]) or "none" for each in (in_a, in_b)]
+        raise InputError.at(b.path, f"shares no signal with {a.path}: it has {names[1]}; that has {names[0]}")
     rows, aligned = signals.common_rows(a, b)
     time = a.results.time[rows]
     if not time.size:
         spans = [f"{t[0]:g} … {t[-1]:g} s" if t.size else "no rows" for t in (a.results.time, b.results.time)]
-        raise InputError.at(b.path, messages.NO_COMMON_TIME(other=a.path, own=spans[1], theirs=spans[0]))
-    overlap = _Overlap(a, b, rows, aligned, Tolerance(tolerance, absolute))
-    differences = tuple(overlap.difference(name) for name in common)
-    only_a, only_b = (tuple(name for name in _names(r) if name not in in_both) for r in (a, b))
-    data = differences, only_a, only_b, time, overlap.values, aligned
-    return Compared(a, b, *data, _describe_ends(a, b), tolerance, absolute)
+        raise InputError.at(b.path, f"shares no time with {a.path}: it has {spans[1]}, that {spans[0]}")
+    allowed, has_tolerance = Tolerance(tolerance, absolute), tolerance is not None
+    of_a, of_b = a.results, b.results
+    values: dict[str, tuple[Array, Array]] = {}
+    between = jumps = held = None
+    if not aligned:
+        close = min(map(signals.time_tolerance, (of_a.time, of_b.time)))
+        between = rows_between(of_a.time, of_b.time, close)
+        jumps = rows_at_jumps(of_b.time, of_a.time, close)
+        held = surroundings(of_a.time, of_b.time, close), surroundings(of_b.time, of_a.time, close)
 
-
-def _names(run: RecordedRun) -> tuple[str, ...]:
-    return tuple(dict.fromkeys((*run.results.columns, *run.results.exact)))
-
-
-class _Overlap:
-    """Rows of run a within the time of run b.
-
-    Attribute `values` collects the numbers of both runs for each compared signal.
-    """
-
-    def __init__(self, a: RecordedRun, b: RecordedRun, rows: slice, aligned: bool, allowed: Tolerance) -> None:
-        self.a, self.b, self.rows, self.aligned, self.allowed = a, b, rows, aligned, allowed
-        times = a.results.time, b.results.time
-        self.time = times[0][rows]
-        close = min(map(signals.time_tolerance, times))
-        self.between = None if aligned else rows_between(*times, close)
-        self.jumps = None if aligned else rows_at_jumps(*times[::-1], close)
-        self.held = None if aligned else (surroundings(*times, close), surroundings(*times[::-1], close))
-        self.values: dict[str, tuple[Array, Array]] = {}
-
-    def difference(self, name: str) -> Difference:
-        """Return the comparison of a signal."""
-        a, b = self.a.results, self.b.results
-        has_tolerance = self.allowed.relative is not None
-        if not all(name in r and not (name in r.exact and is_rounded(r[name])) for r in (a, b)):
-            return signals.compare_text(self.a, self.b, name, self.rows, self.held, has_tolerance=has_tolerance)
-        unit, other = a.units.get(name, ""), b.units.get(name, "")
-        by = unit_conversion(self.b, self.a, name)
+    def difference(name: str) -> Difference:
+        if not all(name in r and not (name in r.exact and is_rounded(r[name])) for r in (of_a, of_b)):
+            return signals.compare_text(a, b, name, rows, held, has_tolerance=has_tolerance)
+        unit, other = of_a.units.get(name, ""), of_b.units.get(name, "")
+        by = unit_conversion(b, a, name)
         if by is None:
-            return signals.compare_other_units(name, unit, other, self.time, has_tolerance=has_tolerance)
-        first, second = a[name], b[name] if by == Conversion() else by.factor * b[name] + by.offset
-        between = self.between
-        if self.held is None or self.jumps is None:
-            at_times = second[: self.time.size]
-        elif is_held(self.a, self.b, name):
-            between, theirs = self.held
-            at_times = theirs.nearest(second, first)[self.rows]
+            note, far = f"in {unit} in one, in {other} in the other", math.inf
+            return Difference(name, unit, far, float(time[0]), far, 1.0, far, has_tolerance, note, alike=False)
+        first, second = of_a[name], of_b[name] if by == Conversion() else by.factor * of_b[name] + by.offset
+        around = between
+        if held is None or jumps is None:
+            at_times = second[: time.size]
+        elif is_held(a, b, name):
+            around, theirs = held
+            at_times = theirs.nearest(second, first)[rows]
         else:
-            at_times = np.interp(self.time, b.time, second)
-            at_jumps = np.isin(np.arange(a.time.size)[self.rows], self.jumps.rows)
-            at_times = np.where(at_jumps, self.jumps.nearest(second, first)[self.rows], at_times)
-        self.values[name] = first[self.rows], at_times
-        difference = signals.compare_numbers(name, unit or other, self.time, self.values[name], self.allowed, by)
-        difference = replace(difference, note=signals.unit_note(unit, other, difference, by))
-        if between is None:
-            return difference
-        outside, at = between.outside(first, second)
-        return signals.include_rows_between(difference, outside, at, self.allowed)
+            at_jumps = np.isin(np.arange(of_a.time.size)[rows], jumps.rows)
+            at_times = np.interp(time, of_b.time, second)
+            at_times = np.where(at_jumps, jumps.nearest(second, first)[rows], at_times)
+        values[name] = first[rows], at_times
+        found = signals.compare_numbers(name, unit or other, time, values[name], allowed, by)
+        found = replace(found, note=signals.unit_note(unit, other, found, by))
+        if around is None:
+            return found
+        return signals.include_rows_between(found, *around.outside(first, second), allowed)
+
+    step = float(np.max(np.diff(of_a.time))) if of_a.time.size > 1 else 0.0
+    ends = []
+    for verb, row in (("begins", 0), ("ends", -1)):
+        at = [float(r.time[row]) for r in (of_a, of_b)]
+        if abs(at[0] - at[1]) > rounding(max(map(abs, at)), 1e3 * step):
+            earlier, later = (a.path, b.path) if at[0] < at[1] else (b.path, a.path)
+            ends.append(f"{earlier} {verb} at {min(at):.6g} s, {later} at {max(at):.6g} s")
+    differences = tuple(map(difference, common))
+    only_a, only_b = tuple(n for n in in_a if n not in in_b), tuple(n for n in in_b if n not in in_a)
+    return Compared(a, b, differences, only_a, only_b, time, values, aligned, "; ".join(ends), tolerance, absolute)
 
 
 def unit_conversion(of: RecordedRun, to: RecordedRun, name: str) -> Conversion | None:
@@ -271,13 +303,13 @@ def is_held(a: RecordedRun, b: RecordedRun, name: str) -> bool:
     return True in known or (known == [None, None] and all(name in run.results.whole for run in (a, b)))
 
 
-def criteria_of(c: Compared) -> Sequence[tuple[str, Any, Any]]:
-    """Return all criteria with outcomes in a and b."""
-    by_title: dict[str, list[Any]] = {}
-    for side, run in enumerate((c.a, c.b)):
+def criteria_of(runs: Sequence[RecordedRun]) -> dict[str, list[dict[str, Any] | None]]:
+    """Return title → outcome in each run, None for runs without the criterion."""
+    by_title: dict[str, list[dict[str, Any] | None]] = {}
+    for k, run in enumerate(runs):
         for entry in run.criteria:
-            by_title.setdefault(criterion_title(entry), [None, None])[side] = entry
-    return [(title, *both) for title, both in by_title.items()]
+            by_title.setdefault(criterion_title(entry), [None] * len(runs))[k] = entry
+    return by_title
 
 
 def criterion_title(entry: dict[str, Any]) -> str:
@@ -285,14 +317,6 @@ def criterion_title(entry: dict[str, Any]) -> str:
     parts = [f"{str(entry.get('kind', '?')).replace('_', ' ')} of {entry.get('of', '?')}"]
     parts += [f"{word} {entry[word]}" for word in ("to", "band", "after", "until") if entry.get(word)]
     return " ".join(parts)
-
-
-def _are(count: int) -> str:
-    return "is" if count == 1 else "are"
-
-
-def _differ(count: int) -> str:
-    return "differs" if count == 1 else "differ"
 
 
 def is_one_run(a: RecordedRun, b: RecordedRun) -> bool:
@@ -304,10 +328,6 @@ def sentence(c: Compared) -> str:
     """Return a summary of the comparison in a sentence."""
     if is_one_run(c.a, c.b) and not any(d.largest for d in c.differences):
         return f"This is one run, compared with itself: {counted(len(c.differences), 'signal')} equal."
-    return _sentence_of_two(c)
-
-
-def _sentence_of_two(c: Compared) -> str:
     count, different = len(c.differences), sum(d.largest > 0 for d in c.differences)
     of_both = " that both have" if c.only_a else ""
     every = f"All {counted(count, 'signal')}{of_both} are" if count > 1 else ""
@@ -316,14 +336,14 @@ def _sentence_of_two(c: Compared) -> str:
         where = "in every row" if c.aligned else "at the times of a, and between them nowhere outside of it"
         text = f"{every or f'The signal{of_both} is'} equal {where}."
     elif not c.judged:
-        text = f"{different} of {counted(count, 'signal')} {_differ(different)}; {most}."
+        text = f"{different} of {counted(count, 'signal')} {'differs' if different == 1 else 'differ'}; {most}."
     elif c.beyond:
-        beyond, largest = len(c.beyond), describe_largest(c.beyond[0])
-        text = f"{beyond} of {counted(count, 'signal')} {_are(beyond)} beyond the tolerance; {largest}."
+        verb, largest = "is" if len(c.beyond) == 1 else "are", describe_largest(c.beyond[0])
+        text = f"{len(c.beyond)} of {counted(count, 'signal')} {verb} beyond the tolerance; {largest}."
     else:
         text = f"{every} within the tolerance; {most}." if every else f"Within the tolerance: {most}."
     if c.only_a:
-        text += f" {counted(len(c.only_a), 'signal')} of a {_are(len(c.only_a))} not in b."
+        text += f" {counted(len(c.only_a), 'signal')} of a {'is' if len(c.only_a) == 1 else 'are'} not in b."
     return text + (f" {c.shorter}." if c.shorter else "")
 
 
@@ -336,14 +356,23 @@ def describe_largest(d: Difference) -> str:
     return f"most {d.name}, by {amount(d.largest, d.unit)} at {d.at:.6g} s ({format_share(d)} of its range)"
 
 
-def _describe_ends(a: RecordedRun, b: RecordedRun) -> Message:
-    """Return a phrase on the shorter run; "" if both runs cover the same time."""
-    step = float(np.max(np.diff(a.results.time))) if a.results.time.size > 1 else 0.0
-    parts = []
-    for verb, row in (("begins", 0), ("ends", -1)):
-        at = [float(r.results.time[row]) for r in (a, b)]
-        if abs(at[0] - at[1]) > rounding(max(map(abs, at)), 1e3 * step):
-            first, second = (a, b) if at[0] < at[1] else (b, a)
-            ends = {"path": first.path, "time": min(at), "other": second.path, "later": max(at)}
-            parts.append(messages.OTHER_END(verb=verb, **ends))
-    return join("; ", parts)
+def criterion_limit(entry: Mapping[str, Any]) -> str:
+    """Return the limit of a criterion as text."""
+    return amount(float(entry.get("max", math.nan)), str(entry.get("unit") or ""))
+
+
+def criterion_cell(entry: Mapping[str, Any] | None, *, limit: bool = True) -> tuple[str, str]:
+    """Return the value as text, with its limit, and the tone of the outcome.
+
+    The tone is good, bad, or "" for a run without the criterion.
+    """
+    if entry is None:
+        return "not asked", ""
+    value = entry.get("value")
+    text = "never" if value is None else amount(float(value), str(entry.get("unit") or ""))
+    return f"{text} of {criterion_limit(entry)}" if limit else text, "good" if entry.get("met") else "bad"
+
+
+def tone_of(*, judged: bool, same: bool) -> str:
+    """Return the tone of a verdict on a page."""
+    return "plain" if not judged else "good" if same else "bad"

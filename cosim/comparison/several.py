@@ -3,39 +3,29 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cosim.base.arrays import Array, Rows
+from cosim.base.arrays import Array
 from cosim.base.errors import Fault, InputError, refuse
-from cosim.base.messages import Message
 from cosim.base.text import counted
-from cosim.comparison.differences import (
-    Compared,
-    compare_runs,
-    criterion_title,
-    describe_largest,
-    is_held,
-    unit_conversion,
-)
-from cosim.comparison.signals import Difference, format_share, format_size, time_tolerance
+from cosim.comparison.differences import Compared, Comparison, compare_runs, criteria_of, describe_largest
+from cosim.comparison.signals import Difference, format_share, format_size
 from cosim.history.inputs import DifferingInput, differing_inputs, labels_of
 from cosim.simulation.run_files import RecordedRun
 from cosim.storage.folders import replay_record
-from cosim.storage.results import Results
+from cosim.storage.results import Results, is_rounded
 
 if TYPE_CHECKING:
     import pandas
-    from matplotlib.figure import Figure
 
     from cosim.report.panels import Panel
 
 MAX_RUNS, MAX_SIGNALS = 12, 12  # drawn
-MAX_PLOTTED, MAX_LISTED = 4, 12  # signals in a figure by default, and in a short text
 MOST_CELLS = 50_000_000  # values of runs that stay in memory; beyond, drawn runs are read twice
 NOTHING = Results(np.zeros(0), (), np.zeros((0, 0)))
 
@@ -59,7 +49,7 @@ class RunSource:
 
 
 @dataclass(frozen=True, repr=False)
-class ComparedRuns:
+class ComparedRuns(Comparison):
     """Differences of several runs from a baseline.
 
     Attributes:
@@ -107,9 +97,9 @@ class ComparedRuns:
         return all(c.same for c in self.comparisons)
 
     @property
-    def reasons(self) -> list[Message]:
+    def reasons(self) -> list[str]:
         """Return the reasons why runs do not match the baseline, as phrases."""
-        return [reason.after(f"{c.b.name}: ") for c in self.comparisons for reason in c.reasons]
+        return [f"{c.b.name}: {reason}" for c in self.comparisons for reason in c.reasons]
 
     @property
     def ranking(self) -> list[str]:
@@ -142,28 +132,34 @@ class ComparedRuns:
     @property
     def criteria(self) -> dict[str, list[dict[str, Any] | None]]:
         """Return title → outcome in each run, None for runs without the criterion."""
-        by_title: dict[str, list[dict[str, Any] | None]] = {}
-        for k, run in enumerate(self.runs):
-            for entry in run.criteria:
-                by_title.setdefault(criterion_title(entry), [None] * len(self.runs))[k] = entry
-        return by_title
+        return criteria_of(self.runs)
 
-    def __repr__(self) -> str:
-        rows = [(n, *map(_cell, cells)) for n, cells in list(self.table.items())[:MAX_LISTED]]
-        more = [f"… and {len(self.ranking) - MAX_LISTED} more"] if len(self.ranking) > MAX_LISTED else []
-        return "\n  ".join([sentence(self), *("  ".join(row) for row in rows), *more])
+    @property
+    def _drawable(self) -> list[str]:
+        equal = {*self.equal}
+        return sorted(self.curves, key=lambda name: name in equal)
 
-    def _repr_html_(self) -> str:
-        from cosim.report.cell.cell import cell_of, heading, rows_to_show, table
+    def _summary(self) -> str:
+        return sentence(self)
 
-        listed = [(name, *map(_cell, cells)) for name, cells in list(self.table.items())[:MAX_LISTED]]
-        differences = table(("signal", *self.labels), listed, len(self.ranking) - len(listed))
-        drawn = self._most_different()
-        rows = rows_to_show([values for name in drawn for values in self.curves[name]])
-        panels = self._panels(drawn, rows)
-        omitted = len(self.ranking) - len(drawn)
-        chart = cell_of(self.time[rows], panels, sentence(self), rows=len(self.time), omitted=omitted)
-        return heading(sentence(self)) + differences + chart
+    def _table_rows(self) -> list[tuple[str, ...]]:
+        def text(d: Difference | None) -> str:
+            if d is None:
+                return "–"
+            return f"{format_size(d, d.largest)} ({format_share(d)})" if d.largest else "equal"
+
+        return [("signal", *self.labels), *((name, *map(text, cells)) for name, cells in self.table.items())]
+
+    def _curves_of(self, name: str) -> Sequence[Array]:
+        return self.curves[name]
+
+    def _panels(self, name: str, curves: Sequence[Array]) -> list[Panel]:
+        from cosim.comparison.signal_panels import equal_panel, overlay
+
+        labels, base = [self.labels[k] for k in self.drawn], self.drawn.index(self.baseline)
+        if name in self.equal:
+            return [equal_panel(name, self.units[name], curves[base])]
+        return [overlay(name, self.units[name], labels, curves, base)]
 
     def to_pandas(self) -> pandas.DataFrame:
         """Return the largest difference of each signal (rows) in each run (columns); raise ImportError without pandas.
@@ -178,39 +174,6 @@ class ComparedRuns:
         sizes = {n: [d.largest if (d := cells[k]) else math.nan for k in others] for n, cells in self.table.items()}
         return pandas.DataFrame.from_dict(sizes, orient="index", columns=[self.labels[k] for k in others])
 
-    def plot(self, *names: str) -> Figure:
-        """Return a matplotlib figure of the drawn runs, by default with the most different signals.
-
-        Raises:
-            KeyError: A signal is not drawn.
-        """
-        from cosim.simulation.report.figures import sheet
-        from cosim.storage.yaml_file import did_you_mean
-
-        for name in names:
-            if name not in self.curves:
-                raise KeyError(f'no curves of "{name}"{did_you_mean(name, self.curves)}')
-        return sheet(self.time, self._panels(names or self._most_different(), slice(None)))
-
-    def _most_different(self) -> list[str]:
-        """Return the signals that a figure has by default: those that differ most, of equal runs some."""
-        equal = {*self.equal}
-        return ([name for name in self.curves if name not in equal] or [*self.curves])[:MAX_PLOTTED]
-
-    def _panels(self, names: Sequence[str], rows: Rows | slice) -> list[Panel]:
-        """Return the panels of signals; one that is equal in all runs has a single curve."""
-        from cosim.comparison.signal_panels import equal_panel, overlay
-
-        labels, base = [self.labels[k] for k in self.drawn], self.drawn.index(self.baseline)
-        curves = {name: [values[rows] for values in self.curves[name]] for name in names}
-        equal = {*self.equal}
-        return [
-            equal_panel(name, self.units[name], values[base])
-            if name in equal
-            else overlay(name, self.units[name], labels, values, base)
-            for name, values in curves.items()
-        ]
-
     def as_json(self) -> dict[str, Any]:
         """Return the comparison as plain data; non-finite becomes None."""
         first = self.comparisons[0]
@@ -222,11 +185,20 @@ class ComparedRuns:
             "tolerance": first.tolerance,
             "absolute": first.absolute,
             "within": self.same if self.judged else None,
-            "runs": [_run_as_json(run, by_run.get(k)) for k, run in enumerate(self.runs)],
+            "runs": [
+                {
+                    "label": run.name,
+                    "path": str(run.path),
+                    **(dict.fromkeys(("within", "reasons", "shorter")) if k == self.baseline else by_run[k].verdict()),
+                    "only_a": [] if k == self.baseline else list(by_run[k].only_a),
+                    "only_b": [] if k == self.baseline else list(by_run[k].only_b),
+                }
+                for k, run in enumerate(self.runs)
+            ],
             "inputs": [{"kind": i.kind, "name": i.name, "values": list(i.values)} for i in self.inputs],
             "criteria": [{"what": title, "outcomes": outcomes} for title, outcomes in self.criteria.items()],
             "signals": [
-                {"name": name, "differences": [None if d is None else _plain(d) for d in cells]}
+                {"name": name, "differences": [None if d is None else d.as_json(named=False) for d in cells]}
                 for name, cells in self.table.items()
             ],
             "drawn": {"runs": [self.labels[k] for k in self.drawn], "signals": [*self.curves]},
@@ -247,58 +219,12 @@ def compare_several(
     """
     reader = _Reader(sources)
     base = reader[baseline]
-    others = {k: source for k, source in enumerate(sources) if k != baseline}
-    comparisons, left_out = _compare_each(base, others, reader, tolerance, absolute)
-    bare = {baseline: replace(base, results=NOTHING), **{k: c.b for k, c in comparisons.items()}}
-    kept = sorted(bare)
-    shorts, labels, inputs = _names_of([sources[k] for k in kept], [bare[k] for k in kept], kept.index(baseline))
-    runs = {k: replace(bare[k], name=label) for k, label in zip(kept, labels, strict=True)}
-    named = tuple(replace(c, a=runs[baseline], b=runs[k]) for k, c in sorted(comparisons.items()))
-    ranked = sorted(comparisons, key=lambda k: -max(d.share for d in comparisons[k].differences))
-    drawn = sorted([baseline, *ranked[: MAX_RUNS - 1]])
-    places = tuple(map(kept.index, drawn))
-    about = tuple(map(runs.__getitem__, kept)), shorts, kept.index(baseline), named, inputs, places
-    compared = ComparedRuns(*about, base.results.time, {}, {}, left_out)
-    return _with_curves(compared, base, (reader[k] for k in drawn))
-
-
-def _with_curves(compared: ComparedRuns, baseline: RecordedRun, drawn: Iterable[RecordedRun]) -> ComparedRuns:
-    """Add the values of the signals that differ most in the drawn runs, at the times of the baseline."""
-    base = baseline.results.with_integers()
-    baseline = replace(baseline, results=base)
-    names = [name for name in compared.ranking if name in base][:MAX_SIGNALS]
-    units = {name: base.units.get(name, "") for name in names}
-    runs = (replace(run, results=run.results.with_integers()) for run in drawn)
-    by_run = [[_at_times(run, baseline, name) for name in names] for run in runs]
-    curves = {name: [values[place] for values in by_run] for place, name in enumerate(names)}
-    return replace(compared, curves=curves, units=units)
-
-
-def _names_of(
-    sources: Sequence[RunSource], runs: Sequence[RecordedRun], baseline: int
-) -> tuple[tuple[str, ...], Sequence[str], tuple[DifferingInput, ...]]:
-    """Return short names and labels of runs, and the inputs that differ."""
-    shorts = _different([source.short for source in sources])
-    longer = [
-        short if short != source.short else source.longer or short
-        for source, short in zip(sources, shorts, strict=True)
-    ]
-    labels, inputs = label_runs(runs, shorts, longer, baseline)
-    return tuple(shorts), labels, tuple(inputs)
-
-
-def _compare_each(
-    base: RecordedRun, others: Mapping[int, RunSource], reader: _Reader, tolerance: float | None, absolute: float
-) -> tuple[dict[int, Compared], tuple[str, ...]]:
-    """Compare runs with the baseline; return comparisons by index without rows, and reasons of what is left out.
-
-    Raises:
-        InputError: Every run that cannot be read or compared, unless it is optional.
-    """
     comparisons: dict[int, Compared] = {}
     faults: list[Fault] = []
     left_out: list[Fault] = []
-    for k, source in others.items():
+    for k, source in enumerate(sources):
+        if k == baseline:
+            continue
         try:
             found = compare_runs(base, reader[k], tolerance, absolute)
         except InputError as error:
@@ -306,7 +232,33 @@ def _compare_each(
             continue
         comparisons[k] = replace(found, b=replace(found.b, results=NOTHING), values={}, time=NOTHING.time)
     refuse(faults or ([] if comparisons else left_out))
-    return comparisons, tuple(map(str, left_out))
+    kept = sorted([baseline, *comparisons])
+    bare = [replace(base, results=NOTHING) if k == baseline else comparisons[k].b for k in kept]
+    place = kept.index(baseline)
+    names = [sources[k].short for k in kept]
+    shorts = [  # `run 3`, or `tank` and `tank #2`
+        f"{name} #{names[: k + 1].count(name)}" if name in names[:k] else name for k, name in enumerate(names)
+    ]
+    longer = [s if s != sources[k].short else sources[k].longer or s for k, s in zip(kept, shorts, strict=True)]
+    labels, inputs = label_runs(bare, shorts, longer, place)
+    runs = {k: replace(run, name=label) for k, run, label in zip(kept, bare, labels, strict=True)}
+    named = tuple(replace(c, a=runs[baseline], b=runs[k]) for k, c in sorted(comparisons.items()))
+    ranked = sorted(comparisons, key=lambda k: -max(d.share for d in comparisons[k].differences))
+    drawn = sorted([baseline, *ranked[: MAX_RUNS - 1]])
+    about = tuple(runs.values()), tuple(shorts), place, named, tuple(inputs), tuple(map(kept.index, drawn))
+    compared = ComparedRuns(*about, base.results.time, {}, {}, tuple(map(str, left_out)))
+    numbers = base.results.with_integers()
+    is_number = {n: n in numbers and not (n in numbers.exact and is_rounded(numbers[n])) for n in compared.ranking}
+    curves: dict[str, list[Array]] = {n: [] for n in [n for n, is_so in is_number.items() if is_so][:MAX_SIGNALS]}
+    for k in drawn:
+        found = compare_runs(base, reader[k])
+        first = int(np.searchsorted(compared.time, found.time[0]))
+        for name, of_runs in curves.items():
+            values = np.full(compared.time.size, np.nan)
+            if name in found.values:
+                values[first : first + found.time.size] = found.values[name][1]
+            of_runs.append(values)
+    return replace(compared, curves=curves, units={name: numbers.units.get(name, "") for name in curves})
 
 
 def label_runs(
@@ -333,59 +285,6 @@ class _Reader:
         if self._cells <= MOST_CELLS:
             self._kept[k] = run
         return run
-
-
-def _at_times(run: RecordedRun, base: RecordedRun, name: str) -> Array:
-    """Return a signal of a run at the times of the baseline, in its unit there; NaN where the run has no value."""
-    time = base.results.time
-    results = run.results
-    by = unit_conversion(run, base, name) if name in results else None
-    if by is None or not results.time.size:
-        return np.full(time.size, np.nan)
-    values = results[name]
-    if not np.array_equal(results.time, time):
-        at = np.interp(time, results.time, values, left=math.nan, right=math.nan)
-        if is_held(base, run, name):
-            close = time_tolerance(time)
-            rows = np.maximum(np.searchsorted(results.time, time + close, side="right") - 1, 0)
-            at = np.where(np.isnan(at), np.nan, values[rows])
-        values = at
-    return np.asarray(by.factor * values + by.offset)
-
-
-def _different(names: Sequence[str]) -> list[str]:
-    """Return short names that differ: `run 3`, or `tank` and `tank #2`."""
-    return [
-        name if names.count(name) == 1 or name not in names[:k] else f"{name} #{names[: k + 1].count(name)}"
-        for k, name in enumerate(names)
-    ]
-
-
-def _cell(d: Difference | None) -> str:
-    return "–" if d is None else f"{format_size(d, d.largest)} ({format_share(d)})" if d.largest else "equal"
-
-
-def _plain(d: Difference) -> dict[str, Any]:
-    return {
-        key: None if isinstance(value, float) and not math.isfinite(value) else value
-        for key, value in asdict(d).items()
-        if key != "name"
-    }
-
-
-def _run_as_json(run: RecordedRun, comparison: Compared | None) -> dict[str, Any]:
-    """Return a run and its verdict; the baseline has no comparison."""
-    about = {"label": run.name, "path": str(run.path)}
-    if comparison is None:
-        return {**about, "within": None, "reasons": None, "shorter": None, "only_a": [], "only_b": []}
-    return {
-        **about,
-        "within": comparison.same if comparison.judged else None,
-        "reasons": comparison.reasons if comparison.judged else None,
-        "shorter": comparison.shorter or None,
-        "only_a": list(comparison.only_a),
-        "only_b": list(comparison.only_b),
-    }
 
 
 def sentence(c: ComparedRuns) -> str:

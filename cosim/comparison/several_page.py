@@ -9,14 +9,12 @@ from typing import Any
 
 from cosim.base.text import counted
 from cosim.base.version import __version__
-from cosim.comparison.criterion_cells import criterion_cell, criterion_limit, tone_of
-from cosim.comparison.differences import Compared
+from cosim.comparison.differences import Compared, criterion_cell, criterion_limit, tone_of
 from cosim.comparison.several import ComparedRuns, sentence
 from cosim.comparison.signal_panels import differences, equal_panel, overlay, styles_of
 from cosim.comparison.signals import Difference, format_share, format_size
 from cosim.history.inputs import DifferingInput, input_text
-from cosim.report.chart_data import to_json
-from cosim.report.drawing import Drawing
+from cosim.report.charts import Charts
 from cosim.report.template import render
 
 TEMPLATE = Path(__file__).with_name("templates") / "several.html.j2"
@@ -67,7 +65,8 @@ def _charts(c: ComparedRuns) -> dict[str, Any]:
     """Return charts of signals that differ and of equal ones, with their data."""
     base, short = c.drawn.index(c.baseline), c.shorts[c.baseline]
     labels = [(c.labels if len(c.drawn) <= MOST_LABELS else c.shorts)[k] for k in c.drawn]
-    drawing = Drawing(c.time, 2 * len(labels) * max(1, len(c.curves)))
+    charts = Charts()
+    drawing = charts.over(c.time)
     differing, equal, every_equal = [], [], {*c.equal}
     for name, curves in c.curves.items():
         about = name, c.units[name], labels, curves, base
@@ -75,8 +74,8 @@ def _charts(c: ComparedRuns) -> dict[str, Any]:
             equal.append(equal_panel(name, c.units[name], curves[base]))
         else:
             differing += [overlay(*about), differences(*about, short=short)]
-    plots = drawing.plots(differing)
-    return {"plots": plots, "equal": drawing.plots(equal), "data": to_json(drawing.series)}
+    plots, equal_plots = drawing.plots(differing), drawing.plots(equal)
+    return {"plots": plots, "equal": equal_plots, "data": charts.data()}
 
 
 def _input_cells(row: DifferingInput) -> list[str]:

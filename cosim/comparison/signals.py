@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from cosim.base.text import amount, plain
 from cosim.base.units import Conversion
 from cosim.comparison.intermediate_rows import RowsBetween
 from cosim.simulation.run_files import RecordedRun
-from cosim.storage.table_source import as_text
+from cosim.storage.table import as_text
 
 SAME_TIME = 1e-9  # fraction of a step
 ROUNDING = 8 * float(np.finfo(float).eps)  # fraction of a value, for a unit conversion there and back
@@ -45,6 +46,11 @@ class Difference:
     beyond: bool
     note: str = ""
     alike: bool = True
+
+    def as_json(self, *, named: bool = True) -> dict[str, Any]:
+        """Return the difference as plain data; non-finite becomes None."""
+        values = [(k, v) for k, v in asdict(self).items() if named or k != "name"]
+        return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in values}
 
 
 @dataclass(frozen=True)
@@ -121,12 +127,6 @@ def include_rows_between(d: Difference, outside: float, at: float, allowed: Tole
     beyond = d.beyond or allowed.is_exceeded(outside, d.scale)
     note = "; ".join(filter(None, [d.note, BETWEEN]))
     return replace(d, largest=outside, at=at, share=outside / d.scale, beyond=beyond, note=note)
-
-
-def compare_other_units(name: str, unit: str, other: str, time: Array, *, has_tolerance: bool) -> Difference:
-    """Return an infinite difference for incompatible units."""
-    note = f"in {unit} in one, in {other} in the other"
-    return Difference(name, unit, math.inf, float(time[0]), math.inf, 1.0, math.inf, has_tolerance, note, alike=False)
 
 
 def unit_note(unit: str, other: str, d: Difference, by: Conversion) -> str:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 import shlex
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,20 +13,24 @@ from cosim.base.arrays import far_beyond
 from cosim.base.errors import InputError
 from cosim.base.text import counted, written
 from cosim.base.version import __version__
-from cosim.comparison import messages
-from cosim.comparison.criterion_cells import criterion_cell, tone_of
-from cosim.comparison.differences import Compared, compare_runs, criteria_of, sentence
-from cosim.comparison.several import ComparedRuns, RunSource, compare_several
+from cosim.comparison.differences import (
+    Compared,
+    compare_runs,
+    criteria_of,
+    criterion_cell,
+    is_one_run,
+    sentence,
+    tone_of,
+)
+from cosim.comparison.several import ComparedRuns, RunSource, compare_several, label_runs
 from cosim.comparison.several_page import several_page
 from cosim.comparison.signal_panels import equal_panel, panels_of
-from cosim.comparison.signals import Difference, format_share, format_size
-from cosim.report.chart_data import to_json
-from cosim.report.drawing import Drawing
+from cosim.comparison.signals import format_share, format_size
+from cosim.report.charts import Charts
 from cosim.report.template import render
 from cosim.simulation.run_files import RecordedRun
-from cosim.storage.files import FilePath, check_writable, named_path, write_json, write_text
-from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import check_overwritable, folder_named, keep_earlier
+from cosim.storage.files import FilePath, check_writable, write_json, write_text
+from cosim.storage.folders import new_run, remove_earlier
 
 TEMPLATE = Path(__file__).with_name("templates") / "comparison.html.j2"
 MAX_PLOTTED = 24  # signals with the largest differences
@@ -35,133 +38,75 @@ FILES = ("comparison.json", "report.html")
 LONGEST_NAME, NUMBERED = 80, "run "  # characters of the name of a folder; the beginning of the name of a numbered run
 
 
-@folder_locks()
 @far_beyond
 def compare(
-    a: RecordedRun,
-    b: RecordedRun,
-    folder: FilePath | None = None,
-    *,
-    tolerance: float | None = None,
-    absolute: float = 0.0,
-    report: bool = True,
-    write: bool = True,
-    force: bool = False,
-    shorts: Sequence[str] | None = None,
-) -> tuple[Compared, Path]:
-    """Compare run b with run a; write comparison.json and report.html.
-
-    Args:
-        tolerance: Share of each signal's range in a.
-        absolute: Size in the signal's unit, added to the share.
-        write: Whether to write files.
-        force: Whether to overwrite the files of another command.
-        shorts: Short names of both runs, for the name of the default folder.
-
-    Returns:
-        The comparison and its folder.
-
-    Raises:
-        InputError: The runs have no common signal or time.
-    """
-    _check_tolerance(a.path, tolerance, absolute)
-    comparison = compare_runs(a, b, tolerance, absolute)
-    names, paths = shorts or (a.name, b.name), [a.path, b.path]
-    place = folder_named(_name_of(names, paths)) if folder is None else named_path(folder)
-    if write:
-        _prepare(place, paths, force=force, numbered=folder is None and _is_numbered(names))
-        page = partial(render, TEMPLATE, context(comparison)) if report else None
-        _write(place, comparison.as_json(), page)
-    return comparison, place
-
-
-@folder_locks()
-@far_beyond
-def compare_all(
     sources: Sequence[RunSource],
     folder: FilePath | None = None,
     *,
     baseline: int = 0,
+    as_pair: bool = False,
     tolerance: float | None = None,
     absolute: float = 0.0,
     report: bool = True,
     write: bool = True,
     force: bool = False,
-) -> tuple[ComparedRuns, Path]:
-    """Compare several runs with a baseline; write comparison.json and report.html.
+) -> tuple[Compared | ComparedRuns, Path]:
+    """Compare runs with a baseline; write comparison.json and report.html.
 
     Args:
         baseline: Index of the baseline.
+        as_pair: Whether to return the comparison of two runs as `Compared`.
         tolerance: Share of each signal's range in the baseline.
         absolute: Size in the signal's unit, added to the share.
         write: Whether to write files.
-        force: Whether to overwrite the files of another command.
+        force: Whether `folder` may have files.
 
     Returns:
-        The comparison and its folder.
+        The comparison and its folder, the current one without files.
 
     Raises:
         InputError: Runs cannot be read, or have no common signal or time.
     """
-    base = sources[baseline]
-    _check_tolerance(base.path, tolerance, absolute)
-    comparison = compare_several(sources, baseline, tolerance, absolute)
-    paths = [base.path, *(s.path for k, s in enumerate(sources) if k != baseline)]
-    names = [base.short, *(s.short for k, s in enumerate(sources) if k != baseline)]
-    place = folder_named(_name_of(names, paths)) if folder is None else named_path(folder)
-    if write:
-        _prepare(place, paths, force=force, numbered=folder is None and _is_numbered(names))
-        options = _options(tolerance, absolute)
-        page = (
-            partial(several_page, comparison, _tolerance(tolerance, absolute, "the baseline"), options)
-            if report
-            else None
-        )
-        _write(place, comparison.as_json(), page)
+    ordered = [sources[baseline], *(source for k, source in enumerate(sources) if k != baseline)]
+    for option, value in (("--tol", tolerance), ("--abs", absolute)):
+        if value is not None and not (math.isfinite(value) and value >= 0):
+            raise InputError.at(ordered[0].path, f"{option} {value:g}: give a number that is not negative")
+    comparison: Compared | ComparedRuns
+    if as_pair:
+        comparison = compare_runs(*_read_pair(ordered), tolerance, absolute)
+    else:
+        comparison = compare_several(sources, baseline, tolerance, absolute)
+    if not write:
+        return comparison, Path()
+    shorts, compared = [source.short for source in ordered], [source.path for source in ordered]
+    numbers = [short.removeprefix(NUMBERED) for short in shorts]
+    name = f"runs {'-'.join(numbers)}" if all(map(str.isdecimal, numbers)) else " and ".join(shorts)
+    if len(name) > LONGEST_NAME:
+        name = f"{shorts[0]} and {len(shorts) - 1} others"
+    with new_run(folder, name, "cosim compare", force=force) as place:
+        check_writable(place, FILES, compared)
+        remove_earlier(place, read=compared)
+        write_json(place / "comparison.json", comparison.as_json())
+        if report:
+            about = _tolerance(tolerance, absolute, "the baseline"), _options(tolerance, absolute)
+            if isinstance(comparison, Compared):
+                page = render(TEMPLATE, context(comparison))
+            else:
+                page = several_page(comparison, *about)
+            write_text(place / "report.html", page)
     return comparison, place
 
 
-def _name_of(names: Sequence[str], paths: Sequence[Path]) -> str:
-    """Return the name of a comparison: `runs 1-2-3`; that of many runs ends with a hash of their paths."""
-    numbers = [name.removeprefix(NUMBERED) for name in names]
-    text = f"runs {'-'.join(numbers)}" if all(map(str.isdecimal, numbers)) else " and ".join(names)
-    if len(text) <= LONGEST_NAME:
-        return text
-    digest = hashlib.sha256("\0".join(map(str, paths)).encode()).hexdigest()
-    return f"{names[0]} and {len(names) - 1} others {digest[:8]}"
-
-
-def _is_numbered(names: Sequence[str]) -> bool:
-    """Return whether the name of a comparison has the number of a run."""
-    return any(name.startswith(NUMBERED) and name.removeprefix(NUMBERED).isdecimal() for name in names)
-
-
-def _check_tolerance(path: Path, tolerance: float | None, absolute: float) -> None:
-    for name, value in (("--tol", tolerance), ("--abs", absolute)):
-        if value is not None and not (math.isfinite(value) and value >= 0):
-            raise InputError.at(path, messages.NEGATIVE_TOLERANCE(option=name, value=value))
-
-
-def _prepare(place: Path, paths: Sequence[Path], *, force: bool, numbered: bool) -> None:
-    """Check that a folder may take a comparison; move an earlier one to `runs`.
-
-    Args:
-        paths: Folders and tables that are compared; they stay where they are.
-        numbered: Whether the folder is named by numbers, whose paths change when a newest run moves to `runs`.
-    """
-    read = [p / "manifest.json" if p.is_dir() else p for p in paths]
-    others = ", ".join(str(path) for path in paths[1:])
-    compared = () if numbered else (str(paths[0]), others)
-    check_overwritable(place, "cosim compare", *compared, force=force)
-    check_writable(place, FILES, read)
-    keep_earlier(place, "cosim compare", read=paths)
-
-
-def _write(place: Path, content: Mapping[str, Any], page: Callable[[], str] | None) -> None:
-    write_json(place / "comparison.json", content)
-    (place / "report.html").unlink(missing_ok=True)
-    if page is not None:
-        write_text(place / "report.html", page())
+def _read_pair(sources: Sequence[RunSource]) -> tuple[RecordedRun, RecordedRun]:
+    """Return two runs with names that differ."""
+    runs = [source.read() for source in sources]
+    shorts = [source.short for source in sources]
+    if is_one_run(*runs):
+        runs = [replace(runs[0], name=shorts[0]), replace(runs[1], name="the same run")]
+    elif shorts[0] == shorts[1] or shorts != [run.name for run in runs]:
+        labels, _ = label_runs(runs, shorts, [source.longer or source.short for source in sources])
+        runs = [replace(run, name=label) for run, label in zip(runs, labels, strict=True)]
+    return runs[0], runs[1]
 
 
 def context(c: Compared) -> Mapping[str, Any]:
@@ -169,9 +114,10 @@ def context(c: Compared) -> Mapping[str, Any]:
     numeric = [d for d in c.ranking if d.name in c.values]
     plotted, equal = [d for d in numeric if d.largest][:MAX_PLOTTED], [d for d in numeric if not d.largest]
     shown = equal[: MAX_PLOTTED - len(plotted)]
-    drawing = Drawing(c.time, 3 * len(plotted) + len(shown))
+    charts = Charts()
+    drawing = charts.over(c.time)
     panels = [panel for d in plotted for panel in panels_of(d.name, d.unit, (c.a.name, c.b.name), c.values[d.name])]
-    plots = drawing.plots(panels)  # before its series
+    plots = drawing.plots(panels)
     equal_plots = drawing.plots([equal_panel(d.name, d.unit, c.values[d.name][0], "a and b") for d in shown])
     return {
         "a": c.a,
@@ -181,15 +127,27 @@ def context(c: Compared) -> Mapping[str, Any]:
         "judged": c.judged,
         "tolerance": _tolerance(c.tolerance, c.absolute),
         "aligned": c.aligned,
-        "rows": [_row(d) for d in c.ranking],
-        "criteria": [(title, criterion_cell(a), criterion_cell(b)) for title, a, b in criteria_of(c)],
+        "rows": [
+            {
+                "name": d.name,
+                "unit": written(d.unit),
+                "largest": format_size(d, d.largest),
+                "at": f"{d.at:.6g}\u00a0s",
+                "rms": format_size(d, d.rms),
+                "share": format_share(d),
+                "beyond": d.beyond,
+                "note": d.note,
+            }
+            for d in c.ranking
+        ],
+        "criteria": [(title, *map(criterion_cell, both)) for title, both in criteria_of((c.a, c.b)).items()],
         "plots": plots,
         "undrawn": sum(d.largest > 0 for d in c.differences) - len(plotted),
         "equal_plots": equal_plots,
         "equal_count": counted(len(equal), "signal"),
         "only_a": c.only_a,
         "only_b": c.only_b,
-        "data": to_json(drawing.series),
+        "data": charts.data(),
         "repeat": shlex.join(["cosim", "compare", str(c.a.path), str(c.b.path), *_options(c.tolerance, c.absolute)]),
         "version": __version__,
     }
@@ -205,16 +163,3 @@ def _tolerance(tolerance: float | None, absolute: float, base: str = "a") -> str
         return ""
     parts = [f"{tolerance:g} of each signal's range in {base}"] + ([f"{absolute:g} in its unit"] if absolute else [])
     return " and ".join(parts)
-
-
-def _row(d: Difference) -> dict[str, Any]:
-    return {
-        "name": d.name,
-        "unit": written(d.unit),
-        "largest": format_size(d, d.largest),
-        "at": f"{d.at:.6g}\u00a0s",
-        "rms": format_size(d, d.rms),
-        "share": format_share(d),
-        "beyond": d.beyond,
-        "note": d.note,
-    }

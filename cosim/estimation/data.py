@@ -1,11 +1,7 @@
-"""Logs as input of the filter: equal steps, measurements, and the age of each reading.
-
-A log of a model without states is a table: its rows are independent and have no time.
-"""
+"""Logs as input of the filter: equal steps, measurements, and the age of each reading."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +12,6 @@ from cosim.logs.log import Log, slowness
 from cosim.subject.interface import Subject
 
 UNSCORED = 1.0  # [s] of each log in which the filter settles; see `count_unscored`
-MOST_ROWS, FOLDS = 40, 20  # rows of all tables up to which each is held out alone; parts of larger tables
 JITTER = 0.01  # share of a row from which rows are not equally spaced
 
 
@@ -31,8 +26,6 @@ def data_of(
         settle: Time [s] after which an unknown start state is negligible.
         interpolated: Inputs interpolated between rows; others are held.
     """
-    if log.table:
-        return _data_of_table(log, layout)
     grid = log.grid
     rows = int(grid[-1]) + 1
     last = np.searchsorted(grid, np.arange(rows), side="right") - 1
@@ -50,30 +43,10 @@ def data_of(
     return replace(data, settle=int(min(settle / log.step, count_unscored(data))))
 
 
-def _data_of_table(log: Log, layout: Layout) -> Data:
-    """Return a table (independent rows), in which outputs depend on the inputs of their own row."""
-    u = np.column_stack([log.inputs[name] for name in layout.inputs])
-    return Data(log.step, 0.0, u, _outputs(log, layout), 1, interpolated=frozenset(layout.inputs), table=True)
-
-
 def _outputs(log: Log, layout: Layout) -> Array:
     """Return the measurements of all outputs, NaN if missing."""
     nothing = np.full(log.rows, np.nan)
     return np.column_stack([log.outputs.get(name, nothing) for name in layout.outputs])
-
-
-def folds(logs: Sequence[Data]) -> list[Data]:
-    """Split tables (independent rows) into parts for cross-validation, without unmeasured rows.
-
-    Each row is a part; with many rows, parts are evenly spread rows.
-    """
-    measured = [np.flatnonzero(np.isfinite(data.y).any(axis=1)) for data in logs]
-    total = sum(rows.size for rows in measured)
-    parts = []
-    for data, rows in zip(logs, measured, strict=True):
-        count = rows.size if total <= MOST_ROWS else max(1, round(FOLDS * rows.size / total))
-        parts += [replace(data, u=data.u[rows[k::count]], y=data.y[rows[k::count]]) for k in range(count)]
-    return parts
 
 
 def _mean_commands(log: Log, u: Array, grid: Rows) -> Array:
@@ -93,7 +66,5 @@ def _mean_commands(log: Log, u: Array, grid: Rows) -> Array:
 
 
 def count_unscored(data: Data) -> int:
-    """Return the number of rows before scoring, in which the filter settles; 0 if the rows are independent."""
-    if data.table:
-        return 0
+    """Return the number of rows before scoring, in which the filter settles."""
     return round(UNSCORED * slowness(data.step) / data.step)

@@ -10,10 +10,10 @@ from types import MappingProxyType
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.estimation.data import count_unscored, data_of, folds
+from cosim.estimation.data import count_unscored, data_of
 from cosim.estimation.per_log import Origin, own_parameters
 from cosim.estimation.problem import Problem, Settings
-from cosim.estimation.readings import readings_of, readings_of_table
+from cosim.estimation.readings import readings_of
 from cosim.kernel.kernel import CONSTANT, DEVIATION, DISTURBANCE, EARLIER, MEMORY, Data, Layout
 from cosim.logs.log import Log, slowness
 from cosim.subject.candidates import Free
@@ -45,11 +45,7 @@ def build_problem(
     layout = kernel.layout
     settle = subject.settling([layout.states[k] for k in layout.driven])
     data = [data_of(subject, log, layout, settle, settings.interpolated) for log in logs]
-    if subject.static:
-        data = folds(data)
-        readings = readings_of_table([d.y for d in data])
-    else:
-        readings = [readings_of(d.y, count_unscored(d)) for d in data]
+    readings = [readings_of(d.y, count_unscored(d)) for d in data]
     begins = origins(subject, layout, logs, data, settings)
     values, own = _start_values(subject, layout, data, begins, settings)
     x0, P0 = [start_state(subject, d, measured, layout.states) for d in data], np.empty((0, 0))

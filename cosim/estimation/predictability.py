@@ -31,7 +31,7 @@ def predictable_horizon(problem: Problem, horizon: float) -> float:
     Within the shorter horizon, start errors grow tenfold in the median over starts and logs.
     A free run keeps its length.
     """
-    if problem.table or problem.layout.is_free_run or not problem.layout.states:
+    if problem.layout.is_free_run or not problem.layout.states:
         return horizon
     step = problem.logs[0].step
     curves = [curve for index in range(len(problem.logs)) for curve in _growth_curves(problem, index, horizon)]

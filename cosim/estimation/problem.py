@@ -127,11 +127,6 @@ class Problem:
         return self.kernel.layout
 
     @property
-    def table(self) -> bool:
-        """Return True if the logs are tables, whose rows are independent and have no time."""
-        return self.logs[0].table
-
-    @property
     def samples(self) -> int:
         """Return the number of scored measurements."""
         return int(sum(readings.scored.sum() for readings in self.readings))

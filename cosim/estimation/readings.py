@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -66,12 +66,6 @@ def readings_of(y: Array, unscored: int) -> Readings:
         np.array([_resolution(column) for column in y.T]),
         np.array([float(np.nanstd(c)) if np.isfinite(c).any() else 0.0 for c in y.T]),
     )
-
-
-def readings_of_table(parts: Sequence[Array]) -> list[Readings]:
-    """Return the readings of each part of a table. Its rows are independent, so the slopes over time are 0."""
-    whole = readings_of(np.vstack(parts), 0)
-    return [Readings(np.isfinite(y), np.zeros_like(y), whole.resolution, whole.spread) for y in parts]
 
 
 def _slopes(column: Array) -> Array:

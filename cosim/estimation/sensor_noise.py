@@ -8,9 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from cosim.base.arrays import Array, Flags
-from cosim.base.messages import Message
 from cosim.base.text import join_names, plain, written
-from cosim.estimation import messages
 from cosim.estimation.fit import Fit
 from cosim.estimation.noise_model import Noise
 from cosim.estimation.problem import Problem
@@ -29,17 +27,13 @@ def sensor_noise(problem: Problem) -> dict[str, float]:
     The level is the deviation of readings from four neighbours, which also contains fast motion. The model's own run
     estimates the share of motion. Outputs with a large share, such as sensors slower than the motion, are omitted.
     """
-    if problem.table:  # A table has no neighbours, so the first guess is the residual of the given model.
-        runs = [problem.own_run(index).outputs for index in range(len(problem.logs))]
-        residuals = np.vstack([log.y - run for log, run in zip(problem.logs, runs, strict=True)])
-        return dict(zip(problem.layout.outputs, np.sqrt(np.nanmean(residuals**2, axis=0)).tolist(), strict=True))
     levels = _deviations(problem).items()
     return {name: math.sqrt(read**2 - motion**2) for name, (read, motion) in levels if motion < SMOOTH * read}
 
 
 def first_noise(problem: Problem) -> dict[str, float]:
     """Return output → first guess of its noise; where motion hides the noise, the level of both together."""
-    both = {} if problem.table else {name: read for name, (read, _) in _deviations(problem).items()}
+    both = {name: read for name, (read, _) in _deviations(problem).items()}
     return both | sensor_noise(problem)
 
 
@@ -77,7 +71,7 @@ def erring_stamps(problem: Problem, at: Fit) -> Flags:
     return np.asarray(is_significant & ~np.isfinite(at.noise.timing) & problem.adjusted)
 
 
-def noise_warnings(problem: Problem, noise: Noise, subject: Subject) -> tuple[Message, ...]:
+def noise_warnings(problem: Problem, noise: Noise, subject: Subject) -> tuple[str, ...]:
     """Return warnings about estimated noise that differs from the stated noise or is not stated."""
     stated, units = np.sqrt(problem.r).tolist(), {q.name: written(q.unit) for q in subject.outputs}
     levels = zip(problem.layout.outputs, np.exp(0.5 * noise.sensors).tolist(), stated, problem.stated, strict=True)
@@ -90,19 +84,34 @@ def noise_warnings(problem: Problem, noise: Noise, subject: Subject) -> tuple[Me
             comparisons.append(f"{name} {plain(level, 2)}, not {plain(expected, 2)} {units[name]}".rstrip())
     warnings = []
     if different:
-        warnings.append(messages.DIFFERENT_NOISE(levels="; ".join(comparisons), line=_line(different)))
+        warnings.append(
+            f"the noise in the logs differs from the stated noise ({'; '.join(comparisons)}); the noise of the "
+            f"logs is used. Write {_line(different)} into the study to state it"
+        )
     if unstated:
-        warnings.append(messages.UNSTATED_NOISE(outputs=join_names([*unstated]), line=_line(unstated)))
+        warnings.append(
+            f"the model does not state the noise of {join_names([*unstated])} (sensor_variance); the logs show "
+            f"{_line(unstated)}, which is used. Write it into the study to state another"
+        )
     return tuple(warnings)
 
 
-def cell_warnings(problem: Problem, subject: Subject) -> tuple[Message, ...]:
+def cell_warnings(problem: Problem, subject: Subject) -> tuple[str, ...]:
     """Return a warning about sensors that read in cells."""
     finest = np.max([r.resolution for r in problem.readings], axis=0)
     units = {q.name: written(q.unit) for q in subject.outputs}
     pairs = zip(problem.layout.outputs, finest.tolist(), strict=True)
     cells = [f"{name} reads in cells of {plain(cell, 3)} {units[name]}".rstrip() for name, cell in pairs if cell > 0.0]
-    return (messages.CELLS(cells=join_names(cells)),) if cells else ()
+    return (
+        (
+            (
+                f"the readings repeat a few values: {join_names(cells)}. The noise of such a sensor is at least its "
+                "cell over √12; this is read off the logs, and no candidate"
+            ),
+        )
+        if cells
+        else ()
+    )
 
 
 def _line(levels: Mapping[str, float]) -> str:
@@ -111,8 +120,6 @@ def _line(levels: Mapping[str, float]) -> str:
 
 def at_rest(problem: Problem) -> bool:
     """Return True if no input moves and no output exceeds its noise in any log."""
-    if problem.table:
-        return not np.ptp(np.vstack([log.u for log in problem.logs]), axis=0).any()
     return all(
         not np.ptp(log.u, axis=0).any() and all(_is_noise(column[np.isfinite(column)]) for column in log.y.T)
         for log in problem.logs

@@ -7,9 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cosim.base.messages import Message
 from cosim.base.text import counted
-from cosim.experiment import messages
 from cosim.experiment.question import Question
 from cosim.experiment.rigs import Rig, Trial
 from cosim.experiment.separation import Pair
@@ -76,17 +74,21 @@ class Excitation:
         return lines
 
     @property
-    def warnings(self) -> list[Message]:
+    def warnings(self) -> list[str]:
         """Return warnings about inseparable pairs, and about a usual input that is better but exceeds the limits."""
         warnings = []
         if pairs := [f"{a} from {b}" for a, b in self.hardest_first if self.apart[a, b] < MIN_SEPARATION]:
             pairs[MAX_LISTED_PAIRS:] = [f"{len(pairs) - MAX_LISTED_PAIRS} more"] if pairs[MAX_LISTED_PAIRS:] else []
-            warnings.append(messages.INSEPARABLE_RIVALS(pairs=", ".join(pairs), needed=MIN_SEPARATION))
+            warnings.append(
+                f"the best input does not tell {', '.join(pairs)} (less than {MIN_SEPARATION:g} standard "
+                "deviations apart); try a wider --limit, a longer --duration or more outputs --measured"
+            )
         excess, (count, least) = self.usual_trial.excess(self.question.limits), merit_of(self.usual)
         if 1.0 < excess < np.inf and (count, least) > merit_of(self.apart):
-            text = messages.USUAL_INPUT_IS_BETTER
-            every = counted(len(self.apart), "pair")
-            warnings.append(text(usual=self.rig.usual, count=count, pairs=every, distance=least, excess=excess))
+            warnings.append(
+                f"{self.rig.usual} separates better ({count} of {counted(len(self.apart), 'pair')}, the nearest "
+                f"{least:.1f} standard deviations apart) but goes {excess:.1f} times as far as --limit allows"
+            )
         return warnings
 
     @property

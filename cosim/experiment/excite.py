@@ -7,7 +7,7 @@ influence on the choice.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from shutil import copyfile
@@ -17,9 +17,8 @@ import numpy as np
 from cosim.base import registry
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
-from cosim.base.settings import Count, ModelName, PositiveSeconds, Seed
+from cosim.base.settings import Count, ModelName, Names, PositiveSeconds, Seed
 from cosim.estimation.posing import build_problem
-from cosim.experiment import messages
 from cosim.experiment.chosen_input import Excitation, merit_of
 from cosim.experiment.excitation import draw_signals
 from cosim.experiment.fmu_experiment import FmuOpenLoop
@@ -27,10 +26,9 @@ from cosim.experiment.question import Question, ask, refinement_folder
 from cosim.experiment.rigs import OpenLoop, Rig, Trial
 from cosim.experiment.separation import Separation
 from cosim.logs.log import slowness
-from cosim.storage.files import FilePath, check_writable, named_path, write_text
-from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import check_overwritable, keep_earlier
-from cosim.storage.table import write_columns
+from cosim.storage.csv_source import write_columns
+from cosim.storage.files import FilePath, check_writable, write_text
+from cosim.storage.folders import new_run, remove_earlier
 
 EXPERIMENTS = 48
 DURATION, SHORTEST, LONGEST = 40.0, 5.0, 600.0  # [s] for a model with a step of 50 ms or less
@@ -43,20 +41,19 @@ REPORT = "report.html"
 Progress = Callable[[str, float], None]
 
 
-@folder_locks()
 def excite(
     text: ModelName,
     folder: FilePath,
-    against: Sequence[str] = (),
+    against: Names = (),
     *,
-    limits: Sequence[str] = (),
-    ranges: Sequence[str] = (),
-    measured: Sequence[str] = (),
+    limits: Names = (),
+    ranges: Names = (),
+    measured: Names = (),
     duration: PositiveSeconds | None = None,
     seed: Seed = 1,
     experiments: Count = EXPERIMENTS,
     report: bool = True,
-    force: bool = True,
+    force: bool = False,
     progress: Progress | None = None,
 ) -> Excitation:
     """Design the input that separates rival hypotheses best.
@@ -72,7 +69,7 @@ def excite(
         seed: Seed for the random experiments.
         experiments: Number of random experiments.
         report: Write report.html.
-        force: Overwrite results of another command in `folder`.
+        force: Write even if `folder` has results of another command.
         progress: Function of (stage, completed share).
 
     Returns:
@@ -83,28 +80,31 @@ def excite(
     """
     show_stage = progress or (lambda stage, share: None)
     show_stage("reading the model", 0.0)
-    folder = named_path(folder)
-    question = ask(text, against, limits, measured, ranges, duration)
-    model = question.loaded.model
-    time = _times(text, model.rate, duration)
-    rig = _rig(question, float(time[-1]))
-    files = ("excitation.csv", "excitation.yaml", "plant.fmu", REPORT, *rig.files)
-    check_overwritable(folder, "cosim excite", force=force)
-    check_writable(folder, files, [source / "plant.fmu"] if (source := refinement_folder(text)) else [])
-    excitation = _choose(question, rig, time, seed, experiments, show_stage)
-    if excitation is None:
-        raise InputError.at(Path(text), messages.NONE_WITHIN_LIMITS(count=experiments))
-    if max(excitation.apart.values()) < MIN_DISTANCE:
-        raise InputError.at(Path(text), messages.NONE_SEPARATES(count=experiments))
-    show_stage("building the FMUs", 0.0)
-    keep_earlier(folder, "cosim excite", rig.files, read=[source] if source else [])
-    _write(folder, excitation, seed)
-    (folder / REPORT).unlink(missing_ok=True)
-    if report:
-        from cosim.experiment.report import page
+    with new_run(folder, "", "cosim excite", force=force, goes_on=True) as place:
+        question = ask(text, against, limits, measured, ranges, duration)
+        model = question.loaded.model
+        time = _times(text, model.rate, duration)
+        rig = _rig(question, float(time[-1]))
+        files = ("excitation.csv", "excitation.yaml", "plant.fmu", REPORT, *rig.files)
+        check_writable(place, files, [source / "plant.fmu"] if (source := refinement_folder(text)) else [])
+        excitation = _choose(question, rig, time, seed, experiments, show_stage)
+        if excitation is None:
+            reason = f"none of {experiments} experiments stays within the limits; widen --limit or shorten --duration"
+            raise InputError.at(Path(text), reason)
+        if max(excitation.apart.values()) < MIN_DISTANCE:
+            raise InputError.at(
+                Path(text),
+                f"none of {experiments} experiments drives any two rivals a standard deviation apart; try a wider "
+                "--limit, a longer --duration or more outputs --measured",
+            )
+        show_stage("building the FMUs", 0.0)
+        remove_earlier(place, read=[source] if source else [])
+        _write(place, excitation, seed)
+        if report:
+            from cosim.experiment.report import page
 
-        write_text(folder / REPORT, page(excitation, folder / "excitation.yaml"))
-    return excitation
+            write_text(place / REPORT, page(excitation, place / "excitation.yaml"))
+        return excitation
 
 
 def _rig(question: Question, duration: float) -> Rig:
@@ -122,7 +122,13 @@ def _times(text: str, step: float, duration: float | None) -> Array:
     duration = default if duration is None else duration
     if not shortest <= duration <= longest:
         limits = {"shortest": shortest, "longest": longest, "step": step}
-        raise InputError.at(Path(text), messages.DURATION_OUT_OF_RANGE(duration=duration, **limits))
+        raise InputError.at(
+            Path(text),
+            (
+                "--duration {duration:g}: an experiment lasts between {shortest:g} and {longest:g} s for a step of "
+                "{step:g} s"
+            ).format(duration=duration, **limits),
+        )
     return step * np.arange(round(duration / step) + 1, dtype=np.float64)
 
 

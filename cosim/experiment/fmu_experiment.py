@@ -12,7 +12,6 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import Fault, refuse
-from cosim.base.messages import Message
 from cosim.blocks.description import read_description
 from cosim.estimation.data import data_of
 from cosim.experiment.ranges import limits_and_ranges
@@ -119,7 +118,7 @@ def subject_of_fmu(
     time = step * np.arange(round((duration or float(course.time[-1])) / step) + 1, dtype=np.float64)
     inputs, outputs = (quantities(description, [q.name for q in group]) for group in model_signals(fmu))
     bare = _bare_model(fmu, inputs, outputs, step)
-    faults = list[Message]()
+    faults = list[str]()
     reaches, spans = limits_and_ranges(bare, limits, ranges, {}, faults)
     refuse(Fault(fmu, 0, 0, fault) for fault in faults)
     rig = OpenLoop(bare, reaches, spans, float(time[-1]))

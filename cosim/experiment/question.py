@@ -10,8 +10,6 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict
 
 from cosim.base.errors import Fault, InputError, refuse
-from cosim.base.messages import Message
-from cosim.experiment import messages
 from cosim.experiment.fmu_experiment import confused_groups, first_outputs, subject_of_fmu
 from cosim.experiment.ranges import inputs_to_limit, limits_and_ranges, logged_ranges
 from cosim.experiment.rigs import Ranges
@@ -24,6 +22,7 @@ from cosim.model.model import Model
 from cosim.refinement.decision.judgement import SIGNIFICANT
 from cosim.refinement.search.hypotheses import TOGETHER
 from cosim.refinement.study import StudyFile, read_study
+from cosim.storage.folders import newest_run
 from cosim.storage.kinds import ANSWER, CODE, FMU, MODEL, check_form, check_given, kind_by_form
 from cosim.storage.yaml_file import YamlFile, did_you_mean
 from cosim.subject.candidates import Candidate
@@ -120,16 +119,24 @@ def ask(
         path, question = Path(text), _question_of_fmu(Path(text), against, limits, ranges, duration)
     else:
         path, question = _read_question(text, against)
-    model, faults = question.base.model, list[Message]()
-    if model.static:
-        raise InputError.at(path, messages.NO_STATES(model=model.title))
+    model, faults = question.base.model, list[str]()
+    if not model.base_states:
+        raise InputError.at(
+            path,
+            (
+                f"{model.title} has no states, so an input over time adds no information; told_apart_by of the model "
+                "names rows that separate its rivals"
+            ),
+        )
     reaches, spans = limits_and_ranges(model, limits, ranges, question.ranges, faults)
     outputs = [q.name for q in model.outputs]
     unknown = [name for name in measured if name not in outputs]
-    faults += [messages.UNKNOWN_OUTPUT(name=name, cure=did_you_mean(name, outputs)) for name in unknown]
+    faults += [f'--measured: no output "{name}"{did_you_mean(name, outputs)}' for name in unknown]
     logged = tuple(n for n in outputs if n in (measured or question.measured))
     if not logged and not faults:
-        faults.append(messages.NOTHING_MEASURED(outputs=", ".join(outputs)))
+        faults.append(
+            f"the model does not state the measured outputs; add --measured NAME, one of {', '.join(outputs)}"
+        )
     refuse(Fault(path, 0, 0, fault) for fault in faults)
     return replace(question, limits=reaches, ranges=spans, measured=logged)
 
@@ -151,7 +158,7 @@ def _read_question(text: str, against: Sequence[str]) -> tuple[Path, Question]:
 def refinement_folder(text: str) -> Path | None:
     """Return the folder of a refinement from the name of the folder or of its JSON file, else None."""
     path = Path(text)
-    return path if path.is_dir() else path.parent if path.suffix == ".json" else None
+    return newest_run(path) if path.is_dir() else path.parent if path.suffix == ".json" else None
 
 
 def _question_of_refinement(path: Path, against: Sequence[str]) -> Question:
@@ -163,7 +170,14 @@ def _question_of_refinement(path: Path, against: Sequence[str]) -> Question:
     content = yaml.validate(RefineResultPart)
     file = Path(content.study)
     if not file.is_file():
-        raise InputError([yaml.fault(("study",), messages.NO_STUDY(study=file))])
+        raise InputError(
+            [
+                yaml.fault(
+                    ("study",),
+                    f"no such study: {file}; a relative path starts from the current folder, so run the command there",
+                )
+            ]
+        )
     yaml = YamlFile(file)
     study = yaml.validate(StudyFile)
     if study.model.lower().endswith(FMU_SUFFIX):
@@ -273,7 +287,9 @@ def _question_of_fmu(
         names = dict.fromkeys(chain.from_iterable(pairs))
         rivals = tuple(typical_rival(subject, candidates[name]) for name in names)
     if not pairs:
-        raise InputError.at(path, messages.NO_RIVALS(names=", ".join(candidates)))
+        raise InputError.at(
+            path, f"has no terms that are hard to separate; name rivals as --against ({', '.join(candidates)})"
+        )
     measured = tuple(q.name for q in subject.outputs)
     variables = {name: variable for variable, name in subject.names.items()}
     noise = {n: NOISE_SHARE * (subject.structure.scales.get(variables[n]) or 1.0) for n in measured}
@@ -317,8 +333,8 @@ def _candidates(loaded: LoadedModel) -> dict[str, Candidate]:
 
 def _check_names(path: Path, names: Sequence[str], candidates: Mapping[str, Candidate]) -> None:
     unknown = [name for name in names if name not in candidates]
-    faults = [messages.UNKNOWN_CANDIDATE(name=name, cure=did_you_mean(name, candidates)) for name in unknown]
-    faults += [messages.REPEATED_CANDIDATE(name=name) for name in names if names.count(name) > 1]
+    faults = [f'no candidate "{name}"{did_you_mean(name, candidates)}' for name in unknown]
+    faults += [f'"{name}" is named twice; name it once' for name in names if names.count(name) > 1]
     refuse(Fault(path, 0, 0, fault) for fault in faults)
 
 

@@ -8,9 +8,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from cosim.base.messages import Message
 from cosim.base.units import NUMBER, conversion
-from cosim.experiment import messages
 from cosim.experiment.rigs import Ranges
 from cosim.logs.log import Log
 from cosim.model.model import Model
@@ -23,7 +21,9 @@ RANGE = re.compile(rf"(?P<name>[^=]+)=\s*(?P<low>{NUMBER})\s*\.\.\s*(?P<high>{NU
 
 def inputs_to_limit(model: Model | Subject) -> tuple[str, ...]:
     """Return inputs without a declared limit."""
-    return tuple(q.name for q in model.inputs if q.name not in model.excursion and not _is_bounded(q.bounds))
+    return tuple(
+        q.name for q in model.inputs if q.name not in model.excursion and not all(map(math.isfinite, q.bounds))
+    )
 
 
 def logged_ranges(logs: Sequence[Log]) -> dict[str, tuple[float, float]]:
@@ -33,7 +33,7 @@ def logged_ranges(logs: Sequence[Log]) -> dict[str, tuple[float, float]]:
 
 
 def limits_and_ranges(
-    model: Model, limits: Sequence[str], ranges: Sequence[str], logged: Ranges, faults: list[Message]
+    model: Model, limits: Sequence[str], ranges: Sequence[str], logged: Ranges, faults: list[str]
 ) -> tuple[dict[str, float], dict[str, tuple[float, float]]]:
     """Return the largest allowed excursion of each limited signal, and the range of each input; extend `faults`.
 
@@ -51,7 +51,10 @@ def limits_and_ranges(
         if math.isfinite(reach) and reach > 0.0:
             spans[q.name], reaches[q.name] = (low, high), reach
         else:
-            faults.append(messages.NO_LIMIT(start=q.start, name=q.name, unit=q.unit))
+            faults.append(
+                f"how far from {q.start:g} may {q.name} go? Say --limit {q.name}=VALUE or --range "
+                f"{q.name}=MIN..MAX [{q.unit}]"
+            )
     return reaches, {name: span for name, span in spans.items() if any(map(math.isfinite, span))}
 
 
@@ -61,41 +64,40 @@ def _read_items(pattern: re.Pattern[str], texts: Sequence[str]) -> Iterator[tupl
         yield text, text.partition("=")[0].strip(), pattern.fullmatch(text.strip())
 
 
-def _limits(model: Model, texts: Sequence[str], faults: list[Message]) -> dict[str, float]:
+def _limits(model: Model, texts: Sequence[str], faults: list[str]) -> dict[str, float]:
     """Return excursion limits: the model's, overridden by NAME=VALUE with unit."""
     units = {q.name: q.unit for q in (*model.outputs, *model.inputs)}
     limits = dict(model.excursion)
     for text, name, match in _read_items(LIMIT, texts):
         if name not in units:
             cure = did_you_mean(name, units)
-            faults.append(messages.LIMIT_OF_UNKNOWN_SIGNAL(text=text, name=name, cure=cure))
+            faults.append(f'--limit {text}: no input or output "{name}"{cure}')
             continue
         convert = conversion(match["unit"].strip(), units[name], difference=True) if match else None
         size = convert(float(match["number"])) if match and convert else math.nan
         if size > 0:
             limits[name] = size
         else:
-            faults.append(messages.LIMIT_NOT_A_DISTANCE(text=text, name=name, unit=units[name]))
+            faults.append(f"--limit {text}: say how far {name} may go, above 0 [{units[name]}], such as {name}=0.1")
     return limits
 
 
-def _narrow_ranges(model: Model, texts: Sequence[str], spans: dict[str, tuple[float, float]]) -> Iterator[Message]:
+def _narrow_ranges(model: Model, texts: Sequence[str], spans: dict[str, tuple[float, float]]) -> Iterator[str]:
     """Narrow the declared ranges in `spans` by texts NAME=MIN..MAX with a unit; yield a message for each fault."""
     units = {q.name: q.unit for q in model.inputs}
     for text, name, match in _read_items(RANGE, texts):
         if name not in units:
             cure, inputs = did_you_mean(name, units), ", ".join(units)
-            yield messages.RANGE_OF_UNKNOWN_INPUT(text=text, name=name, cure=cure, inputs=inputs)
+            yield f'--range {text}: no input "{name}"{cure} (inputs: {inputs})'
             continue
         convert, (low, high) = conversion(match["unit"].strip(), units[name]) if match else None, spans[name]
         lower, upper = (convert(float(match[end])) if match and convert else math.nan for end in ("low", "high"))
         if not lower < upper:
-            yield messages.RANGE_NOT_AN_INTERVAL(text=text, name=name, unit=units[name])
+            yield f"--range {text}: say between what {name} stays, lower end first [{units[name]}], as {name}=0..10"
         elif not max(lower, low) < min(upper, high):
-            yield messages.RANGE_OUTSIDE_BOUNDS(text=text, low=low, high=high, unit=units[name], name=name)
+            yield (
+                f"--range {text}: the model declares {low:g}..{high:g} {units[name]} of {name}; choose a range "
+                "that overlaps"
+            )
         else:
             spans[name] = max(lower, low), min(upper, high)
-
-
-def _is_bounded(span: tuple[float, float]) -> bool:
-    return all(map(math.isfinite, span))

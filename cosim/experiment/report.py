@@ -14,10 +14,9 @@ from cosim.base.text import append_unit, counted, display, plain
 from cosim.base.version import __version__
 from cosim.experiment.chosen_input import MIN_SEPARATION, Excitation
 from cosim.experiment.separation import Pair
-from cosim.report.drawing import Charts, Drawing
+from cosim.report.charts import Charts, Drawing, Plot
 from cosim.report.html_tables import Badge
 from cosim.report.panels import Panel, Trace, by_unit
-from cosim.report.svg import Plot
 from cosim.report.template import render
 
 TEMPLATE = Path(__file__).with_name("templates") / "excite.html.j2"
@@ -32,7 +31,7 @@ def page(excitation: Excitation, scenario: Path) -> str:
     question, charts = excitation.question, Charts()
     seconds = float(excitation.trial.time[-1] - excitation.trial.time[0])
     outputs = _outputs(excitation)
-    drawing = charts.over(excitation.trial.time, len(excitation.trial.inputs) + len(outputs) * (1 + MAX_RIVALS))
+    drawing = charts.over(excitation.trial.time)
     pairs, names = excitation.hardest_first, question.measured
     largest = max(
         [MIN_SEPARATION, *(d for of in (excitation.apart, excitation.usual) for d in of.values() if math.isfinite(d))]

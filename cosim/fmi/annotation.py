@@ -20,8 +20,6 @@ def annotation(traits: Traits, state: str = "json") -> Element:
     """
     root = Element("VendorAnnotations")
     node = SubElement(SubElement(root, "Tool", name=TOOL), "Traits", state=state)  # FMI allows a single element here.
-    if traits.static:
-        node.set("static", "true")
     for name, rate in traits.rates.items():
         SubElement(node, "Rate", of=name, signal=rate)
     for name, (low, high) in traits.bounds.items():
@@ -41,5 +39,4 @@ def traits_of(fmu: Path) -> Traits | None:
         {rate.attrib["of"]: rate.attrib["signal"] for rate in node.findall("Rate")},
         {n.attrib["of"]: (float(n.attrib["low"]), float(n.attrib["high"])) for n in node.findall("Limits")},
         None if frame is None else PlanarFrame(**{key: frame.attrib[key] for key in FRAME}),
-        node.get("static") == "true",
     )

@@ -12,7 +12,7 @@ import re
 import sys
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.machinery import ModuleSpec
 from importlib.util import find_spec
 from pathlib import Path
@@ -22,6 +22,7 @@ from cosim.base.scratch import temporary_folder
 from cosim.base.version import __version__
 from cosim.fmi.documentation import GUID_PLACEHOLDER, model_text, write_documentation
 from cosim.fmi.model_description import Description, complete
+from cosim.fmi.ports import Value, with_starts
 from cosim.model.model import Model
 from cosim.model.traits import Traits
 
@@ -46,6 +47,7 @@ class Recipe:
         values: Parameter defaults that differ from the declared ones.
         own: File and class of a user's model.
         printed: Modules generated at build time: dotted name, source code.
+        starts: Start values of a slave without model that differ from its own.
     """
 
     slave: tuple[str, str]
@@ -57,6 +59,12 @@ class Recipe:
     printed: tuple[tuple[str, str], ...] = ()
     substep: float | None = None
     integrator: str | None = None
+    starts: tuple[tuple[str, Value], ...] = ()
+
+    def with_starts(self, values: Mapping[str, Value]) -> Recipe:
+        """Return the recipe of the same FMU with other start values of its variables."""
+        about = replace(self.about, ports=with_starts(self.about.ports, values))
+        return replace(self, about=about, starts=tuple(sorted(values.items())))
 
 
 def model_recipe(model: Model, file: Path, values: Mapping[str, float | bool] | None = None) -> Recipe:
@@ -121,6 +129,7 @@ def _pack(recipe: Recipe, folder: Path) -> Path:
         class_name = f"{recipe.own[1]}Plant"
         identity += (class_name,)
     identity += tuple(setting for setting in (recipe.substep, recipe.integrator) if setting is not None)
+    identity += recipe.starts
     tag = digest(sources, repr(identity).encode())[:12]
     package = f"{re.sub(r'(?<!^)(?=[A-Z])', '_', class_name).lower()}_{tag}"
     for name, text in sources.items():
@@ -160,6 +169,8 @@ def _script(recipe: Recipe, package: str, class_name: str) -> str:
     has_model = bool(recipe.values or recipe.own or has_substep)
     if has_model:
         lines.append(f"from {package}.cosim.fmi.ports import model_ports")
+    if recipe.starts:
+        lines.append(f"from {package}.cosim.fmi.ports import with_starts")
     if recipe.own:
         lines.append(f"from {package}.{OWN_MODULE} import {recipe.own[1]} as Own")
     lines += ["", "", f"class {class_name}(Base):", f'    """{recipe.about.description}."""']
@@ -168,6 +179,8 @@ def _script(recipe: Recipe, package: str, class_name: str) -> str:
         model += f".with_values({dict(recipe.values)!r})" if recipe.values else ""
         model += f".with_substep({recipe.substep!r}, {recipe.integrator!r})" if has_substep else ""
         lines += ["", f"    model = {model}", "    ports = model_ports(model)"]
+    if recipe.starts:
+        lines += ["", f"    ports = with_starts(Base.ports, {dict(recipe.starts)!r})"]
     return "\n".join([*lines, "", "", "keep(globals(), locals())"]) + "\n"
 
 

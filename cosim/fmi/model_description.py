@@ -23,7 +23,6 @@ class Description:
 
     Attributes:
         sampled: Parameter with the only accepted communication step [s]; "" accepts any step.
-        law: Control law of a sampled FMU, for which start values are designed; "" for the designer's first.
     """
 
     description: str
@@ -35,7 +34,6 @@ class Description:
     variable_step: bool
     traits: Traits | None = None
     sampled: str = ""
-    law: str = ""
 
     @property
     def optional(self) -> tuple[str, ...]:
@@ -74,7 +72,7 @@ def complete(xml: bytes, about: Description, version: str, guid: str) -> bytes:
     }
     root.insert(list(root).index(capabilities) + 1, unit_definitions({p.unit for p in about.ports if p.unit}))
     more = [] if about.traits is None else [annotation(about.traits)]
-    more += [sampled_annotation(about.sampled, about.optional, about.law)] if about.sampled else []
+    more += [sampled_annotation(about.sampled, about.optional)] if about.sampled else []
     for element in (default_experiment(about), *more):
         root.insert(list(root).index(_child(root, "ModelVariables")), element)
     for variable, port in zip(_child(root, "ModelVariables"), about.ports, strict=True):

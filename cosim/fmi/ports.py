@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from cosim.model.model import Model
@@ -44,6 +44,11 @@ def parameter_port(p: Parameter, start: Value, prefix: str = "") -> Port:
 def quantity_port(q: Quantity, causality: Causality, start: float | None = None, name: str | None = None) -> Port:
     """Return the port of a signal or of a start value."""
     return Port(name or q.name, causality, q.start if start is None else start, q.unit, q.doc)
+
+
+def with_starts(ports: Iterable[Port], values: Mapping[str, Value]) -> tuple[Port, ...]:
+    """Return ports with other start values, by name."""
+    return tuple(replace(port, start=values.get(port.name, port.start)) for port in ports)
 
 
 def model_ports(model: Model) -> tuple[Port, ...]:

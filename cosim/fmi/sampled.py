@@ -1,4 +1,4 @@
-"""Vendor annotations of sampled cosim FMUs: accepted step, optional inputs, control law."""
+"""Vendor annotations of sampled cosim FMUs: accepted step, optional inputs."""
 
 from __future__ import annotations
 
@@ -11,27 +11,18 @@ from cosim.storage.archive import BadArchive, description_of
 TOOL, AUTHOR = "cosim", "The cosim authors"
 
 
-def sampled_annotation(parameter: str, optional: Iterable[str] = (), law: str = "") -> Element:
+def sampled_annotation(parameter: str, optional: Iterable[str] = ()) -> Element:
     """Return `VendorAnnotations` of an FMU with a single accepted step.
 
     Args:
         parameter: Parameter with the accepted communication step [s].
         optional: Inputs that may stay unconnected.
-        law: Control law of the start values; "" for the designer's first.
     """
     root = Element("VendorAnnotations")
     node = SubElement(SubElement(root, "Tool", name=TOOL), "Sampled", parameter=parameter)
     if names := " ".join(optional):
         node.set("optional", names)
-    if law:
-        node.set("law", law)
     return root
-
-
-def law_of(fmu: Path) -> str:
-    """Return the control law of an FMU's start values, or ""."""
-    node = own_annotation(fmu, "Sampled")
-    return "" if node is None else node.get("law", "")
 
 
 def sampled_by(fmu: Path) -> str | None:

@@ -2,40 +2,37 @@
 
 from __future__ import annotations
 
-import fnmatch
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from cosim.base.errors import InputError
-from cosim.base.suggestions import did_you_mean
 from cosim.base.version import __version__
-from cosim.history import messages
-from cosim.history.inputs import changes_between, input_text, input_tree, short_input
-from cosim.history.numbers import numbers_of, unknown_number
-from cosim.storage.artefact import Artefact, artefacts
+from cosim.history.inputs import changes_between, input_leaves, input_text, short_input
+from cosim.storage.artefact import artefacts
 from cosim.storage.folders import (
-    EARLIER,
+    COMMAND,
+    INTERRUPTED,
     RESULTS,
+    RUN_NUMBER,
     SCHEMA_VERSION,
+    STARTED,
     content_of,
-    has_results,
-    next_number,
+    state_of,
     version_of,
 )
 from cosim.storage.record_types import sound_part
-from cosim.storage.started import COMMAND, START, STARTED, is_running
 
 OUTCOMES = ("verdict", "status", "sentence")  # keys of a record whose text is an outcome
 UNFINISHED, DAMAGED, ROWS_ONLY = "unfinished", "damaged record", "rows without a record"
-RUNNING, UNKNOWN = "running", "running or killed"  # UNKNOWN: of another user, or on a disk without locks
 NO_ROWS = "rows are gone"
 MOST_CHANGES = 3  # in a text
-ROWS = "results"  # name, without ending, of the rows of a run
-DEEPEST = 4  # levels of folders below the folder of results: results/a/b/c/d
+DEEPEST = 6  # levels of folders below the folder of results: results/a/b/c/d/runs/0001
+EARLIER = "runs"  # folder within results of cosim 0.9 and before, with the earlier runs of a name: 0001, 0002
+NUMBERS = ".run-numbers"  # line k has the name of the results with the number k; lines are only added
 
 
 @dataclass(frozen=True)
@@ -44,17 +41,17 @@ class Entry:
 
     Attributes:
         number: Number for good: by age when results were first listed, the next one for new results.
-        name: Name within the folder of results: `tank` or `sub/tank` for the newest, `tank/0001` for an earlier run.
-        of: Name of the newest results, of which this is an earlier run or which this is.
+        name: Path within the folder of results: `tank/0001`, or `sub/tank` for a folder that was named by --out.
+        of: Name without the number of the run, the same for all runs of it.
         verb: Command that wrote the results, without `cosim`; "" if unknown.
         time: Time of writing [s] since 1970.
-        outcome: Outcome of criteria, verdict or status, `unfinished`, `running`, `damaged record`,
+        outcome: Outcome of criteria, verdict or status, `unfinished`, `running`, `interrupted`, `damaged record`,
             `rows without a record`, `rows are gone`, or "".
-        changes: Input → value, where it differs from the run before of the same name; None for a removed input.
         record: File by which the results are known, whose time is `time`.
+        changes: Input → value, where it differs from the run before of the same name; None for a removed input.
         version: Version of cosim that wrote the record, or its schema, if it is another one; otherwise "".
         warnings: Values of wrong types in the record.
-        lasting_name: Name for good: `tank/0003` also for the newest results `tank`, which will move to that number.
+        is_newest: Whether no later run has the same name.
     """
 
     number: int
@@ -64,23 +61,19 @@ class Entry:
     verb: str
     time: float
     outcome: str
-    changes: Mapping[str, Any]
     record: Path
+    changes: Mapping[str, Any]
     version: str = ""
     warnings: tuple[str, ...] = ()
-    lasting_name: str = ""
+    is_newest: bool = False
 
     def check_current(self) -> None:
         """Raise InputError if the results were removed or replaced since they were listed."""
         with suppress(OSError):
             if self.record.stat().st_mtime == self.time:
                 return
-        raise InputError.at(self.folder, messages.REPLACED(number=self.number))
-
-    @property
-    def is_newest(self) -> bool:
-        """Return whether the results are no earlier run."""
-        return self.name == self.of or self.folder.name == STARTED
+        reason = f"run {self.number} was removed or replaced after it was listed; repeat the command"
+        raise InputError.at(self.folder, reason)
 
     @property
     def label(self) -> str:
@@ -95,16 +88,10 @@ class Entry:
     @property
     def changed(self) -> str:
         """Return the changes as a text."""
-        names = ((short_input(key), value) for key, value in self.pairs)
+        names = ((short_input(key), value) for key, value in self.changes.items())
         texts = [f"{name} = {input_text(value)}" if value is not None else f"no {name}" for name, value in names]
-        return ", ".join(texts[:MOST_CHANGES]) + (
-            f" and {len(texts) - MOST_CHANGES} more" * (len(texts) > MOST_CHANGES)
-        )
-
-    @property
-    def pairs(self) -> Sequence[tuple[str, Any]]:
-        """Return inputs and values that changed."""
-        return [*self.changes.items()]
+        more = f" and {len(texts) - MOST_CHANGES} more" * (len(texts) > MOST_CHANGES)
+        return ", ".join(texts[:MOST_CHANGES]) + more
 
 
 def entries(results: Path | None = None) -> list[Entry]:
@@ -116,318 +103,109 @@ def entries(results: Path | None = None) -> list[Entry]:
         results: Folder of results, by default `results`.
     """
     root = RESULTS if results is None else results
-    marks = _marks()
-    every: list[tuple[_Recorded, Content]] = []
-    for of, folder, scanned in _every_folder(root, marks):
-        before: Mapping[str, Any] | None = None
-        for recorded, content in _of_name(folder, of, scanned, marks):
-            inputs = input_tree(content)
-            every.append((recorded, {} if before is None or not inputs else changes_between(before, inputs)))
+    by_name: dict[str, list[tuple[Entry, Mapping[str, Any]]]] = {}
+    for entry, content in _found(root, Path(root.resolve().name), 0):
+        by_name.setdefault(entry.of, []).append((entry, content))
+    every: list[Entry] = []
+    for group in by_name.values():
+        group.sort(key=lambda each: _age(each[0].name))
+        before: Mapping[str, Any] = {}
+        for entry, content in group:
+            inputs = input_leaves(content)
+            changes = changes_between(before, inputs) if before and inputs else {}
+            every.append(replace(entry, changes=changes, is_newest=entry is group[-1][0]))
             before = inputs or before
-    every.sort(key=lambda each: (each[0].time, each[0].name))
-    numbers = numbers_of([r.lasting_name for r, _ in every], root)
-    return [
-        Entry(number, *r[:6], changes, *r[6:])  # the fields have the same order
-        for number, (r, changes) in zip(numbers, every, strict=True)
-    ]
+    every.sort(key=lambda entry: (entry.time, entry.name))
+    numbers = _numbers_of([entry.name for entry in every], root)
+    return [replace(entry, number=number) for entry, number in zip(every, numbers, strict=True)]
 
 
-def find_entries(texts: Sequence[str], results: Path | None = None) -> list[Entry]:
-    """Return the entries of numbers, names and patterns such as `tank/*`, in this order, each once.
+def _age(name: str) -> tuple[int, int]:
+    """Return the place of a run among those of its name: earlier ones of cosim 0.9, the folder itself, new ones."""
+    *before, last = name.split("/")
+    if not RUN_NUMBER.fullmatch(last):
+        return 1, 0
+    return (0 if before and before[-1] == EARLIER else 2), int(last)
 
-    Raises:
-        InputError: A text matches no entry.
+
+def _found(place: Path, name: Path, depth: int) -> Iterator[tuple[Entry, Mapping[str, Any]]]:
+    """Yield the results in a folder and in the folders within, with their records.
+
+    Args:
+        name: Path of the folder from the folder of results, or that of the latter.
     """
-    every = entries(results)
-    root = RESULTS if results is None else results
-    if not every:
-        raise InputError.at(root, messages.NO_RESULTS())
-    found: dict[str, Entry] = {}
-    for text in texts:
-        matches = match_entries(text, every, root)
-        if not matches and text.isdecimal():
-            raise InputError.at(Path(text), unknown_number(text, root))
-        if not matches:
-            raise InputError.at(Path(text), messages.NO_MATCH(hint=did_you_mean(text, [e.name for e in every])))
-        found |= {entry.name: entry for entry in matches}
-    return [*found.values()]
-
-
-def listed_entries(texts: Sequence[str] | None, results: Path) -> list[Entry]:
-    """Return the entries of texts, without texts all of a folder.
-
-    Raises:
-        InputError: A text matches no entry, or the folder is not the default one and not there.
-    """
-    if results != RESULTS and not results.is_dir():
-        raise InputError.at(results, messages.NO_FOLDER())
-    return find_entries(texts, results) if texts else entries(results)
-
-
-def named_entries(text: str, root: Path) -> list[Entry]:
-    """Return the entries that a text names, none if it is the path of a folder.
-
-    Raises:
-        InputError: The text is no path, and matches no entry.
-    """
-    path = Path(text)
-    if text.isdecimal() or not path.is_dir():
-        return find_entries([text], root)
-    return match_entries(text, entries(root), root) if hides_results(path) else []
-
-
-def warnings_of(found: Iterable[Entry]) -> list[str]:
-    """Return the warnings on the records of entries."""
-    return [text for entry in found for text in entry.warnings]
-
-
-def match_entries(text: str, every: Sequence[Entry], root: Path = RESULTS) -> list[Entry]:
-    """Return the entries of a name, a number, a pattern or a folder within the folder of results."""
-    if text.isdecimal() and not any(e.name == text for e in every):
-        return [e for e in every if str(e.number) == text.lstrip("0")]
-    if "/" in text and (folder := Path(text)).is_dir():
-        place = folder.resolve()
-        return [e for e in every if e.folder.resolve() == place]
-    return _match_names(text.removeprefix(f"{root}/").rstrip("/").replace(f"/{EARLIER}/", "/"), every)
-
-
-def _match_names(name: str, every: Sequence[Entry]) -> list[Entry]:
-    """Return the entry of a name, or those matched."""
-    by_name = {**{e.lasting_name: e for e in every}, **{e.name: e for e in every}}
-    return [by_name[name]] if name in by_name else [e for e in every if fnmatch.fnmatchcase(e.name, name)]
-
-
-def hides_results(path: Path) -> bool:
-    """Return whether a path is a folder without results."""
-    return path.is_dir() and not has_results(path)
-
-
-def _folders(root: Path) -> Iterator[str]:
     try:
-        with os.scandir(root) as items:
-            yield from (item.name for item in items if item.is_dir(follow_symlinks=False))
-    except OSError:
+        with os.scandir(place) as listed:
+            items = {item.name: item for item in listed}
+        found = _recorded(place, name, items)
+    except OSError:  # removed meanwhile, or closed to this user
         return
-
-
-@dataclass(frozen=True)
-class _Marks:
-    """Files by which a command is known, and all names to look for.
-
-    Attributes:
-        finished: Marks of results.
-        unfinished: Marks of results without their first mark.
-        rows: Names, without ending, of tables of rows.
-        parts: Names of folders that are part of results, and so hold no results of their own.
-    """
-
-    finished: Mapping[str, Artefact]
-    unfinished: Mapping[str, Artefact]
-    names: frozenset[str]
-    rows: frozenset[str]
-    parts: frozenset[str]
-
-
-Content = Mapping[str, Any]  # of a record
-
-
-class _Scanned(NamedTuple):
-    """A folder: times of the marks in it, tables of rows, and folders."""
-
-    there: Mapping[str, float]
-    tables: Sequence[str]
-    folders: Sequence[str]
-
-
-class _Recorded(NamedTuple):
-    """Results of one command without their number and changes."""
-
-    name: str
-    of: str
-    folder: Path
-    verb: str
-    time: float
-    outcome: str
-    record: Path
-    version: str = ""
-    warnings: tuple[str, ...] = ()
-    lasting_name: str = ""
-
-
-def _marks() -> _Marks:
-    finished: dict[str, Artefact] = {}
-    unfinished: dict[str, Artefact] = {}
-    rows: set[str] = set()
-    parts = {EARLIER, STARTED}
-    for artefact in artefacts():
-        if artefact.verb:
-            parts |= artefact.folders
-            finished = {**dict.fromkeys(artefact.marks, artefact), **finished}
-            unfinished = {**dict.fromkeys(artefact.unfinished, artefact), **unfinished}
-            rows |= {*artefact.tables}
-    names = frozenset((START, *finished, *(path.partition("/")[0] for path in unfinished)))
-    return _Marks(finished, unfinished, names, frozenset(rows), frozenset(parts))
-
-
-def _every_folder(root: Path, marks: _Marks) -> Iterator[tuple[str, Path, _Scanned]]:
-    """Yield name, path and content of the folder of results, if it holds results itself, and of all folders within."""
-    own = _scan(root, marks)
-    if own is None:
-        return
-    is_result = bool(own.there or own.tables or STARTED in own.folders)
-    if is_result:  # as named by --out
-        yield root.resolve().name, root, own
-    for name in sorted(own.folders):
-        if not (is_result and name in marks.parts):
-            yield from _nested(root / name, name, marks)
-
-
-def _nested(folder: Path, name: str, marks: _Marks) -> Iterator[tuple[str, Path, _Scanned]]:
-    """Yield name, path and content of a folder and of the folders within that may hold results of their own."""
-    scanned = _scan(folder, marks)
-    if scanned is None:
-        return
-    yield name, folder, scanned
-    if name.count("/") + 1 < DEEPEST:
-        for inner in sorted(scanned.folders):
-            if inner not in marks.parts and not inner.startswith("."):
-                yield from _nested(folder / inner, f"{name}/{inner}", marks)
-
-
-def _scan(place: Path, marks: _Marks) -> _Scanned | None:
-    """Return the content of a folder; None if it was removed meanwhile or cannot be read."""
-    there: dict[str, float] = {}
-    tables: list[str] = []
-    folders: list[str] = []
-    try:
-        with os.scandir(place) as items:
-            for item in items:
-                if item.name in marks.names:
-                    there[item.name] = item.stat().st_mtime
-                elif "." in item.name and item.name.partition(".")[0] in marks.rows:
-                    tables.append(item.name)
-                if item.is_dir(follow_symlinks=False):
-                    folders.append(item.name)
-    except OSError:
-        return None
-    return _Scanned(there, tables, folders)
-
-
-def _of_name(folder: Path, name: str, newest: _Scanned, marks: _Marks) -> Iterator[tuple[_Recorded, Content]]:
-    """Yield the results of a name by age, with records."""
-    earlier, following = folder / EARLIER, 1
-    if EARLIER in newest.folders:
-        names = [*_folders(earlier)]
-        following = next_number(earlier, names)
-        for number in sorted((n for n in names if n.isdecimal()), key=int):
-            label, place = f"{name}/{number}", earlier / number
-            if (scanned := _scan(place, marks)) is not None:
-                yield from _recorded((place, label, name), scanned, marks, label)
-    for each in _recorded((folder, name, name), newest, marks, f"{name}/{following:04d}"):
-        following += 1
-        yield each
-    if STARTED in newest.folders and (scanned := _scan(folder / STARTED, marks)) is not None:
-        label = f"{name}/{following:04d}"
-        yield from _recorded((folder / STARTED, label, name), scanned, marks, label)
-
-
-def _recorded(
-    about: tuple[Path, str, str], scanned: _Scanned, marks: _Marks, lasting_name: str
-) -> Iterator[tuple[_Recorded, Content]]:
-    """Yield the results in a folder, if there are any."""
-    found = _by_mark(about, scanned, marks) or (_by_rows(about) if scanned.tables else None)
+    parts: set[str] = set()
     if found is not None:
-        yield found[0]._replace(lasting_name=lasting_name), found[1]
+        yield found
+        parts = {"figures", *(folder for a in artefacts() if a.verb for folder in a.folders)}
+    for inner, item in sorted(items.items() if depth < DEEPEST else ()):
+        if inner not in parts and not inner.startswith(".") and item.is_dir(follow_symlinks=False):
+            is_run = depth == 0 and (inner == EARLIER or RUN_NUMBER.fullmatch(inner))
+            yield from _found(place / inner, name / inner if depth or is_run else Path(inner), depth + 1)
 
 
-def _by_mark(about: tuple[Path, str, str], scanned: _Scanned, marks: _Marks) -> tuple[_Recorded, Content] | None:
-    """Return results with a mark of their command, and the content of their record.
+def _recorded(place: Path, name: Path, items: Mapping[str, os.DirEntry[str]]) -> tuple[Entry, Mapping[str, Any]] | None:
+    """Return the results in a folder and their record, if there are any."""
+    written = [a for a in artefacts() if a.verb]
+    marks = [(mark, a) for a in written for mark in a.marks if mark in items]
+    parts = [(m, a) for a in written for m in a.unfinished if m.split("/")[0] in items and (place / m).is_file()]
+    mark, artefact = [*marks, *parts, (STARTED, None)][0]
+    has_rows = any(n.startswith("results.") for n in items)
+    content: Mapping[str, Any] = {}
+    warnings: tuple[str, ...] = ()
+    if artefact is not None or STARTED in items:
+        record = place / mark
+        read = content_of(record) if mark.endswith(".json") else {"status": ""}
+        content, warnings = sound_part(record, read)
+        outcome = state_of(place) if STARTED in items else ""
+        if not outcome and artefact is not None and mark in artefact.unfinished:
+            outcome = UNFINISHED
+        elif not outcome and artefact is not None and artefact.tables and content.get("rows") and not has_rows:
+            outcome = NO_ROWS
+        outcome = outcome or _outcome(content) or (DAMAGED if warnings or not read else "")
+        if "no_report" in content and "report.html" not in items:
+            outcome += f", no report: {content['no_report']}"
+    elif has_rows:
+        from cosim.storage.results import rows_in  # with numpy, which a list seldom needs
 
-    Args:
-        about: Folder, name, and name of the newest results.
-    """
-    for mark, artefact in marks.finished.items():
-        if mark in scanned.there:
-            return _by_record(about, scanned, mark, artefact)
-    for mark, artefact in marks.unfinished.items():
-        name = mark.partition("/")[0]
-        if name in scanned.there and (about[0] / mark).is_file():
-            content = content_of(about[0] / mark) if mark.endswith(".json") else {}
-            verb, written = artefact.verb.removeprefix("cosim "), scanned.there[name]
-            about_record = about[0] / name, _other_version(content)
-            return _Recorded(about[1], about[2], about[0], verb, written, UNFINISHED, *about_record), content
-    return _by_record(about, scanned, START) if START in scanned.there else None
-
-
-def _by_record(
-    about: tuple[Path, str, str], scanned: _Scanned, mark: str, artefact: Artefact | None = None
-) -> tuple[_Recorded, Content] | None:
-    """Return results with a record and its content.
-
-    Args:
-        artefact: Declaration of the record; None for that of a start.
-    """
-    place, label, of = about
-    record = place / mark
-    content = content_of(record) if mark.endswith(".json") else {"status": ""}
-    if not content and not record.is_file():
-        return None  # removed meanwhile
-    content, warnings = sound_part(record, content)
-    verb = content.get(COMMAND, artefact.verb if artefact else "").removeprefix("cosim ")
-    has_tables = artefact is not None and artefact.tables
-    outcome = _unended(place) or (_missing_rows(scanned.tables, content) if has_tables else "")
-    outcome = outcome or _outcome_of(content, warnings)
-    if "no_report" in content and not (place / "report.html").is_file():
-        outcome += f", no report: {content['no_report']}"
-    written = scanned.there[mark], outcome, record, _other_version(content), warnings
-    return _Recorded(label, of, place, verb, *written), content if artefact else {}
-
-
-def _unended(place: Path) -> str:
-    """Return the outcome of a running command, else ""."""
-    return {True: RUNNING, False: "", None: UNKNOWN}[is_running(place)] if place.name == STARTED else ""
-
-
-def _outcome_of(content: Content, warnings: Sequence[str]) -> str:
-    """Return the outcome in a sound record."""
-    return _outcome(content) or (DAMAGED if warnings or not content else "")
-
-
-def _missing_rows(tables: Sequence[str], content: Content) -> str:
-    """Return `rows are gone` if a record has rows and the folder has none, else ""."""
-    is_there = any(name.startswith(f"{ROWS}.") for name in tables)
-    return NO_ROWS if content.get("rows") and not is_there else ""
-
-
-def _other_version(content: Content) -> str:
-    """Return the version of cosim that wrote a record; "" for the present version."""
+        if (rows := rows_in(place)) is None:
+            return None
+        record, outcome = rows, ROWS_ONLY
+    elif RUN_NUMBER.fullmatch(place.name) and not items:  # killed before its first file
+        record, outcome = place, INTERRUPTED
+    else:
+        return None
     schema, by = content.get("schema_version", SCHEMA_VERSION), version_of(content)
-    if schema != SCHEMA_VERSION:
-        return f"{by or '?'} (schema {schema})"
-    return by if by != __version__ else ""
-
-
-def _by_rows(about: tuple[Path, str, str]) -> tuple[_Recorded, Content] | None:
-    """Return results with rows, but without a record."""
-    from cosim.storage.results import rows_in  # with numpy, which a list seldom needs
-
-    place, label, of = about
-    rows = rows_in(place)
-    with suppress(OSError):  # removed meanwhile
-        return None if rows is None else (_Recorded(label, of, place, "", rows.stat().st_mtime, ROWS_ONLY, rows), {})
-    return None
-
-
-def _outcome_of_sweep(content: Mapping[str, Any], runs: int) -> str:
-    counts = f"{runs} runs" + (f", {content['failed']} failed" if content.get("failed") else "")
-    met = content.get("met_all") if content.get("criteria") else None
-    return counts if met is None else f"{counts}, {met} met all criteria"
+    version = by if by != __version__ else ""
+    of = name.parent if RUN_NUMBER.fullmatch(name.name) and len(name.parts) > 1 else name
+    entry = Entry(
+        number=0,
+        name=name.as_posix(),
+        of=(of.parent if of.name == EARLIER and of != name else of).as_posix(),
+        folder=place,
+        verb=content.get(COMMAND, artefact.verb if artefact else "").removeprefix("cosim "),
+        time=record.stat().st_mtime,
+        outcome=outcome,
+        record=record,
+        changes={},
+        version=version if schema == SCHEMA_VERSION else f"{by or '?'} (schema {schema})",
+        warnings=warnings,
+    )
+    return entry, content
 
 
 def _outcome(content: Mapping[str, Any]) -> str:
     """Return the outcome in a record: criteria, else verdict, status or sentence."""
     if "sweep" in content and isinstance(runs := content.get("runs"), int):
-        return _outcome_of_sweep(content, runs)
+        counts = f"{runs} runs" + (f", {content['failed']} failed" if content.get("failed") else "")
+        met = content.get("met_all") if content.get("criteria") else None
+        return counts if met is None else f"{counts}, {met} met all criteria"
     if "signals" in content and "within" in content:  # of a comparison
         return {True: "within the tolerance", False: "beyond the tolerance"}.get(content["within"], "")
     criteria = content.get("criteria")
@@ -435,3 +213,32 @@ def _outcome(content: Mapping[str, Any]) -> str:
     if judged:
         return f"{sum(bool(c['met']) for c in judged)} of {len(judged)} criteria met"
     return next((content[key] for key in OUTCOMES if isinstance(content.get(key), str)), "")
+
+
+# -- numbers --------------------------------------------------------------------------------------
+
+
+def _numbers_of(names: Sequence[str], root: Path) -> list[int]:
+    """Return the number of each name; names without a number get the next ones, in their order."""
+    lines = [name.replace("\n", "\0") for name in names]
+    known = numbered_lines(root)
+    if new := [line for line in lines if line not in known]:
+        with suppress(OSError):  # Commands that add lines at the same time agree: the first line of a name counts.
+            with (root / NUMBERS).open("a", encoding="utf-8", errors="surrogateescape") as stream:
+                stream.write("".join(f"{line}\n" for line in new))
+            known = numbered_lines(root)
+        for line in new:  # where the file cannot be written
+            known.setdefault(line, len(known) + 1)
+    return [known[line] for line in lines]
+
+
+def numbered_lines(root: Path) -> dict[str, int]:
+    """Return name → number of all results that were ever listed, in the order of numbers."""
+    try:
+        lines = (root / NUMBERS).read_text(encoding="utf-8", errors="surrogateescape").split("\n")
+    except OSError:
+        return {}
+    known: dict[str, int] = {}
+    for number, line in enumerate(lines[:-1], 1):
+        known.setdefault(line, number)
+    return known

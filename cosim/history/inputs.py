@@ -29,32 +29,18 @@ class DifferingInput:
     values: tuple[Any, ...]
 
 
-def input_tree(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the parts of a command's record that hold inputs: scenario, files and settings."""
-    scenario = record.get("scenario")
-    return {**(scenario if isinstance(scenario, dict) else {}), **{key: record[key] for key in OWN if key in record}}
+def input_leaves(record: Mapping[str, Any]) -> dict[str, Any]:
+    """Return path → value of the inputs in a command's record: scenario, files and settings."""
+    scenario, leaves = record.get("scenario"), dict[str, Any]()
+    tree = {**(scenario if isinstance(scenario, dict) else {}), **{key: record[key] for key in OWN if key in record}}
+    _add_leaves(tree, "", leaves)
+    return leaves
 
 
 def changes_between(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, Any]:
-    """Return path → value of the inputs that differ between two trees; None for a removed input.
-
-    Equal branches are not searched: most inputs of the next run of a name are the same.
-    """
-    old, new = (_flatten(tree) for tree in _unequal_branches(before, after))
-    changed = {key: value for key, value in new.items() if key not in old or old[key] != value}
-    return changed | {key: None for key in old if key not in new}
-
-
-def _unequal_branches(one: Mapping[str, Any], two: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return two trees without the keys whose values are equal."""
-    first, second = dict(one), dict(two)
-    for key in one.keys() & two.keys():
-        a, b = one[key], two[key]
-        if a == b:
-            del first[key], second[key]
-        elif isinstance(a, dict) and isinstance(b, dict):
-            first[key], second[key] = _unequal_branches(a, b)
-    return first, second
+    """Return path → value of the inputs that differ; None for a removed input."""
+    changed = {path: value for path, value in after.items() if path not in before or before[path] != value}
+    return changed | {path: None for path in before if path not in after}
 
 
 def differing_inputs(records: Sequence[Mapping[str, Any]]) -> list[DifferingInput]:
@@ -115,7 +101,7 @@ def _short_value(value: Any) -> str:
 
 def _inputs(record: Mapping[str, Any]) -> dict[tuple[str, str], Any]:
     """Return (kind, name) → value of all inputs in a record."""
-    inputs = {(_kind_of(path), short_input(path)): value for path, value in _flatten(input_tree(record)).items()}
+    inputs = {(_kind_of(path), short_input(path)): value for path, value in input_leaves(record).items()}
     for name, fmu in _mapping(record.get("fmus")).items():
         inputs[FMU, f"{name}.sha256"] = str(_mapping(fmu).get("sha256", ""))[:DIGITS]
     if not inputs:
@@ -134,13 +120,6 @@ def _kind_of(path: str) -> str:
 
 def _mapping(value: Any) -> Mapping[str, Any]:
     return value if isinstance(value, dict) else {}
-
-
-def _flatten(value: Any, place: str = "") -> dict[str, Any]:
-    """Return path → value of every leaf of a value that is an input."""
-    leaves: dict[str, Any] = {}
-    _add_leaves(value, place, leaves)
-    return leaves
 
 
 def _add_leaves(value: Any, place: str, leaves: dict[str, Any]) -> None:

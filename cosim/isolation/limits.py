@@ -12,7 +12,6 @@ from pydantic import BeforeValidator, ValidationError
 from cosim.base.errors import Fault, InputError
 from cosim.base.messages import with_prefix
 from cosim.base.units import read_quantity, split_quantity
-from cosim.isolation import messages
 from cosim.storage.yaml_file import Part
 
 BYTES = {"": 1.0, "B": 1.0, "kB": 1e3, "MB": 1e6, "GB": 1e9, "KiB": 2.0**10, "MiB": 2.0**20, "GiB": 2.0**30}
@@ -25,7 +24,7 @@ def _quantity(units: str, example: str, read_text: Callable[[str], float]) -> An
             number = read_text(value) if isinstance(value, str) else value
             if isinstance(number, (int, float)) and not isinstance(number, bool) and 0 < number < 1e300:
                 return float(number)
-        raise ValueError(messages.NO_LIMIT(units=units, example=example))
+        raise ValueError(f"it is a number above 0 with its unit ({units}), {example} for one")
 
     return BeforeValidator(read)
 
@@ -69,7 +68,7 @@ def read_limits(text: str) -> Limits:
         faults = []
         for e in error.errors():
             name, reason = ".".join(map(str, e["loc"])), e.get("ctx", {}).get("error", e["msg"])
-            unknown = messages.UNKNOWN_LIMIT(name=name, names=", ".join(Limits.model_fields))
+            unknown = f"{name}: no such limit (known: {', '.join(Limits.model_fields)})"
             message = unknown if e["type"] == "extra_forbidden" else with_prefix(f"{name}: ", str(reason))
             faults.append(Fault(Path("--limits"), 0, 0, message))
         raise InputError(faults) from None

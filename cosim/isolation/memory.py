@@ -93,6 +93,8 @@ def _members_of_sessions(leaders: set[int]) -> Iterator[int]:
 
 def _files_in_memory(pid: int) -> Iterator[tuple[File, int]]:
     """Yield the open files without a disk, and their sizes [bytes]."""
+    if sys.platform == "win32":
+        return
     with suppress(OSError):
         for entry in os.scandir(f"/proc/{pid}/fd"):
             with suppress(OSError):

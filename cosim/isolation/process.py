@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import pickle
 import queue
+import random
 import signal
 import subprocess
 import sys
@@ -19,10 +21,20 @@ from typing import Any, BinaryIO, Self
 from cosim.base.errors import Crashed, SimulationError, Terminated
 from cosim.base.scratch import ScratchFolder, scratch
 from cosim.blocks.shared_code import SharedCode
-from cosim.isolation import messages
-from cosim.isolation.rows import NOTHING, Progress, mapped_progress
-from cosim.isolation.watch import Clock, Watch, how_ended
-from cosim.isolation.worker import ALONG, PROGRESS, STREAMS_LOST, BadStream, Begin, receive, send, transfer_fault
+from cosim.isolation.rows import NOTHING, OTHER, Progress, mapped_progress
+from cosim.isolation.watch import READING_PAUSE, Clock, Watch, how_ended
+from cosim.isolation.worker import (
+    ALONG,
+    PROGRESS,
+    STREAMS_LOST,
+    BadStream,
+    call_object,
+    free_object,
+    make_object,
+    receive,
+    send,
+    transfer_fault,
+)
 from cosim.storage.cache import cache_environment
 from cosim.storage.files import delay_stops
 
@@ -54,9 +66,7 @@ class Worker:
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         with delay_stops():
-            if kind is None:
-                self.finish()
-            self.end()
+            self.end(kill=kind is not None)  # It may still import modules, for which an error does not wait.
 
     progress: Progress  # also valid after the process has ended
 
@@ -76,26 +86,13 @@ class Worker:
 
     def _start_process(self) -> None:
         """Start a process with the folder and the shared progress that are there."""
-        self._process, self._finishing, self._jobs = _from_lasting_thread(_spawn), False, 0
+        self._process, self._jobs = _from_lasting_thread(), 0
         self.starts += 1
         self._answers: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
         self._output = _Output(self._process.stderr)
         threading.Thread(target=self._listen, args=(self._process.stdout, self._answers), daemon=True).start()
         python_path = os.environ.get("PYTHONPATH")
-        self._ask(pickle.dumps(Begin(self._scratch.path, list(sys.path), python_path, self._modules)))
-
-    def _replace_process(self) -> None:
-        """Replace the process by a new one with the same folder and shared progress."""
-        process, self._process = self._process, None
-        assert process is not None
-        with suppress(OSError):
-            send(process.stdin, b"")
-        with suppress(subprocess.TimeoutExpired):
-            process.wait(ENDING)
-        _end_group(process, kill=True)
-        self._output.join()
-        _close(process.stdin)
-        self._start_process()
+        self._ask(pickle.dumps((self._scratch.path, list(sys.path), python_path, self._modules)))
 
     @property
     def folder(self) -> Path:
@@ -133,7 +130,7 @@ class Worker:
         """
         self.start()
         self.progress.made[0], self.progress.doing[0], self.progress.named[0] = 0, doing, 0
-        self.progress.asked[0] = self.progress.ending[0] = self.progress.steps[0] = 0
+        self.progress.asked[0] = self.progress.ending[0] = 0
         self.progress.words = b""
         clock = Clock(watch or Watch(), self.progress)
         try:
@@ -153,33 +150,30 @@ class Worker:
         answer, error = pickle.loads(content)
         if isinstance(error, SharedCode) and self._jobs > 1:
             with delay_stops():
-                self._replace_process()
+                self.end(replaced=True)
+                self._start_process()
             return self.call(function, *arguments, watch=watch, doing=doing)
         if error is not None:
             raise error
         return answer
 
-    def finish(self) -> None:
-        """Tell the process to end by itself, after its current jobs."""
-        self._ask(b"")
-        self._finishing = True
-
-    def end(self, kill: bool = False) -> None:
-        """End the process and its children, and remove its files."""
+    def end(self, kill: bool = False, *, replaced: bool = False) -> None:
+        """End the process and its children, and remove its files unless a new one takes its place."""
         process, self._process = self._process, None
         if process is None:
             return
         if not kill:
-            if not self._finishing:
-                _close(process.stdin)
             try:
+                with suppress(OSError):
+                    send(process.stdin, b"")
                 process.wait(ENDING)
             except subprocess.TimeoutExpired:
                 kill = True
         _end_group(process, kill)
         self._output.join()
         _close(process.stdin)  # The readers of the other streams close them; closing here would wait for a read.
-        self._scratch.remove()
+        if not replaced:
+            self._scratch.remove()
 
     # -- internal -------------------------------------------------------------------------------
 
@@ -206,11 +200,11 @@ class Worker:
         times, next_look = clock.watch.times, 0.0
         while True:
             try:
-                content = self._answers.get(timeout=POLL if times is None else times.pause())
+                content = self._answers.get(timeout=POLL if times is None else random.uniform(*READING_PAUSE))
             except queue.Empty:
                 assert self._process is not None
                 if times is not None:
-                    times.read(self.progress.made[0], self.progress.doing[0], self.progress.steps[0])
+                    times.read(self.progress.made[0], self.progress.doing[0])
                     if time.monotonic() < next_look:
                         continue
                     next_look = time.monotonic() + POLL
@@ -250,8 +244,47 @@ class Worker:
             return Crashed(*clock.place_of_streams(component, at, call, is_certain=is_certain))
         words = bytes(self.progress.words).decode("utf-8", "replace").strip() or self._output.last_line()
         component, at, call = clock.place()
-        template = messages.CRASH_WITH_WORDS if words else messages.CRASH
-        return Crashed(component, at, template(call=call, end=how_ended(code), words=words[:MOST_WORDS]))
+        last = f"; it said last: {words[:MOST_WORDS]}" if words else ""
+        return Crashed(component, at, f"{call} {how_ended(code)}{last}")
+
+
+class Remote:
+    """An object in a worker, made there at its first call, and again in a new process after a crash.
+
+    Args:
+        worker: Worker, which may hold several objects.
+        make: Function that makes the object there.
+        arguments: Arguments of `make`.
+    """
+
+    _numbers = itertools.count()
+
+    def __init__(self, worker: Worker, make: Callable[..., Any], *arguments: Any) -> None:
+        self.worker, self._recipe = worker, (make, arguments)
+        self._number, self._process = next(self._numbers), 0
+
+    @property
+    def is_made(self) -> bool:
+        """Return whether the object is in the process that runs."""
+        return self._process == self.worker.starts and self.worker.running
+
+    def make(self, watch: Watch | None = None) -> None:
+        """Make the object unless it is there, supervised as in `Worker.call`."""
+        if not self.is_made:
+            self.worker.call(make_object, self._number, *self._recipe, watch=watch, doing=OTHER)
+            self._process = self.worker.starts
+
+    def call(self, method: str, *arguments: Any, watch: Watch | None = None, doing: int = OTHER, **options: Any) -> Any:
+        """Call a method of the object there and return its result; errors are those of `Worker.call`."""
+        self.make(watch)
+        call = self._number, method, arguments, options
+        return self.worker.call(call_object, *call, watch=watch, doing=doing)
+
+    def free(self, method: str, *arguments: Any, watch: Watch | None = None) -> None:
+        """Call a last method of the object and forget it, if it is there."""
+        if self.is_made:
+            self.worker.call(free_object, self._number, method, arguments, watch=watch, doing=OTHER)
+        self._process = 0
 
 
 class _Output:
@@ -271,7 +304,7 @@ class _Output:
                     _show(part[:room])
                     room -= len(part)
                     if room <= 0:
-                        _show(f"\n{messages.OUTPUT_LEFT_OUT()}\n".encode())
+                        _show(b"\n(the FMUs print more, which is left out)\n")
 
     def join(self) -> None:
         """Wait for the rest, but not for children of the process."""
@@ -289,23 +322,20 @@ def _show(text: bytes) -> None:
         sys.stderr.flush()
 
 
-def _from_lasting_thread(spawn: Callable[[], Any]) -> Any:
+def _from_lasting_thread() -> subprocess.Popen[bytes]:
     """Return a process started by a thread that lasts as long as this process.
 
     For the kernel of Linux the thread that starts a process is its parent. The worker would end after a short thread.
     """
     if threading.current_thread() is threading.main_thread():
-        return spawn()
+        return _spawn()
     with _starting:
-        if os.getpid() not in _starters:  # The threads of a process are not those of its fork.
-            _starters.clear()
-            _starters[os.getpid()] = ThreadPoolExecutor(1, "start of workers")
-        starter = _starters[os.getpid()]
-    return starter.submit(spawn).result()
+        starter = _starters.setdefault(os.getpid(), ThreadPoolExecutor(1, "start of workers"))
+    return starter.submit(_spawn).result()
 
 
 _starting = threading.Lock()
-_starters: dict[int, ThreadPoolExecutor] = {}
+_starters: dict[int, ThreadPoolExecutor] = {}  # by process: the threads of a process are not those of its fork
 
 
 def _spawn() -> subprocess.Popen[bytes]:

@@ -84,7 +84,6 @@ class Rows:
         asked: [whether the loop calls `keeper.look` after the current step].
         keeper: Keeper of the run's checkpoints, if any.
         given: Number of rows of a stopped run that are already there.
-        steps: [number of communication steps], where they are not the rows.
     """
 
     table: Array
@@ -95,7 +94,6 @@ class Rows:
     asked: MutableSequence[int] = field(default_factory=lambda: array("q", [0]))
     keeper: Any = None
     given: int = 0
-    steps: MutableSequence[int] = field(default_factory=lambda: array("q", [0]))
 
     @classmethod
     def in_memory(cls, rows: int, columns: int) -> Rows:
@@ -168,7 +166,6 @@ class Progress(ctypes.Structure):
         hold: Whether the observer requests a pause.
         sent: Number of changes that the observer has sent.
         asked: As in `Rows`.
-        steps: As in `Rows`.
         ending: Whether the caller requests a checkpoint and an end at once.
         words: Last message of an FMU.
         loop: Kind of stepping loop.
@@ -183,7 +180,6 @@ class Progress(ctypes.Structure):
         ("sent", ctypes.c_int64 * 1),
         ("asked", ctypes.c_int64 * 1),
         ("ending", ctypes.c_int64 * 1),
-        ("steps", ctypes.c_int64 * 1),
         ("call", ctypes.c_char * 128),
         ("words", ctypes.c_char * 512),
         ("loop", ctypes.c_char * 256),

@@ -9,12 +9,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from cosim.base.errors import SimulationError, TimedOut
-from cosim.base.messages import Message
-from cosim.isolation import messages
-from cosim.isolation.component_times import ComponentTimes
 from cosim.isolation.limits import Limits
 from cosim.isolation.memory import ProcessTree
-from cosim.isolation.rows import CALLS, NOTHING, OTHER, WAITING, Progress
+from cosim.isolation.rows import ADVANCE, CALLS, GET, NOTHING, OTHER, PUT, WAITING, Progress
 
 SIGNALS = {
     "SIGSEGV": "crashed: segmentation fault",
@@ -31,6 +28,8 @@ STATUSES = {  # NTSTATUS of Windows
     0xC0000374: "crashed: heap corrupted",
     0xC0000409: "crashed: abort",
 }
+CALL_KEYS = {"set": PUT, "step": ADVANCE, "get": GET, "other": OTHER}  # of the manifest
+READING_PAUSE = 0.003, 0.007  # [s] shortest and longest time between two readings of the current call, at random
 LASTING = 0.02  # [s] that an FMU stays in a call, for certainty about it
 MOST_NAMED = 5  # FMUs in a message
 PLAIN_CALLS = ("setting its inputs", "stepping", "reading its outputs")  # for components other than FMUs
@@ -38,6 +37,53 @@ FMI_CALLS = {
     "2": ("fmi2SetReal", "fmi2DoStep", "fmi2GetReal"),
     "3": ("fmi3SetFloat64", "fmi3DoStep", "fmi3GetFloat64"),
 }
+
+
+class ComponentTimes:
+    """Wall time of each call of the components, summed by the caller of a worker, about 200 times a second.
+
+    Args:
+        components: Names by number in `Rows.doing`.
+        first_row: Number of rows of a stopped run, whose repetition is not counted.
+        clock: Wall clock [s].
+    """
+
+    def __init__(
+        self, components: Sequence[str], first_row: int = 0, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._components, self._first_row, self._clock = components, first_row, clock
+        self._seconds = [[0.0] * CALLS for _ in components]
+        self._rest = self._waiting = 0.0
+        self._readings = 0  # without those of waiting and of the worker's start
+        self._last = clock()
+
+    def read(self, rows: int, doing: int) -> None:
+        """Add the time since the last reading to the current call."""
+        now = self._clock()
+        elapsed, self._last = now - self._last, now
+        if rows < self._first_row:
+            return
+        number, call = divmod(doing, CALLS)
+        if doing == WAITING:
+            self._waiting += elapsed
+        elif 0 <= number < len(self._components):
+            self._seconds[number][call] += elapsed
+            self._readings += 1
+        elif rows:  # before the first row, the worker starts
+            self._rest += elapsed
+            self._readings += 1
+
+    def record(self) -> dict[str, Any]:
+        """Return the times for a manifest [s], the component with the longest time first."""
+        sums = sorted(zip(self._components, self._seconds, strict=True), key=lambda pair: -sum(pair[1]))
+        whole = max(sum(sum(seconds) for _, seconds in sums) + self._rest, 1e-9)
+        components = {
+            name: {"share": round(sum(seconds) / whole, 4)}
+            | {key: round(seconds[call], 4) for key, call in CALL_KEYS.items()}
+            for name, seconds in sums
+        }
+        waiting = {"waiting": round(self._waiting, 4)} if self._waiting else {}
+        return {"components": components, "rest": round(self._rest, 4), **waiting, "readings": self._readings}
 
 
 @dataclass(frozen=True)
@@ -52,7 +98,7 @@ class Watch:
         spent: [total time without loading [s]], increased by this job.
         progress: Function called with the number of rows.
         grace: Time [s] for a stopped job to end by itself, for a checkpoint.
-        times: Wall time of components and calls, sampled while the job lasts.
+        times: Wall time of components and calls, read while the job lasts.
     """
 
     components: Sequence[str] = ()
@@ -113,9 +159,20 @@ class Clock:
         limit, name = (limits.loading, "load") if loading else (limits.step, "step")
         component, at, call = self.place()
         if limit is not None and duration > limit:
-            raise TimedOut(component, at, messages.LONG_CALL(call=call, limit=limit, name=name))
+            raise TimedOut(
+                component,
+                at,
+                f"{call} takes longer than {limit:g} s (limits: {name}); raise this limit if the FMU is only slow",
+            )
         if limits.total is not None and self.watch.spent[0] > limits.total:
-            raise TimedOut(component, at, messages.LONG_RUN(call=call, limit=limits.total))
+            raise TimedOut(
+                component,
+                at,
+                (
+                    f"{call} was stopped: the run takes longer than {limits.total:g} s in all (limits: total); raise "
+                    "this limit or shorten the run"
+                ),
+            )
         self.check_memory(pid)
 
     def check_memory(self, pid: int) -> None:
@@ -129,7 +186,10 @@ class Clock:
         size = self._tree.size(limit + rows) - rows
         if size > limit:
             component, at, call = self.place()
-            message = messages.LARGE_PROCESS(call=call, size=size / 1e6, limit=limit / 1e6)
+            message = (
+                f"{call}: the process and those that it started hold {size / 1e6:.4g} MB, more than "
+                f"{limit / 1e6:.4g} MB (limits: memory)"
+            )
             raise SimulationError(component, at, message)
 
     def place(self) -> tuple[str, float, str]:
@@ -152,7 +212,7 @@ class Clock:
         time.sleep(LASTING)
         return self._key() == before
 
-    def place_of_streams(self, component: str, at: float, call: str, *, is_certain: bool) -> tuple[str, float, Message]:
+    def place_of_streams(self, component: str, at: float, call: str, *, is_certain: bool) -> tuple[str, float, str]:
         """Return component, simulated time [s] and message of an FMU that changed the streams of its process.
 
         Args:
@@ -162,9 +222,17 @@ class Clock:
         watch = self.watch
         fmus = [name for name, calls in zip(watch.components, watch.calls, strict=False) if calls is not PLAIN_CALLS]
         if is_certain or len(fmus) < 2:
-            return fmus[0] if len(fmus) == 1 else component, at, messages.STREAMS_CHANGED(call=call)
+            return (
+                fmus[0] if len(fmus) == 1 else component,
+                at,
+                f"{call} closed, read or wrote descriptors that the FMU did not open: it must leave them alone",
+            )
         names = " or ".join(fmus) if len(fmus) <= MOST_NAMED else f"one of {len(fmus)} FMUs"
-        return names, at, messages.STREAMS_CHANGED_BY_ONE()
+        return (
+            names,
+            at,
+            "closed, read or wrote descriptors that it did not open; give them process: own, which shows the FMU",
+        )
 
     def _is_loading(self) -> bool:
         if self.progress.made[0] or self.progress.doing[0] % CALLS != OTHER:  # NOTHING counts as OTHER too.

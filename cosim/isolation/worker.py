@@ -17,16 +17,15 @@ import tempfile
 import threading
 import time
 import traceback
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 from zlib import crc32
 
 from cosim.base.errors import CosimError, InputError
-from cosim.base.garbage import collect_seldom
+from cosim.base.program import collect_seldom
 from cosim.base.scratch import remove
-from cosim.isolation import messages
 from cosim.isolation.rows import Progress, mapped_progress
 
 HEAD = struct.Struct("!4sIQ")  # mark, checksum and size of a message
@@ -35,29 +34,30 @@ STREAMS_LOST = 121  # exit code of a worker whose streams an FMU has closed, rea
 PROGRESS, ALONG = "progress", "along"
 
 
-@dataclass(frozen=True)
-class Begin:
-    """Settings of a worker before its first job.
-
-    Attributes:
-        scratch: Folder for all unpacked files.
-        path: Module search path of the caller.
-        pythonpath: PYTHONPATH of the caller.
-        modules: Modules to import at once.
-    """
-
-    scratch: Path
-    path: list[str]
-    pythonpath: str | None
-    modules: tuple[str, ...]
-
-
 class BadStream(OSError):
     """Error: a stream has something that is no message, or does not wait for one."""
 
 
 progress: Progress  # shared with the caller
 abandoned = threading.Event()  # set when the caller has ended
+
+
+_objects: dict[int, Any] = {}  # those of `Remote`, by number
+
+
+def make_object(number: int, make: Callable[..., Any], arguments: Sequence[Any]) -> None:
+    """Make an object of this process."""
+    _objects[number] = make(*arguments)
+
+
+def call_object(number: int, method: str, arguments: Sequence[Any], options: Mapping[str, Any]) -> Any:
+    """Call a method of an object of this process."""
+    return getattr(_objects[number], method)(*arguments, **options)
+
+
+def free_object(number: int, method: str, arguments: Sequence[Any]) -> None:
+    """Call a last method of an object and forget it."""
+    getattr(_objects.pop(number), method)(*arguments)
 
 
 def share_log(component: Any) -> None:
@@ -98,14 +98,15 @@ def main() -> None:
     requests, answers = _take_streams()
     state = _state_of(requests, answers)
     _end_with_caller()
-    begin: Begin = pickle.loads(receive(requests) or sys.exit())
-    scratch, sys.path[:] = begin.scratch, begin.path
-    _restore("PYTHONPATH", begin.pythonpath)
+    scratch, sys.path[:], python_path, modules = pickle.loads(receive(requests) or sys.exit())
+    os.environ.pop("PYTHONPATH", None)  # that of the caller, and not that by which cosim is found
+    if python_path is not None:
+        os.environ["PYTHONPATH"] = python_path
     tempfile.tempdir = os.environ["TMPDIR"] = os.environ["TEMP"] = os.environ["TMP"] = str(scratch)
     progress = mapped_progress(scratch / PROGRESS)
     jobs: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     threading.Thread(target=_read, args=(requests, jobs, scratch), daemon=True).start()
-    for name in begin.modules:
+    for name in modules:
         importlib.import_module(name)
     _name_calls()
     while content := jobs.get():
@@ -121,8 +122,14 @@ def main() -> None:
 
 def _state_of(*streams: BinaryIO) -> list[tuple[int, int, bool]]:
     """Return the identities of streams, and whether they wait; raise OSError for a closed one."""
-    about = [(os.fstat(stream.fileno()), os.name != "posix" or os.get_blocking(stream.fileno())) for stream in streams]
-    return [(status.st_dev, status.st_ino, waits) for status, waits in about]
+    about = []
+    for number in (stream.fileno() for stream in streams):
+        waits = True
+        if sys.platform != "win32":
+            waits = os.get_blocking(number)
+        status = os.fstat(number)
+        about.append((status.st_dev, status.st_ino, waits))
+    return about
 
 
 def hold_if_abandoned() -> None:
@@ -155,13 +162,6 @@ def _take_streams() -> tuple[BinaryIO, BinaryIO]:
     return requests, answers
 
 
-def _restore(name: str, value: str | None) -> None:
-    """Restore a changed environment variable of the caller."""
-    os.environ.pop(name, None)
-    if value is not None:
-        os.environ[name] = value
-
-
 def _read(requests: BinaryIO, jobs: queue.SimpleQueue[bytes], scratch: Path) -> None:
     """Read requests and queue them as jobs; an empty job ends the worker.
 
@@ -173,22 +173,13 @@ def _read(requests: BinaryIO, jobs: queue.SimpleQueue[bytes], scratch: Path) -> 
     except OSError:
         os._exit(STREAMS_LOST)
     abandoned.set()  # The removal takes a while, in which another command may use the same folders.
-    for path in (*_registered_folders(scratch), scratch):
-        remove(path)
+    with suppress(OSError, ValueError):  # The caller lists folders in a file: a job with them may not have begun.
+        for line in filter(None, (scratch / ALONG).read_text(encoding="utf-8").split("\0")):
+            remove(Path(line))
+    remove(scratch)
     if sys.platform != "win32" and os.getpgid(0) == os.getpid():
         os.killpg(0, signal.SIGKILL)  # including processes started by an FMU
     os._exit(1)
-
-
-def _registered_folders(scratch: Path) -> list[Path]:
-    """Return the folders to remove after the caller's end.
-
-    The caller lists them in a file, because the job with these folders may not have begun.
-    """
-    try:
-        return [Path(line) for line in (scratch / ALONG).read_text(encoding="utf-8").split("\0") if line]
-    except (OSError, ValueError):
-        return []
 
 
 def _end_with_caller() -> None:
@@ -233,25 +224,24 @@ def _answer(content: bytes) -> bytes:
     try:
         return pickle.dumps((function(*arguments), None))
     except Exception as error:
-        return _pickled_error(error, traceback.format_exc())
+        place = f"in a worker:\n{traceback.format_exc()}"
+        if not isinstance(error, CosimError):
+            error.add_note(place)
+        try:
+            content = pickle.dumps((None, error))
+            pickle.loads(content)
+        except Exception:  # Some errors cannot be pickled, or only fail when unpickled.
+            plain = RuntimeError(f"{type(error).__name__}: {error}")
+            plain.add_note(place)
+            content = pickle.dumps((None, plain))
+        return content
 
 
 def transfer_fault(error: Exception) -> InputError:
     """Return the fault of an unsendable argument."""
     reason = " ".join(str(error).split())[:200]
-    message = messages.UNSENDABLE_OBJECT(kind=type(error).__name__, reason=reason)
+    message = (
+        f"cannot take over an object ({type(error).__name__}: {reason}); define it in a module that can be "
+        "imported, or run in this process (in_process=True, --in-process)"
+    )
     return InputError.at(Path("the worker process"), message)
-
-
-def _pickled_error(error: Exception, place: str) -> bytes:
-    """Return an error in pickled form; an error that cannot be pickled becomes a RuntimeError with its text."""
-    if not isinstance(error, CosimError):
-        error.add_note(f"in a worker:\n{place}")
-    try:
-        content = pickle.dumps((None, error))
-        pickle.loads(content)
-    except Exception:  # Some errors fail only when unpickled.
-        plain = RuntimeError(f"{type(error).__name__}: {error}")
-        plain.add_note(f"in a worker:\n{place}")
-        return pickle.dumps((None, plain))
-    return content

@@ -10,7 +10,6 @@ from typing import Any
 
 from cosim.base.errors import Fault, InputError
 from cosim.fmi.native.compiler import CompilerFailed, NoCompiler, cure
-from cosim.kernel import messages
 from cosim.kernel.c_filter import CompiledKernel
 from cosim.kernel.generate import generate, generate_stepped
 from cosim.kernel.kernel import Kernel
@@ -55,8 +54,16 @@ def kernel(
         except OfNumbersOnly as error:
             line = traceback.extract_tb(error.__traceback__)[-2]  # the model's line of the operation
             place = Path(line.filename), line.lineno or 0, (line.colno or 0) + 1
-            raise InputError([Fault(*place, messages.NUMBERS_ONLY(error=error))]) from error
+            raise InputError(
+                [
+                    Fault(
+                        *place,
+                        "this line works on numbers only, and refine replaces numbers by symbols to compile "
+                        f"it: {error}",
+                    )
+                ]
+            ) from error
         except (NoCompiler, CompilerFailed) as error:
-            message = messages.NO_COMPILED_FILTER.around(error, cure=cure("refine"))
+            message = f"refine compiles its filter with a C compiler, but {error}; {cure('refine')}"
             raise InputError.at(Path(sys.executable), message) from error
     return _kernels[key]

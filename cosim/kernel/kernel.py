@@ -112,7 +112,6 @@ class Data:
         late: Age of each reading in rows, −½ … ½, shape (rows, outputs); None if all are on time.
         lags: Time constant of each output's sensor in rows, shape (outputs,); None without lags.
         settle: Number of rows after the first in which the covariance stays P0, while states settle.
-        table: True if rows are independent.
     """
 
     step: float
@@ -124,7 +123,6 @@ class Data:
     interpolated: frozenset[str] = frozenset()
     late: Array | None = None
     lags: Array | None = None
-    table: bool = False
 
     @property
     def times(self) -> Array:

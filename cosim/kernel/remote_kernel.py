@@ -6,13 +6,12 @@ import atexit
 import itertools
 import queue
 import time
-from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from threading import Lock
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -20,8 +19,7 @@ from cosim.base.arrays import Array, Rows
 from cosim.base.errors import SimulationError, TimedOut
 from cosim.blocks.shared_code import claim
 from cosim.isolation.limits import Limits
-from cosim.isolation.process import Worker
-from cosim.isolation.rows import OTHER
+from cosim.isolation.process import Remote, Worker
 from cosim.isolation.watch import Watch
 from cosim.kernel.generate import Generated
 from cosim.kernel.kernel import Begin, Data, Filtered, Inputs, Simulated
@@ -32,82 +30,61 @@ MOST_KEPT = 32  # logs that a worker keeps
 LONGEST = 60.0  # default limit of a pass over a log [s]
 PATIENCE, LEAST = 20.0, 1.0  # after a hang, limit relative to the longest pass that succeeded, and least limit [s]
 
-# -- in the worker ----------------------------------------------------------------------------
-
-_made: dict[int, LibraryKernel] = {}
-_kept: dict[int, Data] = {}  # logs that are filtered again and again
+_kept: dict[tuple[int, int], Data] = {}  # in a worker: the last logs, as they are filtered again and again
 
 
-class _Log(NamedTuple):
-    """A log on its way: a number under which the worker keeps it, and its data where the worker does not know it."""
+class HostedKernel:
+    """A kernel within a worker."""
 
-    number: int
-    data: Data | None
+    def __init__(self, generated: Generated, fmu: LibraryOf, parameters: Mapping[str, str]) -> None:
+        claim(fmu.path)
+        self._kernel = LibraryKernel(generated, fmu, parameters)
 
+    def call(
+        self, method: str, passes: Sequence[tuple[Any, ...]], options: Mapping[str, Any], *, at_once: bool
+    ) -> tuple[Any, float]:
+        """Call a method with the arguments of a pass, or of all at once; return result and processor time [s]."""
+        begin = time.process_time()
+        whole = [(self._log(*log), *arguments) for log, *arguments in passes]
+        result = getattr(self._kernel, method)(*([whole] if at_once else whole[0]), **options)
+        return result, time.process_time() - begin
 
-def _unpack(argument: Any) -> Any:
-    """Return arguments with the data of logs."""
-    if isinstance(argument, list):
-        return [_unpack(each) for each in argument]
-    if isinstance(argument, tuple) and argument and isinstance(argument[0], _Log):
-        number, data = argument[0]
+    @staticmethod
+    def _log(number: tuple[int, int], data: Data | None) -> Data:
         if data is None:
-            data = _kept[number]
-        elif number >= 0:
-            _kept[number] = data
-            for old in [*_kept][: -2 * MOST_KEPT]:
-                del _kept[old]
-        return (data, *argument[1:])
-    return argument
-
-
-def make(number: int, generated: Generated, fmu: LibraryOf, parameters: Mapping[str, str]) -> None:
-    """Create a kernel in the worker."""
-    claim(fmu.path)
-    _made[number] = LibraryKernel(generated, fmu, parameters)
-
-
-def call(number: int, method: str, arguments: Any, options: Mapping[str, Any]) -> tuple[Any, float]:
-    """Call a method of a kernel; return its result and the processor time [s]."""
-    begin = time.process_time()
-    unpacked = _unpack(arguments)
-    arguments = (unpacked,) if isinstance(unpacked, list) else unpacked
-    result = getattr(_made[number], method)(*arguments, **options)
-    return result, time.process_time() - begin
-
-
-# -- in the caller ----------------------------------------------------------------------------
+            return _kept[number]
+        _kept[number] = data
+        for oldest in [*_kept][:-MOST_KEPT]:
+            del _kept[oldest]
+        return data
 
 
 class _Workers:
-    """Idle worker processes; a thread takes one for each call.
+    """Idle worker processes with their kernels and logs; a thread takes one for each call.
 
     Attributes:
         spent: Processor time of all workers so far, and the time for which calls hung [s].
     """
 
     def __init__(self) -> None:
-        self._idle: queue.LifoQueue[tuple[Worker, set[tuple[int, int]]]] = queue.LifoQueue()
-        self.spent = 0.0
-        self._numbering, self._numbers = Lock(), itertools.count()
-        self._logs: deque[tuple[int, Data]] = deque(maxlen=MOST_KEPT)
-        self._seen: deque[Data] = deque(maxlen=MOST_KEPT)
+        self._idle: queue.LifoQueue[tuple[Worker, dict[int, Remote], dict[tuple[int, int], Data]]] = queue.LifoQueue()
+        self.spent, self._numbers = 0.0, itertools.count()
 
     def call(self, kernel: RemoteLibraryKernel, method: str, arguments: Any, **options: Any) -> Any:
         """Return the result of a kernel's method; raise SimulationError if the FMU fails, crashes or hangs."""
+        at_once = isinstance(arguments, list)
+        passes = arguments if at_once else [arguments]
         try:
-            worker, known = self._idle.get_nowait()
+            worker, kernels, known = self._idle.get_nowait()
         except queue.Empty:
-            worker, known = Worker(*MODULES), set()
+            worker, kernels, known = Worker(*MODULES), {}, {}
         begin = time.perf_counter()
         try:
-            worker.start()
-            watch = Watch((NAME,), limits=kernel.limits_of(len(arguments) if isinstance(arguments, list) else 1))
-            if (worker.starts, kernel.number) not in known:
-                worker.call(make, kernel.number, *kernel.recipe, watch=watch, doing=OTHER)
-                known.add((worker.starts, kernel.number))
-            packed = self._pack(arguments, worker.starts, known)
-            result, spent = worker.call(call, kernel.number, method, packed, options, watch=watch, doing=OTHER)
+            watch = Watch((NAME,), limits=kernel.limits_of(len(passes)))
+            remote = kernels.setdefault(kernel.number, Remote(worker, HostedKernel, *kernel.recipe))
+            remote.make(watch)
+            sent = [(self._sent(log, worker, known), *rest) for log, *rest in passes]
+            result, spent = remote.call("call", method, sent, options, at_once=at_once, watch=watch)
             self.spent += spent
             kernel.pace.longest = max(kernel.pace.longest, spent)
             return result
@@ -116,39 +93,23 @@ class _Workers:
             kernel.pace.has_hung = True
             raise
         finally:
-            self._idle.put((worker, known))
+            self._idle.put((worker, kernels, known))
 
-    def _pack(self, arguments: Any, starts: int, known: set[tuple[int, int]]) -> Any:
-        """Return arguments without the data of logs that the worker keeps."""
-        if isinstance(arguments, list):
-            return [self._pack(each, starts, known) for each in arguments]
-        if not isinstance(arguments[0], Data):
-            return arguments
-        number = self._number(arguments[0])
-        key = starts, -1 - number
-        is_known = number >= 0 and key in known
-        if number >= 0:
-            known.add(key)
-        return (_Log(number, None if is_known else arguments[0]), *arguments[1:])
-
-    def _number(self, data: Data) -> int:
-        """Return the number of a log that comes for the second time, −1 for others."""
-        with self._numbering:
-            for number, other in self._logs:
-                if other is data:
-                    return number
-            if not any(other is data for other in self._seen):
-                self._seen.append(data)
-                return -1
-            self._logs.append((next(self._numbers), data))
-            return self._logs[-1][0]
+    def _sent(self, data: Data, worker: Worker, known: dict[tuple[int, int], Data]) -> tuple[Any, Data | None]:
+        """Return the number of a log, and its data unless the worker keeps them."""
+        for (start, number), other in known.items():
+            if other is data and start == worker.starts:
+                return (start, number), None
+        known[worker.starts, next(self._numbers)] = data
+        for oldest in [*known][:-MOST_KEPT]:
+            del known[oldest]
+        return [*known][-1], data
 
     def end(self) -> None:
         """End all idle processes."""
         with suppress(queue.Empty):
             while True:
-                worker, _ = self._idle.get_nowait()
-                worker.end()
+                self._idle.get_nowait()[0].end()
 
 
 workers = _Workers()
@@ -195,21 +156,25 @@ class RemoteLibraryKernel:
             longest = min(longest, max(LEAST, PATIENCE * self.pace.longest))
         return self.limits.model_copy(update={"load": longest})
 
-    def run(self, data: Data, p: Array, x0: Array, P0: Array, q: Array, r: Array, *, states: bool = False) -> Filtered:
-        """Filter one log, as `Kernel.run`."""
+    def _try(self, method: str, arguments: Any, diverged: Callable[[], Any], **options: Any) -> Any:
+        """Return the result of a method, or that of `diverged` if the FMU fails."""
         try:
-            filtered: Filtered = workers.call(self, "run", (data, p, x0, P0, q, r), states=states)
+            return workers.call(self, method, arguments, **options)
         except SimulationError as error:
             self.failures.append(error)
-            return self._diverged(data, states=states)
+            return diverged()
+
+    def run(self, data: Data, p: Array, x0: Array, P0: Array, q: Array, r: Array, *, states: bool = False) -> Filtered:
+        """Filter one log, as `Kernel.run`."""
+        diverged = partial(self._diverged, data, states=states)
+        filtered: Filtered = self._try("run", (data, p, x0, P0, q, r), diverged, states=states)
         return filtered
 
     def _diverged(self, data: Data, *, states: bool = False) -> Filtered:
         """Return the outcome of a pass that failed."""
-        rows = len(data.u) if states else 0
-        shape, count = data.y.shape, len(self.layout.stochastic)
-        nothing = np.full((rows, len(self.layout.states)), np.nan), np.full((rows, self.layout.memory), np.nan)
-        return Filtered(np.full(shape, np.inf), np.ones(shape), *nothing, np.full((rows, count, count), np.nan))
+        rows, layout, count = len(data.u) if states else 0, self.layout, len(self.layout.stochastic)
+        nothing = _nothing(rows, len(layout.states)), _nothing(rows, layout.memory), _nothing(rows, count, count)
+        return Filtered(np.full(data.y.shape, np.inf), np.ones(data.y.shape), *nothing)
 
     def run_all(self, inputs: Sequence[Inputs]) -> Sequence[Filtered]:
         """Filter several logs; one after the other if the FMU fails, none if it hangs."""
@@ -226,12 +191,13 @@ class RemoteLibraryKernel:
         self, data: Data, p: Array, x0: Array, memory: Array, kicks: Array | None = None, *, first: int = 0
     ) -> Simulated:
         """Simulate with the commands of a log, as `Kernel.simulate`."""
-        try:
-            simulated: Simulated = workers.call(self, "simulate", (data, p, x0, memory, kicks), first=first)
-        except SimulationError as error:
-            self.failures.append(error)
-            rows, counts = len(data.u), (len(self.layout.outputs), len(self.layout.states), self.layout.memory)
-            return Simulated(*(np.full((rows, count), np.nan) for count in counts))
+        counts = len(self.layout.outputs), len(self.layout.states), self.layout.memory
+        simulated: Simulated = self._try(
+            "simulate",
+            (data, p, x0, memory, kicks),
+            lambda: Simulated(*(_nothing(len(data.u), count) for count in counts)),
+            first=first,
+        )
         return simulated
 
     def simulate_all(self, begins: Sequence[Begin]) -> Sequence[Simulated]:
@@ -253,10 +219,12 @@ class RemoteLibraryKernel:
 
     def step(self, data: Data, p: Array, points: tuple[Rows, Array, Array], back: int) -> tuple[Array, Array]:
         """Return single steps from rows of a log, as `single_steps`."""
-        try:
-            stepped: tuple[Array, Array] = workers.call(self, "step", (data, p, points, back))
-        except SimulationError as error:
-            self.failures.append(error)
-            rows, layout = len(points[0]), self.layout
-            return np.full((rows, len(layout.states)), np.nan), np.full((rows, len(layout.outputs)), np.nan)
+        counts, rows = (len(self.layout.states), len(self.layout.outputs)), len(points[0])
+        stepped: tuple[Array, Array] = self._try(
+            "step", (data, p, points, back), lambda: tuple(_nothing(rows, count) for count in counts)
+        )
         return stepped
+
+
+def _nothing(*shape: int) -> Array:
+    return np.full(shape, np.nan)

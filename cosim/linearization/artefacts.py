@@ -14,6 +14,5 @@ ARTEFACTS = (
         files=("linear.json", "linear.mat", "linear.py", "report.html"),
         folder="the folder of a linearisation",
         folder_step="its report.html opens in a browser, its linear.py loads it in Python",
-        sources=("model",),
     ),
 )

@@ -18,7 +18,6 @@ AXIS_TOLERANCE = 1e-9  # [1/s] real part of a pole on the imaginary axis
 HEAD = (
     "pole [1/s]",
     "times",
-    "Jordan blocks",
     "ωₙ [rad/s]",
     "ζ",
     "−1/Re [s]",
@@ -50,7 +49,7 @@ def headline(structure: Structure, linear: Linear) -> str:
     else:
         on_axis = [p for p in structure.poles if p.value.real >= -AXIS_TOLERANCE]
         count = counted(sum(p.count for p in on_axis), "pole")
-        longest = max(on_axis, key=lambda p: max(p.blocks))
+        longest = max(on_axis, key=lambda p: p.count)
         stability = f"Not asymptotically stable: {count} on the imaginary axis; a deviation {meaning(longest)}"
     reach = (
         f"The inputs reach {structure.controllable} of {counted(n, 'state')}; the outputs show {structure.observable}"
@@ -62,7 +61,7 @@ def meaning(p: Pole) -> str:
     """Return the behaviour of a deviation along a pole, as the predicate of a sentence."""
     real, imag = p.value.real, abs(p.value.imag)
     if not p.value:
-        return {1: "stays", 2: "grows linearly (double integrator)"}.get(max(p.blocks), "grows with a power of time")
+        return "stays" if p.count == 1 else "stays or grows with a power of time (integrators)"
     oscillates = imag and p.damping_ratio < MAX_OSCILLATING_DAMPING
     oscillation = f"oscillates with a period of {plain(2 * math.pi / imag)} s" if oscillates else ""
     if abs(real) <= AXIS_TOLERANCE:
@@ -73,27 +72,20 @@ def meaning(p: Pole) -> str:
 
 def pole_rows(structure: Structure) -> list[dict[str, str]]:
     """Return the rows of the pole table; a complex pair has one row."""
-    return [_row(p) for p in structure.poles if p.value.imag >= 0.0]
-
-
-def _row(p: Pole) -> dict[str, str]:
-    pair = f" ± {number(p.value.imag)}j" if p.value.imag else ""
-    return {
-        "pole": number(p.value.real) + pair,
-        "count": str(p.count),
-        "blocks": " + ".join(map(str, p.blocks)),
-        "frequency": number(p.natural_frequency),
-        "damping": number(p.damping_ratio),
-        "time": "∞" if math.isinf(p.time_constant) else number(p.time_constant),
-        "meaning": meaning(p),
-        "reached": "yes" if p.controllable else "no",
-        "shown": "yes" if p.observable else "no",
-    }
-
-
-def pole_table(structure: Structure) -> list[tuple[str, ...]]:
-    """Return the rows under HEAD."""
-    return [tuple(row.values()) for row in pole_rows(structure)]
+    return [
+        {
+            "pole": number(p.value.real) + (f" ± {number(p.value.imag)}j" if p.value.imag else ""),
+            "count": str(p.count),
+            "frequency": number(p.natural_frequency),
+            "damping": number(p.damping_ratio),
+            "time": "∞" if math.isinf(p.time_constant) else number(p.time_constant),
+            "meaning": meaning(p),
+            "reached": "yes" if p.controllable else "no",
+            "shown": "yes" if p.observable else "no",
+        }
+        for p in structure.poles
+        if p.value.imag >= 0.0
+    ]
 
 
 def matrix_lines(name: str, matrix: Array, rows: Sequence[str], columns: Sequence[str]) -> list[list[str]]:

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.linearization import messages
-from cosim.linearization.kinks import Kink
 
 MIN_COUPLING = 1e-9  # smallest entry of a matrix that couples, relative to its largest entry
 MAX_RATE_AT_REST = 1e-6  # [state unit/s]
@@ -35,7 +33,7 @@ class Linear:
         units: Units of states, inputs and outputs by name; "" if unknown.
         method: Origin of the derivatives.
         notes: Remarks on the derivatives.
-        kinks: States and inputs without a derivative at the point, with one-sided slopes.
+        kinks: State or input at a kink or a jump → the rates and outputs without a derivative in it.
     """
 
     A: Array
@@ -51,7 +49,7 @@ class Linear:
     units: Mapping[str, str]
     method: str
     notes: tuple[str, ...] = ()
-    kinks: tuple[Kink, ...] = ()
+    kinks: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     @property
     def at_rest(self) -> bool:
@@ -64,6 +62,11 @@ class Linear:
 
         names = {group: list(getattr(self, group)) for group in ("states", "inputs", "outputs")}
         return control.ss(self.A, self.B, self.C, self.D, **names, remove_useless_states=False)
+
+    def matrix(self, name: str) -> tuple[Array, tuple[str, ...], tuple[str, ...]]:
+        """Return A, B, C or D with the names of its rows and columns."""
+        rows = self.states if name in "AB" else self.outputs
+        return getattr(self, name), rows, self.states if name in "AC" else self.inputs
 
     def unit(self, name: str) -> str:
         """Return the unit of a state, input or output."""
@@ -83,7 +86,8 @@ def residualize(linear: Linear, fast: Sequence[str]) -> Linear:
     z = [linear.states.index(n) for n in fast]
     own = linear.A[np.ix_(z, z)]
     if np.linalg.matrix_rank(own) < len(z):
-        raise ValueError(messages.NO_STEADY_STATE(names=", ".join(fast)))
+        text = "they do not settle while the other states are constant (their block of A is singular)"
+        raise ValueError(f"{', '.join(fast)} cannot be residualized: {text}; leave out states that only integrate")
     to_states, to_inputs, to_rates = (np.linalg.solve(own, part[z]) for part in (linear.A, linear.B, linear.rates))
     eliminated = replace(
         linear,

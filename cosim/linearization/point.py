@@ -1,41 +1,45 @@
-"""Option `--at`: values of states and inputs, or times of a scenario."""
+"""Option `--at`: values of states and inputs, or times of a scenario's run."""
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.errors import Fault, refuse
+from cosim.base.errors import Fault, InputError, SimulationError, refuse
+from cosim.base.scratch import temporary_folder
+from cosim.base.text import as_yaml
+from cosim.base.times import rounding, roundings
 from cosim.base.units import read_quantity
-from cosim.linearization import messages
 from cosim.linearization.linear_model import Point
-from cosim.linearization.linear_sources import LinearizableSystem
+from cosim.linearization.sources import EquationSource, Source
+from cosim.model.integrate import Stepper
+from cosim.scenario.scenario_file import ScenarioFile
+from cosim.simulation.packaged import is_ssp
+from cosim.simulation.workflow import run
+from cosim.storage.results import Results
 from cosim.storage.yaml_file import did_you_mean, short
 
+MAX_OUTPUT_DIFFERENCE = 1e-6  # between model and component, relative to the output's range
+MAX_NAMES = 8  # missing signals in a message
 SCENARIOS = {".yaml", ".yml", ".json", ".ssp", ".ssd"}
 MAX_TIMES = 100_000
 AT = Path("--at")
 
 
 @dataclass(frozen=True)
-class LinearizationTimes:
-    """Times of a scenario's run at which a model is linearized [s]."""
-
-    scenario: Path
-    times: Array
-
-
-@dataclass(frozen=True)
 class Where:
-    """Content of `--at`: values by name, which override those of the moment or the start."""
+    """Content of `--at`: values by name, which override those of the start or of a run at these times [s]."""
 
     values: Mapping[str, str]
-    moment: LinearizationTimes | None
+    scenario: Path | None
+    times: Array
 
 
 def read_at(texts: Sequence[str]) -> Where:
@@ -47,28 +51,30 @@ def read_at(texts: Sequence[str]) -> Where:
         InputError: Every invalid text.
     """
     values: dict[str, str] = {}
-    moments: list[LinearizationTimes] = []
+    moments: list[tuple[Path, Array]] = []
     faults: list[str] = []
     for text in texts:
         head, at, tail = text.rpartition("@")
         if at and (Path(head).suffix.lower() in SCENARIOS or "=" not in head):
             try:
-                moments.append(LinearizationTimes(Path(head), _times(tail)))
+                moments.append((Path(head), _times(tail)))
             except ValueError as error:
-                faults.append(messages.INVALID_TIMES(text=short(text), reason=error))
+                faults.append(f"{short(text)}: {error}")
             continue
         for part in text.split(","):
             name, _, value = (piece.strip() for piece in part.partition("="))
             if not (name and value):
-                faults.append(messages.AT_WITHOUT_VALUE(text=short(text)))
+                kinds = "neither NAME=VALUE of a state or input, such as level=0.5, nor SCENARIO.yaml@TIME"
+                faults.append(f"{short(text)} is {kinds}")
                 break
             if name in values:
-                faults.append(messages.REPEATED_VALUE(name=name, first=short(values[name]), second=short(value)))
+                both = f"{short(values[name])} and {short(value)}"
+                faults.append(f"{name} is given twice, {both}; give it once")
             values.setdefault(name, value)
     if len(moments) > 1:
-        faults.append(messages.SEVERAL_SCENARIOS(count=len(moments)))
+        faults.append(f"{len(moments)} scenarios are named; name one")
     refuse(Fault(AT, 0, 0, fault) for fault in faults)
-    return Where(values, moments[0] if moments else None)
+    return Where(values, *(moments[0] if moments else (None, np.zeros(0))))
 
 
 def _times(text: str) -> Array:
@@ -89,23 +95,22 @@ def _times(text: str) -> Array:
     return np.asarray(first + step * np.arange(count))
 
 
-def move(source: LinearizableSystem, point: Point, values: Mapping[str, str]) -> Point:
+def move(source: Source, point: Point, values: Mapping[str, str]) -> Point:
     """Return the point with states and inputs of `--at`.
 
     Raises:
         InputError: Every unknown name and unsuitable value.
     """
     states, inputs, faults = point.states.copy(), point.inputs.copy(), []
-    lists = {group: ", ".join(getattr(source, group)) or "none" for group in ("states", "inputs")}
+    lists = "; ".join(f"{group}: {', '.join(getattr(source, group)) or 'none'}" for group in ("states", "inputs"))
     for name, text in values.items():
         if name not in (names := (*source.states, *source.inputs)):
-            cure = did_you_mean(name, names)
-            faults.append(messages.UNKNOWN_SIGNAL(model=source.title, name=name, cure=cure, **lists))
+            faults.append(f'{source.title} has no state or input "{name}"{did_you_mean(name, names)} ({lists})')
             continue
         try:
             value = read_quantity(text, source.units.get(name, ""))
         except ValueError as error:
-            faults.append(messages.INVALID_VALUE(name=name, value=short(text), reason=error))
+            faults.append(f"{name}={short(text)}: {error}")
             continue
         if name in source.states:
             states[source.states.index(name)] = value
@@ -113,3 +118,121 @@ def move(source: LinearizableSystem, point: Point, values: Mapping[str, str]) ->
             inputs[source.inputs.index(name)] = value
     refuse(Fault(AT, 0, 0, fault) for fault in faults)
     return replace(point, states=states, inputs=inputs)
+
+
+def points_along(
+    source: Source, scenario: Path, times: Array, component: str, over: Sequence[str]
+) -> tuple[Source, list[Point], list[str]]:
+    """Return the source with a scenario's parameters, a point for each time of its run, and notes.
+
+    The model stands for a component of the scenario: equations are driven by its recorded inputs, an FMU replaces it.
+
+    Args:
+        component: Name in the scenario if several components have the model's inputs and outputs.
+        over: Parameters that precede those of the scenario.
+    """
+    if not scenario.is_file():
+        raise InputError.at(scenario, "no such scenario; check its path")
+    if not is_ssp(scenario):  # before the scenario is run
+        content = ScenarioFile(scenario).scenario
+        _check_times(scenario, times, content.start_time, content.start_time + content.duration)
+        if component and component not in content.components:
+            names = ", ".join(content.components)
+            text = f'{scenario} has no component "{component}" ({names})'
+            raise InputError.at(Path("--component"), text)
+    with temporary_folder("linearize") as folder:
+        results, manifest = _run(scenario, folder)
+        name = _component(results, source, scenario, component)
+        if source.states and not isinstance(source, EquationSource):
+            states = [f"{name}.{state}" for state in source.states]
+            record = as_yaml([*(manifest["scenario"].get("record") or ()), *states])
+            fmu = json.dumps(str(source.files[0].resolve()))
+            results, manifest = _run(scenario, folder, [f"record={record}", f"components.{name}.fmu={fmu}"])
+    start = dict(manifest["scenario"]["components"].get(name, {}).get("start") or {})
+    source, time, notes = source.with_values(start, over), results.time, list[str]()
+    _check_times(scenario, times, float(time[0]), float(time[-1]))
+    step = float(np.min(np.diff(time), initial=1.0))
+    rows = np.searchsorted(time, times + roundings(times, step), side="right") - 1
+    if (np.abs(time[rows] - times) > roundings(times, 1e3 * step)).any():
+        notes.append("a time between two communication points is moved to the earlier of the two")
+    inputs = _columns(results, name, source.inputs)
+    if isinstance(source, EquationSource):
+        values, outputs = _simulate(source, start, time[: max(rows) + 1], inputs)
+        recorded = _columns(results, name, source.outputs)[: len(outputs)]
+        difference = np.abs(recorded - outputs).max(axis=0)
+        span = np.maximum(np.ptp(recorded, axis=0), 1e-3)
+        worst = int(np.argmax(difference / span))
+        if difference[worst] > MAX_OUTPUT_DIFFERENCE * span[worst]:
+            output = source.outputs[worst]
+            size = f"{difference[worst]:.3g} {source.units.get(output, '')}".rstrip()
+            notes.append(f"{name} is not this model: driven alike, {output} differs by up to {size}")
+    else:
+        values = _columns(results, name, source.states)
+        if names := ", ".join(np.array(source.states)[np.isnan(values).all(axis=0)]):
+            raise InputError.at(AT, f"{name} of {scenario} records no {names}")
+    return source, [Point(float(time[k]), values[k], inputs[k]) for k in rows], notes
+
+
+def _component(results: Results, source: Source, scenario: Path, name: str) -> str:
+    """Return the name of the scenario component that has the model's inputs and outputs."""
+    columns, signals = set(results.columns), (*source.inputs, *source.outputs)
+    owners = dict.fromkeys(column.partition(".")[0] for column in results.columns)
+    missing = {owner: [n for n in signals if f"{owner}.{n}" not in columns] for owner in owners}
+    fitting = [owner for owner, names in missing.items() if not names]
+    if name in fitting:
+        return name
+    if not name and len(fitting) == 1:
+        return fitting[0]
+    if not name and fitting:
+        names = ", ".join(fitting)
+        raise InputError.at(AT, f"several components fit the model: {names}; choose one as --component NAME")
+    absent = missing.get(name, signals)
+    names = f"{', '.join(absent[:MAX_NAMES])}{', …' if len(absent) > MAX_NAMES else ''}"
+    if name:
+        text = f"{name} lacks inputs and outputs of {source.title} ({names}); name another component"
+        raise InputError.at(AT, text)
+    text = f"no component of {scenario} has the inputs and outputs of {source.title} ({names})"
+    raise InputError.at(AT, f"{text}; name another scenario")
+
+
+def _columns(results: Results, component: str, names: Sequence[str]) -> Array:
+    """Return signals of a component as columns, NaN for a signal without a record."""
+    empty = np.full(len(results.time), np.nan)
+    columns = [results[c] if (c := f"{component}.{name}") in results else empty for name in names]
+    return np.stack(columns, axis=1) if columns else np.empty((len(empty), 0))
+
+
+def _simulate(source: EquationSource, start: Mapping[str, Any], time: Array, inputs: Array) -> tuple[Array, Array]:
+    """Return the states and outputs of the model, simulated with the inputs."""
+    stepper = Stepper(source.model)
+    memories = {f"{e.name}.{q.name}": q.unit for e in source.model.awake for q in e.memory}
+    units = {**memories, **{n: source.units[n] for n in source.states}}
+    starts = {n.removesuffix("_start"): str(v) for n, v in start.items() if n.endswith("_start")}
+    moment = stepper.start(float(time[0]), {n: read_quantity(v, units[n]) for n, v in starts.items() if n in units})
+    states, outputs = [], []
+    for k in range(len(time)):
+        if k:
+            try:
+                moment = stepper.step(moment, tuple(inputs[k - 1].tolist()), float(time[k] - time[k - 1]))
+            except (ArithmeticError, ValueError) as error:
+                text = f"the equations have no value there: {error}"
+                raise SimulationError(source.name, float(time[k]), text) from None
+        states.append(np.array(moment.state, float))
+        outputs.append(source.evaluate(float(time[k]), states[k], inputs[k])[1])
+    return np.array(states), np.array(outputs)
+
+
+def _check_times(scenario: Path, times: Array, first: float, last: float) -> None:
+    for time in times.tolist():
+        if not first - rounding(first) <= time <= last + rounding(last):
+            text = f"{time:g} s is not within {scenario}, which runs from {first:g} to {last:g} s"
+            raise InputError.at(AT, text)
+
+
+def _run(scenario: Path, folder: Path, overrides: Sequence[str] = ()) -> tuple[Results, Mapping[str, Any]]:
+    try:
+        outcome = run(scenario, folder, overrides, report=False)
+    except SimulationError as error:
+        error.left = None  # the temporary folder is deleted
+        raise
+    return outcome.results, outcome.manifest

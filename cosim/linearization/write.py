@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import math
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,6 @@ from cosim.base.arrays import Array
 from cosim.base.drafts import draft_of
 from cosim.base.version import __version__
 from cosim.linearization.linear_model import Linear
-from cosim.linearization.result import Outcome
 from cosim.linearization.system_structure import Structure
 from cosim.storage.files import write_json, write_text
 
@@ -41,6 +40,23 @@ system = systems[0]
 '''
 
 
+@dataclass(frozen=True)
+class Outcome:
+    """Linear models for one or more times, and the structure of the first."""
+
+    name: str
+    title: str
+    linear: tuple[Linear, ...]
+    structure: Structure
+    notes: tuple[str, ...]
+    folder: Path | None
+
+    @property
+    def first(self) -> Linear:
+        """Return the first linear model."""
+        return self.linear[0]
+
+
 def write(folder: Path, outcome: Outcome) -> None:
     """Write all files, each completely or not at all."""
     write_json(folder / "linear.json", content(outcome), indent=1, allow_nan=False)
@@ -54,8 +70,7 @@ def content(outcome: Outcome) -> dict[str, Any]:
     first = outcome.first
     models = []
     for m in outcome.linear:
-        arrays = {name: values.tolist() for name, values in _arrays(m).items()}
-        models.append({"time": m.point.time, **arrays, "kinks": [k.as_json() for k in m.kinks]})
+        models.append({"time": m.point.time, **{name: values.tolist() for name, values in _arrays(m).items()}})
     return {
         "schema_version": 1,
         "version": __version__,
@@ -84,7 +99,6 @@ def _plain(structure: Structure) -> dict[str, Any]:
             "real": p.value.real,
             "imag": p.value.imag,
             "count": p.count,
-            "jordan_blocks": list(p.blocks),
             "natural_frequency": p.natural_frequency,
             "damping_ratio": number(p.damping_ratio),
             "time_constant": number(p.time_constant),

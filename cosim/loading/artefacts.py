@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from cosim.storage.artefact import Artefact
-from cosim.storage.kind_names import CODE, MODEL
+from cosim.storage.artefact import CODE, MODEL, Artefact
 
 SCENARIO_KEYS = frozenset({"components", "connections", "step", "vary"})
 STUDY_KEYS = frozenset({"logs", "noise", "tolerance", "inputs", "candidates", "columns", "per_log", "groups"})
@@ -17,12 +16,12 @@ ARTEFACTS = (
         schema="cosim.loading.file:ModelFile",
         schema_name="model",
         title="cosim model file",
-        check="cosim.loading.model_check:check_model_file",
+        check="cosim.loading.substep:check_model_file",
     ),
     Artefact(
         CODE,
         "`cosim build --model {file}:Class` builds its FMU, a study names it as model:",
         endings=(".py",),
-        check="cosim.loading.model_check:check_model_class",
+        check="cosim.loading.substep:check_model_class",
     ),
 )

@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from pathlib import Path
 from shutil import copyfile
 
 from cosim.base.drafts import draft_of
-from cosim.base.registry import is_model, model_entry, resolve
+from cosim.base.registry import entry_of, is_model, resolve
 from cosim.base.scratch import temporary_folder
-from cosim.base.settings import ModelName
-from cosim.loading.file import meant_model
-from cosim.loading.own_experiment import carry_experiment
+from cosim.base.settings import ModelName, Names
+from cosim.loading.file import designed_starts, meant_model
 from cosim.loading.substep import with_substep
 from cosim.storage.files import FilePath, check_folder, named_path
-from cosim.storage.folder_lock import folder_locks
 
 PLANT = "plant.fmu"
 
 
-@folder_locks()
 def build(
     folder: FilePath,
     model: ModelName | None = None,
@@ -27,7 +24,9 @@ def build(
     nearest: bool = False,
     native: bool = False,
     fmi: int = 2,
-    platforms: Sequence[str] = (),
+    platforms: Names = (),
+    design: FilePath | None = None,
+    tell: Callable[[str], None] = lambda text: None,
 ) -> list[Path]:
     """Build the FMUs of a model.
 
@@ -39,6 +38,8 @@ def build(
         native: Build compiled FMUs, which need no Python.
         fmi: FMI version of native FMUs, 2 or 3.
         platforms: Platforms of native FMUs; none means this machine.
+        design: File of weights and numbers, by which start values of the model's controllers are designed.
+        tell: Function that shows a warning of the design.
 
     Returns:
         Paths of the FMUs.
@@ -46,6 +47,7 @@ def build(
     Raises:
         InputError: Every fault of the input.
     """
+    from cosim.fmi.fmu_build import Recipe
     from cosim.fmi.fmu_build import build as build_fmu
 
     folder = named_path(folder)
@@ -53,20 +55,24 @@ def build(
     if native:
         from cosim.loading.build_native import build_native
 
-        return [fmu.path for fmu in build_native(folder, model, nearest=nearest, fmi=fmi, platforms=platforms)]
+        natives = build_native(folder, model, nearest=nearest, fmi=fmi, platforms=platforms, design=design, tell=tell)
+        return [fmu.path for fmu in natives]
 
     loaded, _ = with_substep(meant_model(model, nearest=nearest))
-    if model is None and not nearest:
-        recipes = {name: resolve(recipe)() for name, recipe in model_entry().built.items()}
+    starts = designed_starts(design, loaded.model, tell)
+    entry = entry_of(type(loaded.model))
+    if entry is not None and entry.built and model in (None, entry.name):
+        recipes, places = {}, dict(entry.built)
     else:
+        every = {} if entry is None else entry.beside
         recipes = {PLANT: loaded.recipe()}
-        if is_model(loaded.source):
-            recipes |= {name: resolve(recipe)() for name, recipe in model_entry(loaded.source).beside.items()}
+        places = {name: place for name, place in every.items() if name in starts or is_model(loaded.source)}
+    for name, place in places.items():
+        recipe: Recipe = resolve(place)()
+        recipes[name] = recipe.with_starts(starts[name]) if name in starts else recipe
     with temporary_folder("build") as drafts:
         for name, recipe in recipes.items():
             draft = build_fmu(recipe, drafts / name)
-            if name == PLANT:
-                carry_experiment(draft, loaded.model)
             with draft_of(folder / name) as target:
                 copyfile(draft, target)
     return [folder / name for name in recipes]

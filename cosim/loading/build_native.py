@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,18 +12,16 @@ from cosim.base.drafts import draft_of
 from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.registry import is_model, model_entry, resolve
 from cosim.base.scratch import temporary_folder
-from cosim.loading import messages
-from cosim.loading.file import LoadedModel, meant_model
-from cosim.loading.own_experiment import carry_experiment
+from cosim.fmi.ports import Value
+from cosim.loading.file import LoadedModel, designed_starts, meant_model
 from cosim.loading.source import ModelText
 from cosim.loading.substep import with_substep
 from cosim.model.model import Model
 from cosim.storage.files import FilePath, check_folder, named_path
-from cosim.storage.folder_lock import folder_locks
 from cosim.storage.yaml_file import did_you_mean
 
 if TYPE_CHECKING:
-    from cosim.fmi.native.package import Native
+    from cosim.fmi.native.package import Built, Native
 
 SUFFIX = {2: "-native.fmu", 3: "-native-fmi3.fmu"}
 
@@ -42,9 +40,15 @@ class NativeFmu:
         return f"built {self.path} for {', '.join(places)}"
 
 
-@folder_locks()
 def build_native(
-    folder: FilePath, model: str | None = None, *, nearest: bool = False, fmi: int = 2, platforms: Sequence[str] = ()
+    folder: FilePath,
+    model: str | None = None,
+    *,
+    nearest: bool = False,
+    fmi: int = 2,
+    platforms: Sequence[str] = (),
+    design: FilePath | None = None,
+    tell: Callable[[str], None] = lambda text: None,
 ) -> list[NativeFmu]:
     """Build the native FMUs of a model in `folder`.
 
@@ -52,27 +56,30 @@ def build_native(
         model: `base` (default), a model.yaml, file.py:Class or a refine.
         fmi: FMI version, 2 or 3.
         platforms: Platform names; by default this machine's.
+        design, tell: As in `cosim.loading.build.build`.
 
     Raises:
         InputError: The build is impossible; nothing is written.
     """
-    from cosim.fmi.native.compiler import CompilerFailed
-    from cosim.fmi.native.package import build_native as build_fmu
+    from cosim.fmi.native.platforms import PLATFORMS
 
     folder = named_path(folder)
     check_folder(folder)
-    _check_platforms(platforms)
+    known = f"(known: {', '.join(PLATFORMS)})"
+    unknown = [name for name in platforms if name not in PLATFORMS]
+    texts = [f'no platform "{name}"{did_you_mean(name, PLATFORMS)} {known}' for name in unknown]
+    refuse(Fault(Path("--platforms"), 0, 0, text) for text in texts)
     if fmi not in SUFFIX:
-        raise InputError.at(Path("--fmi"), messages.FMI_VERSION(version=fmi, versions=" or ".join(map(str, SUFFIX))))
+        raise InputError.at(Path("--fmi"), f"is {fmi}; it is {' or '.join(map(str, SUFFIX))}")
     _check_compiler(platforms)
     loaded, _ = with_substep(meant_model(model, nearest=nearest))
-    natives = [(f"{name}{SUFFIX[fmi]}", native) for name, native in _natives(loaded)]
+    starts = designed_starts(design, loaded.model, tell)
+    native_names = model_entry(loaded.source).native if is_model(loaded.source) else {}
+    if starts and not any(f"{name}.fmu" in starts for name in native_names):
+        raise InputError.at(Path("--design"), "names no controller that has a native FMU; build it without --native")
+    natives = [(f"{name}{SUFFIX[fmi]}", native) for name, native in _natives(loaded, starts)]
     with temporary_folder("build") as drafts:  # all archives, or none after a failure
-        try:
-            built = {file: build_fmu(native, drafts / file, fmi, platforms) for file, native in natives}
-            carry_experiment(built[natives[0][0]].path, loaded.model)
-        except CompilerFailed as error:
-            raise _compiler_error(error) from None
+        built = {file: _compile(native, drafts / file, fmi, platforms) for file, native in natives}
         for file, one in built.items():
             with draft_of(folder / file) as draft:
                 draft.write_bytes(one.path.read_bytes())
@@ -87,27 +94,23 @@ def class_fmu(loaded: LoadedModel, path: Path) -> Path:
     Raises:
         InputError: The build is impossible.
     """
-    from cosim.fmi.native.compiler import CompilerFailed
-    from cosim.fmi.native.package import build_native as build_fmu
-
     _check_compiler(())
     natives, model = _of_class.setdefault(type(loaded.model), {}), loaded.model
     key = loaded.source, model.chosen_substep, model.chosen_integrator
     if key not in natives:
         bare = type(model)().with_substep(model.chosen_substep, model.chosen_integrator)
         _, natives[key] = next(_natives(LoadedModel(bare, loaded.source)))
-    try:
-        return build_fmu(natives[key], path).path
-    except CompilerFailed as error:
-        raise _compiler_error(error) from None
+    return _compile(natives[key], path).path
 
 
 # checked native models of this process, by class, source, substep and integrator
 _of_class: WeakKeyDictionary[type[Model], dict[tuple[str, float | None, str | None], Native]] = WeakKeyDictionary()
 
 
-def _natives(loaded: LoadedModel) -> Iterator[tuple[str, Native]]:
-    """Yield the plant and further native FMUs of a registered model."""
+def _natives(
+    loaded: LoadedModel, starts: Mapping[str, Mapping[str, Value]] | None = None
+) -> Iterator[tuple[str, Native]]:
+    """Yield the plant and further native FMUs of a registered model, with designed start values by file."""
     from cosim.fmi.native.package import native_model
     from cosim.fmi.native.printing import UnprintableModel
 
@@ -120,7 +123,7 @@ def _natives(loaded: LoadedModel) -> Iterator[tuple[str, Native]]:
     except (UnprintableModel, TypeError, AttributeError) as error:
         raise InputError([_unprintable(loaded, error)]) from error
     for name, recipe in model_entry(loaded.source).native.items() if is_model(loaded.source) else ():
-        yield name, resolve(recipe)()
+        yield name, resolve(recipe)((starts or {}).get(f"{name}.fmu"))
 
 
 def _unprintable(loaded: LoadedModel, error: Exception) -> Fault:
@@ -130,26 +133,25 @@ def _unprintable(loaded: LoadedModel, error: Exception) -> Fault:
     file = loaded.source.rpartition(":")[0]
     cure = "let its equations take functions and branches from m, or build it without --native"
     if not file:
-        return Fault(Path(loaded.source), 0, 0, messages.NOT_PRINTABLE(error=error, cure=cure))
+        return Fault(Path(loaded.source), 0, 0, f"cannot be printed as C: {error}; {cure}")
     source = ModelText(Path(file))
     if isinstance(error, UnprintableModel):
         owner = error.owner or type(loaded.model)
         hook = error.hook if error.owner else "equations"
-        return source.fault(owner, hook, messages.NOT_PRINTABLE(error=error, cure=error.cure or cure))
+        return source.fault(owner, hook, f"cannot be printed as C: {error}; {error.cure or cure}")
     return source.convert_error(error, "cannot be printed as C")
 
 
-def _compiler_error(error: Exception) -> InputError:
-    return InputError.at(Path("--native"), messages.COMPILER_FAILED.around(error))
+def _compile(native: Native, path: Path, fmi: int = 2, platforms: Sequence[str] = ()) -> Built:
+    """Return a built FMU; raise InputError with the compiler's reason against it."""
+    from cosim.fmi.native.compiler import CompilerFailed
+    from cosim.fmi.native.package import build_native as build_fmu
 
-
-def _check_platforms(platforms: Sequence[str]) -> None:
-    from cosim.fmi.native.platforms import PLATFORMS
-
-    names = ", ".join(PLATFORMS)
-    unknown = [name for name in platforms if name not in PLATFORMS]
-    texts = [messages.UNKNOWN_PLATFORM(name=n, cure=did_you_mean(n, PLATFORMS), names=names) for n in unknown]
-    refuse(Fault(Path("--platforms"), 0, 0, text) for text in texts)
+    try:
+        return build_fmu(native, path, fmi, platforms)
+    except CompilerFailed as error:
+        reason = f"the compiler {error}; mend the compiler, or name another in CC"
+        raise InputError.at(Path("--native"), reason) from None
 
 
 def _check_compiler(platforms: Sequence[str]) -> None:

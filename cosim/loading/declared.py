@@ -1,4 +1,4 @@
-"""Checks of a user's model class for a refine: names, bounds, units, sensors, delays.
+"""Checks of a user's model class: declarations, names, bounds, units, effects and sensor errors.
 
 All faults are reported at once with line and remedy, before any log is read.
 """
@@ -8,72 +8,37 @@ from __future__ import annotations
 import dataclasses
 import math
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
 from itertools import chain
 from typing import Any
 
 from cosim.base.errors import refuse
 from cosim.base.units import parse
-from cosim.loading import messages
+from cosim.fmi.ports import model_ports
 from cosim.loading.equations import effect_faults, equation_faults
-from cosim.loading.names import Faults, duplicate_names, duplicate_variables, undefined_names
 from cosim.loading.source import ModelText
 from cosim.model.delay import Delay
 from cosim.model.gain import Gain
 from cosim.model.model import INTEGRATORS, Effect, Model, Validity, overrides
-from cosim.model.quantities import Parameter, Quantity, parameters_of
+from cosim.model.planar import PlanarFrame
+from cosim.model.quantities import Quantity, parameters_of
 from cosim.model.sensors import Drift, LeverArm, SensorError
 from cosim.storage.yaml_file import did_you_mean
 
+Faults = Iterator[tuple[type, str, str]]  # class, declaration, message
+COMMA = "with a comma even after a single one"
 MAX_NUMBER = sys.float_info.max
 MAX_TOLERANCE = 2.0  # share of a value; larger tolerances are meaningless
-
-
-def make_model(kind: type[Model], source: ModelText) -> Model:
-    """Return a model with default parameters; raise InputError with all faults of its class."""
-    refuse(source.fault(*fault) for fault in _shape_faults(kind))
-    declared = [*_effect_faults(kind), *_sensor_faults(kind), *_delay_faults(kind), *_gain_faults(kind)]
-    declared += _static_faults(kind)
-    names = [*duplicate_names(kind), *undefined_names(kind), *_number_faults(kind), *_unit_faults(kind)]
-    values = [fault for owner in (kind, *kind.catalogue, *kind.sensors) for fault in _parameter_faults(owner)]
-    faults = [source.fault(*fault) for fault in (*declared, *names, *values)]
-    if not values:
-        faults += equation_faults(kind, source)
-    if not declared and not values and not faults:
-        faults += effect_faults(kind, source)
-    refuse(faults)
-    model = kind()
-    refuse(source.fault(*fault) for fault in duplicate_variables(model))
-    return model
-
-
-def _shape_faults(kind: type[Model]) -> Faults:
-    """Yield faults of missing or mistyped declarations."""
-    if kind.equations is Model.equations:
-        yield kind, "", messages.NO_EQUATIONS(owner=kind.__name__)
-    for name in ("base_states", "inputs", "outputs"):
-        value = getattr(kind, name, None)
-        if value is None:
-            yield kind, "", messages.NO_QUANTITIES(owner=kind.__name__, name=name)
-        elif not _is_tuple_of(value, Quantity):
-            yield kind, name, messages.NOT_QUANTITIES(name=name)
-    for name, base in (("catalogue", Effect), ("sensors", SensorError)):
-        yield from _class_faults(kind, name, base)
-    for name in ("forced", "calibrated", "measured"):
-        if not _is_tuple_of(getattr(kind, name), str):
-            yield kind, name, messages.NOT_NAMES(name=name)
-    if not _is_tuple_of(kind.valid, Validity):
-        yield kind, "valid", messages.NOT_VALIDITIES()
-    for name, key, item, form in _MAPPINGS:
-        value = getattr(kind, name)
-        if not isinstance(value, Mapping) or not (
-            _is_tuple_of((*value,), key) and _is_tuple_of((*value.values(),), item)
-        ):
-            yield kind, name, messages.NOT_MAPPING(name=name, form=form)
-    yield from _find_undecorated([kind])
-
-
-_MAPPINGS: tuple[tuple[str, type, Any, str], ...] = (  # name, types of keys and values, written form
+TUPLES: tuple[tuple[str, type, str], ...] = (
+    ("catalogue", type, f"catalogue is a tuple of subclasses of Effect, {COMMA}"),
+    ("sensors", type, f"sensors is a tuple of subclasses of SensorError, {COMMA}"),
+    ("forced", str, f'forced is a tuple of names, {COMMA}: ("name",)'),
+    ("calibrated", str, f'calibrated is a tuple of names, {COMMA}: ("name",)'),
+    ("measured", str, f'measured is a tuple of names, {COMMA}: ("name",)'),
+    ("valid", Validity, 'valid is a tuple: (Validity("quantity", ("input",), low, high, "what happens beyond"),)'),
+)
+MAPPINGS: tuple[tuple[str, type, Any, str], ...] = (  # name, types of keys and values, written form
     ("suspect", str, tuple, '{"parameter": ("input",)}'),
     ("drawn_against", str, tuple, '{"effect": ("signal",)}'),
     ("sensor_variance", str, (int, float), '{"output": variance}'),
@@ -83,59 +48,99 @@ _MAPPINGS: tuple[tuple[str, type, Any, str], ...] = (  # name, types of keys and
 )
 
 
+def make_model(kind: type[Model], source: ModelText) -> Model:
+    """Return a model with default parameters; raise InputError with all faults of its class."""
+    refuse(source.fault(*fault) for fault in _form_faults(kind))
+    declared = [*_effect_faults(kind), *_sensor_faults(kind), *_delay_faults(kind), *_static_faults(kind)]
+    values = [*_parameter_faults(kind)]
+    faults = [source.fault(*f) for f in (*declared, *_name_faults(kind), *_number_faults(kind), *values)]
+    if not values:
+        faults += equation_faults(kind, source)
+    if not faults:
+        faults += effect_faults(kind, source)
+    refuse(faults)
+    model = kind()
+    variables = "inputs, outputs, parameters and start values"
+    refuse(
+        source.fault(
+            kind, "", f'{count} of its {variables} ("state_start") are called "{name}"; give each its own name'
+        )
+        for name, count in Counter(port.name for port in model_ports(model)).items()
+        if count > 1
+    )
+    return model
+
+
+def _form_faults(kind: type[Model]) -> Faults:
+    """Yield faults of missing or mistyped declarations, and of classes that are no dataclasses."""
+    if kind.equations is Model.equations:
+        yield kind, "", f"{kind.__name__} has no equations; give it `def equations(self, m)` that returns Equations"
+    for name in ("base_states", "inputs", "outputs"):
+        value = getattr(kind, name, None)
+        if value is None:
+            yield kind, "", f'{kind.__name__} has no {name}; add {name} = (Quantity("name", "unit", "meaning"),)'
+        elif not _is_tuple_of(value, Quantity):
+            yield kind, name, f"{name} is a tuple of quantities, {COMMA}"
+    owners: list[type] = [kind]
+    for name, item, reason in TUPLES:
+        value = getattr(kind, name)
+        base = {"catalogue": Effect, "sensors": SensorError}.get(name, object)
+        is_right = _is_tuple_of(value, item) and all(item is not type or issubclass(one, base) for one in value)
+        if not is_right:
+            yield kind, name, reason
+        elif item is type:
+            yield from _label_faults(value)
+        if item is type and isinstance(value, (tuple, list)):
+            owners += [one for one in value if isinstance(one, type)]
+    for name, key, item, form in MAPPINGS:
+        value = getattr(kind, name)
+        if not isinstance(value, Mapping) or not (
+            _is_tuple_of((*value,), key) and _is_tuple_of((*value.values(),), item)
+        ):
+            yield kind, name, f"{name} is a dictionary: {form}"
+    for owner in owners:
+        if name := next((n for n, v in vars(owner).items() if isinstance(v, dataclasses.Field)), ""):
+            reason = "is no field: put @dataclass(frozen=True, kw_only=True) above the class"
+            yield owner, name, f"{owner.__name__}.{name} {reason}"
+
+
 def _is_tuple_of(value: Any, kind: Any) -> bool:
     return isinstance(value, tuple) and all(isinstance(one, kind) for one in value)
 
 
-def _class_faults(kind: type[Model], name: str, base: type) -> Faults:
-    """Yield faults of the classes listed in the catalogue or in the sensors of a model."""
-    value = getattr(kind, name)
-    if _is_tuple_of(value, type) and all(issubclass(k, base) for k in value):
-        yield from _label_faults(value)
-    else:
-        yield kind, name, messages.NOT_SUBCLASSES(name=name, base=base.__name__)
-    if isinstance(value, (tuple, list)):
-        yield from _find_undecorated(k for k in value if isinstance(k, type))
-
-
-def _label_faults(owners: Sequence[type]) -> Faults:
+def _label_faults(owners: Iterable[type]) -> Faults:
     """Yield faults in the names, equations, states and memory of effects and sensor errors."""
     for owner in owners:
         for name in ("name", "equation"):
             if not isinstance(getattr(owner, name, None), str):
-                yield owner, name, messages.NO_LABEL(owner=owner.__name__, name=name)
+                yield owner, name, f'{owner.__name__} has no {name}; add {name} = "…"'
         if "." in (label := str(getattr(owner, "name", ""))):
-            yield owner, "name", messages.DOT_IN_NAME(name=label)
+            yield owner, "name", f'the name "{label}" has a dot, which parts effect and parameter; leave it out'
         for name in ("states", "memory"):
             if not _is_tuple_of(getattr(owner, name), Quantity):
-                yield owner, name, messages.NOT_QUANTITIES(name=name)
+                yield owner, name, f"{name} is a tuple of quantities, {COMMA}"
 
 
-def _find_undecorated(owners: Iterable[type]) -> Faults:
-    """Yield faults of classes without the dataclass decorator."""
-    for owner in owners:
-        if name := next((n for n, v in vars(owner).items() if isinstance(v, dataclasses.Field)), ""):
-            yield owner, name, messages.NO_FIELD(owner=owner.__name__, name=name)
-
-
-def _parameter_faults(owner: Any) -> Faults:
-    """Yield faults of defaults, neutral and typical values."""
-    prefix = f"{owner.name}." if issubclass(owner, Effect) else ""
-    for p in parameters_of(owner):
+def _parameter_faults(kind: type[Model]) -> Faults:
+    """Yield faults of defaults, neutral and typical values of the model, its effects and sensor errors."""
+    owners: Iterable[Any] = (kind, *kind.catalogue, *kind.sensors)
+    for owner, p in ((each, p) for each in owners for p in parameters_of(each)):
+        prefix = f"{owner.name}." if issubclass(owner, Effect) else ""
         name = f"{prefix}{p.name}"
         if not isinstance(p.default, bool) and not p.bounds[0] < p.bounds[1]:
-            yield owner, p.name, messages.BOUNDS_OUT_OF_ORDER(name=name, bounds=p.bounds)
+            yield owner, p.name, f"{name} has bounds {p.bounds}; write the lower one first"
             continue
         values = {"default": p.default, "neutral": p.neutral}
         if p.neutral == p.bounds[0]:  # Its fit starts at the typical size; elsewhere the size is only a step.
             values["typical"] = p.typical
         for word, value in values.items():
             if (word == "default" or value is not None) and (fault := p.fault(value)):
-                yield owner, p.name, messages.UNSUITABLE_DEFAULT(word=word, owner=prefix, fault=fault)
+                yield owner, p.name, f"the {word} of {prefix}{fault}; change the value or the bounds"
         if p.tolerance is not None and not _is_size(p.tolerance, MAX_TOLERANCE):
-            yield owner, p.name, messages.UNSUITABLE_TOLERANCE(name=name, value=p.tolerance)
+            reason = "it is a share of the value, as 0.1 for 10 %"
+            yield owner, p.name, f"the tolerance of {name} is {p.tolerance!r}; {reason}"
         if p.typical is not None and not 0.0 < p.typical < math.inf:
-            yield owner, p.name, messages.UNSUITABLE_TYPICAL(name=name, value=p.typical)
+            yield owner, p.name, f"the typical of {name} is {p.typical!r}; it is a size above 0"
 
 
 def _is_size(value: Any, limit: float = MAX_NUMBER) -> bool:
@@ -144,23 +149,87 @@ def _is_size(value: Any, limit: float = MAX_NUMBER) -> bool:
 
 
 def _number_faults(kind: type[Model]) -> Faults:
-    """Yield faults of declared numbers: times and variances not positive, start values out of bounds."""
+    """Yield faults of declared numbers and units: times and variances not positive, start values out of bounds."""
     for name, limit in (("rate", MAX_NUMBER), ("substep", MAX_NUMBER), ("horizon", math.inf)):
         if not _is_size(value := getattr(kind, name), limit):
-            yield kind, name, messages.NOT_A_TIME(name=name, value=value)
+            yield kind, name, f"{name} is {value!r}; it is a time above 0 s"
     if kind.integrator not in INTEGRATORS:
-        yield kind, "integrator", messages.UNKNOWN_INTEGRATOR(value=kind.integrator, names=", ".join(INTEGRATORS))
+        yield kind, "integrator", f"integrator is {kind.integrator!r}; it is one of {', '.join(INTEGRATORS)}"
     for attribute in ("sensor_variance", "start_variance", "excursion"):
         for name, value in getattr(kind, attribute).items():
             if not _is_size(value):
-                yield kind, attribute, messages.NOT_POSITIVE(attribute=attribute, name=name, value=value)
+                yield kind, attribute, f"the {attribute} of {name} is {value!r}; it is a number above 0"
     for attribute in ("base_states", "inputs", "outputs"):
         for q in getattr(kind, attribute):
             low, high = q.bounds
             if not low < high:
-                yield kind, attribute, messages.BOUNDS_OUT_OF_ORDER(name=q.name, bounds=q.bounds)
+                yield kind, attribute, f"{q.name} has bounds {q.bounds}; write the lower one first"
             elif not low <= q.start <= high:
-                yield kind, attribute, messages.START_OUT_OF_BOUNDS(name=q.name, start=q.start, bounds=q.bounds)
+                yield kind, attribute, f"{q.name} starts at {q.start:g}, beyond its bounds {q.bounds}"
+    owners: Iterable[Any] = (kind, *kind.catalogue, *kind.sensors)
+    for owner in owners:
+        groups = ("states", "memory") if issubclass(owner, Effect) else ("base_states", "inputs", "outputs")
+        quantities = [(group, q) for group in groups for q in getattr(owner, group)]
+        for attribute, declared in (*quantities, *((p.name, p) for p in parameters_of(owner))):
+            if declared.unit and parse(declared.unit) is None:
+                form = "write it with SI symbols, as in N.m.s/rad or m/s2, and a pure number as 1"
+                yield owner, attribute, f'unknown unit "{declared.unit}" of {declared.name}; {form}'
+
+
+def _name_faults(kind: type[Model]) -> Faults:
+    """Yield faults of names with two meanings, and of declarations that refer to undefined names."""
+    quantities = {name: [q.name for q in getattr(kind, name)] for name in ("base_states", "inputs", "outputs")}
+    named = {name: list(getattr(kind, name)) for name in ("forced", "calibrated", "measured")}
+    for attribute, names in (quantities | named).items():
+        for name, count in Counter(names).items():
+            if count > 1:
+                yield kind, attribute, f'{attribute} has {count} called "{name}"; give each its own name'
+    states, inputs, outputs = quantities.values()
+    if "time" in (*inputs, *outputs):
+        yield kind, "", 'an input or output is called "time", which is the first column of a log; give it another name'
+    parameters = {p.name: not isinstance(p.default, bool) for p in parameters_of(kind)}
+    every = (*kind.catalogue, *kind.sensors)
+    for name, count in Counter(owner.name for owner in every).items():
+        last = [owner for owner in every if owner.name == name][-1]
+        if count > 1:
+            yield last, "name", f'{count} effects or sensor errors are called "{name}"; give each its own name'
+        if name in parameters:
+            yield last, "name", f'"{name}" is a parameter of the model too; give the effect another name'
+    if kind.planar is not None and not isinstance(kind.planar, PlanarFrame):
+        fields = ", ".join(f'{field.name}="…"' for field in dataclasses.fields(PlanarFrame))
+        yield kind, "planar", f"planar is a PlanarFrame({fields}) of outputs, or None"
+    if states and not kind.forced:
+        reason = "name those whose equations may lack something, the accelerations usually"
+        yield kind, "forced", f"forced names no state; {reason} (states: {', '.join(states)})"
+    numbers = [name for name, is_number in parameters.items() if is_number]
+    candidates = [*(owner.name for owner in every), *numbers]
+    references: list[tuple[str, str, Iterable[str], list[str]]] = [
+        ("forced", "state", kind.forced, states),
+        ("calibrated", "parameter", kind.calibrated, numbers),
+        ("suspect", "parameter", kind.suspect, numbers),
+        ("suspect", "input", chain.from_iterable(kind.suspect.values()), inputs),
+        ("sensor_variance", "output", kind.sensor_variance, outputs),
+        ("start_variance", "state", kind.start_variance, states),
+        ("measured", "output", kind.measured, outputs),
+        ("excursion", "input or output", kind.excursion, [*inputs, *outputs]),
+        ("valid", "input", chain.from_iterable(v.inputs for v in kind.valid), inputs),
+        ("planar", "output", kind.planar.names if isinstance(kind.planar, PlanarFrame) else (), outputs),
+        ("told_apart_by", "candidate", sorted(chain.from_iterable(kind.told_apart_by)), candidates),
+        ("drawn_against", "candidate", kind.drawn_against, candidates),
+    ]
+    for attribute, sort, used, names in references:
+        for name in dict.fromkeys(used):
+            if name not in names:
+                yield kind, attribute, f"{attribute}: {_unknown(sort, name, names)}"
+    for name in kind.suspect:
+        if name in kind.calibrated:
+            yield kind, "suspect", f'"{name}" is in calibrated too; leave it out of suspect'
+
+
+def _unknown(sort: str, name: str, names: Iterable[str]) -> str:
+    """Return a message about an unknown or missing name."""
+    every = f"({sort.replace(' or', 's or')}s: {', '.join(names) or 'none'})"
+    return f'no {sort} "{name}"{did_you_mean(str(name), names)} {every}' if name else f"no {sort} is named {every}"
 
 
 def _effect_faults(kind: type[Model]) -> Faults:
@@ -168,17 +237,21 @@ def _effect_faults(kind: type[Model]) -> Faults:
     for owner in (*kind.catalogue, *kind.sensors):
         switches = [p for p in parameters_of(owner) if p.neutral is not None]
         if not switches:
-            yield owner, "", messages.NEVER_AWAKE(owner=owner.name)
+            reason = "has no parameter with a neutral value, so that it can never be awake; add one"
+            yield owner, "", f"{owner.name} {reason}"
         for p in switches:
             if p.default != p.neutral:
-                fields = {"owner": owner.name, "name": p.name, "default": p.default, "neutral": p.neutral}
-                yield owner, p.name, messages.AWAKE_BY_DEFAULT(**fields)
+                values = f"{p.default!r}, its neutral value {p.neutral!r}"
+                yield owner, p.name, f"the default of {owner.name}.{p.name} is {values}; let them be the same"
         names = [p.name for p in parameters_of(owner)]
         for attribute, groups in (("starts", owner.starts), ("at_least", owner.at_least.items())):
             for name in dict.fromkeys(chain.from_iterable(groups)):
                 if name not in names:
-                    cure = did_you_mean(name, names)
-                    yield owner, attribute, messages.UNKNOWN_PARAMETER(owner=owner.name, name=name, cure=cure)
+                    yield owner, attribute, f'{owner.name} has no parameter "{name}"{did_you_mean(name, names)}'
+    inputs = [q.name for q in kind.inputs]
+    for effect in kind.catalogue:
+        if issubclass(effect, Gain) and (name := getattr(effect, "input", "")) not in inputs:
+            yield effect, "input", f"{effect.name}: {_unknown('input', name, inputs)}"
 
 
 def _sensor_faults(kind: type[Model]) -> Faults:
@@ -188,33 +261,19 @@ def _sensor_faults(kind: type[Model]) -> Faults:
         names = [p.name for p in parameters_of(owner)]
         if names != ["value"]:  # `value` is the only parameter
             cure = "let another class hold the others" if "value" in names else "call it so"
-            message = messages.PARAMETERS_OF_SENSOR(owner=owner.name, names=" and ".join(names) or "none", cure=cure)
-            yield owner, (names or [""])[0], message
+            given = f"{owner.name} has {' and '.join(names) or 'none'}"
+            yield owner, (names or [""])[0], f'a sensor error has one parameter, called "value"; {given}; {cure}'
         if owner.outputs and owner.read is not SensorError.read and owner.readings is SensorError.readings:
-            yield owner, "outputs", messages.READ_OF_SEVERAL_OUTPUTS(owner=owner.name)
-        yield from _output_faults(owner, "outputs" if owner.outputs else "output", outputs)
-        if issubclass(owner, LeverArm):
-            yield from _output_faults(owner, "others", outputs)
-
-
-def _output_faults(owner: type[SensorError], attribute: str, outputs: Sequence[str]) -> Faults:
-    """Yield faults of sensor errors on non-outputs."""
-    value = getattr(owner, attribute, ())
-    if attribute != "output" and isinstance(value, str):
-        yield owner, attribute, messages.NAMES_NO_TUPLE(owner=owner.name, attribute=attribute, value=value)
-        return
-    place = " in `others`" if attribute == "others" else ""
-    for name in (value,) if isinstance(value, str) else value or ("",):
-        if name not in outputs:
-            yield owner, attribute, _unknown_signal(owner, "output", name, outputs, place)
-
-
-def _unknown_signal(owner: Any, kind: str, name: str, names: Sequence[str], place: str = "") -> str:
-    """Return a message about an unknown or missing signal."""
-    fields = {"owner": owner.name, "kind": kind, "place": place, "names": ", ".join(names)}
-    if not name:
-        return messages.NO_SIGNAL_NAMED(**fields)
-    return messages.UNKNOWN_SIGNAL(name=name, cure=did_you_mean(str(name), names), **fields)
+            reason = "`read` returns one output, but the class declares several `outputs`"
+            yield owner, "outputs", f"{owner.name}: {reason}; declare one `output` instead, or define `readings`"
+        for attribute in ("outputs" if owner.outputs else "output", *(("others",) * issubclass(owner, LeverArm))):
+            value = getattr(owner, attribute, ())
+            if attribute != "output" and isinstance(value, str):
+                yield owner, attribute, f'{owner.name}: {attribute} is a tuple of names, {COMMA}: ("{value}",)'
+                continue
+            for name in (value,) if isinstance(value, str) else value or ("",):
+                if name not in outputs:
+                    yield owner, attribute, f"{owner.name}: {_unknown('output', name, outputs)}"
 
 
 def _delay_faults(kind: type[Model]) -> Faults:
@@ -226,61 +285,35 @@ def _delay_faults(kind: type[Model]) -> Faults:
     order = [type(e) for e in shaping]
     delays: list[Any] = [k for k in kind.catalogue if k.delay is not None]
     for owner in delays:
-        yield from _delay_parameter_faults(owner)
+        bounds = {p.name: p.bounds for p in parameters_of(owner)}
+        if owner.delay not in bounds:
+            unknown = f'has no parameter "{owner.delay}"{did_you_mean(str(owner.delay), bounds)}'
+            yield owner, "delay", f"{owner.name} {unknown}; `delay` names the one by which the command is late"
+        elif issubclass(owner, Delay) and (longest := bounds[owner.delay][1]) > owner.longest:
+            late = f"is up to {longest:g} s late and remembers {owner.longest:g} s"
+            yield owner, owner.delay, f"{owner.name} {late}; set longest = {longest:g}"
         if owner not in order:
-            yield owner, "delay", messages.DELAY_WITHOUT_SHAPE(owner=owner.name)
+            yield owner, "delay", f"{owner.name} delays the command but has no `shape`; give it one"
         elif owner is not order[0] and owner is delays[0]:
-            yield kind, "catalogue", messages.DELAY_NOT_FIRST(owner=owner.name, first=order[0].name)
+            yield kind, "catalogue", f"{owner.name} delays the command: put it before {order[0].name} in the catalogue"
         if len(owner.memory) != len(kind.inputs):
-            counts = {"inputs": len(kind.inputs), "memory": len(owner.memory)}
-            yield owner, "memory", messages.MEMORY_OF_DELAY(owner=owner.name, **counts)
-    for owner in delays[1:]:
-        yield owner, "delay", messages.SEVERAL_DELAYS(owner=owner.name, other=delays[0].name)
-
-
-def _delay_parameter_faults(owner: Any) -> Faults:
-    """Yield faults of a delay's parameter and longest memory."""
-    bounds = {p.name: p.bounds for p in parameters_of(owner)}
-    if owner.delay not in bounds:
-        cure = did_you_mean(str(owner.delay), bounds)
-        yield owner, "delay", messages.UNKNOWN_DELAY(owner=owner.name, name=owner.delay, cure=cure)
-    elif issubclass(owner, Delay) and (longest := bounds[owner.delay][1]) > owner.longest:
-        yield owner, owner.delay, messages.SHORT_MEMORY(owner=owner.name, delay=longest, longest=owner.longest)
-
-
-def _gain_faults(kind: type[Model]) -> Faults:
-    """Yield faults of gains on unknown inputs."""
-    inputs = [q.name for q in kind.inputs]
-    for owner in kind.catalogue:
-        if issubclass(owner, Gain) and (name := getattr(owner, "input", "")) not in inputs:
-            yield owner, "input", _unknown_signal(owner, "input", name, inputs)
+            counts = f"{len(kind.inputs)} inputs and has {len(owner.memory)} quantities of memory"
+            yield owner, "memory", f"{owner.name} delays {counts}; give it one for each input, in their order"
+        if owner is not delays[0]:
+            yield owner, "delay", f"{owner.name} and {delays[0].name} both delay the command; let one of them do it"
 
 
 def _static_faults(kind: type[Model]) -> Faults:
     """Yield faults of time-dependent effects without states."""
     if kind.base_states:
         return
+    table = f"{kind.__name__} has no states, so each row of its tables is independent of the others"
     for owner in kind.catalogue:
-        fields = {"model": kind.__name__, "owner": owner.name}
         if owner.states or owner.memory or owner.delay:
-            yield owner, "", messages.MEMORY_WITHOUT_STATES(**fields)
+            yield owner, "", f"{table}; {owner.name} keeps what was before: leave it out, or give the model a state"
         elif owner.shape is not Effect.shape:
-            yield owner, "", messages.SHAPE_WITHOUT_STATES(**fields)
+            reason = "shapes what acts on states: let it act in the output, by a hook of your own"
+            yield owner, "", f"{kind.__name__} has no states, and {owner.name} {reason}"
     for sensor in kind.sensors:
         if sensor.depends_on_past() or issubclass(sensor, Drift):
-            yield sensor, "", messages.DRIFT_WITHOUT_STATES(model=kind.__name__, owner=sensor.name)
-
-
-def _unit_faults(kind: type[Model]) -> Faults:
-    """Yield faults of unknown units."""
-    for owner in (kind, *kind.catalogue, *kind.sensors):
-        for attribute, declared in _declared_units(owner):
-            if declared.unit and parse(declared.unit) is None:
-                yield owner, attribute, messages.UNKNOWN_UNIT(unit=declared.unit, name=declared.name)
-
-
-def _declared_units(owner: Any) -> Iterator[tuple[str, Quantity | Parameter]]:
-    groups = ("states", "memory") if issubclass(owner, Effect) else ("base_states", "inputs", "outputs")
-    for group in groups:
-        yield from ((group, q) for q in getattr(owner, group))
-    yield from ((p.name, p) for p in parameters_of(owner))
+            yield sensor, "", f"{table}; {sensor.name} depends on time: leave it out, or give the model a state"

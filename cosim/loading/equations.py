@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 from cosim.base.errors import Fault
-from cosim.loading import messages
 from cosim.loading.source import ModelText
 from cosim.model.integrate import Stepper
 from cosim.model.model import Effect, Equations, Model, overrides
 from cosim.model.namespaces import SCALAR, Namespace, SymbolNamespace
 from cosim.model.quantities import parameters_of
 from cosim.model.sensors import LeverArm, SensorError
-from cosim.model.symbolic.symbols import SymbolicModel, symbolic
+from cosim.model.symbolic.symbols import symbolic
 from cosim.storage.yaml_file import did_you_mean
 
 
@@ -61,42 +60,36 @@ def _start_faults(model: Model, source: ModelText) -> list[Fault]:
         if isinstance(values, Fault):
             faults.append(values)
         elif not isinstance(values, dict):
-            faults.append(source.fault(type(model), hook, messages.NO_DICTIONARY(hook=hook, value=values)))
+            reason = f"`{hook}` gives {values!r}; return a dictionary of values by name"
+            faults.append(source.fault(type(model), hook, reason))
         else:
             for name in values.keys() - set(names):
-                cure = did_you_mean(str(name), names)
-                message = messages.START_OF_STRANGER(hook=hook, name=name, cure=cure, names=", ".join(names))
-                faults.append(source.fault(type(model), hook, message))
+                reason = f'`{hook}` gives a value for "{name}"{did_you_mean(str(name), names)}'
+                faults.append(source.fault(type(model), hook, f"{reason} (allowed: {', '.join(names)})"))
     return faults
 
 
 def _symbol_faults(model: Model, source: ModelText) -> list[Fault]:
     """Return faults of the equations on symbols with all effects active, for both values of Boolean parameters."""
+    import sympy
+
     flags = any(isinstance(p.default, bool) for p in model.parameters)
     faults: list[Fault] = []
     for flag in (True, False) if flags else (None,):
         s = _try(source, "cannot be made of symbols", symbolic, model, flag)
         if isinstance(s, Fault):
             return [s]
-        m = SymbolNamespace()
+        m, arguments = SymbolNamespace(), (s.time, s.state, s.command)
         start = _try(source, "`start_state` raises", s.model.start_state, m)
         faults += [start] if isinstance(start, Fault) else []
-        body = _body_faults(s.model, source, m, (s.time, s.state, s.command), _symbol_objection)
-        faults += body or _time_faults(s, source)
+        if body := _body_faults(s.model, source, m, arguments, _symbol_objection):
+            faults += body
+        elif not s.model.base_states and any(
+            s.time in sympy.sympify(value).free_symbols for value in s.model.equations(m).output(*arguments)
+        ):
+            table = f"{type(model).__name__} has no states, so each row of its tables is independent of the others"
+            faults.append(source.fault(type(model), "equations", f"{table}; let no output depend on time"))
     return faults
-
-
-def _time_faults(s: SymbolicModel, source: ModelText) -> list[Fault]:
-    """Return the fault of time-dependent outputs without states."""
-    import sympy
-
-    if not s.model.static:
-        return []
-    values = s.model.equations(SymbolNamespace()).output(s.time, s.state, s.command)
-    if all(s.time not in sympy.sympify(value).free_symbols for value in values):
-        return []
-    kind = type(s.model)
-    return [source.fault(kind, "equations", messages.TIME_WITHOUT_STATES(model=kind.__name__))]
 
 
 Objection = Callable[[Any], str]  # why a value is unsuitable, "" if it is suitable
@@ -110,29 +103,25 @@ def _body_faults(
     if isinstance(body, Fault):
         return [body]
     if not isinstance(body, Equations):
-        message = messages.NO_EQUATIONS_RETURNED(kind=type(body).__name__)
-        return [source.fault(type(model), "equations", message)]
+        reason = f"`equations` gives {type(body).__name__}; return Equations(derivative, output)"
+        return [source.fault(type(model), "equations", reason)]
     faults: list[Fault] = []
     for function, quantities in (("derivative", model.states), ("output", model.outputs)):
         values = _try(source, f"`{function}` raises", getattr(body, function), *arguments)
+        names = [q.name for q in quantities]
         if isinstance(values, Fault):
             faults.append(values)
+            continue
+        if not isinstance(values, (tuple, list)):
+            kind = type(values).__name__
+            texts = [f"`{function}` gives one {kind}; return a tuple of {len(names)}: {', '.join(names)}"]
+        elif len(values) != len(names):
+            texts = [f"`{function}` gives {len(values)} values; return {len(names)}: {', '.join(names)}"]
         else:
-            texts = _value_faults(function, values, [q.name for q in quantities], objection)
-            faults += [source.fault(type(model), "equations", text) for text in texts]
+            pairs = zip(names, map(objection, values), strict=True)
+            texts = [f"`{function}` gives {text} for {name}" for name, text in pairs if text]
+        faults += [source.fault(type(model), "equations", text) for text in texts]
     return faults
-
-
-def _value_faults(function: str, values: Any, names: list[str], objection: Objection) -> Iterator[str]:
-    fields = {"function": function, "names": ", ".join(names)}
-    if not isinstance(values, (tuple, list)):
-        yield messages.NO_TUPLE(kind=type(values).__name__, count=len(names), **fields)
-    elif len(values) != len(names):
-        yield messages.NUMBER_OF_VALUES(count=len(values), expected=len(names), **fields)
-    else:
-        for name, value in zip(names, values, strict=True):
-            if text := objection(value):
-                yield messages.UNSUITABLE_RESULT(function=function, text=text, name=name)
 
 
 def _number_objection(value: Any) -> str:
@@ -186,15 +175,14 @@ def _shaping_faults(model: Model, source: ModelText) -> list[Fault]:
         counts = (len(s.command), len(memory))
         if isinstance(result, Fault):
             faults.append(result)
-        elif not isinstance(result, tuple) or tuple(map(_length, result)) != counts:
-            message = messages.RESULT_OF_SHAPE(owner=effect.name, commands=counts[0], memory=counts[1])
+        elif (
+            not isinstance(result, tuple)
+            or not all(isinstance(part, (tuple, list)) for part in result)
+            or tuple(map(len, result)) != counts
+        ):
+            message = f"`shape` of {effect.name} returns two tuples: {counts[0]} commands and {counts[1]} of memory"
             faults.append(source.fault(type(effect), "shape", message))
     return faults
-
-
-def _length(values: Any) -> int:
-    """Return the number of values in a tuple or list; −1 for other types."""
-    return len(values) if isinstance(values, (tuple, list)) else -1
 
 
 def _sensor_faults(model: Model, source: ModelText) -> list[Fault]:
@@ -213,9 +201,9 @@ def _sensor_faults(model: Model, source: ModelText) -> list[Fault]:
             faults.append(readings)
         elif list(readings) != list(kind.affected()):
             names = ", ".join(map(str, readings)) or "nothing"
-            fields = {"hook": hook, "owner": kind.name, "names": names, "outputs": ", ".join(kind.affected())}
-            faults.append(source.fault(kind, hook, messages.OUTPUTS_OF_READINGS(**fields)))
+            message = f"`{hook}` of {kind.name} reads {names}; it is of {', '.join(kind.affected())}"
+            faults.append(source.fault(kind, hook, message))
         elif text := next(filter(None, map(_symbol_objection, readings.values())), ""):
-            message = messages.UNSUITABLE_READING(hook=hook, owner=kind.name, text=text)
+            message = f"`{hook}` of {kind.name} gives {text} for a reading; return a number"
             faults.append(source.fault(kind, hook, message))
     return faults

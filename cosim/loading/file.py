@@ -2,38 +2,37 @@
 
 from __future__ import annotations
 
-import importlib.util
+import linecache
 import os.path
 import re
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
-from importlib.machinery import SourceFileLoader
 from pathlib import Path
-from types import CodeType, ModuleType
+from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidatorFunctionWrapHandler, WrapValidator
 
 from cosim.base.errors import Fault, InputError, NotExecuted, refuse
-from cosim.base.registry import BASE, is_model, model_entry, resolve
+from cosim.base.registry import BASE, entry_of, is_model, model_entry, models, resolve
 from cosim.base.registry import MODELS as MODEL_GROUP
 from cosim.base.registry import names as registered_names
-from cosim.loading import messages
 from cosim.loading.declared import make_model
 from cosim.loading.refined import NoNearest, names_refine, refined_file
 from cosim.loading.source import ModelText
 from cosim.model.model import Model
 from cosim.storage.artefact import kind_by_keys
-from cosim.storage.files import write_text
-from cosim.storage.kinds import CODE, MODEL, STUDY, check_form, refuse_other
+from cosim.storage.files import FilePath, named_path, write_text
+from cosim.storage.kinds import CODE, MODEL, check_form, refuse_other
 from cosim.storage.yaml_file import UNIT_OF_KEY, YamlFile, did_you_mean
 from cosim.terms.language import Term
 
 if TYPE_CHECKING:
     from cosim.fmi.fmu_build import Recipe
+    from cosim.fmi.ports import Value as StartValue
 
 SUBCLASS = "a model is a subclass of cosim.model.Model"
 ALLOWED = f"a model is {BASE}, a model.yaml, or FILE.py:Class of a model of one's own"
@@ -129,31 +128,31 @@ def load_model(text: str, folder: Path, named_in: YamlFile | None = None) -> Loa
     """Load a model named in a command or study.
 
     Args:
-        text: `base`, path of a model.yaml, or `file.py:Class`.
+        text: Registered name, path of a model.yaml, or `file.py:Class`.
         folder: Folder of relative paths.
         named_in: Study that names the model; a missing file is a fault of its key `model`.
 
     Raises:
         InputError: Every fault of the model.
     """
-    if text == BASE:
+    if text == BASE or is_model(text):
         try:
-            return LoadedModel(named_model(BASE), model_entry(BASE).name)
+            return LoadedModel(named_model(text), model_entry(text).name)
         except InputError as error:
             faults = [named_in.fault(("model",), f.message) for f in error.faults] if named_in else error.faults
             raise InputError(faults) from None
     file, own, _ = text.rpartition(":") if ".py:" in text else (text, "", "")
     path = folder / file
     if named_in and not path.is_file():
-        raise InputError([named_in.fault(("model",), messages.NO_SUCH_MODEL(name=text, allowed=ALLOWED))])
+        raise InputError([named_in.fault(("model",), f"no such model: {text}; {ALLOWED}")])
     if own:
         return LoadedModel(own_model(text, folder), _absolute(text, folder))
     if path.suffix == ".py":
         kind = (ModelText(path).classes or ["Class"])[-1]
-        message = messages.NO_CLASS_NAMED(name=text, kind=kind, allowed=ALLOWED)
+        message = f"names no class: write {text}:{kind}; {ALLOWED}"
         raise InputError([named_in.fault(("model",), message) if named_in else Fault(path, 0, 0, message)])
     if not path.exists():
-        raise InputError.at(path, messages.NO_SUCH_FILE(allowed=ALLOWED))
+        raise InputError.at(path, f"no such file; {ALLOWED}")
     return read_model(path)
 
 
@@ -166,12 +165,8 @@ def read_model(path: Path, readers: tuple[Path, ...] = ()) -> LoadedModel:
     check_form(path, MODEL, CODE)
     yaml = YamlFile(path)
     kind = kind_by_keys(yaml.root)
-    if kind in (None, STUDY):
-        _refuse_study(yaml)
     refuse_other(path, kind, MODEL)
     content, faults = yaml.partly(ModelFile, "model")
-    if content is None:
-        raise InputError(faults)
     try:
         model = _named_model(yaml, content)
     except InputError as error:
@@ -179,8 +174,18 @@ def read_model(path: Path, readers: tuple[Path, ...] = ()) -> LoadedModel:
     except NotExecuted:
         refuse(faults)
         raise
-    content, unit_faults = _in_units(yaml, content, model)
-    faults += [*unit_faults, *_value_faults(yaml, content, model)]
+    for section, declared in (("parameters", model.declared), ("sensors", model.sensor_parameters)):
+        units, is_sensor = {n: p.unit for n, p in declared.items()}, section == "sensors"
+        numbers, wrong = yaml.in_units((section,), getattr(content, section), units, difference=is_sensor)
+        content = content.model_copy(update={section: numbers})
+        faults += wrong
+        for name, value in numbers.items():
+            if name not in declared:
+                unknown = f'{content.model} has no {section[:-1]} "{name}"{did_you_mean(name, declared)}'
+                faults.append(yaml.fault((section, name), unknown, key=True))
+            elif text := declared[name].fault(value):
+                effect, dot, _ = name.rpartition(".")
+                faults.append(yaml.fault((section, name), f"{effect}{dot}{text}; correct this value"))
     values: dict[str, float | bool] = {}
     if content.parameters_from:
         try:
@@ -205,23 +210,15 @@ def _read_common_parameters(
     path = refined_file(path) if names_refine(path) else path
     at = ("parameters_from",)
     if not path.is_file():
-        raise InputError([yaml.fault(at, messages.NO_PARAMETERS_FILE(name=name))])
+        raise InputError([yaml.fault(at, f"no such model file: {name}; name a model.yaml or the folder of a refine")])
     if path.resolve() in readers:
-        raise InputError([yaml.fault(at, messages.PARAMETERS_IN_CIRCLE(name=name))])
+        raise InputError([yaml.fault(at, f"{name} takes its parameters from here itself; leave one of them out")])
     common = {n: v for n, v in read_model(path, readers).parameters.items() if n in model.declared}
     if not common:
-        raise InputError([yaml.fault(at, messages.NO_COMMON_PARAMETER(name=name, model=model.title))])
+        raise InputError([yaml.fault(at, f"{name} holds no parameter that {model.title} has; leave it out")])
     texts = [fault for n, v in common.items() if (fault := model.declared[n].fault(v))]
-    refuse(yaml.fault(at, messages.UNSUITABLE_FOREIGN_VALUE(name=name, fault=text)) for text in texts)
+    refuse(yaml.fault(at, f"{name}: {text}; correct it there, or write it under parameters") for text in texts)
     return common
-
-
-def _refuse_study(yaml: YamlFile) -> None:
-    """Raise InputError for a study instead of a model."""
-    if "logs" in yaml.root:
-        name = str(yaml.root.get("model", BASE))
-        model = name if name == BASE else yaml.path.parent / name
-        raise InputError([yaml.fault(("logs",), messages.STUDY_FOR_MODEL(model=model), key=True)])
 
 
 def _named_model(yaml: YamlFile, content: ModelFile) -> Model:
@@ -233,38 +230,12 @@ def _named_model(yaml: YamlFile, content: ModelFile) -> Model:
     allowed = f"a model is {', '.join(names)}"
     if not re.fullmatch(r".+\.py:\w+", content.model):
         cure = did_you_mean(content.model, registered)
-        message = messages.UNKNOWN_MODEL(name=content.model, cure=cure, allowed=allowed)
+        message = f'no model "{content.model}"{cure}; {allowed}'
         raise InputError([yaml.fault(("model",), message)])
     file = yaml.path.parent / content.model.rpartition(":")[0]
     if not file.is_file():
-        raise InputError([yaml.fault(("model",), messages.NO_CLASS_FILE(file=file, allowed=allowed))])
+        raise InputError([yaml.fault(("model",), f"no such file: {file}; {allowed}")])
     return own_model(content.model, yaml.path.parent)
-
-
-def _in_units(yaml: YamlFile, content: ModelFile, model: Model) -> tuple[ModelFile, list[Fault]]:
-    """Return the file with numbers converted to the model's units (sensor errors without offset), and faults."""
-    units = {n: p.unit for n, p in model.declared.items()}
-    parameters, faults = yaml.in_units(("parameters",), content.parameters, units)
-    units = {n: p.unit for n, p in model.sensor_parameters.items()}
-    sensors, more = yaml.in_units(("sensors",), content.sensors, units, difference=True)
-    return content.model_copy(update={"parameters": parameters, "sensors": sensors}), [*faults, *more]
-
-
-def _value_faults(yaml: YamlFile, content: ModelFile, model: Model) -> Iterator[Fault]:
-    """Yield faults of unknown names and invalid values."""
-    sections = (
-        ("parameters", model.declared, content.parameters),
-        ("sensors", model.sensor_parameters, content.sensors),
-    )
-    for section, declared, values in sections:
-        for name, value in values.items():
-            if name not in declared:
-                fields = {"model": content.model, "kind": section[:-1], "name": name}
-                message = messages.UNKNOWN_NAME(cure=did_you_mean(name, declared), **fields)
-                yield yaml.fault((section, name), message, key=True)
-            elif fault := declared[name].fault(value):
-                effect, dot, _ = name.rpartition(".")
-                yield yaml.fault((section, name), messages.UNSUITABLE_VALUE(owner=effect + dot, fault=fault))
 
 
 def _absolute(text: str, folder: Path) -> str:
@@ -292,7 +263,7 @@ def own_model(text: str, folder: Path) -> Model:
     if not (isinstance(kind, type) and issubclass(kind, Model)):
         names = _model_classes(module)
         classes = f" (models here: {', '.join(names)})" if names else ""
-        message = messages.UNKNOWN_CLASS(name=name, cure=did_you_mean(name, names), classes=classes, allowed=SUBCLASS)
+        message = f'has no model class "{name}"{did_you_mean(name, names)}{classes}; {SUBCLASS}'
         raise InputError.at(source.path, message)
     return make_model(kind, source)
 
@@ -305,10 +276,10 @@ def only_model(path: Path) -> Model:
         if kind.__module__ == module.__name__:  # without imported classes
             kinds.setdefault(kind, name)
     if not kinds:
-        raise InputError.at(path, messages.NO_MODEL_CLASS(allowed=SUBCLASS))
+        raise InputError.at(path, f"has no model class; {SUBCLASS}")
     if len(kinds) > 1:
         choice = " or ".join(f"{path}:{name}" for name in kinds.values())
-        raise InputError.at(path, messages.SEVERAL_CLASSES(count=len(kinds), choice=choice))
+        raise InputError.at(path, f"has {len(kinds)} models; write {choice}")
     return make_model(next(iter(kinds)), source)
 
 
@@ -322,15 +293,10 @@ def own_terms(path: Path) -> list[type[Term]]:
     terms = [v for v in vars(module).values() if isinstance(v, type) and issubclass(v, Term)]
     own = [v for v in terms if v.__module__ == module.__name__]
     if not own:
-        raise InputError.at(path, messages.NO_TERM_CLASS())
+        raise InputError.at(
+            path, "holds no term; a term is a subclass of cosim.terms.Force, InputTerm or RateTerm with a kind"
+        )
     return [dataclass(frozen=True, kw_only=True)(v) for v in own]
-
-
-class _UncachedLoader(SourceFileLoader):
-    """Loader without bytecode cache, because cached code may miss changes within a second."""
-
-    def get_code(self, fullname: str) -> CodeType:
-        return self.source_to_code(self.get_data(self.path), self.path)
 
 
 _skipped: ContextVar[list[Path] | None] = ContextVar("files of Python that are not executed", default=None)
@@ -365,24 +331,21 @@ def _execute(path: Path) -> tuple[ModelText, ModuleType]:
         NotExecuted: Execution is disabled by `without_execution`.
     """
     if not path.is_file():
-        raise InputError.at(path, messages.NO_MODEL_FILE())
-    source = ModelText(path)
+        raise InputError.at(path, "no such model file; check the path")
+    source, name = ModelText(path), f"own_model_{path.stem}"
+    try:
+        code = compile(path.read_bytes(), str(path), "exec", dont_inherit=True)
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        raise InputError([source.convert_error(error, "does not load")]) from None
     if (skipped := _skipped.get()) is not None:
-        try:
-            compile(path.read_bytes(), str(path), "exec", dont_inherit=True)
-        except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-            raise InputError([source.convert_error(error, "does not load")]) from None
         skipped.append(path)
         raise NotExecuted(path)
-    source.check_imports()
-    name = f"own_model_{path.stem}"
-    spec = importlib.util.spec_from_file_location(name, path, loader=_UncachedLoader(name, str(path)))
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses resolve annotations in sys.modules
+    module = ModuleType(name)
+    module.__file__ = str(path)
+    sys.modules[name] = module  # dataclasses resolve annotations in sys.modules
+    linecache.checkcache(str(path))
     try:
-        spec.loader.exec_module(module)
+        exec(code, vars(module))
     except (Exception, SystemExit) as error:  # A user's file may raise any error.
         raise InputError([source.convert_error(error, "does not load")]) from error
     return source, module
@@ -418,7 +381,10 @@ def meant_model(model: str | None, *, nearest: bool) -> LoadedModel:
     A refine folder means its refined model, or with `nearest` its nearest model.
     """
     if model is None and nearest:
-        raise InputError.at(Path("--nearest"), messages.NEAREST_WITHOUT_MODEL())
+        raise InputError.at(
+            Path("--nearest"),
+            ("has no effect without a model; give the folder of a `cosim refine` as --model, or leave --nearest out"),
+        )
     if model is None:
         return load_model(BASE, Path())
     try:
@@ -426,3 +392,24 @@ def meant_model(model: str | None, *, nearest: bool) -> LoadedModel:
     except NoNearest as error:
         raise InputError.at(Path(model), str(error)) from None
     return load_model(str(file), Path())
+
+
+def designed_starts(
+    design: FilePath | None, model: Model, tell: Callable[[str], None]
+) -> Mapping[str, Mapping[str, StartValue]]:
+    """Return the start values that a design file gives to controllers, by file of an FMU; none without a file.
+
+    Raises:
+        InputError: Every fault of the file, or a model without a controller to design.
+    """
+    if design is None:
+        return {}
+    entry = entry_of(type(model))
+    if entry is None or not entry.design:
+        names = ", ".join(sorted(e.name for e in models().values() if e.design)) or "none is installed"
+        reason = f"{model.title} has no controller to design. Models with a controller: {names}"
+        raise InputError.at(Path("--design"), reason)
+    starts, warnings = resolve(entry.design)(YamlFile(named_path(design)), model)
+    for warning in warnings:
+        tell(warning)
+    return dict(starts)

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cosim.loading import messages
-from cosim.storage.folders import content_of
+from cosim.storage.folders import content_of, newest_run
 
 ANSWER = "refine.json"
 REFINED = ("model.yaml", "plant.fmu")
 NEAREST = ("nearest.yaml", "nearest.fmu")
-SSPS = ("plant.ssp", "nearest.ssp")  # in place of plant.fmu and nearest.fmu
 
 
 class NoNearest(ValueError):
@@ -19,7 +17,7 @@ class NoNearest(ValueError):
 
 def folder_of(path: Path) -> Path | None:
     """Return the folder of a refine from its path or the path of a file in it."""
-    folder = path if path.is_dir() else path.parent
+    folder = newest_run(path) if path.is_dir() else path.parent
     return folder if path.exists() and (folder / ANSWER).is_file() else None
 
 
@@ -34,18 +32,21 @@ def refined_file(path: Path, *, nearest: bool = False) -> Path:
         NoNearest: No nearest model exists.
     """
     if not nearest:
-        return (path if path.is_dir() else path.parent) / REFINED[0] if names_refine(path) else path
+        return (newest_run(path) if path.is_dir() else path.parent) / REFINED[0] if names_refine(path) else path
     folder = folder_of(path)
     if folder is None:
-        raise NoNearest(messages.NO_REFINE(path=path))
+        raise NoNearest(
+            f"{path} is of no refine, so there is no nearest model; name the folder that `cosim refine` left, or "
+            "leave nearest out"
+        )
     kind = 1 if path.suffix == ".fmu" else 0
     if (folder / NEAREST[kind]).is_file():
         return folder / NEAREST[kind]
     if content_of(folder / ANSWER).get("grade") == "claimed":
         return folder / REFINED[kind]
-    raise NoNearest(messages.NO_NEAREST(folder=folder, name=NEAREST[kind]))
+    raise NoNearest(f"{folder} holds no {NEAREST[kind]}; refine its study again, or leave nearest out")
 
 
 def names_refine(path: Path) -> bool:
     """Return whether a path is the results folder of `cosim refine` or its refine.json, and not another file in it."""
-    return path.name == ANSWER if path.is_file() else (path / ANSWER).is_file()
+    return path.name == ANSWER if path.is_file() else (newest_run(path) / ANSWER).is_file()

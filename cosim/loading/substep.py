@@ -15,23 +15,23 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.base.linear_algebra import eigenvalues
-from cosim.base.messages import Message
+from cosim.base.messages import Note
 from cosim.base.registry import is_model
 from cosim.base.text import amount, plain
-from cosim.loading import messages
-from cosim.loading.file import LoadedModel
+from cosim.loading.file import LoadedModel, load_model, only_model, read_model
 from cosim.loading.own_run import RunLog, command_rows, moments
 from cosim.loading.source import ModelText
 from cosim.model.integrate import Stepper, substeps
 from cosim.model.model import AUTO, RK4, STIFF, Model, Values
 from cosim.model.symbolic.linearize import Linearizer
+from cosim.storage.artefact import Checking
 
 MAX_DEFAULT = 1.0  # |λ|·h for keeping the default substep: R is within 2 % of exp(λh)
 MAX_CHOSEN = 0.5  # |λ|·h of a chosen substep: R is within 0.05 % of exp(λh), and fits may move λ
@@ -64,7 +64,7 @@ class StateMode:
         return f"{self.state} has a fast mode ({speed}, {self.place})"
 
 
-def with_substep(loaded: LoadedModel, logs: Sequence[RunLog] = ()) -> tuple[LoadedModel, list[Message]]:
+def with_substep(loaded: LoadedModel, logs: Sequence[RunLog] = ()) -> tuple[LoadedModel, list[str]]:
     """Return the model with an integrator and a substep that suit its fastest mode, and notes.
 
     Modes are computed at the start and along the model's run on each log. Registered models keep their settings.
@@ -73,61 +73,47 @@ def with_substep(loaded: LoadedModel, logs: Sequence[RunLog] = ()) -> tuple[Load
         InputError: The stated substep is unstable, or a mode too fast for RK4 does not decay within a row.
     """
     model = loaded.model
-    if model.static or is_model(loaded.source):
+    if not model.base_states or is_model(loaded.source):
         return loaded, []
     if model.integrator == STIFF and _is_stated(model):
         return loaded, []
     fastest = _Fastest(model, min([model.rate, *(log.step for log in logs)]))
-    modes = [(fastest.at_start(), _longest(model, model.rate))]
-    modes += [(fastest.along(log), _longest(model, log.step)) for log in logs]
+    rows = [(fastest.at_start(), model.rate), *((fastest.along(log), log.step) for log in logs)]
+    modes = [(mode, step / substeps(step, model.substep)) for mode, step in rows]
     if _is_stated(model):
-        _refuse_growth(loaded, modes)
+        for mode, h in sorted(modes, key=lambda pair: -pair[0].speed * pair[1]):
+            z = mode.eigenvalue * h
+            growth = abs(1.0 + z * (1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0))))
+            if z.real < 0.0 and growth > 1.0 + GROWTH:
+                reason = f"substep is {_ms(model.substep)}, unstable for this model: {mode}"
+                cure = f"state at most {_ms(MAX_DEFAULT / mode.speed)}, or leave substep out: then it follows the model"
+                raise _error(loaded, "substep", f"{reason}, and RK4 in steps of {_ms(h)} lets it grow; {cure}")
         return loaded, []
     if model.integrator != STIFF and all(mode.speed * h <= MAX_DEFAULT for mode, h in modes):
         return loaded, []
     return _choose(loaded, fastest, max((mode for mode, _ in modes), key=lambda m: m.speed))
 
 
-def _refuse_growth(loaded: LoadedModel, modes: Sequence[tuple[StateMode, float]]) -> None:
-    """Raise InputError if the stated substep makes a decaying mode grow; the message names the fastest such mode."""
-    for mode, h in sorted(modes, key=lambda pair: -pair[0].speed * pair[1]):
-        if _grows(mode.eigenvalue * h):
-            lengths = {"substep": _ms(loaded.model.substep), "step": _ms(h), "longest": _ms(MAX_DEFAULT / mode.speed)}
-            raise _error(loaded, "substep", messages.UNSTABLE_SUBSTEP(mode=mode, **lengths))
-
-
-def _choose(loaded: LoadedModel, fastest: _Fastest, mode: StateMode) -> tuple[LoadedModel, list[Message]]:
+def _choose(loaded: LoadedModel, fastest: _Fastest, mode: StateMode) -> tuple[LoadedModel, list[str]]:
     """Return the model with integrator and substep for its fastest mode."""
     model = loaded.model
     count = math.ceil(model.rate * mode.speed / MAX_CHOSEN) if math.isfinite(mode.speed) else math.inf
     too_fast = model.integrator == AUTO and count > MOST_SUBSTEPS
     if model.integrator == STIFF or (too_fast and fastest.die_within_a_row()):
         substep = fastest.stiff_substep()
-        note = messages.IMPLICIT_METHOD(substep=_ms(substep), mode=mode)
+        note = Note(f"integrated by the implicit method, in substeps of {_ms(substep)}, not by RK4: {mode}")
         return replace(loaded, model=model.with_substep(substep, STIFF)), [note]
     if count > MOST_SUBSTEPS:
         raise _error(loaded, "", _stiff(model, mode))
     substep = model.rate / count
-    note = messages.SHORTER_SUBSTEP(substep=_ms(substep), default=_ms(Model.substep), mode=mode)
+    note = Note(f"integrated in substeps of {_ms(substep)}, not of the default {_ms(Model.substep)}: {mode}")
     return replace(loaded, model=model.with_substep(substep, model.chosen_integrator)), [note]
-
-
-def _longest(model: Model, step: float) -> float:
-    """Return the substep length of a communication step [s]."""
-    return step / substeps(step, model.substep)
 
 
 def _is_stated(model: Model) -> bool:
     """Return whether class or model file states a substep."""
     kinds = type(model).__mro__
     return model.chosen_substep is not None or any("substep" in vars(k) for k in kinds[: kinds.index(Model)])
-
-
-def _grows(z: complex) -> bool:
-    """Return whether RK4 makes a decaying mode grow."""
-    if not z.real < 0.0:
-        return False
-    return abs(1.0 + z * (1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0)))) > 1.0 + GROWTH
 
 
 class _Fastest:
@@ -158,7 +144,8 @@ class _Fastest:
             if not mode.speed <= fastest.speed:
                 fastest = mode
             if self.model.rate * fastest.speed <= MOST_SUBSTEPS * MAX_CHOSEN:
-                stepper.model = self.model.with_substep(_accurate(self.model, fastest), RK4)
+                accurate = MAX_CHOSEN / fastest.speed if fastest.speed > 0.0 else math.inf
+                stepper.model = self.model.with_substep(min(self.model.substep, accurate), RK4)
             elif self.model.integrator != RK4 and self.die_within_a_row():
                 stepper.model = self.model.with_substep(self.stiff_substep(), STIFF)
             else:
@@ -177,6 +164,12 @@ class _Fastest:
         return self.row / max(LEAST_STIFF, math.ceil(float(z[z <= FOLLOWED].max()) / MAX_CHOSEN))
 
     def _at(self, state: Values, command: Values, t: float, place: str) -> StateMode:
+        """Return the fastest mode at a point, with the state that participates most in it.
+
+        Participation is left times right eigenvector, independent of units.
+        """
+        from scipy.linalg import eig
+
         try:
             A = self.linearized(state, command, t).A if self.linearized else np.zeros((0, 0))
         except (ArithmeticError, ValueError):  # no derivative at this point
@@ -186,34 +179,21 @@ class _Fastest:
             return StateMode(0.0, "", place)
         self.eigenvalues.append(values)
         value = complex(values[np.argmax(np.abs(values))])
-        return StateMode(value, self._state(A, value), place)
-
-    def _state(self, A: Array, value: complex) -> str:
-        """Return the state that participates most in a mode.
-
-        Participation is left times right eigenvector, independent of units.
-        """
-        from scipy.linalg import eig
-
         values, rows, columns = eig(A, left=True, right=True)
         k = int(np.argmin(np.abs(values - value)))
-        return self.model.states[int(np.argmax(np.abs(rows[:, k] * columns[:, k])))].name
+        return StateMode(value, self.model.states[int(np.argmax(np.abs(rows[:, k] * columns[:, k])))].name, place)
 
 
-def _accurate(model: Model, mode: StateMode) -> float:
-    """Return a substep for finding modes, at most the model's own."""
-    return min(model.substep, MAX_CHOSEN / mode.speed) if mode.speed > 0.0 else model.substep
-
-
-def _stiff(model: Model, mode: StateMode) -> Message:
+def _stiff(model: Model, mode: StateMode) -> str:
     """Return the message on a mode too fast for the model's rate."""
     name = type(model).__name__
     if mode.eigenvalue.real > 0.0:
-        return messages.GROWING_MODE(model=name, mode=mode)
-    fields = {"model": name, "mode": mode, "most": MOST_SUBSTEPS, "rate": _ms(model.rate)}
+        return f"{name} runs away: {mode} that grows; check its parameters, start values and the units of the log"
+    stiff = f"{name} is stiff: {mode}, for which RK4 takes more than {MOST_SUBSTEPS} substeps in a rate of"
     if model.integrator == RK4 and mode.eigenvalue.real * model.rate <= -DEAD:
-        return messages.STIFF_MODEL_WITH_RK4(**fields)
-    return messages.STIFF_MODEL(state=mode.state, longest=_ms(MAX_DEFAULT / mode.speed), **fields)
+        return f"{stiff} {_ms(model.rate)}; state integrator = 'stiff', or leave it out"
+    cure = f"let {mode.state} follow the rest at once, as an algebraic equation, or state a substep of at most"
+    return f"{stiff} {_ms(model.rate)}; {cure} {_ms(MAX_DEFAULT / mode.speed)} and take the time that it costs"
 
 
 def _ms(seconds: float) -> str:
@@ -223,3 +203,27 @@ def _ms(seconds: float) -> str:
 
 def _error(loaded: LoadedModel, attribute: str, message: str) -> InputError:
     return InputError([ModelText(Path(loaded.source.rpartition(":")[0])).fault(type(loaded.model), attribute, message)])
+
+
+def check_model_file(path: Path, checking: Checking) -> list[str]:
+    """Check a model.yaml and return notes on it; InputError lists its faults."""
+    return substep_notes(read_model(path))
+
+
+def check_model_class(path: Path, checking: Checking) -> list[str]:
+    """Return notes on a model class; InputError lists faults.
+
+    The class is `FILE.py:Class`, or the only class in FILE.py.
+    """
+    text = str(path)
+    if text.endswith(".py:"):
+        only_model(Path(text.removesuffix(":")))
+        return []
+    if not path.suffix.startswith(".py:"):
+        text = f"{path}:{type(only_model(path)).__name__}"
+    return substep_notes(load_model(text, Path()))
+
+
+def substep_notes(loaded: LoadedModel, logs: Sequence[Any] = ()) -> list[str]:
+    """Return notes on a chosen substep; raise InputError if none is suitable."""
+    return [f"note: {note}" for note in with_substep(loaded, logs)[1]]

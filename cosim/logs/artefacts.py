@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from cosim.storage.artefact import Artefact
-from cosim.storage.kind_names import LOG
+from cosim.storage.artefact import LOG, Artefact
 
 ARTEFACTS = (
     Artefact(

@@ -6,8 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-from cosim.base.messages import Message
-
 Severity = Literal["note", "warning", "fault"]
 SENSORS = "sensors"  # kind of a finding on claimed errors of sensors
 
@@ -26,15 +24,15 @@ class Finding:
     severity: Severity
     kind: str
     channel: str
-    sentence: Message
+    sentence: str
     numbers: Mapping[str, float] = field(default_factory=dict)
 
     @property
-    def whole(self) -> Message:
+    def whole(self) -> str:
         """Return the sentence, preceded by the channel if the finding is on a column."""
-        return self.sentence if self.channel in ("", "time") else self.sentence.after(f"{self.channel} ")
+        return self.sentence if self.channel in ("", "time") else f"{self.channel} {self.sentence}"
 
     @property
-    def line(self) -> Message:
+    def line(self) -> str:
         """Return the sentence with channel and severity, a line of the command line output."""
-        return self.whole.after(f"{self.severity}: ")
+        return f"{self.severity}: {self.whole}"

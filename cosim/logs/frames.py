@@ -9,9 +9,8 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.linear_algebra import least_squares
-from cosim.base.messages import Template
+from cosim.base.messages import Note
 from cosim.base.text import amount, counted, plain
-from cosim.logs import messages
 from cosim.logs.channel_noise import noise_level
 from cosim.logs.finding import Finding, Severity
 from cosim.logs.log import TURN, Log
@@ -41,16 +40,12 @@ def frame_findings(log: Log, traits: Traits | None = None) -> Iterator[Finding]:
         if log.units[name] == "rad":
             yield from _magnitude(log, name, values, bounds.get(name))
     for name, times in log.unwrapped.items():
-        message = messages.UNWRAPPED_ANGLE(count=counted(len(times), "jump"), first=times[0])
+        message = (
+            f"has {counted(len(times), 'jump')} of a turn, first at t = {times[0]:.6g} s; undone, it is continuous"
+        )
         yield Finding("note", "wrapped", name, message, {"count": float(len(times)), "first": times[0]})
     if traits and traits.planar:
         yield from axis_findings(log, traits.planar)
-
-
-RATE_MESSAGES: dict[bool, tuple[Severity, Template, Template]] = {  # for a declared rate, and one known by its name
-    True: ("fault", messages.OPPOSITE_RATE, messages.DEGREES),
-    False: ("warning", messages.OPPOSITE_RATE_BY_NAME, messages.DEGREES_BY_NAME),
-}
 
 
 def _against_rate(log: Log, name: str, rate: str, *, declared: bool) -> Iterator[Finding]:
@@ -73,19 +68,33 @@ def _against_rate(log: Log, name: str, rate: str, *, declared: bool) -> Iterator
     sigma = math.sqrt(float(residual @ residual) / (change.size - 2))
     error_slope, error_drift = sigma * np.sqrt(np.diag(np.linalg.inv(design.T @ design)))
     numbers = {"slope": float(slope), "correlation": rho, "drift": float(drift)}
-    severity, opposite, degrees_text = RATE_MESSAGES[declared]
+    severity: Severity = "fault" if declared else "warning"
     if slope < 0.0:
-        yield Finding(severity, "sign", rate, opposite(name=name, slope=plain(float(slope))), numbers)
+        message = (
+            f"has the opposite sign of d {name}/dt (slope {plain(float(slope))}); turn one of them round: the rate is "
+            "positive where the signal grows"
+        )
+        yield Finding(severity, "sign", rate, message, numbers)
     elif any(0.7 < slope / scale < 1.4 for scale in (DEGREES, 1.0 / DEGREES)):
         degrees, other, unit = (name, rate, "deg") if slope > 1.0 else (rate, name, "deg/s")
         ratio, cure = plain(float(max(slope, 1 / slope)), 3), _unit_cure(log, degrees, other, unit)
-        yield Finding(severity, "degrees", degrees, degrees_text(factor=ratio, other=other, cure=cure), numbers)
+        message = f"is {ratio} times what {other} says: one is in degrees, the other in radians. {cure}"
+        yield Finding(severity, "degrees", degrees, message, numbers)
     elif abs(slope - 1.0) > max(0.03, 5.0 * error_slope):
-        message = messages.SCALED_RATE(factor=plain(float(1 / slope), 3), name=name)
+        message = (
+            f"integrates to {plain(float(1 / slope), 3)} times the change of {name}: a scale is off, or one of "
+            "them is limited"
+        )
         yield Finding("warning", "scale", rate, message, numbers)
     if slope > 0.0 and abs(drift) > 5.0 * error_drift and abs(drift) > 0.003 * float(np.nanstd(log.outputs[rate])):
         bias = amount(float(-drift / slope), log.units[rate], 2)
-        yield Finding("note", "drift", rate, messages.BIASED_RATE(bias=bias, name=name), numbers)
+        yield Finding(
+            "note",
+            "drift",
+            rate,
+            Note(f"is {bias} above d {name}/dt throughout: a bias of one of the sensors"),
+            numbers,
+        )
 
 
 def _jump_findings(log: Log, name: str, rate: str, moves: tuple[Array, Array], miss: Array) -> Iterator[Finding]:
@@ -101,7 +110,10 @@ def _jump_findings(log: Log, name: str, rate: str, moves: tuple[Array, Array], m
     if abs(miss[k]) <= FAR_OFF * scale or not (np.std(change) > 0.0 and np.std(integral) > 0.0):
         return
     if float(np.corrcoef(change, integral)[0, 1]) > MIN_AGREEMENT:
-        message = messages.JUMP_AGAINST_RATE(size=amount(abs(float(miss[k])), log.units[name]), rate=rate)
+        message = (
+            f"jumps by {amount(abs(float(miss[k])), log.units[name])} at one place, and {rate} shows no such "
+            "motion: was the sensor set anew?"
+        )
         yield Finding("warning", "jumps", name, message, {"size": float(miss[k])})
 
 
@@ -109,7 +121,10 @@ def _disagreement(log: Log, name: str, rate: str, moves: tuple[Array, Array], rh
     """Yield a warning for a signal that does not follow the integral of its rate, though both move beyond noise."""
     change, integral = (float(np.std(values)) for values in moves)
     if change > FAR_OFF * noise_level(log.outputs[name]) and integral > 0.5 * change:
-        message = messages.DISAGREEING_RATE(rate=rate, correlation=plain(rho, 2))
+        message = (
+            f"does not follow the integral of {rate} (correlation {plain(rho, 2)}), though both move far beyond "
+            "their noise: one of them has another sign in a part of the log, or belongs to another body"
+        )
         yield Finding("warning", "disagreement", name, message, {"correlation": rho})
 
 
@@ -161,12 +176,15 @@ def _magnitude(log: Log, name: str, values: Array, bounds: tuple[float, float] |
     cure, stated = angle_cure(log, name), bool(log.written.get(name))
     if bounds and not bounds[0] <= float(good.min()) <= float(good.max()) <= bounds[1]:
         low, high = (plain(v) for v in bounds)
-        message = messages.ANGLE_BEYOND_BOUNDS(size=plain(size), low=low, high=high, cure=cure)
+        message = f"reaches {plain(size)} rad, beyond what the model allows ({low} to {high}); {cure}"
         yield Finding("fault", "degrees", name, message, numbers)
     elif not stated and ((name in log.inputs and size > TURN) or size > 20.0 * TURN):
-        yield Finding("warning", "degrees", name, messages.LARGE_ANGLE(size=plain(size), cure=cure), numbers)
+        yield Finding("warning", "degrees", name, f"reaches {plain(size)} rad; {cure}", numbers)
     jumps = np.flatnonzero(np.abs(np.diff(good)) > math.pi)
     if jumps.size and name in log.outputs and size <= 20.0 * TURN:
         first = float(log.time[np.isfinite(values)][jumps[0] + 1])
-        message = messages.JUMPING_ANGLE(count=counted(jumps.size, "time"), first=first)
+        message = (
+            f"jumps by more than half a turn {counted(jumps.size, 'time')}, first at t = {first:.6g} s; an angle "
+            "is continuous"
+        )
         yield Finding("warning", "jumps", name, message, {"count": float(jumps.size), "first": first})

@@ -1,14 +1,11 @@
-"""Measured logs from CSV files with `time` and the model's inputs and outputs; faults have a place.
-
-A model without states has a table instead: its rows are independent and have no `time`.
-"""
+"""Measured logs from CSV files with `time` and the model's inputs and outputs; faults have a place."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import islice, pairwise
 from pathlib import Path
 from types import MappingProxyType
@@ -18,12 +15,9 @@ import numpy as np
 
 from cosim.base.arrays import Array, Rows
 from cosim.base.errors import Fault, refuse
-from cosim.base.messages import Message
 from cosim.base.units import Conversion, alternatives, assume_si, conversion
 from cosim.blocks.component import Signal
-from cosim.logs import messages
-from cosim.storage.table import read_table
-from cosim.storage.table_columns import Column, Faults, Heading
+from cosim.storage.table import Column, Faults, Table, Use, read_table
 from cosim.storage.yaml_file import closest, did_you_mean, short
 
 FAST, USUAL = 0.001, 0.05  # [s] row spacings from and up to which fixed times apply; see `slowness`
@@ -84,9 +78,8 @@ class Log:
     header: int = 1
     unread: Mapping[str, str] = field(default_factory=dict)
     called: Mapping[str, str] = field(default_factory=dict)
-    undeclared: Mapping[str, Message] = field(default_factory=dict)
+    undeclared: Mapping[str, str] = field(default_factory=dict)
     cells: Mapping[str, int] = field(default_factory=dict)  # column in the header by signal, from 1
-    table: bool = False  # rows are independent; `time` is their number
 
     @property
     def rows(self) -> int:
@@ -127,14 +120,12 @@ def read_log(
     inputs: Sequence[SignalLike],
     outputs: Sequence[SignalLike],
     *,
-    table: bool = False,
     columns: Mapping[str, str] = MappingProxyType({}),
     alone: bool = False,
 ) -> Log:
     """Return a log of a model with these signals.
 
     Args:
-        table: True for a file of independent rows without `time`.
         columns: Name in the file → name in the model, or `time`, if different.
         alone: True if `columns` applies to this file alone, so that a missing column is a fault.
 
@@ -145,7 +136,7 @@ def read_log(
     signals = [s for s in (*inputs, *outputs) if isinstance(s, Signal)]
     differences = {s.name for s in signals if s.relative}
     definitions = {s.unit: s.definition for s in signals if s.definition is not None}
-    return LogReader(path, *units, not table, columns, alone, differences=differences, definitions=definitions).log()
+    return LogReader(path, *units, columns, alone, differences=differences, definitions=definitions).log()
 
 
 class LogReader:
@@ -156,7 +147,6 @@ class LogReader:
         path: Path,
         inputs: dict[str, str],
         outputs: dict[str, str],
-        timed: bool,
         columns: Mapping[str, str],
         alone: bool = False,
         *,
@@ -164,20 +154,18 @@ class LogReader:
         definitions: Mapping[str, Sequence[float]] = MappingProxyType({}),
     ) -> None:
         self.differences, self.definitions = differences, definitions
-        self.inputs, self.outputs, self.signals, self.timed = inputs, outputs, inputs | outputs, timed
+        self.inputs, self.outputs, self.signals = inputs, outputs, inputs | outputs
         self.renamings, self.alone = columns, alone
         self.units = dict(self.signals)  # units of the values after reading
         self.faults = Faults(path)
-        self.timeless: dict[str, str] = {}  # unneeded time of a table, without a unit
         self.unread: dict[str, str] = {}
-        self.undeclared: dict[str, Message] = {}
+        self.undeclared: dict[str, str] = {}
         self.cells: dict[str, int] = {}  # column → its cell
-        shorter = "cut it into pieces and list them as logs of one study"
         names = frozenset((*self.signals, *columns))
         times = [column for column, name in columns.items() if name == "time"]
-        self.table = read_table(
-            self.faults, self._column, "inputs and outputs", shorter, timed=timed, names=names, times=times
-        )
+        table = read_table(self.faults, self._use, "inputs and outputs", names=names, times=times)
+        self.is_read = table is not None
+        self.table = table or Table()
 
     def log(self) -> Log:
         """Return the log.
@@ -185,27 +173,26 @@ class LogReader:
         Raises:
             InputError: Every fault of the file.
         """
-        if "time" in self.table.columns or (not self.timed and self.table.whole):
+        if self.is_read:
             self._check_header()
-        if self.table.whole:
-            self._check_values()
+            if not self.table.faults:
+                self._check_values()
         self.faults.raise_any()
-        columns = {name: self.table[name] for name in self.table.columns}
-        time = columns.pop("time") if self.timed else np.arange(self.table.rows, dtype=np.float64)
-        units, unwrapped = {n: self.units[n] for n in columns}, dict[str, tuple[float, ...]]()
+        columns = {name: self.table[name] for name in self.table.by_name}
+        time = columns.pop("time")
+        units = {n: self.units[n] for n in columns}
         outputs = {n: values for n, values in columns.items() if n in self.outputs}
-        if self.timed:
-            outputs, unwrapped = _unwrap_angles(outputs, units, time)
+        outputs, unwrapped = _unwrap_angles(outputs, units, time)
         inputs, step = {name: columns[name] for name in self.inputs}, usual_step(time)
-        cells = {name: column.cell for name, column in self.table.columns.items()}
-        written = {name: column.heading.unit for name, column in self.table.columns.items()} | self.timeless
+        cells = {column.name: column.cell for column in self.table.columns}
+        written = {column.name: column.unit for column in self.table.columns}
         path, header, unread, called = self.faults.path, self.table.header, self._unread(), dict(self.renamings)
         names = (header, unread, called, self.undeclared, cells)
-        return Log(path, time, inputs, outputs, units, step, written, unwrapped, *names, table=not self.timed)
+        return Log(path, time, inputs, outputs, units, step, written, unwrapped, *names)
 
     def _unread(self) -> dict[str, str]:
         """Return columns unknown to the model → suggested name, or ""."""
-        missing = [name for name in self.signals if name not in self.table.columns]
+        missing = [name for name in self.signals if name not in self.table]
         close = (
             closest(name, missing, ALIKE) or closest(name.rpartition(".")[2], missing, ALIKE)
             for name in islice(self.unread, HINTS)
@@ -215,73 +202,94 @@ class LogReader:
 
     # -- header -------------------------------------------------------------------------------
 
-    def _column(self, heading: Heading) -> Column | None:
+    def _use(self, column: Column) -> Use | None:
         """Return the conversion of a column to the model's unit, None for unread columns."""
-        self.cells.setdefault(heading.name, heading.cell)
-        written, heading = heading.name, replace(heading, name=self.renamings.get(heading.name, heading.name))
-        name, is_time = heading.name, self.timed and heading.cell == 1
-        if not self.timed and name == "time":
-            self.timeless = {"time": ""}
-            return None
+        self.cells.setdefault(column.name, column.cell)
+        written, name = column.name, self.renamings.get(column.name, column.name)
+        is_time = column.cell == 1
         if not is_time and name not in self.signals:
             self.unread[written] = ""
             return None
         role = "the time" if is_time else "an input" if name in self.inputs else ""
         wanted = "s" if is_time else self.signals[name]
-        if heading.unit and not wanted:
-            assumed = assume_si(heading.unit)
+        if column.unit and not wanted:
+            assumed = assume_si(column.unit)
             self.units[name] = assumed.unit
             if assumed.sentence:
                 self.undeclared[name] = assumed.sentence
-            return Column(heading, assumed.factor, role, offset=assumed.offset)
-        by = conversion(heading.unit, wanted, difference=name in self.differences, definitions=self.definitions)
+            return Use(name, assumed.factor, assumed.offset, role)
+        by = conversion(column.unit, wanted, difference=name in self.differences, definitions=self.definitions)
         if by is None:
             units = ", ".join(alternatives(wanted))
-            message = messages.WRONG_UNIT(unit=heading.unit, name=name, wanted=wanted, alternatives=units)
-            self.faults.note(heading.line, heading.cell, message)
+            message = f'"{column.unit}" is no unit of {name}, which is in {wanted}; known here: {units}'
+            self.faults.note(self.faults.header, column.cell, message)
         by = by or Conversion()
-        return Column(heading, by.factor, role, offset=by.offset)
+        return Use(name, by.factor, by.offset, role)
 
     def _check_header(self) -> None:
         """Note faults of missing inputs and outputs."""
         self._check_renamed_columns()
-        line, columns = self.table.header, self.table.columns
+        line, columns = self.table.header, self.table.by_name
         missing = [name for name in self.inputs if name not in columns]
         if missing and not self._is_of_model():
-            self.faults.note(line, 1, messages.OTHER_MODEL(names=name_list(self.signals)))
+            self.faults.note(
+                line,
+                1,
+                (
+                    f"holds none of the columns of the model: {name_list(self.signals)}; a log of another model is "
+                    "checked with --model FILE:CLASS and replayed with --plant FMU; where columns have other names, "
+                    "--column COLUMN=VARIABLE, or `columns` of a study, says which is which"
+                ),
+            )
             return
-        kind, inputs = self._kind, name_list(self.inputs)
+        inputs = name_list(self.inputs)
         for name in missing:
             if close := closest(name, self.unread):
-                message = messages.SIMILAR_INPUT(column=close, name=name, kind=kind, inputs=inputs)
+                message = (
+                    f'"{close}" is no column of the model; did you mean "{name}", which is missing? A log holds '
+                    f"every input of the model: {inputs}"
+                )
                 self.faults.note(line, self.cells[close], message)
             else:
-                self.faults.note(line, 1, messages.MISSING_INPUT(name=name, kind=kind, inputs=inputs))
+                self.faults.note(
+                    line,
+                    1,
+                    (
+                        f'input "{name}" is missing; a log holds every input of the model: {inputs}; for a column of '
+                        f"another name say --column COLUMN={name}, or `columns` in a study"
+                    ),
+                )
         if not missing and not any(name in columns for name in self.outputs):
             cure = "".join(dict.fromkeys(self._unread().values()))
-            self.faults.note(line, 1, messages.NO_OUTPUT(cure=cure, outputs=name_list(self.outputs)))
-
-    @property
-    def _kind(self) -> str:
-        return "log" if self.timed else "table"
+            self.faults.note(
+                line,
+                1,
+                (
+                    f"holds no output of the model{cure}; at least one of {name_list(self.outputs)} is measured; "
+                    "where columns have other names, --column COLUMN=VARIABLE, or `columns` of a study, says which "
+                    "is which"
+                ),
+            )
 
     def _check_renamed_columns(self) -> None:
         """Note faults of renamed columns."""
         line, first = self.table.header, self.table.first
         for column, name in self.renamings.items():
-            if name == "time" and self.timed:
+            if name == "time":
                 if column != first:
-                    self.faults.note(line, 1, messages.TIME_NOT_FIRST(column=column, first=first))
+                    self.faults.note(line, 1, f'"{column}" is to be the time, which is the first column, "{first}"')
             elif name not in self.signals:
                 cure, names = did_you_mean(name, self.signals), name_list(self.signals)
-                self.faults.note(line, 1, messages.UNKNOWN_VARIABLE(column=column, name=name, cure=cure, names=names))
-            elif column not in self.cells and (self.alone or name not in self.table.columns):
+                self.faults.note(
+                    line, 1, f'"{column}" is to be {name}, which the model does not have{cure} (it has {names})'
+                )
+            elif column not in self.cells and (self.alone or name not in self.table):
                 cure = did_you_mean(column, self.cells)
-                self.faults.note(line, 1, messages.UNKNOWN_COLUMN(column=column, cure=cure, name=name))
+                self.faults.note(line, 1, f'has no column "{column}"{cure} (it is to be {name})')
 
     def _is_of_model(self) -> bool:
         """Return True if some column belongs to the model, or has a name similar to one of its signals."""
-        if self.renamings or len(self.unread) > HINTS or any(name in self.table.columns for name in self.signals):
+        if self.renamings or len(self.unread) > HINTS or any(name in self.table for name in self.signals):
             return True
         return any(closest(name, self.unread) for name in self.signals)
 
@@ -289,26 +297,25 @@ class LogReader:
 
     def _check_values(self) -> None:
         """Note faults of whole columns: too few rows, no measurement, absurd values."""
-        table, counts = self.table, self.faults.counts
-        if table.rows < 2 and not counts:
-            count, usual = "no row" if table.rows == 0 else "one row", "some hundred" if self.timed else "a dozen"
-            self.faults.note(table.header + 1, 1, messages.TOO_FEW_ROWS(count=count, kind=self._kind, usual=usual))
+        table, faulty = self.table, self.faults.faulty
+        if table.rows < 2 and not faulty:
+            count = "no row" if table.rows == 0 else "one row"
+            self.faults.note(
+                table.header + 1, 1, f"holds {count}; a log has at least two, and some hundred to be of use"
+            )
             return
         if not table.rows:
             return
-        faulty = {cell for cell, _ in counts}
-        for name, column in table.columns.items():
-            values = table[name]
-            if name in self.outputs and column.cell not in faulty and np.isnan(values).all():
-                self.faults.note(table.header, column.cell, messages.EMPTY_COLUMN(name=name))
-            self._check_sizes(column, values)
-
-    def _check_sizes(self, column: Column, values: Array) -> None:
-        name, cure = column.name, "leave the row out" if column.role else "leave the cell empty"
-        kind = f"cells of {name} far beyond the rest"
-        for row in _absurd_rows(values):
-            message = messages.ABSURD_VALUE(name=name, value=values[row], cure=cure)
-            self.faults.note_cell(self.table.lines[row], column.cell, kind, message)
+        for name, column in table.by_name.items():
+            if column.cell in faulty:
+                continue
+            values, cure = table[name], "leave the cell empty" if name in self.outputs else "leave the row out"
+            if name in self.outputs and np.isnan(values).all():
+                self.faults.note(
+                    table.header, column.cell, f'column "{name}" holds no value (NaN in every row); delete the column'
+                )
+            message = partial(_absurd_value, name, values, cure)
+            self.faults.note_cells(_absurd_rows(values), table.lines, column.cell, message)
 
 
 def read_column_names(texts: Sequence[str], log: Path) -> dict[str, str]:
@@ -319,7 +326,10 @@ def read_column_names(texts: Sequence[str], log: Path) -> dict[str, str]:
     """
     parts = [(text, *text.partition("=")) for text in texts]
     wrong = [text for text, column, sign, name in parts if not (column.strip() and sign and name.strip())]
-    refuse(Fault(log, 0, 0, messages.COLUMN_OPTION(text=short(text))) for text in wrong)
+    refuse(
+        Fault(log, 0, 0, f'--column "{short(text)}" is not COLUMN=VARIABLE, as in measured_speed=motor.w')
+        for text in wrong
+    )
     return {column.strip(): name.strip() for _, column, _, name in parts}
 
 
@@ -327,6 +337,10 @@ def name_list(names: Collection[str]) -> str:
     """Return names in a line, shortened if very many."""
     more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
     return ", ".join(islice(names, SHOWN)) + more
+
+
+def _absurd_value(name: str, values: Array, cure: str, row: int) -> str:
+    return f'{name} is {values[row]:g} here, far beyond the rest: a mark for "invalid"? Then {cure}'
 
 
 def _absurd_rows(values: Array) -> Rows:

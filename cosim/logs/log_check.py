@@ -11,9 +11,8 @@ import numpy as np
 
 from cosim.base.registry import BASE, is_model
 from cosim.loading.file import LoadedModel, load_model
-from cosim.loading.model_check import substep_notes
 from cosim.loading.own_run import predicted_outputs
-from cosim.loading.substep import with_substep
+from cosim.loading.substep import substep_notes, with_substep
 from cosim.logs.alone import findings_without_model
 from cosim.logs.gate import gate, refuse_faults
 from cosim.logs.log import first_rows, read_log
@@ -49,17 +48,16 @@ def log_findings(path: Path, loaded: LoadedModel, columns: Mapping[str, str] = M
         InputError: The log has faults.
     """
     model = loaded.model
-    log = read_log(path, model.inputs, model.outputs, table=model.static, columns=columns)
+    log = read_log(path, model.inputs, model.outputs, columns=columns)
     stepping = with_substep(loaded)[0].model
-    spikes = {} if log.table else find_spikes(log, partial(predicted_outputs, stepping, log))
+    spikes = find_spikes(log, partial(predicted_outputs, stepping, log))
     traits = Traits.of(model)
     findings = gate(log, model.rate, traits=traits, spikes=spikes)
     findings += input_unit_findings(log, {q.name: q.start for q in model.inputs}, traits.bounds)
     refuse_faults(log, findings)
-    if not log.table:
-        first = first_rows(log, ROWS)
-        free = predicted_outputs(stepping, first, dict.fromkeys(log.outputs, np.arange(first.rows)))
-        against = output_findings(first, free)
-        refuse_faults(log, against)
-        findings += against
+    first = first_rows(log, ROWS)
+    free = predicted_outputs(stepping, first, dict.fromkeys(log.outputs, np.arange(first.rows)))
+    against = output_findings(first, free)
+    refuse_faults(log, against)
+    findings += against
     return [*(f.line for f in findings), *substep_notes(loaded, [drop_outliers(log, spikes)])]

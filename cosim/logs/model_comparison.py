@@ -11,10 +11,8 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.correlation import correlation_at_lags
-from cosim.base.messages import Message
 from cosim.base.text import amount, plain
 from cosim.base.units import factor
-from cosim.logs import messages
 from cosim.logs.channel_noise import noise_level
 from cosim.logs.finding import Finding
 from cosim.logs.log import Log
@@ -52,13 +50,9 @@ def delays(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
         if confirmed is False:
             continue
         serious, (direction, cause) = confirmed and abs(time) > log.step, DIRECTIONS[time > 0]
-        message = (messages.DELAY if serious else messages.POSSIBLE_DELAY)(
-            direction=direction,
-            delay=amount(abs(time) * 1000, "ms", 2),
-            error=amount(error * 1000, "ms", 1),
-            cause=cause,
-            doubt="or clocks that differ" if confirmed else REGULAR,
-        )
+        doubt = "or clocks that differ" if confirmed else REGULAR
+        size = f"{amount(abs(time) * 1000, 'ms', 2)} ± {amount(error * 1000, 'ms', 1)}"
+        message = f"{direction} the model by {size}: {cause}, {doubt}"
         numbers = {"delay": time, "error": error, "correlation": rho}
         yield Finding("warning" if serious else "note", "delay", name, message, numbers)
 
@@ -72,7 +66,16 @@ def scales(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
         is_alike = fit.correlation > LIKE
         if fit.correlation < -LIKE or (fit.is_certain and SAME_SIZE[0] < -fit.slope < SAME_SIZE[1]):
             text = {"slope": plain(fit.slope), "error": plain(fit.error, 1), "correlation": plain(fit.correlation, 2)}
-            yield Finding("warning", "sign", name, messages.WRONG_SIGN(**text), numbers)
+            yield Finding(
+                "warning",
+                "sign",
+                name,
+                (
+                    "moves against the model ({slope} ± {error} times as far, correlation {correlation}): it, or a "
+                    "command, has the wrong sign"
+                ).format(**text),
+                numbers,
+            )
         elif is_alike or fit.is_certain:
             if message := _unit_mistake(log, name, fit):
                 yield Finding("fault" if is_alike else "warning", "unit", name, message, numbers)
@@ -80,16 +83,19 @@ def scales(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
             yield from _size_findings(log, name, model[name])
 
 
-def _unit_mistake(log: Log, name: str, fit: SlopeFit) -> Message | None:
+def _unit_mistake(log: Log, name: str, fit: SlopeFit) -> str | None:
     """Return the message on a signal whose slope over its prediction is the factor between two units."""
-    is_alike = fit.correlation > LIKE
     if _is_converted_wrongly(log, name, fit.slope):
-        template = messages.CONVERTED_UNIT if is_alike else messages.PERHAPS_CONVERTED_UNIT
-        return template(unit=log.written[name], to=log.units[name])
+        return (
+            f"was converted from {log.written[name]} to {log.units[name]}, but agrees with the model without this "
+            f'conversion: leave "[{log.written[name]}]" out of the header'
+        )
     if not (unit := other_unit(log.units[name], fit.slope)):
         return None
-    template = messages.OTHER_SLOPE if is_alike else messages.PERHAPS_OTHER_SLOPE
-    return template(slope=plain(fit.slope), error=plain(fit.error, 1), unit=unit, name=name)
+    return (
+        f"moves with the model, but {plain(fit.slope)} ± {plain(fit.error, 1)} times as far; is its unit {unit}? "
+        f'Then call the column "{name} [{unit}]"'
+    )
 
 
 def _size_findings(log: Log, name: str, model: Array) -> Iterator[Finding]:
@@ -98,7 +104,10 @@ def _size_findings(log: Log, name: str, model: Array) -> Iterator[Finding]:
     size, own = (float(np.nanstd(moving_part(log, values))) for values in (y, model))
     ratio = size / own if own > 0.0 else 0.0
     if ratio > OTHER_SIZE and size > MIN_SIGNAL * noise and (unit := other_unit(log.units[name], ratio)):
-        text = messages.OTHER_RANGE(ratio=plain(ratio, 2), unit=unit, name=name)
+        text = (
+            f"moves {plain(ratio, 2)} times as far as the model; is its unit {unit}? Then call the column "
+            f'"{name} [{unit}]"'
+        )
         yield Finding("warning", "unit", name, text, {"ratio": ratio})
 
 
@@ -110,7 +119,10 @@ def swaps(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
         least = min(correlations)
         own = (_largest_correlation(log, log.outputs[name], model[name]) for name in (one, other))
         if least >= 0.5 * TELLING and max(own) < least:
-            text = messages.SWAPPED(name=one, other=other, correlation=plain(least, 2))
+            text = (
+                f"moves as {other} does in the model (correlation {plain(least, 2)}), and {other} as {one}: are "
+                "the columns swapped?"
+            )
             yield Finding("warning", "swapped", one, text, {"correlation": least})
 
 

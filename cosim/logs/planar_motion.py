@@ -7,7 +7,6 @@ from collections.abc import Iterator
 import numpy as np
 
 from cosim.base.text import amount
-from cosim.logs import messages
 from cosim.logs.finding import Finding
 from cosim.logs.log import Log
 from cosim.model.planar import PlanarFrame
@@ -33,10 +32,13 @@ def axis_findings(log: Log, frame: PlanarFrame) -> Iterator[Finding]:
     best = min(sideways, key=lambda way: sideways[way])
     ratio = sideways["as recorded"] / sideways[best] if sideways[best] > 0.0 else 0.0
     if ratio > TURNED and best == "mirrored":
-        message = messages.REVERSED_AXIS(x=frame.x, y=frame.y, heading=frame.heading)
+        message = (
+            f"the body moves sideways unless {frame.x}, {frame.y} or {frame.heading} is turned round: world Y "
+            f"points left and {frame.heading} is positive to the left"
+        )
         yield Finding("warning", "mirrored", frame.y, message, {"ratio": ratio})
     elif ratio > TURNED and float(pointing.std()) > MIN_TURN:
-        message = messages.EXCHANGED_AXES(x=frame.x, y=frame.y)
+        message = f"the body moves sideways unless {frame.x} and {frame.y} are exchanged: are the columns swapped?"
         yield Finding("warning", "swapped", frame.x, message, {"ratio": ratio})
     yield from _jump_findings(log, frame)
 
@@ -53,7 +55,9 @@ def _jump_findings(log: Log, frame: PlanarFrame) -> Iterator[Finding]:
             np.median(log.outputs[name][good[rows]]) for rows in (slice(max(0, k - 4), k + 1), slice(k + 1, k + 6))
         )
         if abs(after - before) > 0.5 * largest:
-            message = messages.JUMPING_POSITION(
-                size=amount(largest, log.units[name]), first=float(log.time[good[k + 1]])
+            message = (
+                f"jumps by {amount(largest, log.units[name])} in the row at t = "
+                f"{float(log.time[good[k + 1]]):.6g} s, far more than in other rows: was the sensor set anew, or "
+                "are two logs joined?"
             )
             yield Finding("warning", "jumps", name, message, {"size": largest})

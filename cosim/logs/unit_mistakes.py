@@ -10,7 +10,6 @@ import numpy as np
 
 from cosim.base.text import amount
 from cosim.base.units import alternatives, factor
-from cosim.logs import messages
 from cosim.logs.finding import Finding
 from cosim.logs.log import Log
 
@@ -34,14 +33,26 @@ def input_unit_findings(
         if size > OTHER_SIZE * bound and log.units[name] != "rad":  # angles are checked against their bounds elsewhere
             yield _beyond_bound(log, name, size, bound)
         elif start and (other := other_unit(log.units[name], size / start)):
-            text = messages.OTHER_SIZE(**_sizes(log, name, size, start), unit=other, name=name)
+            text = (
+                "reaches {size}, where the model starts at {reference}; is its unit {unit}? Then call the "
+                'column "{name} [{unit}]"'
+            ).format(**_sizes(log, name, size, start), unit=other, name=name)
             yield Finding("warning", "unit", name, text, {"ratio": size / start})
 
 
 def _beyond_bound(log: Log, name: str, size: float, bound: float) -> Finding:
     """Return the fault of an input far beyond its bound, with the unit that brings it inside if there is one."""
     sizes, other = _sizes(log, name, size, bound), other_unit(log.units[name], size / bound, (MIN_SHARE_OF_BOUND, 1.0))
-    text = messages.BEYOND_BOUND(**sizes, unit=other, name=name) if other else messages.BEYOND_EVERY_UNIT(**sizes)
+    text = (
+        (
+            "reaches {size}, far beyond the {reference} that the model allows; is its unit {unit}? Then call the "
+            'column "{name} [{unit}]"'
+        ).format(**sizes, unit=other, name=name)
+        if other
+        else (
+            "reaches {size}, far beyond the {reference} that the model allows: is it scaled, or in another unit?"
+        ).format(**sizes)
+    )
     return Finding("fault", "unit", name, text, {"ratio": size / bound})
 
 

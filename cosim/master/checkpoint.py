@@ -1,8 +1,9 @@
 """Checkpoints of a run: what determines its future, saved between two steps, and a run that goes on from one.
 
 A checkpoint holds the state of every component that can save it, the memory of the connections, and a hash of the rows
-so far. The rows are in a file of their own, to which the run adds them anyway. Components that cannot save their state
-are replayed from the start. Anything with `save` and `restore` as in `cosim.blocks.component` takes part.
+so far. The rows are in a file of their own, to which the run adds them anyway. If a component cannot save its state,
+all steps are made again and compared with the rows. Anything with `save` and `restore` as in `cosim.blocks.component`
+takes part.
 """
 
 from __future__ import annotations
@@ -10,20 +11,23 @@ from __future__ import annotations
 import hashlib
 import threading
 import time
-from collections.abc import Callable, Mapping, MutableSequence, Sequence
+from collections.abc import Callable, MutableSequence, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import Interrupted, SimulationError
+from cosim.base.messages import Note
 from cosim.isolation.rows import GET, NOTHING, exact_line
-from cosim.master import messages
 from cosim.master.inbox import Change
-from cosim.master.replay import Replay, SteppedSystem, is_same
 from cosim.storage.state_file import pack, sync, unpack, write_durable
+from cosim.system.system import System
+
+if TYPE_CHECKING:
+    from cosim.master.master import Master
 
 ROWS, BESIDE, STATE = "rows", "beside", "state"  # files of a run, in one folder
 FORMAT = 1  # version of the content of a checkpoint
@@ -37,7 +41,7 @@ class Continuation:
 
     Attributes:
         exact: Values beside the rows, by row.
-        state: Content of a state file; None if everything is replayed.
+        state: Content of a state file, if any.
         changes: Changes by observers so far, which are among the events of the system.
     """
 
@@ -50,6 +54,11 @@ class Continuation:
     def count(self) -> int:
         """Return the number of rows."""
         return len(self.values)
+
+    def unsaved(self, system: System) -> Sequence[str]:
+        """Return the components without a saved state, because of which all steps are made again."""
+        states = {} if self.state is None else unpack(self.state)["components"]
+        return [name for name in system.names if states.get(name) is None]
 
 
 @dataclass(frozen=True)
@@ -108,6 +117,7 @@ class Keeper:
         exact: Function that returns the values beside the first rows.
         check_caller: Function called before a write; does not return if the command of this process has ended.
         elapsed: Wall time [s] that the run took before.
+        repeated: Number of rows that are made again, 0 if all states are restored.
     """
 
     place: Path
@@ -118,30 +128,42 @@ class Keeper:
     exact: Callable[[int], Sequence[tuple[Any, ...]]] = lambda count: ()
     check_caller: Callable[[], None] = lambda: None
     elapsed: float = 0.0
+    repeated: int = 0
     hash: RowsHash = field(default_factory=RowsHash)
     _over: threading.Event = field(default_factory=threading.Event)
 
-    def begin(self, master: SteppedSystem) -> None:
+    def begin(self, master: Master) -> None:
         """Go on from `start`, and begin to keep checkpoints."""
         if self.start is not None:
-            master.done = 1 if master.reruns else self.start.count
-            self.elapsed = 0.0 if master.reruns else go_on(master, self.start)
+            if _first_difference(master.table[:1], self.start.values[:1]) is not None:
+                raise SimulationError(
+                    "the run",
+                    float(master.time[0]),
+                    (
+                        "the components begin with other values than in the run that was to go on; run the "
+                        "scenario again from its start"
+                    ),
+                )
+            if self.start.unsaved(master.system):
+                self.repeated = self.start.count
+            else:
+                self.elapsed = go_on(master, self.start)
         self._begin = self._last = time.monotonic()
         if self.interval is not None:
             threading.Thread(target=self._tick, args=(self.interval,), daemon=True).start()
 
-    def look(self, master: SteppedSystem, k: int) -> None:
+    def look(self, master: Master, k: int) -> None:
         """Make a due checkpoint; raise Interrupted on request."""
         self.asked[0] = 0
         if self.ending[0]:
             self.save(master, k)
-            raise Interrupted("the run", float(master.time[k]), messages.STOPPED_AFTER_CHECKPOINT())
+            raise Interrupted("the run", float(master.time[k]), Note("stopped after a checkpoint"))
         if self.interval is not None and time.monotonic() - self._last >= 0.5 * self.interval:
             self.save(master, k)
 
-    def end(self, master: SteppedSystem) -> None:
+    def end(self, master: Master) -> None:
         """Make the last checkpoint of a complete run."""
-        self._check_rows(master)
+        self.compare_rows(master, master.done)
         if self.interval is not None:
             self.save(master, master.done - 1)
 
@@ -152,15 +174,15 @@ class Keeper:
         """End the timer."""
         self._over.set()
 
-    def save(self, master: SteppedSystem, k: int) -> None:
+    def save(self, master: Master, k: int) -> None:
         """Write the checkpoint of point k."""
         if self.start is not None and k + 1 < self.start.count:
             return
-        self._check_rows(master)
+        self.compare_rows(master, k + 1)
         components = {}
         for component in master.components:
             master.announce(component)
-            can_save = hasattr(component, "checkpoint") and not master.reruns
+            can_save = hasattr(component, "checkpoint") and not master.system.reruns
             components[component.name] = component.checkpoint() if can_save else None
         master.doing[0] = NOTHING
         links = {
@@ -185,44 +207,65 @@ class Keeper:
         write_durable(self.place / STATE, pack(content))
         self._last = time.monotonic()
 
-    def _check_rows(self, master: SteppedSystem) -> None:
-        """Raise SimulationError if repeated steps give other rows."""
-        start = self.start
-        if start is not None and master.reruns and not is_same(master.table[: start.count], start.values):
-            raise SimulationError("the run", float(master.time[start.count - 1]), messages.NOT_REPEATED())
+    def compare_rows(self, master: Master, k: int) -> None:
+        """Raise SimulationError if the rows that are made again, complete at point k, differ from the recorded ones."""
+        if self.start is None or not 0 < self.repeated <= k:
+            return
+        self.repeated = 0
+        place = _first_difference(master.table[: self.start.count], self.start.values)
+        if place is not None:
+            component = master.system.columns[place[1]].partition(".")[0]
+            raise SimulationError(
+                component,
+                float(master.time[place[0]]),
+                (
+                    "its outputs differ from the recorded ones when its steps are made again, so the run cannot go "
+                    "on; run the scenario again from its start"
+                ),
+            )
 
     def _tick(self, interval: float) -> None:
         while not self._over.wait(interval):
             self.asked[0] = 1
 
 
-def go_on(master: SteppedSystem, start: Continuation) -> float:
-    """Bring a system to a stopped run's last row.
+def go_on(master: Master, start: Continuation) -> float:
+    """Restore the states of all components at a stopped run's last row.
 
     Returns:
         The wall time [s] that the run took to there.
 
     Raises:
-        SimulationError: The system does not repeat what was recorded.
+        SimulationError: The state is of another system, or a component has other outputs.
     """
-    state: Mapping[str, Any] = {} if start.state is None else unpack(start.state)
-    states: Mapping[str, Any] = state.get("components", {})
-    if not is_same(master.row[:], start.values[0]):
-        raise SimulationError("the run", float(master.time[0]), messages.OTHER_BEGINNING())
-    master.table[: start.count] = start.values
-    last = start.count - 1
-    names = {c.name for c in master.components if states.get(c.name) is None}
-    Replay(master, start.exact, names, transfers=not state).run(last)
+    assert start.state is not None
+    state, last = unpack(start.state), start.count - 1
+    master.done, master.table[: start.count] = start.count, start.values
     try:
         for name, memories in state.get("links", {}).items():
             for link, memory in zip(master.copying.links[name], memories, strict=True):
                 if hasattr(link, "restore"):
                     link.restore(memory)
         for component in master.components:
-            if component.name not in names:
-                _restore(master, component, states[component.name], last)
+            master.announce(component)
+            component.restore(state["components"][component.name])
+            if last == 0 or component.name in master.system.events.get(last, {}):
+                continue  # An event may change outputs after they are recorded.
+            first = master.first_places(component.name)[0] + len(component.inputs)
+            outputs = slice(first, first + len(component.outputs))
+            master.announce(component, GET)
+            component.get()
+            if _first_difference(np.array([master.row[outputs]]), start.values[last:, outputs]) is not None:
+                raise SimulationError(
+                    component.name,
+                    float(master.time[last]),
+                    (
+                        "its outputs differ after a saved state is restored; use an FMU that restores its state, "
+                        "or one that does not declare that it can"
+                    ),
+                )
     except (ValueError, LookupError, TypeError, AttributeError, OverflowError) as error:  # a state of another system
-        reason = messages.UNUSABLE_STATE(reason=error)
+        reason = f"the checkpoint has no state of these components ({error}); run the scenario again from its start"
         raise SimulationError("the run", float(master.time[last]), reason) from None
     master.view[:] = start.values[last]
     if start.exact:
@@ -231,15 +274,7 @@ def go_on(master: SteppedSystem, start: Continuation) -> float:
     return float(state.get("elapsed", 0.0))
 
 
-def _restore(master: SteppedSystem, component: Any, state: Any, last: int) -> None:
-    """Restore a component; raise SimulationError for other outputs."""
-    master.announce(component)
-    component.restore(state)
-    if last == 0 or component.name in master.system.events.get(last, {}):
-        return  # An event may change outputs after they are recorded.
-    first, _ = master.first_places(component.name)
-    outputs = slice(first + len(component.inputs), first + len(component.inputs) + len(component.outputs))
-    master.announce(component, GET)
-    component.get()
-    if not is_same(master.row[outputs], master.table[last][outputs]):
-        raise SimulationError(component.name, float(master.time[last]), messages.STATE_NOT_RESTORED())
+def _first_difference(values: Array, recorded: Array) -> tuple[int, int] | None:
+    """Return row and column of the first difference, None if all values are equal; NaN equals NaN."""
+    differs = (values != recorded) & ~(np.isnan(values) & np.isnan(recorded))
+    return divmod(int(np.argmax(differs)), differs.shape[1]) if differs.any() else None

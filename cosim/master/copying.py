@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 from cosim.blocks.faults import Addition, LinkFunction
@@ -40,10 +40,6 @@ class Copying:
             kinds[kind].append(entry)
         plain, noisy, others = kinds
         return self._join(plain), tuple(noisy), tuple(others)
-
-    def by_component(self) -> Mapping[str, Copies]:
-        """Return the copies to each component that are not held."""
-        return {stage.component.name: self.of(stage.transfers) for stage in self.system.stages}
 
     def _join(self, places: Sequence[tuple[int, int]]) -> Plain:
         """Return copies joined into contiguous blocks: first source, first target, length."""

@@ -11,10 +11,10 @@ import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from cosim.base.errors import Fault, refuse
 from cosim.isolation.rows import WAITING, Progress
@@ -37,67 +37,8 @@ class Change:
     values: Values
 
 
-class Channel(Protocol):
-    """Way of changes from a caller to the master."""
-
-    paused: bool
-
-    def send(self, values: Values) -> None:
-        """Send values of the right types, from the caller."""
-
-    def receive(self) -> Sequence[Values]:
-        """Return the values sent since the last call, in the master."""
-
-    def note(self, change: Change) -> None:
-        """Note values that are set next, in the master."""
-
-    def noted(self) -> Sequence[Change]:
-        """Return all changes so far."""
-
-    def wait(self) -> float:
-        """Wait for the end of a pause, in the master; return its length [s]."""
-
-
-@dataclass
-class MemoryChannel:
-    """A channel within a process."""
-
-    paused: bool = False
-    _sent: list[Values] = field(default_factory=list)
-    _noted: list[Change] = field(default_factory=list)
-    _lock: threading.Lock = field(default_factory=threading.Lock)
-
-    def send(self, values: Values) -> None:
-        """Send values."""
-        with self._lock:
-            self._sent.append(values)
-
-    def receive(self) -> Sequence[Values]:
-        """Return the values sent since the last call."""
-        with self._lock:
-            sent, self._sent = self._sent, []
-        return sent
-
-    def note(self, change: Change) -> None:
-        """Note values that are set next."""
-        self._noted.append(change)
-
-    def noted(self) -> Sequence[Change]:
-        """Return all changes so far."""
-        return tuple(self._noted)
-
-    def wait(self) -> float:
-        """Wait for the end of a pause; return its length [s]."""
-        if not self.paused:
-            return 0.0
-        since = time.perf_counter()
-        while self.paused:
-            time.sleep(PAUSE)
-        return time.perf_counter() - since
-
-
-class FileChannel:
-    """A channel between two processes, through files in a folder and shared counters.
+class Channel:
+    """Way of changes from a caller to the master, through files in a folder and counters that both may share.
 
     A record is complete before a counter counts it. The noted changes survive a crash of the master.
     """
@@ -135,8 +76,9 @@ class FileChannel:
         """Note values that are set next."""
         _append(self._noted, change)
 
-    def noted(self) -> Sequence[Change]:
-        """Return all changes so far."""
+    @property
+    def changes(self) -> Sequence[Change]:
+        """Return all changes that the master has noted so far."""
         self._changes = tuple(_records(self._noted)) or self._changes
         return self._changes
 
@@ -165,46 +107,18 @@ def _records(path: Path) -> Iterator[Any]:
             yield pickle.load(stream)
 
 
-class Partners(Protocol):
-    """Partners outside with which a run exchanges values."""
-
-    @property
-    def sends(self) -> bool:
-        """Return True if the run sends values to partners."""
-
-    def receive(self, k: int) -> Values:
-        """Return the values that are new at point k."""
-
-    def send(self, k: int, row: Any) -> None:
-        """Send the values of point k."""
-
-    def finish(self, k: int) -> None:
-        """End the exchange after point k."""
-
-    def record(self) -> Sequence[Mapping[str, Any]]:
-        """Return what the partners did, for the manifest."""
-
-    def notes(self) -> Sequence[str]:
-        """Return warnings."""
-
-
-class Inbox:
+class Inbox(Channel):
     """Received changes for the master.
 
     Attributes:
         most: Most steps between looks.
         pause: Length of the pause at the last look [s].
-        partners: Partners that send values too.
     """
 
-    def __init__(self, channel: Channel, partners: Partners | None = None) -> None:
-        self._channel, self.partners, self.most, self.pause = channel, partners, MOST_STEPS, 0.0
+    def __init__(self, folder: Path, counters: Progress) -> None:
+        super().__init__(folder, counters)
+        self.most, self.pause = MOST_STEPS, 0.0
         self._point, self._due, self._time = 0, 0, -1.0
-
-    @property
-    def changes(self) -> Sequence[Change]:
-        """Return all changes so far."""
-        return self._channel.noted()
 
     def next_look(self, k: int) -> int:
         """Return the next point, from k on, at which to look; sooner if steps take long."""
@@ -217,14 +131,12 @@ class Inbox:
 
     def take(self, k: int, events: Values) -> Values:
         """Return the values to set at point k: those of events, and over them those received."""
-        self.pause = self._channel.wait()
-        received = self._channel.receive()
-        if self.partners is not None and (values := self.partners.receive(k)):
-            received = [*received, values]
+        self.pause = self.wait()
+        received = self.receive()
         if not received:
             return events
         changes = merge(*received)
-        self._channel.note(Change(k, changes))
+        self.note(Change(k, changes))
         return merge(events, changes)
 
 
@@ -252,11 +164,12 @@ def targets_of(system: System) -> Targets:
     return Targets({name: description for name, (_, description) in system.fmus.items()}, names)
 
 
-class Control:
-    """Control of a running simulation, for any thread."""
+class Control(Channel):
+    """Control of a running simulation, for any thread; `paused` holds it at a communication point."""
 
-    def __init__(self, system: System, channel: Channel) -> None:
-        self._system, self._channel = system, channel
+    def __init__(self, system: System, folder: Path, counters: Progress) -> None:
+        super().__init__(folder, counters)
+        self._system = system
 
     @cached_property
     def _targets(self) -> Targets:
@@ -284,19 +197,5 @@ class Control:
         for target, value in converted.items():
             component, _, variable = target.partition(".")
             changes.setdefault(component, {})[variable] = value
-        self._channel.send(changes)
+        self.send(changes)
         return converted
-
-    @property
-    def paused(self) -> bool:
-        """Return True if the run waits at a communication point, or will wait at the next one."""
-        return self._channel.paused
-
-    @paused.setter
-    def paused(self, on: bool) -> None:
-        self._channel.paused = on
-
-    @property
-    def changes(self) -> Sequence[Change]:
-        """Changes that the run has made so far."""
-        return self._channel.noted()

@@ -7,23 +7,23 @@ The values that connections hold from one exchange to the next are then the unkn
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, MutableSequence, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.errors import SimulationError
-from cosim.blocks.component import Component, EarlyEnd
+from cosim.base.errors import NotFinite, SimulationError
+from cosim.blocks.component import EarlyEnd
 from cosim.isolation.rows import CALLS, GET, OTHER, PUT
-from cosim.master import messages
-from cosim.master.copying import Copies, copy_values
+from cosim.master.copying import copy_values
 from cosim.master.loops import MOST_DIFFERENCES, SHIFT, LoopSolver, is_lost
 from cosim.master.root_finding import NotDefined, RootFinding
 from cosim.scenario.scenario import LoopSettings
-from cosim.system.system import System
+
+if TYPE_CHECKING:
+    from cosim.master.master import Master
 
 EXACT_SWEEPS = 10  # sweeps that must settle exactly; later sweeps settle within a tolerance
 LAST_SWEEP = 50_000  # limit for shrinking changes
@@ -31,25 +31,24 @@ SETTLED_CHANGE = 1e-12  # relative change of a settled value
 SHRINKING_RATIO = 0.9  # ratio of changes below which they shrink, over more sweeps than a chain of connections needs
 
 
-@dataclass(frozen=True)
 class Initialization:
-    """Components in initialization mode, and the copies between them.
+    """Components of a run in initialization mode, and the copies between them.
 
-    Attributes:
-        pulls: Component → copies before its call.
-        held: Copies after all calls.
-        doing: Current call, for observers.
+    Args:
         solvers: Solvers of algebraic loops.
     """
 
-    system: System
-    components: Sequence[Component]
-    row: Any
-    beside: Sequence[Any]
-    pulls: Mapping[str, Copies]
-    held: Copies
-    doing: MutableSequence[int]
-    solvers: Sequence[LoopSolver] = ()
+    def __init__(self, master: Master, solvers: Sequence[LoopSolver] = ()) -> None:
+        self.system, self.components, self.row, self.beside = (
+            master.system,
+            master.components,
+            master.row,
+            master.beside,
+        )
+        self.doing, copying = master.doing, master.copying
+        self.pulls = {stage.component.name: copying.of(stage.transfers) for stage in self.system.stages}
+        self.held = copying.of(self.system.held)
+        self.solver_of = {name: solver for solver in solvers for name in solver.names}
 
     def run(self) -> None:
         """Exchange values until settled, then end initialization; raise SimulationError after a failure."""
@@ -70,7 +69,15 @@ class Initialization:
             raise self._not_settled(self.system.columns[solved[0]], 1)
 
     def _not_settled(self, name: str, count: int) -> SimulationError:
-        return SimulationError(name, self.system.start, messages.NOT_SETTLED(count=count))
+        return NotFinite(
+            name,
+            self.system.start,
+            (
+                f"it still changes after {count} exchanges of initialization: an algebraic loop that "
+                "exchanging values does not settle; an FMU without direct feedthrough in the loop breaks "
+                "it"
+            ),
+        )
 
     def _settle(self) -> list[int]:
         """Exchange values until they settle; solve for them if their changes do not shrink.
@@ -158,10 +165,9 @@ class Initialization:
 
     def sweep(self) -> None:
         """Exchange all values once."""
-        solver_of = {member.component.name: solver for solver in self.solvers for member in solver.members}
         for k, component in enumerate(self.components):
             copy_values(self.row, self.pulls[component.name], 0)
-            if (solver := solver_of.get(component.name)) is not None:
+            if (solver := self.solver_of.get(component.name)) is not None:
                 if component.name == solver.last:
                     solver.solve_start()
                 continue

@@ -1,4 +1,4 @@
-"""Stepping of systems with event mode and clocks: from instant to instant instead of from row to row.
+"""Policy of steps with event mode and clocks: from instant to instant.
 
 An instant is a communication point, a tick of a clock, or an event at which an FMU returned early from its step. All
 components are stepped to it. Then the FMUs concerned enter event mode, and values and clocks are exchanged in
@@ -9,68 +9,37 @@ superdense time until nothing changes:
 Rows belong to communication points only and hold the values after the instant.
 
 An early return ends the step of all. Components that have gone further go back by restoring their state. Therefore
-components that can go back step first, then those that may return early, then all others. Where two may return early
-and cannot go back, the one that did so last steps first; the other may be ahead of an event, which a note tells. A
-component that takes only steps of one length gets an event within a step at the end of the step.
+components that can go back step first, then those that may return early, then all others, with those that follow their
+outputs. Where two may return early and cannot go back, the one that did so last steps first; the other may be ahead of
+an event, which a note tells. A component that makes only whole steps gets an event within a step at its end.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping, MutableSequence, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
-from cosim.base.arrays import Array
 from cosim.base.errors import SimulationError
-from cosim.blocks.component import Component
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.model_exchange import AT_ONCE, CLOSE, MOST_EVENTS, ULPS, ModelExchange2
 from cosim.blocks.sources import SourceBlock
 from cosim.isolation.rows import ADVANCE, CALLS, GET, OTHER, PUT
-from cosim.master import messages
-from cosim.master.copying import Copies, Copying, copy_values, doubles
+from cosim.master.copying import Copies, copy_values
 from cosim.master.initialization import EXACT_SWEEPS, is_settled
-from cosim.master.loops import LoopSolver
-from cosim.master.step_control import ControlledSteps
+from cosim.master.policies import Active, Policy
 from cosim.storage.results import Results
 from cosim.system.event_blocks import is_exchange, takes_part_of_step
-from cosim.system.system import System
+
+if TYPE_CHECKING:
+    from cosim.master.master import Master
 
 MOST_SWEEPS = 1000  # exchanges of values at one instant of superdense time
 MOST_RECORDED = 1000  # events that the record of a run holds
-SOURCES, REPEATABLE, EARLY, LAST = range(4)  # ranks of the order within a step
-
-
-class EventRun(Protocol):
-    """The part of a `Master` that the stepping uses."""
-
-    system: System
-    components: list[Component]
-    steps: int
-    h: float
-    row: Any
-    view: memoryview[float]
-    beside: list[Any]
-    copying: Copying
-    pulls: Mapping[str, Copies]
-    table: Array
-    row_count: MutableSequence[int]
-    doing: MutableSequence[int]
-    done: int
-    notes: list[str]
-    controlled: ControlledSteps | None
-    solvers: tuple[LoopSolver, ...]
-    calls: tuple[Callable[[int], None], ...]
-
-    def _next_call(self, k: int) -> int: ...
-
-    def _apply_events(self, k: int) -> None: ...
-
-    def look(self, k: int) -> None:
-        """Make a due checkpoint after point k."""
+SOURCES, REPEATABLE, EARLY, LAST, WHOLE = range(5)  # ranks of the order within a step
 
 
 @dataclass(eq=False)
@@ -79,26 +48,28 @@ class Part:
 
     Attributes:
         number: Number of the component among all, for observers.
-        pulls: Copies before its step.
+        active: Its step, without known values at the end; `late` sets these.
         time: Time [s] to which it has come.
-        has_late: Whether known values are set after its step.
-        rank: SOURCES, REPEATABLE, EARLY (may return early, cannot go back) or LAST.
+        row: Signals of the run, and the places of its inputs.
+        rank: SOURCES, REPEATABLE, EARLY (may return early, cannot go back), LAST, or WHOLE (makes whole steps only).
         lead: Longest time [s] by which it was ahead of an event.
-        late: Number of such events.
+        ahead: Number of such events.
     """
 
     component: Any
     number: int
-    pulls: Copies
     every: int
-    is_flexible: bool
+    active: Active
+    late: Callable[[int], None] | None
     time: float
-    has_late: bool = False
+    row: tuple[Any, slice]
     rank: int = LAST
     lead: float = 0.0
-    late: int = 0
+    ahead: int = 0
 
     def __post_init__(self) -> None:
+        if self.rank == WHOLE:
+            return
         if isinstance(self.component, SourceBlock):
             self.rank = SOURCES
         elif isinstance(self.component, FmuBlock) and self.component.instance.rolls_back:
@@ -112,60 +83,382 @@ class Part:
     @property
     def may_return(self) -> bool:
         """Return whether its steps may end early."""
-        if isinstance(self.component, EventFmu):
-            return self.is_flexible and self.component.may_return
-        return self.exchange is not None
+        return self.component.may_return if isinstance(self.component, EventFmu) else self.exchange is not None
 
     @property
     def exchange(self) -> ModelExchange2 | None:
         """Return the calls of model exchange, if any."""
-        calls = self.component.calls if self.is_flexible and isinstance(self.component, FmuBlock) else None
-        return calls if isinstance(calls, ModelExchange2) else None
+        return self.component.calls if self.rank != WHOLE and is_exchange(self.component) else None
 
     def save(self) -> Any:
         """Return the state, None if not restorable."""
+        row, inputs = self.row
         if self.rank == SOURCES:
-            return self.time
+            return self.time, row[inputs], None
         if self.rank != REPEATABLE:
             return None
         if isinstance(self.component, EventFmu):
-            return self.component.save()
-        if self.exchange is not None:
-            return self.exchange.save()
-        return self.time, self.component.instance.save_state()
+            return self.time, row[inputs], self.component.save()
+        saved = self.component.instance.save_state() if self.exchange is None else self.exchange.save()
+        return self.time, row[inputs], saved
 
     def go_back(self, state: Any) -> None:
         """Take back a state."""
-        if self.rank == SOURCES:
-            self.time = state
-        elif isinstance(self.component, EventFmu):
-            self.component.go_back(state)
-            self.time = self.component.reached
+        row, inputs = self.row
+        self.time, row[inputs], saved = state
+        if isinstance(self.component, EventFmu):
+            self.component.go_back(saved)
         elif self.exchange is not None:
-            self.exchange.go_back(state)
-            self.time = self.component.instance.time = self.exchange.time
-        else:
-            self.time, fmu = state
-            self.component.instance.restore_state(fmu)
+            self.exchange.go_back(saved)
+            self.component.instance.time = self.time
+        elif self.rank == REPEATABLE:
+            self.component.instance.restore_state(saved)
 
     def forget(self, state: Any) -> None:
         """Free a state that is not needed."""
         if self.rank == REPEATABLE and self.exchange is None:
-            fmu = state[0] if isinstance(self.component, EventFmu) else state[1]
-            self.component.instance.free_state(fmu)
+            saved = state[-1][0] if isinstance(self.component, EventFmu) else state[-1]
+            self.component.instance.free_state(saved)
 
 
-@dataclass
-class EventRecord:
-    """Handled events and ticks of a run.
+class Instants(Policy):
+    """The stepping of a run with event mode.
 
     Attributes:
-        events: (time [s], component, cause), the first MOST_RECORDED.
-        counts: (component, cause) → number.
+        ticked: Component → clocks that tick others as soon as outputs are read.
+        pending: Component → clocks to tick when it has come to the time.
+        copies: Copies to the components that take part in the present instant, those of communication point `point`.
+        here: FMUs with event mode that have come to it; those in `joined` are in event mode.
+        events: First MOST_RECORDED handled events and ticks: time [s], component, cause.
+        counts: (component, cause) → number of all.
     """
 
-    events: list[tuple[float, str, str]] = field(default_factory=list)
-    counts: dict[tuple[str, str], int] = field(default_factory=dict)
+    reason = "event mode"
+
+    def __init__(self, master: Master) -> None:
+        self.master, self.begin, self.h = master, master.system.start, master.h
+        self.close = CLOSE * self.h
+        self.ticked: dict[str, list[str]] = {}
+        self.pending: dict[str, list[str]] = {}
+        self.events: list[tuple[float, str, str]] = []
+        self.counts: dict[tuple[str, str], int] = {}
+        self.time, self.point, self.copies = self.begin, 0, master.copying.of(())
+        self.here: Sequence[Part] = ()
+        self.joined: list[Part] = []
+        self._times: deque[float] = deque(maxlen=MOST_EVENTS)
+        self._copies: dict[tuple[str, ...], Copies] = {}
+        self.parts: list[Part] = []
+        for k, stage in enumerate(master.system.stages):
+            component, first = stage.component, master.first_places(stage.component.name)[0]
+            inputs = slice(first, first + len(component.inputs))
+            whole, late = master.active(stage)._replace(late=None), master.active(stage).late
+            takes_parts = takes_part_of_step(stage, master.system.loops)
+            active, rank = (whole._replace(length=0.0), LAST) if takes_parts else (whole, WHOLE)
+            self.parts.append(Part(component, k, stage.every, active, late, self.begin, (master.row, inputs), rank))
+        self.fmus = [part for part in self.parts if isinstance(part.component, EventFmu)]
+        self.exchanges = [part for part in self.parts if part.exchange is not None]
+        self.by_name = {part.component.name: part for part in self.fmus}
+        self.wires: dict[tuple[str, str], list[tuple[str, str]]] = {}  # clock → connected input clocks
+        for origin, target in master.system.clock_wires:
+            owner, _, clock = origin.partition(".")
+            goal, _, name = target.partition(".")
+            self.wires.setdefault((owner, clock), []).append((goal, name))
+        returning = [part for part in self.parts if part.rank != WHOLE and part.may_return]
+        if returning:
+            last = set[str]()  # components that step after all that may return early, and those that follow them
+            for part, stage in zip(self.parts, master.system.stages, strict=True):
+                if part.rank == REPEATABLE and any(t.origin.partition(".")[0] in last for t in stage.pulls):
+                    part.rank = LAST
+                if part.rank >= LAST:
+                    last.add(part.component.name)
+            has_clocks = {part for part in self.fmus if part.component.output_clocks}
+            self.parts.sort(key=lambda part: (min(part.rank, LAST), part not in has_clocks))
+        self.last_early = max(map(self.parts.index, returning), default=-1)
+        alone = [part for part in self.fmus if part.rank == EARLY]
+        if len(alone) > 1:  # Their leads are bounded.
+            for part in alone:
+                part.component.ask_for_small_steps()
+
+    # -- course ----------------------------------------------------------------------------------------
+
+    def advance_to(self, k: int) -> None:
+        """Step to point k, and handle the events before it."""
+        t, end, control = self.begin + (k - 1) * self.h, self.begin + k * self.h, self.master.controlled
+        self.close = CLOSE * self.h + 2 * ULPS * math.ulp(max(abs(t), abs(end)))
+        while True:
+            flexible = [part for part in self.parts if part.rank != WHOLE]
+            times = [end, *(part.time for part in flexible)]  # of components that are ahead
+            times += [part.component.due for part in self.fmus if part.rank != WHOLE]
+            target = min(time for time in times if time > t + self.close)
+            target = end if target > end - self.close else target
+            if control is None:
+                t = self._advance(self._due(k) if target == end else flexible, target, k)
+            else:
+                begin, target = t, control.limit(t, target, end)
+                t = self._advance(flexible, target, k)
+                control.judge_step(begin, t)
+            if t >= end - self.close:
+                break
+            self._instant(t, k - 1, flexible)
+        if control is not None:
+            self._advance([part for part in self._due(k) if part.rank == WHOLE], end, k)
+
+    def settle(self, k: int) -> None:
+        """Handle the instant of point k, with the changes made there."""
+        t = self.begin + k * self.h
+        if k:
+            self._instant(t, k, self._due(k))
+            return
+        self._begin_instant(t, 0, self.parts, self.fmus)
+        self._handle(self.fmus)
+
+    def finish(self) -> None:
+        """Note how far components were ahead of events, and what the control of the steps notes."""
+        for part in self.parts:
+            if part.lead:
+                note = (
+                    f"{part.component.name} was up to {part.lead:.3g} s ahead of an event of another FMU, "
+                    f"because both may return early from a step and it cannot go back: it got {part.ahead} "
+                    "such events that much later. A shorter step of the scenario shortens this"
+                )
+                self.master.notes.append(note)
+        if self.master.controlled is not None:
+            self.master.controlled.finish()
+
+    # -- steps ---------------------------------------------------------------------------------------
+
+    def _due(self, k: int) -> list[Part]:
+        """Return the components that step to point k."""
+        return [part for part in self.parts if part.rank != WHOLE or k % part.every == 0]
+
+    def _advance(self, parts: Sequence[Part], target: float, k: int) -> float:
+        """Step to a time [s] or the first early return; return the time reached."""
+        saved: dict[Part, Any] = {}  # state before the step
+        end = self.begin + k * self.h
+        while True:
+            early: Part | None = None
+            for place, part in enumerate(parts):
+                if target - part.time > self.close:
+                    if 0 < self.last_early >= place and (state := part.save()) is not None:
+                        saved[part] = state
+                    self._step(part, target, k)
+                    if part.time < target - self.close:
+                        early = part
+                        break
+                if part.late is not None and part.time <= target + self.close:
+                    part.late(k if target == end else k - 1)
+            if early is None:
+                for part, state in saved.items():
+                    part.forget(state)
+                return target
+            target = early.time
+            self._take_back(saved, target, early)
+            parts = [part for part in self.parts if part.rank != WHOLE]
+
+    def _step(self, part: Part, target: float, k: int) -> None:
+        component = part.component
+        if not isinstance(component, EventFmu):
+            self.master.advance((part.active,), k, part.time, target)
+            part.time = target
+            if part.exchange is not None and part.exchange.cause:
+                part.time = component.instance.time = part.exchange.time
+            return
+        copy_values(self.master.row, part.active[3:6], k)
+        self._announce(part, PUT).put()
+        part.time = self._announce(part, ADVANCE).go(target)
+        self._announce(part, GET).get()
+
+    def _take_back(self, saved: dict[Part, Any], target: float, early: Part) -> None:
+        """Take back components beyond an early return."""
+        for part in [part for part in saved if part.time > target + self.close]:
+            self._announce(part)
+            part.go_back(saved.pop(part))
+        ahead = [part for part in self.parts if part.rank != WHOLE and part.time > target + self.close]
+        for part in ahead:
+            part.lead, part.ahead = max(part.lead, part.time - target), part.ahead + 1
+        if ahead and early.rank == EARLY:
+            self.parts.remove(early)
+            self.parts.insert(min(map(self.parts.index, ahead)), early)
+
+    # -- instants --------------------------------------------------------------------------------
+
+    def _instant(self, t: float, k: int, parts: Sequence[Part]) -> None:
+        """Exchange values and handle events of components that have come to a time."""
+        here = [part for part in self.fmus if part in parts and abs(part.time - t) <= self.close]
+        self._begin_instant(t, k, parts, here)
+        for part in self.exchanges:
+            calls = part.component.calls
+            if calls.cause and abs(part.time - t) <= self.close:
+                self._record(part, f"{calls.cause} event")
+                with self._announce(part).instance.check_calls():
+                    calls.handle_event(self.h)
+                self._announce(part, GET).get()
+                self._copy()
+        asked = []
+        for part in here:
+            fmu = part.component
+            is_due = fmu.asks or fmu.due <= t + self.close or fmu.name in self.pending
+            if is_due or fmu.has_jumped or fmu.is_stirred:
+                asked.append(part)
+        if not asked:
+            return
+        self._times.append(t)
+        if len(self._times) == self._times.maxlen and t - self._times[0] <= AT_ONCE * self.h:
+            names = ", ".join(sorted({part.component.name for part in self.fmus if part.component.asks}))
+            message = f"{len(self._times)} events within {AT_ONCE * self.h:.2g} s, so that time stands still"
+            raise SimulationError(names or "the run", t, message)
+        self._handle(asked)
+
+    def _begin_instant(self, t: float, k: int, parts: Iterable[Part], here: Sequence[Part]) -> None:
+        """Copy all values to components, and note the inputs of FMUs with event mode."""
+        self.time, self.point, self.here, self.joined = t, k, here, []
+        names = tuple(part.component.name for part in parts)
+        if names not in self._copies:
+            stages = {stage.component.name: stage for stage in self.master.system.stages}
+            transfers = (t for name in names for t in (*self.master.held[name], *stages[name].transfers))
+            self._copies[names] = self.master.copying.of(transfers)
+        self.copies = self._copies[names]
+        self._copy()
+        for part in here:
+            part.component.look()
+
+    def _handle(self, asked: Sequence[Part]) -> None:
+        """Iterate until no FMU needs another round."""
+        for part in asked:
+            fmu = part.component
+            if fmu.asks:
+                self._record(part, "event")
+            elif fmu.next_event <= self.time + self.close:
+                self._record(part, "time event")
+            elif fmu.has_jumped or fmu.is_stirred:
+                self._record(part, "input")
+        for update in range(MOST_EVENTS):
+            before = bytes(self.master.row)
+            for part in asked:
+                if update and part not in self.joined:
+                    self._record(part, "input")
+                self._join(part)
+                self._tick(part)
+            self._settle()
+            again = [part for part in self.joined if self._announce(part).update()]
+            for part in self.joined:
+                self._announce(part, GET).get()
+            self._propagate()
+            asked = [part for part in self.here if part in again or part.component.is_stirred or self._ticks(part)]
+            if not asked:
+                for part in self.joined:
+                    self._announce(part).leave()
+                return
+        name = self._changed(before) or asked[0].component.name
+        names = ", ".join(part.component.name for part in asked)
+        raise SimulationError(
+            name,
+            self.time,
+            (
+                f"it still changes after {MOST_EVENTS} updates of discrete states at one time; these FMUs "
+                f"ask for another one: {names}"
+            ),
+        )
+
+    def _settle(self) -> None:
+        """Exchange values and clocks until they settle."""
+        master = self.master
+        for sweep in range(1, MOST_SWEEPS + 1):
+            before, row, beside = bytes(master.row), list(master.row), list(master.beside)
+            is_quiet = True
+            for part in tuple(self.joined):
+                self._announce(part, PUT).put()
+                part.component.look()
+                self._announce(part, GET).get()
+                for clock in part.component.fired():
+                    is_quiet = False
+                    self._record(part, f"clock {clock}")
+                    self._trigger(part.component.name, clock)
+                for clock in self.ticked.pop(part.component.name, ()):
+                    is_quiet = False
+                    self._trigger(part.component.name, clock)
+                self._copy()
+            self._propagate()
+            for part in self.here:
+                if part not in self.joined and part.component.is_stirred:
+                    is_quiet = False
+                    self._record(part, "input")
+                    self._join(part)
+            settled = bytes(master.row) == before or (sweep > EXACT_SWEEPS and is_settled(row, master.row))
+            if is_quiet and settled and list(master.beside) == beside:
+                return
+        name = self._changed(before) or self.joined[-1].component.name
+        raise SimulationError(
+            name,
+            self.time,
+            (
+                f"it still changes after {MOST_SWEEPS} exchanges of values at one event: an algebraic "
+                "loop between FMUs in event mode that exchanging values does not settle"
+            ),
+        )
+
+    def _propagate(self) -> None:
+        """Copy all values, also through model exchange."""
+        self._copy()
+        for part in self.exchanges:
+            self._announce(part, PUT).put()
+            self._announce(part, GET).get()
+        if self.exchanges:
+            self._copy()
+
+    def _join(self, part: Part) -> None:
+        """Enter event mode, once in an instant."""
+        if part not in self.joined:
+            self.joined.append(part)
+            self._announce(part).enter()
+
+    def _ticks(self, part: Part) -> list[str]:
+        """Return the clocks of a component that are due."""
+        return [*part.component.due_clocks(self.time, self.close), *self.pending.get(part.component.name, ())]
+
+    def _tick(self, part: Part) -> None:
+        """Tick the clocks of a component that are due; raise SimulationError for one that is too fast."""
+        names, owner = self._ticks(part), part.component.name
+        if not names:
+            return
+        self.pending.pop(owner, None)
+        self._announce(part).tick(names)
+        if wired := [name for name in names if (owner, name) in self.wires]:
+            self.ticked[owner] = wired
+        for name in names:
+            self._record(part, f"clock {name}")
+            timer = part.component.timers.get(name)
+            if timer is not None and timer.interval is not None and timer.next <= self.time + self.close:
+                message = (
+                    f"the clock ticks every {timer.interval:g} s, but its FMU takes only steps of {self.h:g} "
+                    "s; shorten the step of the scenario"
+                )
+                raise SimulationError(f"{owner}.{name}", self.time, message)
+
+    def _trigger(self, owner: str, clock: str) -> None:
+        """Tick the clocks connected to a clock."""
+        for name, target in self.wires.get((owner, clock), ()):
+            part = self.by_name[name]
+            if part not in self.here:
+                self.pending.setdefault(name, []).append(target)
+                continue
+            self._join(part)
+            self._announce(part).tick([target])
+            self._record(part, f"clock {target}")
+
+    def _copy(self) -> None:
+        copy_values(self.master.row, self.copies, self.point)
+
+    def _announce(self, part: Part, call: int = OTHER) -> Any:
+        """Note the next call of a component for observers; return the component."""
+        self.master.doing[0] = CALLS * part.number + call
+        return part.component
+
+    def _record(self, part: Part, cause: str) -> None:
+        event = self.time, part.component.name, cause
+        self.counts[event[1:]] = self.counts.get(event[1:], 0) + 1
+        if len(self.events) < MOST_RECORDED:
+            self.events.append(event)
 
     def add_to(self, results: Results) -> Results:
         """Return results with the events."""
@@ -174,455 +467,8 @@ class EventRecord:
             counts.setdefault(component, {})[cause] = count
         return replace(results, events=tuple(self.events), event_counts=counts)
 
-    def add(self, time: float, component: str, cause: str) -> None:
-        """Add an event."""
-        self.counts[component, cause] = self.counts.get((component, cause), 0) + 1
-        if len(self.events) < MOST_RECORDED:
-            self.events.append((time, component, cause))
-
-
-class Instants:
-    """The stepping of a run with event mode."""
-
-    def __init__(self, master: EventRun) -> None:
-        self.master, self.begin, self.h = master, master.system.start, master.h
-        self.record = EventRecord()
-        self.close = CLOSE * self.h
-        parts = self._parts()
-        self.flexible = [part for part in parts if part.is_flexible]
-        self.rigid = [part for part in parts if not part.is_flexible]
-        self.looped = {name for loop in master.system.loops for name in loop.members}
-        self.events = [part for part in parts if isinstance(part.component, EventFmu)]
-        self.exchanges = [part for part in parts if is_exchange(part.component)]
-        self.by_name = {part.component.name: part for part in self.events}
-        self.wires = self._clock_wires()
-        self.ticked: dict[str, list[str]] = {}  # component → clocks that tick others as soon as outputs are read
-        self.pending: dict[str, list[str]] = {}  # component → clocks to tick when it has come to the time
-        self._times: deque[float] = deque(maxlen=MOST_EVENTS)
-        self._apply_events = master._apply_events
-        master.calls = tuple(call for call in master.calls if call != self._apply_events)
-        self._sort()
-        self._ask_for_small_steps()
-
-    def _parts(self) -> list[Part]:
-        """Return the components in the schedule's order."""
-        master, stages = self.master, self.master.system.stages
-        self.all = master.copying.of((*master.system.held, *(t for stage in stages for t in stage.transfers)))
-        return [
-            Part(
-                stage.component,
-                k,
-                master.copying.of(stage.pulls),
-                stage.every,
-                takes_part_of_step(stage, master.system.loops),
-                self.begin,
-                has_late=bool(stage.late),
-            )
-            for k, stage in enumerate(stages)
-        ]
-
-    def _clock_wires(self) -> dict[tuple[str, str], list[tuple[str, str]]]:
-        """Return clock → connected input clocks."""
-        wires: dict[tuple[str, str], list[tuple[str, str]]] = {}
-        for origin, target in self.master.system.clock_wires:
-            owner, _, clock = origin.partition(".")
-            goal, _, name = target.partition(".")
-            wires.setdefault((owner, clock), []).append((goal, name))
-        return wires
-
-    def _sort(self) -> None:
-        """Sort components by their rank."""
-        if any(part.may_return for part in self.flexible):
-            self.flexible.sort(key=lambda part: (part.rank, not self._ticks_others(part)))
-        self.last_early = max((k for k, part in enumerate(self.flexible) if part.may_return), default=-1)
-
-    @staticmethod
-    def _ticks_others(part: Part) -> bool:
-        """Return whether a component has output clocks."""
-        return isinstance(part.component, EventFmu) and bool(part.component.output_clocks)
-
-    def _ask_for_small_steps(self) -> None:
-        """Bound the lead of FMUs that cannot go back."""
-        alone = [part for part in self.flexible if part.rank == EARLY and isinstance(part.component, EventFmu)]
-        if len(alone) > 1:
-            for part in alone:
-                part.component.ask_for_small_steps()
-
-    # -- course ----------------------------------------------------------------------------------------
-
-    def at_start(self) -> None:
-        """Handle the instant at the start of the run."""
-        t = self.begin
-        for part in self.events:
-            part.time = t
-        self._apply_events(0)
-        self._copy_all(0)
-        for part in self.events:
-            part.component.look()
-        self._handle(t, 0, self.events, list(self.events))
-
-    def run(self) -> None:
-        """Make all steps."""
-        master, row, width = self.master, self.master.view, len(self.master.view)
-        table = doubles(master.table)
-        call_point = master._next_call(1)
-        try:
-            for k in range(1, master.steps + 1):
-                self._step_to_point(k, has_calls=k == call_point)
-                if k == call_point:
-                    for call in master.calls:
-                        call(k)
-                    call_point = master._next_call(k + 1)
-                table[k * width : k * width + width] = row
-                master.done = master.row_count[0] = k + 1
-                master.look(k)
-        finally:
-            master.done = master.row_count[0]
-            self._note_leads()
-            if master.controlled is not None:
-                master.controlled.note()
-
-    def _advance_controlled(self, t: float, end: float, k: int) -> float:
-        """Advance towards the next instant, no further than the control of the steps allows; return the time."""
-        control, target = self.master.controlled, self._target(t, end)
-        if control is None:
-            return self._advance(target, k)
-        reached = self._advance(control.limit(t, target, end), k)
-        control.judge_step(t, reached)
-        return reached
-
-    def _step_to_point(self, k: int, *, has_calls: bool) -> None:
-        begin, end = self.begin + (k - 1) * self.h, self.begin + k * self.h
-        t = begin
-        self.close = CLOSE * self.h + 2 * ULPS * math.ulp(max(abs(t), abs(end)))
-        for part in self.rigid:
-            if part.component.name in self.looped:
-                copy_values(self.master.row, part.pulls, k)
-            elif (k - 1) % part.every == 0:
-                self._put(part, k)
-        while True:
-            t = self._advance_controlled(t, end, k)
-            if t >= end - self.close:
-                break
-            self._instant(t, k - 1, [part for part in self.events if part.is_flexible])
-        for part in self.rigid:
-            if k % part.every == 0 and part.component.name not in self.looped:
-                self._step_rigid(part, k, end)
-        for solver in self.master.solvers:
-            solver.step(begin, end - begin, k)
-        if has_calls:
-            self._apply_events(k)
-        self._instant(end, k, self.events)
-
-    def _target(self, t: float, end: float) -> float:
-        """Return the time [s] of the next instant."""
-        times = [end, *(part.time for part in self.flexible)]  # of components that are ahead
-        times += [part.component.due for part in self.events if part.is_flexible]
-        target = min(time for time in times if time > t + self.close)
-        return end if target > end - self.close else target
-
-    # -- steps ---------------------------------------------------------------------------------------
-
-    def _advance(self, target: float, k: int) -> float:
-        """Step to a time [s] or the first early return."""
-        saved: dict[int, Any] = {}  # place in the order → state before the step
-        while True:
-            early: Part | None = None
-            for place, part in enumerate(self.flexible):
-                if target - part.time <= self.close:
-                    continue
-                if place <= self.last_early and self.last_early and (state := part.save()) is not None:
-                    saved[place] = state
-                if self._step(part, target, k) < target - self.close:
-                    early = part
-                    break
-            if early is None:
-                for place, state in saved.items():
-                    self.flexible[place].forget(state)
-                return target
-            target = early.time
-            self._take_back(saved, target, early)
-
-    def _step(self, part: Part, target: float, k: int) -> float:
-        self._put(part, k)
-        component, doing = part.component, self.master.doing
-        doing[0] = CALLS * part.number + ADVANCE
-        if isinstance(component, EventFmu):
-            part.time = component.go(target)
-        else:
-            component.advance(part.time, target - part.time)
-            part.time = target
-            if part.exchange is not None and part.exchange.cause:
-                part.time = component.instance.time = part.exchange.time
-        doing[0] = CALLS * part.number + GET
-        component.get()
-        return part.time
-
-    def _step_rigid(self, part: Part, k: int, end: float) -> None:
-        component, doing = part.component, self.master.doing
-        since = self.begin + (k - part.every) * self.h
-        doing[0] = CALLS * part.number + ADVANCE
-        if isinstance(component, EventFmu):
-            component.go(end)
-        else:
-            component.advance(since, part.every * self.h if component.nominal_step else end - since)
-        part.time = end
-        doing[0] = CALLS * part.number + GET
-        component.get()
-
-    def _put(self, part: Part, k: int) -> None:
-        copy_values(self.master.row, part.pulls, k)
-        self.master.doing[0] = CALLS * part.number + PUT
-        part.component.put()
-
-    def _take_back(self, saved: dict[int, Any], target: float, early: Part) -> None:
-        """Take back components beyond an early return."""
-        for place in [place for place in saved if self.flexible[place].time > target + self.close]:
-            part = self.flexible[place]
-            self.master.doing[0] = CALLS * part.number + OTHER
-            part.go_back(saved.pop(place))
-        ahead = [part for part in self.flexible if part.time > target + self.close]
-        for part in ahead:
-            part.lead, part.late = max(part.lead, part.time - target), part.late + 1
-        if ahead and early.rank == EARLY:
-            self.flexible.remove(early)
-            self.flexible.insert(min(map(self.flexible.index, ahead)), early)
-
-    def _note_leads(self) -> None:
-        for part in self.flexible:
-            if part.lead:
-                note = messages.AHEAD_OF_EVENT(component=part.component.name, lead=part.lead, count=part.late)
-                self.master.notes.append(note)
-
-    # -- checkpoints -------------------------------------------------------------------------------
-
-    def state(self) -> dict[str, Any]:
-        """Return the schedule of the run as plain data."""
-        return {
-            "order": [part.component.name for part in self.flexible],
-            "parts": {p.component.name: [p.time, p.lead, p.late] for p in (*self.flexible, *self.rigid)},
-            "clocks": {part.component.name: part.component.schedule() for part in self.events},
-            "pending": {name: list(clocks) for name, clocks in self.pending.items()},
-            "times": list(self._times),
-            "events": [list(event) for event in self.record.events],
-            "counts": [[*key, count] for key, count in self.record.counts.items()],
-        }
-
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Restore a schedule after signals and states."""
-        by_name = {part.component.name: part for part in (*self.flexible, *self.rigid)}
-        self.flexible[:] = [by_name[name] for name in state["order"]]
-        for name, (time, lead, late) in state["parts"].items():
-            part = by_name[name]
-            part.time, part.lead, part.late = time, lead, late
-        for part in self.events:
-            part.component.restore_schedule(state["clocks"][part.component.name])
-        self.pending = {name: list(clocks) for name, clocks in state["pending"].items()}
-        self._times = deque(state["times"], maxlen=MOST_EVENTS)
-        self.record = EventRecord(
-            [(time, component, cause) for time, component, cause in state["events"]],
-            {(component, cause): count for component, cause, count in state["counts"]},
-        )
-
-    # -- instants --------------------------------------------------------------------------------
-
-    def _instant(self, t: float, k: int, events: Sequence[Part]) -> None:
-        """Exchange values and handle events at a time."""
-        here = [part for part in events if abs(part.time - t) <= self.close or not part.is_flexible]
-        self._copy_all(k)
-        self._read_late(t, k)
-        for part in here:
-            part.component.look()
-        self._handle_exchanges(t, k)
-        asked = []
-        for part in here:
-            fmu = part.component
-            is_due = fmu.asks or fmu.due <= t + self.close or fmu.name in self.pending
-            if is_due or fmu.has_jumped or fmu.is_stirred:
-                asked.append(part)
-        if asked:
-            self._check_progress(t)
-            self._handle(t, k, here, asked)
-
-    def _read_late(self, t: float, k: int) -> None:
-        """Set the known values of a time, and read the outputs that follow them."""
-        late = [p for p in (*self.flexible, *self.rigid) if p.has_late and abs(p.time - t) <= self.close]
-        for part in late:
-            self._announce(part, PUT)
-            part.component.put()
-            self._announce(part, GET)
-            part.component.get()
-        if late:
-            self._copy_all(k)
-
-    def _handle_exchanges(self, t: float, k: int) -> None:
-        """Handle the events of model exchange."""
-        for part in self.exchanges:
-            calls = part.exchange
-            if calls is not None and calls.cause and abs(part.time - t) <= self.close:
-                self.record.add(t, part.component.name, f"{calls.cause} event")
-                self._announce(part)
-                with part.component.instance.check_calls():
-                    calls.handle_event(self.h)
-                self._announce(part, GET)
-                part.component.get()
-                self._copy_all(k)
-
-    def _handle(self, t: float, k: int, here: Sequence[Part], asked: Sequence[Part]) -> None:
-        """Iterate until no FMU needs another round."""
-        joined: list[Part] = []
-        for part in asked:
-            self._record_cause(part, t)
-        for update in range(MOST_EVENTS):
-            before = bytes(self.master.row)
-            for part in asked:
-                if update and part not in joined:
-                    self.record.add(t, part.component.name, "input")
-                self._join(part, joined)
-                self._tick(part, t)
-            self._settle(t, k, here, joined)
-            again = self._update(joined, k)
-            asked = [p for p in here if p in again or p.component.is_stirred or self._ticks(p, t)]
-            if not asked:
-                self._leave(joined)
-                return
-        self._raise_restless(t, before, asked)
-
-    def _update(self, joined: Iterable[Part], k: int) -> list[Part]:
-        """Update discrete states; return components to repeat."""
-        again = []
-        for part in joined:
-            self._announce(part)
-            if part.component.update():
-                again.append(part)
-        for part in joined:
-            self._announce(part, GET)
-            part.component.get()
-        self._propagate(k)
-        return again
-
-    def _leave(self, joined: Iterable[Part]) -> None:
-        for part in joined:
-            self._announce(part)
-            part.component.leave()
-
-    def _settle(self, t: float, k: int, here: Sequence[Part], joined: list[Part]) -> None:
-        """Exchange values and clocks until they settle."""
-        master = self.master
-        for sweep in range(1, MOST_SWEEPS + 1):
-            before, row, beside = bytes(master.row), list(master.row), list(master.beside)
-            is_quiet = True
-            for part in tuple(joined):
-                self._announce(part, PUT)
-                part.component.put()
-                part.component.look()
-                self._announce(part, GET)
-                part.component.get()
-                for clock in part.component.fired():
-                    is_quiet = False
-                    self.record.add(t, part.component.name, f"clock {clock}")
-                    self._trigger(part.component.name, clock, t, here, joined)
-                for clock in self.ticked.pop(part.component.name, ()):
-                    is_quiet = False
-                    self._trigger(part.component.name, clock, t, here, joined)
-                copy_values(master.row, self.all, k)
-            self._propagate(k)
-            for part in here:
-                if part not in joined and part.component.is_stirred:
-                    is_quiet = False
-                    self.record.add(t, part.component.name, "input")
-                    self._join(part, joined)
-            settled = bytes(master.row) == before or (sweep > EXACT_SWEEPS and is_settled(row, master.row))
-            if is_quiet and settled and list(master.beside) == beside:
-                return
-        name = self._changed(before) or joined[-1].component.name
-        raise SimulationError(name, t, messages.EVENT_NOT_SETTLED(count=MOST_SWEEPS))
-
-    def _propagate(self, k: int) -> None:
-        """Copy all values, also through model exchange."""
-        self._copy_all(k)
-        for part in self.exchanges:
-            self._announce(part, PUT)
-            part.component.put()
-            self._announce(part, GET)
-            part.component.get()
-        if self.exchanges:
-            self._copy_all(k)
-
-    def _join(self, part: Part, joined: list[Part]) -> None:
-        if part not in joined:
-            joined.append(part)
-            self._announce(part)
-            part.component.enter()
-
-    def _ticks(self, part: Part, t: float) -> list[str]:
-        """Return the clocks of a component that are due."""
-        return [*part.component.due_clocks(t, self.close), *self.pending.get(part.component.name, ())]
-
-    def _tick(self, part: Part, t: float) -> None:
-        names = self._ticks(part, t)
-        if names:
-            self.pending.pop(part.component.name, None)
-            self._announce(part)
-            part.component.tick(names)
-            for name in names:
-                self.record.add(t, part.component.name, f"clock {name}")
-            wired = [name for name in names if (part.component.name, name) in self.wires]
-            self.ticked |= {part.component.name: wired} if wired else {}
-            self._check_periods(part, names, t)
-
-    def _check_periods(self, part: Part, names: Iterable[str], t: float) -> None:
-        """Raise SimulationError for a clock that is too fast."""
-        for name in names:
-            timer = part.component.timers.get(name)
-            if timer is not None and timer.interval is not None and timer.next <= t + self.close:
-                message = messages.CLOCK_TOO_FAST(interval=timer.interval, step=self.h)
-                raise SimulationError(f"{part.component.name}.{name}", t, message)
-
-    def _trigger(self, owner: str, clock: str, t: float, here: Sequence[Part], joined: list[Part]) -> None:
-        """Tick the clocks connected to a clock."""
-        for name, target in self.wires.get((owner, clock), ()):
-            part = self.by_name[name]
-            if part not in here:
-                self.pending.setdefault(name, []).append(target)
-                continue
-            self._join(part, joined)
-            self._announce(part)
-            part.component.tick([target])
-            self.record.add(t, name, f"clock {target}")
-
-    def _copy_all(self, k: int) -> None:
-        copy_values(self.master.row, self.all, k)
-
-    def _announce(self, part: Part, call: int = OTHER) -> None:
-        self.master.doing[0] = CALLS * part.number + call
-
-    def _record_cause(self, part: Part, t: float) -> None:
-        fmu = part.component
-        if fmu.asks:
-            self.record.add(t, fmu.name, "event")
-        elif fmu.next_event <= t + self.close:
-            self.record.add(t, fmu.name, "time event")
-        elif fmu.has_jumped or fmu.is_stirred:
-            self.record.add(t, fmu.name, "input")
-
-    # -- failures -----------------------------------------------------------------------------------
-
-    def _check_progress(self, t: float) -> None:
-        """Raise SimulationError for crowded events."""
-        self._times.append(t)
-        if len(self._times) == self._times.maxlen and t - self._times[0] <= AT_ONCE * self.h:
-            names = ", ".join(sorted({part.component.name for part in self.events if part.component.asks}))
-            message = messages.EVENTS_CROWD(count=len(self._times), span=AT_ONCE * self.h)
-            raise SimulationError(names or "the run", t, message)
-
     def _changed(self, before: bytes) -> str:
         """Return the first changed signal, or ""."""
         old = memoryview(before).cast("d")
         pairs = zip(self.master.system.columns, old, self.master.row, strict=True)
         return next((column for column, a, b in pairs if a != b), "")
-
-    def _raise_restless(self, t: float, before: bytes, asked: Sequence[Part]) -> None:
-        name = self._changed(before) or asked[0].component.name
-        names = ", ".join(part.component.name for part in asked)
-        raise SimulationError(name, t, messages.EVENTS_WITHOUT_END(count=MOST_EVENTS, names=names))

@@ -7,35 +7,41 @@ from those of the components: their directional derivatives, or differences.
 At a communication point the components have stepped with the inputs of the point before. They are then asked for
 outputs to other inputs without a step. An FMU that answers only after a step repeats the step from its saved state with
 each try, so that its input acts during the whole step. If it cannot save its state, the loop is not solved, but
-coupled with a delay (`delayed_loop`).
+coupled with a delay (`DelayedLoop`).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from array import array
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.errors import SimulationError
-from cosim.base.messages import code_of
+from cosim.base.errors import NotFinite, SimulationError
+from cosim.base.messages import Note
 from cosim.base.times import first_point
 from cosim.blocks.component import EarlyEnd
+from cosim.blocks.coupling import torn
 from cosim.blocks.fmu import FmuBlock
-from cosim.blocks.messages import VALUE_NOT_FINITE
-from cosim.coupling.strong_components import torn
 from cosim.isolation.rows import ADVANCE, CALLS, GET, OTHER, PUT
-from cosim.master import messages
 from cosim.master.copying import Copying, copy_values
-from cosim.master.delayed_loop import DelayedLoop
 from cosim.master.root_finding import NotDefined, Outcome, RootFinding
 from cosim.scenario.scenario import LoopSettings
 from cosim.system.schedule import Loop
 from cosim.system.system import System
 from cosim.system.wiring import Transfer
 
+OPEN_SETTLES = (
+    "order: [...] or algorithm: jacobi leaves it open, with values of the step before, which settle (the loop "
+    "gain is {gain:.3g})"
+)
+OPEN_GROWS = (
+    "order: [...] or algorithm: jacobi is no cure: with values of the step before, they grow (the loop gain is "
+    "{gain:.3g}). The loop needs an FMU that saves and restores its state, or one without direct feedthrough"
+)
 SHIFT = 1e-5  # displacement of an input for differences, relative to its magnitude
 PROBES = (1e-3, -1e-3, 0.5, -0.5)  # displacements that show whether an output depends on an input
 REACTION = 1e-9  # smallest relative change of an output that counts
@@ -45,6 +51,65 @@ UNIT_GAIN = 1e-8  # smallest singular value of I − ∂g/∂z that counts
 UNIT_GAIN_POINTS = 0.0, 1.0, -0.37  # displacements in magnitudes of the unknowns
 RANGE = -3, 5  # exponents of 2 of other first points, where a component refuses the inputs
 MOST_DIFFERENCES = 50  # inputs of a loop without derivatives, beyond which Newton's method costs too much
+
+DOUBLINGS = 12  # of the residual, for the judgement whether it grows without bound
+EVEN = 1.5  # ratio of the steps that the second and the first half of these doublings take
+LARGE = 1e9  # residual in nominal values from which on such growth ends a run
+
+
+class DelayedLoop:
+    """Residuals at the ends of the steps of a loop that is coupled with a delay, not solved.
+
+    A component that answers only after a step, and cannot save its state, makes each step with the inputs z of the
+    step's start. At its end the loop returns g(z). Motion makes the residual g(z) − z of the order of the step. With a
+    loop gain G it is multiplied by G from step to step, so that the coupling diverges for |G| > 1.
+
+    Exponential growth is told from other growth by the steps in which the residual doubles: their number is constant.
+    That of a polynomial, or of values that settle, rises.
+
+    Args:
+        reason: Why the loop is not solved.
+        places: Places of the delayed inputs in the row, `names` of them, and their nominal values.
+    """
+
+    def __init__(self, reason: str, places: Sequence[int], names: Sequence[str], nominal: Sequence[float]) -> None:
+        self.reason, self.places, self._names, self._nominal = reason, tuple(places), names, np.array(nominal)
+        self._shares = array("d")  # residual of each step, relative to its signal
+        self._largest = 0.0  # residual in nominal values
+        self.worst: dict[str, Any] = {}
+        self.last: dict[str, Any] = {}
+        self._doublings: list[tuple[int, float]] = []  # step and size at which the residual had doubled again
+
+    def note(self, t: float, assumed: Array, returned: Array) -> bool:
+        """Note a residual; return whether it grows without bound."""
+        residual = returned - assumed
+        sizes = np.abs(residual) / self._nominal
+        worst = int(np.argmax(sizes))
+        size, value, change = (float(each[worst]) for each in (sizes, assumed, residual))
+        self.last = {"signal": self._names[worst], "time": t, "value": value, "residual": change}
+        if not self.worst or size > self._largest:
+            self._largest, self.worst = size, self.last
+        self._shares.append(abs(change) / max(abs(value), abs(value + change)) if change else 0.0)
+        return self._grows(size)
+
+    def _grows(self, size: float) -> bool:
+        """Return whether a residual grows without bound."""
+        if size <= 0.0 or (self._doublings and size < 2.0 * self._doublings[-1][1]):
+            return False
+        self._doublings.append((len(self._shares), size))
+        steps = [step for step, _ in self._doublings[-DOUBLINGS - 1 :]]
+        if size < LARGE or len(steps) <= DOUBLINGS:
+            return False
+        middle = steps[DOUBLINGS // 2]
+        return steps[-1] - middle <= EVEN * (middle - steps[0])
+
+    def record(self) -> dict[str, Any]:
+        """Return the entry of the manifest."""
+        if not self._shares:
+            return {"reason": self.reason}
+        shares = np.frombuffer(self._shares)
+        relative = {"median": float(np.median(shares)), "last": float(shares[-1])}
+        return {"reason": self.reason, "largest": self.worst, "last": self.last, "relative": relative}
 
 
 class Member:
@@ -126,12 +191,14 @@ class LoopSolver:
 
     Attributes:
         name: Components of the loop in a message.
+        names: Their names; that of the last one is `last`.
     """
 
-    def __init__(self, loop: Loop, system: System, copying: Copying, row: Any, doing: Any) -> None:
-        self.row, self.doing, self.start = row, doing, system.start
+    def __init__(self, loop: Loop, copying: Copying, doing: Any) -> None:
+        system, row = copying.system, copying.row
+        self.row, self.doing, self.start, self._h = row, doing, system.start, copying.h
         self.settings = system.solving or LoopSettings()
-        self.name, self.last = loop.name, loop.members[-1]
+        self.name, self.names, self.last = loop.name, loop.members, loop.members[-1]
         owners = [column.partition(".")[0] for column in system.columns]
         ends = [(owners[t.source], owners[t.target]) for t in loop.transfers]
         marked = list(zip(loop.transfers, torn(loop.members, ends), strict=True))
@@ -146,7 +213,17 @@ class LoopSolver:
         }
         self._one = {t.name: copying.of([t]) for t in loop.transfers}
         self.members = members_of(loop, system, row)
-        self._roots = self._root_finding()
+        self._nominal: dict[int, float] = {}  # place of an input → nominal value
+        self._declared: set[int] = set()  # places of inputs that declare it
+        for member in self.members:
+            for place in member.inputs:
+                variable = self._columns[place].partition(".")[2]
+                self._nominal[place] = nominal_of(member.component, variable)
+                if isinstance(member.component, FmuBlock) and member.component.nominal(variable, default=0.0) > 0.0:
+                    self._declared.add(place)
+        scale = np.array([self._nominal[place] for place in self.unknowns])
+        is_assumed = np.array([place not in self._declared for place in self.unknowns])
+        self._roots = RootFinding(self.settings.tolerance, self.settings.iterations, scale, is_assumed)
         self._seen: dict[int, float] = {}  # place of a signal → its largest magnitude
         self._rough: list[tuple[float, float, float, str]] = []  # time, residual, value and signal of rough solutions
         self._point, self._is_probed = 0, False
@@ -180,30 +257,40 @@ class LoopSolver:
         warnings = [warning for member in members for warning in self._find_repeats(member, gain)]
         if late := [member for member in self.members if member.late]:
             places = sorted({place for member in late for place in member.inputs})
-            names, nominal = [self._columns[k] for k in places], [self._nominal(k) for k in places]
+            names, nominal = [self._columns[k] for k in places], [self._nominal[k] for k in places]
             self._delayed = DelayedLoop("; ".join(member.late for member in late), places, names, nominal)
         return warnings
 
-    def step(self, t: float, h: float, k: int) -> None:
-        """Step to communication point k and solve the loop.
+    def step(self, t: float, h: float) -> None:
+        """Step from t to t + h [s] and solve the loop there.
 
         Raises:
             SimulationError: A component failed, the iterations do not converge, or values grow without bound.
         """
-        self._point = k
+        self._point = first_point(t + h, self.start, self._h)
         if self._delayed is None:
             self._solved_step(t, h)
             return
-        assumed = self._row_values(self._delayed.places)
+        delayed, assumed = self._delayed, self._values(self._delayed.places)
         try:
             self._solved_step(t, h)
         except SimulationError as error:
-            if code_of(error) != VALUE_NOT_FINITE.code or not self._delayed.last:
+            if not isinstance(error, NotFinite) or not delayed.last:
                 raise
-            message = messages.OPEN_LOOP.around(error.reason, left_open=self._last_residual(self._delayed))
+            residual = (
+                "{loop} is an algebraic loop that is not solved: {reason}; at t = {time:.6g} s {signal} "
+                "was {value:.3g} and the loop returned {residual:+.3g} more"
+            ).format(loop=self.name, reason=delayed.reason, **delayed.last)
+            message = f"{error.reason}. {residual}"
             raise SimulationError(error.component, error.time, message) from None
-        if self._delayed.note(t + h, assumed, self._row_values(self._delayed.places)):
-            grown = messages.LOOP_GROWS(loop=self.name, reason=self._delayed.reason, **self._delayed.last)
+        if delayed.note(t + h, assumed, self._values(delayed.places)):
+            grown = (
+                "{loop} is not solved ({reason}) and grows without bound: {signal} is {value:.3g} in the "
+                "last step, and the loop returns {residual:+.3g} more, a residual that doubles in equal "
+                "times. It needs an FMU that saves and restores its state, or one without direct "
+                "feedthrough; a shorter step if the growth is of motion; order: [...] runs it without "
+                "this judgement"
+            ).format(loop=self.name, reason=delayed.reason, **delayed.last)
             raise SimulationError("algebraic loop", t + h, grown)
 
     def _solved_step(self, t: float, h: float) -> None:
@@ -221,12 +308,12 @@ class LoopSolver:
             if member.repeats == repeats:
                 copy_values(self.row, self._known_into[member.component.name], self._point)
 
-    def _row_values(self, places: Sequence[int]) -> Array:
+    def _values(self, places: Sequence[int]) -> Array:
         return np.array([self.row[k] for k in places])
 
-    def _last_residual(self, delayed: DelayedLoop) -> str:
-        """Return a sentence with the last residual."""
-        return messages.LAST_RESIDUAL(loop=self.name, reason=delayed.reason, **delayed.last)
+    def _write(self, places: Sequence[int], values: Array) -> None:
+        for place, value in zip(places, values.tolist(), strict=True):
+            self.row[place] = value
 
     def record(self) -> dict[str, Any]:
         """Return the entry of the loop in the manifest."""
@@ -248,22 +335,31 @@ class LoopSolver:
         }
 
     def notes(self) -> list[str]:
-        """Return warnings of unsolved loops and rough solutions."""
-        return [*self._not_solved(), *self._rough_solutions()]
-
-    def _not_solved(self) -> list[str]:
-        if self._delayed is None or not self._delayed.worst or self._is_warned:
-            return []
-        relative = self._delayed.record()["relative"]
-        fields = self._delayed.worst | {"median": relative["median"], "last": relative["last"]}
-        return [messages.LOOP_DELAYED(loop=self.name, reason=self._delayed.reason, **fields)]
-
-    def _rough_solutions(self) -> list[str]:
-        if not self._rough:
-            return []
-        t, residual, value, signal = self._rough[0]
-        fields = {"count": len(self._rough), "time": t, "residual": abs(residual), "value": value, "signal": signal}
-        return [messages.ROUGH_SOLUTION(loop=self.name, tolerance=self.settings.tolerance, **fields)]
+        """Return warnings of an unsolved loop and of rough solutions."""
+        notes: list[str] = []
+        if self._delayed is not None and self._delayed.worst and not self._is_warned:
+            relative = self._delayed.record()["relative"]
+            fields = self._delayed.worst | {"median": relative["median"], "last": relative["last"]}
+            notes.append(
+                (
+                    "the algebraic loop {loop} is not solved: {reason}. Each step has the inputs of its "
+                    "start; at its end the loop returns others, by {median:.2g} of the signal at half of the "
+                    "points and {last:.2g} at the last; the largest residual is {residual:+.3g} of {signal} "
+                    "at t = {time:.6g} s. A shorter step makes a residual of motion smaller"
+                ).format(loop=self.name, reason=self._delayed.reason, **fields)
+            )
+        if self._rough:
+            t, residual, value, signal = self._rough[0]
+            fields = {"count": len(self._rough), "time": t, "residual": abs(residual), "value": value, "signal": signal}
+            notes.append(
+                (
+                    "the algebraic loop {loop} is solved less exactly than to {tolerance:g} of its signals "
+                    "at {count} points: first at t = {time:.6g} s, where {signal} is {value:.3g} and the "
+                    "loop returns {residual:.2g} more or less, which no iteration makes smaller. A nominal "
+                    "value of this input in its FMU states the size that counts"
+                ).format(loop=self.name, tolerance=self.settings.tolerance, **fields)
+            )
+        return notes
 
     @property
     def method(self) -> str:
@@ -275,38 +371,45 @@ class LoopSolver:
 
     # -- internal -------------------------------------------------------------------------------
 
-    def _root_finding(self) -> RootFinding:
-        scale = np.array([self._nominal(t.target) for t in self.back])
-        is_assumed = np.array([not self._is_declared(t.target) for t in self.back])
-        return RootFinding(self.settings.tolerance, self.settings.iterations, scale, is_assumed)
-
     def _solve(self, t: float) -> int:
         """Solve the loop; return the number of iterations.
 
         Raises:
             SimulationError: The iterations do not converge.
         """
-        z = np.array([self.row[k] for k in self.unknowns])
+        z = self._values(self.unknowns)
         outcome = self._outcome(z)
         worst = int(np.argmax(np.abs(outcome.residual) / np.maximum(np.abs(outcome.z), self._roots.scale)))
         if outcome.converged:
-            for place, value in zip(self.unknowns, outcome.z.tolist(), strict=True):
-                self.row[place] = value
+            self._write(self.unknowns, outcome.z)
             if outcome.is_rough:
                 self._rough.append((t, outcome.residual[worst], outcome.z[worst], self.back[worst].name))
             return outcome.iterations
         signals = ", ".join(t.name for t in self._transfers)
-        fields = {"signal": self.back[worst].name, "value": float(outcome.z[worst])}
+        fields: dict[str, Any] = {"signal": self.back[worst].name, "value": float(outcome.z[worst])}
         fields |= {"residual": float(outcome.residual[worst]), "loop": self.name, "count": outcome.iterations}
         gave_up = outcome.iterations < self.settings.iterations  # because no step leads nearer
-        fields |= {"more": "" if gave_up else messages.MORE_ITERATIONS(count=5 * self.settings.iterations)}
+        more = f", or more iterations (loops: {{iterations: {5 * self.settings.iterations}}})"
+        fields |= {"more": "" if gave_up else more}
         least = ROUNDED * max(abs(outcome.z[worst]), self._roots.scale[worst])
         if abs(outcome.residual[worst]) <= least and self.settings.tolerance < PROPOSED:
-            fields["more"] = messages.LARGER_TOLERANCE(tolerance=PROPOSED)
+            fields["more"] = Note(
+                f", or a larger tolerance: this residual is rounding (loops: {{tolerance: {PROPOSED:g}}})"
+            )
         if self._has_unit_gain(z):
-            message = messages.NO_UNIQUE_SOLUTION(signals=signals, **fields)
+            message = (
+                "{loop} has no solution, or no unique one: its gain is 1, so that the loop returns "
+                "{residual:+.3g} more than {signal}, whatever its value. Signals of the loop: {signals}. "
+                "No start value, tolerance, order or algorithm is a cure; change its equations (a "
+                "parameter of an FMU), or put an FMU without direct feedthrough into it"
+            ).format(signals=signals, **fields)
         else:
-            message = messages.LOOP_NOT_SOLVED(signals=signals, tolerance=self.settings.tolerance, **fields)
+            message = (
+                "{loop} does not converge: after {count} iterations {signal} is {value:.6g}, and the "
+                "loop returns {residual:+.3g} more (relative tolerance {tolerance:g}). Signals of the "
+                "loop: {signals}. If it has a solution, start values near it help{more}; order: [...] or "
+                "algorithm: jacobi do not solve it"
+            ).format(signals=signals, tolerance=self.settings.tolerance, **fields)
         raise SimulationError("algebraic loop", t, message)
 
     def _has_unit_gain(self, z: Array) -> bool:
@@ -338,8 +441,7 @@ class LoopSolver:
 
     def _sweep(self, z: Array) -> Array | None:
         """Return g(z), None where a component refuses its inputs."""
-        for place, value in zip(self.unknowns, z.tolist(), strict=True):
-            self.row[place] = value
+        self._write(self.unknowns, z)
         try:
             for member in self.members:
                 copy_values(self.row, self._into[member.component.name], self._point)
@@ -352,23 +454,17 @@ class LoopSolver:
             self._refusal = error
             return None
         copy_values(self.row, self._to_back, self._point)
-        self._note_sizes()
-        returned = np.array([self.row[k] for k in self.unknowns])
-        for place, value in zip(self.unknowns, z.tolist(), strict=True):
-            self.row[place] = value
-        return returned
-
-    def _note_sizes(self) -> None:
-        """Note the largest magnitude of each signal."""
         for transfer in self._transfers:
             for place in (transfer.source, transfer.target):
                 self._seen[place] = max(self._seen.get(place, 0.0), abs(self.row[place]))
         self._roots.largest = max(self._seen.values())
+        returned = self._values(self.unknowns)
+        self._write(self.unknowns, z)
+        return returned
 
     def _slopes(self, z: Array, g: Array, *, fresh: bool) -> Array:
         """Return ∂g/∂z, chained from components and transfers."""
-        for place, value in zip(self.unknowns, z.tolist(), strict=True):
-            self.row[place] = value
+        self._write(self.unknowns, z)
         along = dict(zip(self.unknowns, np.eye(z.size), strict=True))
         for member in self.members:
             for t in self._forward[member.component.name]:
@@ -394,22 +490,16 @@ class LoopSolver:
                 return np.array(promised).reshape(shape)
         base, slopes = member.values(), np.zeros(shape)
         for j, place in enumerate(member.inputs):
-            shift = self._shift(place, fresh=fresh)
+            shift, seen = SHIFT * max(abs(self.row[place]), self._nominal[place]), self._seen.get(place, 0.0)
+            if fresh and seen > 0.0 and place not in self._declared:
+                shift = min(shift, SHIFT * seen)
             for step in (shift, -shift):
                 values = member.try_at(self.doing, place, self.row[place] + step)
                 if values is not None:
                     slopes[:, j] = (values - base) / step
                     break
-        for place, value in zip(member.outputs, base.tolist(), strict=True):
-            self.row[place] = value
+        self._write(member.outputs, base)
         return slopes
-
-    def _shift(self, place: int, *, fresh: bool) -> float:
-        """Return the displacement of an input for differences."""
-        shift = SHIFT * max(abs(self.row[place]), self._nominal(place))
-        seen = self._seen.get(place, 0.0)
-        is_tiny = fresh and seen > 0.0 and not self._is_declared(place)
-        return float(min(shift, SHIFT * seen) if is_tiny else shift)
 
     def _gain(self, transfer: Transfer) -> float:
         """Return the slope of a transfer."""
@@ -421,16 +511,6 @@ class LoopSolver:
             results.append(self.row[transfer.target])
         self.row[transfer.target] = at
         return float(results[0] - results[1])
-
-    def _nominal(self, place: int) -> float:
-        name, _, variable = self._columns[place].partition(".")
-        return nominal_of(next(m.component for m in self.members if m.component.name == name), variable)
-
-    def _is_declared(self, place: int) -> bool:
-        """Return whether an input has a declared nominal value."""
-        name, _, variable = self._columns[place].partition(".")
-        component = next(m.component for m in self.members if m.component.name == name)
-        return isinstance(component, FmuBlock) and component.nominal(variable, default=0.0) > 0.0
 
     # -- outputs that follow inputs only after a step ------------------------------------------------
 
@@ -447,7 +527,7 @@ class LoopSolver:
                 continue
             member.reacts = self._reactions(member)
         copy_values(self.row, self._to_back, 0)
-        self._guesses = [np.array([self.row[k] for k in self.unknowns])]
+        self._guesses = [self._values(self.unknowns)]
         for place in self.unknowns:
             self.row[place] = before[place]
 
@@ -457,7 +537,7 @@ class LoopSolver:
         reacts = np.zeros((len(member.outputs), len(member.inputs)), bool)
         least = REACTION * np.maximum(np.abs(base), 1e-300)
         for j, place in enumerate(member.inputs):
-            size = max(abs(self.row[place]), self._nominal(place))
+            size = max(abs(self.row[place]), self._nominal[place])
             for share in PROBES:
                 values = member.try_at(self.doing, place, self.row[place] + share * size)
                 if values is not None:
@@ -466,7 +546,7 @@ class LoopSolver:
 
     def _gain_at_start(self) -> float:
         """Return the loop gain in initialization: the largest growth of a deviation around the loop."""
-        z = np.array([self.row[k] for k in self.unknowns])
+        z = self._values(self.unknowns)
         slopes = self._roots.slopes if self._roots.slopes is not None else self._slopes(z, z, fresh=False)
         return float(np.max(np.abs(np.linalg.eigvals(slopes)), initial=0.0)) if np.isfinite(slopes).all() else math.inf
 
@@ -485,27 +565,32 @@ class LoopSolver:
         can_repeat = isinstance(member.component, FmuBlock) and member.component.instance.rolls_back
         member.repeats = can_repeat and bool(missing.any() or is_silent)
         if not (is_declared or reacts.any() or member.reacts.any()):
-            member.late, self._is_warned = messages.LATE_UNDECLARED(component=member.component.name), True
-            return [self._silent(member)]
+            member.late, self._is_warned = (
+                Note(f"{member.component.name} answers no input without a step, and none is declared to act"),
+                True,
+            )
+            inputs = ", ".join(self._columns[k].partition(".")[2] for k in member.inputs)
+            return [
+                (
+                    f"{member.component.name}: no output in the algebraic loop {self.name} follows an input "
+                    "without a step, and none is declared to; its outputs are those after a step with the "
+                    "inputs of the step's start. If a step shows feedthrough, state it "
+                    f"(components.{member.component.name}.feedthrough: [{inputs}])"
+                )
+            ]
         if can_repeat or not (missing.any() or is_silent):
             return []
         if is_silent:
-            member.late = messages.LATE_WITHOUT_STATE(component=member.component.name)
+            member.late = Note(f"{member.component.name} answers only after a step and cannot save its state")
             return []
-        raise self._late(member, missing, gain)
-
-    def _silent(self, member: Member) -> str:
-        """Return the warning of a component without declared dependencies that answers no input."""
-        inputs = ", ".join(self._columns[k].partition(".")[2] for k in member.inputs)
-        return messages.UNDECLARED_AND_SILENT(component=member.component.name, loop=self.name, inputs=inputs)
-
-    def _late(self, member: Member, missing: Any, gain: float) -> SimulationError:
-        """Return the error of a component whose outputs follow inputs only after a step, which cannot be repeated."""
         j, k = (int(each[0]) for each in np.nonzero(missing))
         ends = {"output": self._columns[member.outputs[j]], "input": self._columns[member.inputs[k]]}
-        cure = (messages.OPEN_SETTLES if gain < 1.0 else messages.OPEN_GROWS)(gain=gain)
-        message = messages.NO_WAY_BACK(loop=self.name, cure=cure, **ends)
-        return SimulationError(member.component.name, self.start, message)
+        cure = (OPEN_SETTLES if gain < 1.0 else OPEN_GROWS).format(gain=gain)
+        message = (
+            "{output} follows {input} only after a step, which cannot be repeated, because the FMU "
+            "saves no state; so the algebraic loop {loop} cannot be solved. {cure}"
+        ).format(loop=self.name, cure=cure, **ends)
+        raise SimulationError(member.component.name, self.start, message)
 
 
 def nominal_of(component: Any, variable: str) -> float:
@@ -529,21 +614,3 @@ def members_of(loop: Loop, system: System, row: Any) -> list[Member]:
             outputs = sorted({t.source for t in loop.transfers if not t.beside[0] and owners[t.source] == name})
             members.append(Member(stage.component, k, inputs, outputs, row))
     return members
-
-
-def solvers_of(system: System, copying: Copying, row: Any, doing: Any) -> tuple[LoopSolver, ...]:
-    """Return the solvers of all loops of a system."""
-    return tuple(LoopSolver(loop, system, copying, row, doing) for loop in system.loops)
-
-
-def step_function(solver: LoopSolver, start: float, h: float) -> Callable[[float, float], None]:
-    """Return a function that steps and solves a loop.
-
-    Args:
-        h: Step of the run [s].
-    """
-
-    def step(t: float, length: float) -> None:
-        solver.step(t, length, first_point(t + length, start, h))
-
-    return step

@@ -1,55 +1,53 @@
-"""The master: steps all components of a system with equal communication steps and records a row per step.
+"""The master: steps all components of a system, with a row per communication point.
 
-All coupling algorithms use the same loop. They differ in the order of stages, in the transfers right before a stage
-(`Stage.pulls`) and in the transfers at the end of the step (`System.held`). Values of known signals that outputs follow
-are set right after the step (`Stage.late`), and the outputs are read again. A component with a longer step of its own
-makes the step at its end; until then its outputs are held.
+All systems are stepped by one loop. `Master.advance` steps each component once, in the order of the coupling algorithm.
+A policy makes the way from one communication point to the next of one or more such steps: equal steps, steps controlled
+by their error (`policies`), or steps from event to event (`instants`). At the communication point follow changes of
+parameters and inputs, events, observers, the row, and a checkpoint if one is due. C makes equal steps faster.
+
+Coupling algorithms differ in the order of stages, in the transfers right before a stage (`Stage.pulls`) and in the
+transfers at the end of the step (`System.held`). Values of known signals that outputs follow are set right after the
+step (`Stage.late`), and the outputs are read again. A component with a longer step of its own makes the step at its
+end; until then its outputs are held.
 """
 
 from __future__ import annotations
 
 import bisect
 import ctypes
-import itertools
-import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.errors import SimulationError, Terminated, stop_error
-from cosim.base.messages import code_of
+from cosim.base.errors import CallFailed, NotFinite, SimulationError, Terminated, stop_error
+from cosim.base.messages import Note
 from cosim.blocks.component import EarlyEnd, without_step
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
-from cosim.blocks.messages import CALL_FAILED, CALL_FAILED_WITH_REASON, VALUE_NOT_FINITE
 from cosim.blocks.stepping import NEVER, NotCompiled
 from cosim.isolation.rows import CALLS, GET, OTHER, Rows
-from cosim.master import messages
-from cosim.master.c_loop import CompiledSteps, LoopData, prepare_steps
+from cosim.master.c_loop import CompiledSteps
 from cosim.master.checkpoint import Keeper
-from cosim.master.copying import Copying, Noisy, Plain, Through, copy_values, doubles
+from cosim.master.copying import Copying, copy_values, doubles
 from cosim.master.extrapolation import with_courses
 from cosim.master.inbox import MOST_IN_C, Inbox
 from cosim.master.initialization import Initialization
 from cosim.master.instants import Instants
-from cosim.master.loops import solvers_of, step_function
+from cosim.master.loops import LoopSolver
 from cosim.master.pacing import Pacer
-from cosim.master.step_control import ControlledSteps
+from cosim.master.policies import Active, ControlledSteps, EqualSteps, HalvedSteps, Policy, Round
 from cosim.storage.files import hold_stops
 from cosim.storage.results import Results
 from cosim.system.schedule import Stage
 from cosim.system.system import System
+from cosim.system.wiring import Transfer
 
-# the step function; its length in steps of the run; its length [s], 0.0 for the difference of communication points; the
-# transfers before it; and what sets known values of its end at a point, if any
-Active = tuple[Callable[[float, float], None], int, float, Plain, Noisy, Through, Callable[[int], None] | None]
 Progress = Callable[[int], None]  # receives the current communication point
-Round = tuple[Active, ...]  # The last entry makes no step; it holds the transfers at the end of the step.
+RoundAt = Callable[[int], Round]  # of a point
 PROGRESS_EVERY = 50
-LONGEST_CYCLE = 10_000  # communication points until components of several rates are in step again
 
 
 class StoppedRun(Exception):
@@ -87,10 +85,7 @@ def simulate(
 
 
 class Master:
-    """The master: a run from the opening to the closing of its components, with its signals and its table of rows.
-
-    Subclasses step differently by overriding `_step_on`.
-    """
+    """The master: a run from the opening to the closing of its components, with its signals and its table of rows."""
 
     def __init__(
         self,
@@ -104,46 +99,41 @@ class Master:
         inbox: Inbox | None = None,
     ) -> None:
         self.system, self.steps, self.h = system, steps, h
-        self.components = [stage.component for stage in system.stages]
+        self.components: list[Any] = [stage.component for stage in system.stages]
         self.row = (ctypes.c_double * len(system.columns))()
         self.view = doubles(self.row)
         self._place, self._place_beside = _first_places(system.columns), _first_places(system.beside)
         self.beside: list[Any] = [None] * len(system.beside)
         self.rows, self.progress, self.in_c, self.loop = rows, progress, in_c, "none"
         self.beside_rows = rows.beside  # values beside the row, by row
-        self.table, self.row_count, self.doing = rows.table, rows.made, rows.doing
+        self.table, self.row_count, self.doing, self.asked = rows.table, rows.made, rows.doing, rows.asked
         self.time = system.start + h * np.arange(steps + 1, dtype=np.float64)  # counted, not summed
         self.done = 0
         self.has_events = any(isinstance(c, EventFmu) for c in self.components)
         self.instants: Instants | None = None
         self.controlled: ControlledSteps | None = None
+        self._actives: dict[str, Active] = {}
         self.notes: list[str] = []
         self.events, self.inbox = sorted(system.events), inbox
-        pace = None if system.real_time is None else system.real_time.pace
-        self.partners = None if inbox is None else inbox.partners
-        self._sends = self.partners.send if self.partners is not None and self.partners.sends else None
-        self.pacer = None if pace is None else Pacer(pace, steps, h, rows.doing, progress)
+        self.pacer = None if system.pace is None else Pacer(system.pace, steps, h, rows.doing, progress)
         for stage in system.stages:
             if isinstance(stage.component, FmuBlock):
                 points = [k for k, changes in system.events.items() if stage.component.name in changes]
                 stage.component.await_inputs([float(self.time[k]) for k in points if k], always=bool(stage.late))
         self.calls = self._calls(progress)
         self.copying = Copying(system, self.row, self.beside, steps, h)
-        self.pulls = self.copying.by_component()
-        self.held = self.copying.of(system.held)
-        self.solvers = solvers_of(system, self.copying, self.row, self.doing)
+        self.held: dict[str, list[Transfer]] = {name: [] for name in system.names}
+        for transfer in system.held:
+            self.held[transfer.name.partition(".")[0]].append(transfer)
+        self.solvers = [LoopSolver(loop, self.copying, self.doing) for loop in system.loops]
 
     def results(self) -> Results:
         """Run from beginning to end."""
         try:
-            self._open()
-            data = self.system, self.components, self.row, self.beside, self.pulls, self.held
-            Initialization(*data, self.doing, self.solvers).run()
+            self.open()
+            Initialization(self, self.solvers).run()
             for solver in self.solvers:
                 self.notes += solver.begin()
-            if self.has_events:
-                self.instants = Instants(self)
-                self.instants.at_start()
             self._record_first()
             keeper: Keeper | None = self.rows.keeper
             if keeper is not None:
@@ -169,7 +159,8 @@ class Master:
 
     # -- call sequence -----------------------------------------------------------------------------
 
-    def _open(self) -> None:
+    def open(self) -> None:
+        """Open all components."""
         for component in self.components:
             first, first_beside = self.first_places(component.name)
             component.bind(self.row, first, self.beside, first_beside)
@@ -178,6 +169,10 @@ class Master:
             component.open(self.system.start, float(self.time[-1]))
 
     def _record_first(self) -> None:
+        self._change(0)
+        if self.has_events:
+            self.instants = Instants(self)
+            self.instants.settle(0)
         for transfer in (*self.system.held, *(t for stage in self.system.stages for t in stage.transfers)):
             transfer.check_item((self.beside if transfer.beside[1] else self.row)[transfer.target], self.system.start)
         for call in self.calls:
@@ -189,76 +184,85 @@ class Master:
         """Make all steps, in C if possible, otherwise in Python."""
         if self.system.control is not None:
             self.controlled = ControlledSteps(self, self.system.control)
-        if self.instants is not None:
-            self._begin_loop("Python: event mode")
-            self.instants.run()
-            return
-        if self.controlled is not None:
-            self._begin_loop("Python: steps are controlled")
-            self.controlled.make_all()
-            return
+        policy: Policy | None = HalvedSteps(self) if self.system.halved else self.instants or self.controlled
+        if policy is None:
+            try:
+                steps = CompiledSteps(self)
+            except NotCompiled as reason:
+                policy = EqualSteps(self, str(reason))
+            else:
+                self._begin_loop("C")
+                if self.inbox is not None:
+                    self.inbox.most = MOST_IN_C
+                try:
+                    steps.make_all()
+                finally:
+                    self.done = self.row_count[0]
+                return
+        self._begin_loop(f"Python: {policy.reason}")
         try:
-            steps = self._prepare_c()
-        except NotCompiled as reason:
-            self._begin_loop(f"Python: {reason}")
-            self._step_in_python()
-            return
-        self._begin_loop("C")
-        if self.inbox is not None:
-            self.inbox.most = MOST_IN_C
-        try:
-            steps.make_all()
+            self._make_steps(policy)
         finally:
             self.done = self.row_count[0]
+            policy.finish()
 
-    def _step_in_python(self) -> None:
-        """Make all steps in Python. The calls in its inner loop determine the run time."""
-        row, h, begin, calls = self.view, self.h, self.system.start, self.calls
-        table, width = doubles(self.table), len(row)
-        cycle, done = self._cycle(), self.done  # The first round belongs to point 0.
-        rounds = itertools.islice(itertools.cycle(cycle), done % len(cycle), None)
-        row_count, call_point, asked = self.row_count, self._next_call(done), self.rows.asked
-        next_t = begin + (done - 1) * h
-        try:
-            for k, actives in zip(range(done, self.steps + 1), rounds, strict=False):
-                t, next_t = next_t, begin + k * h
-                for step, every, length, plain, noisy, through, late in actives:
-                    for target_places, places in plain:
-                        target_places[:] = places
-                    for source, target, samples in noisy:
-                        row[target] = row[source] + samples[k]
-                    if through:
-                        for origin, source, goal, target, function in through:
-                            goal[target] = function(k, origin[source])
-                    if every == 1:
-                        step(t, length or next_t - t)
-                    else:
-                        step(since := begin + (k - every) * h, length or next_t - since)
-                    if late is not None:
-                        late(k)
-                if k == call_point:
-                    for call in calls:
-                        call(k)
-                    call_point = self._next_call(k + 1)
-                table[k * width : k * width + width] = row
-                done = row_count[0] = k + 1
-                if asked[0]:
-                    self.look(k)
-        finally:
-            self.done = done
+    def _make_steps(self, policy: Policy) -> None:
+        """Make all steps in Python. The calls in this loop and in `advance` determine the run time."""
+        row, table, width, row_count, asked = self.view, doubles(self.table), len(self.view), self.row_count, self.asked
+        advance_to, settle = policy.advance_to, None if self.instants is None else self.instants.settle
+        call_point = self.next_call(self.done)
+        for k in range(self.done, self.steps + 1):
+            advance_to(k)
+            if k == call_point:
+                self._change(k)
+            if settle is not None:
+                settle(k)
+            if k == call_point:
+                for call in self.calls:
+                    call(k)
+                call_point = self.next_call(k + 1)
+            table[k * width : k * width + width] = row
+            row_count[0] = k + 1
+            if asked[0]:
+                self.look(k)
+
+    def advance(self, actives: Iterable[Active], k: int, t: float, until: float) -> None:
+        """Step components once, in their order, towards point k.
+
+        Args:
+            t: Start of the step [s] of components without a step of their own.
+            until: End of the step [s].
+        """
+        row = self.view
+        for step, every, length, plain, noisy, through, late in actives:
+            for target_places, places in plain:
+                target_places[:] = places
+            for source, target, samples in noisy:
+                row[target] = row[source] + samples[k]
+            if through:
+                for origin, source, goal, target, function in through:
+                    goal[target] = function(k, origin[source])
+            if every == 1:
+                step(t, length or until - t)
+            else:
+                step(since := self.system.start + (k - every) * self.h, length or until - since)
+            if late is not None:
+                late(k)
 
     def _record_last(self, end: EarlyEnd) -> None:
         """Note that an FMU ended the run early. A run of a single FMU gets a last row at that time.
 
         With several FMUs, the others would have no state at that time.
         """
-        self.notes.append(messages.ENDED_EARLY(component=end.component, time=end.reached, reason=end.reason))
+        self.notes.append(Note(f"{end.component} ended the simulation at t = {end.reached:.6g} s: {end.reason}"))
         alone = len(self.system.fmus) == 1
         k = self.done
         if not (0 < k <= self.steps and end.readable and alone and end.reached > self.time[k - 1]):
             return
         for component in self.components:
             component.get()
+        if self.instants is None:
+            self._change(k)
         for call in self.calls:
             call(k)
         self.time[k] = end.reached
@@ -272,36 +276,16 @@ class Master:
         initialization.
         """
         loop = next((loop for loop in self.system.opened if error.component.partition(".")[0] in loop.members), None)
-        codes = [VALUE_NOT_FINITE.code, messages.NOT_SETTLED.code]
-        codes += [] if self.done else [CALL_FAILED.code, CALL_FAILED_WITH_REASON.code]
-        if loop is None or code_of(error) not in codes:
+        kinds = NotFinite if self.done else (NotFinite, CallFailed)
+        if loop is None or not isinstance(error, kinds):
             return error
-        message = messages.OPEN_LOOP.around(error.reason, left_open=loop.left_open)
-        return SimulationError(error.component, error.time, message)
+        return SimulationError(error.component, error.time, f"{error.reason}. {loop.left_open}")
 
     # -- parts --------------------------------------------------------------------------------
-
-    def _prepare_c(self) -> CompiledSteps:
-        """Return the steps, prepared for C; raise NotCompiled with the reason if C cannot make them."""
-        if not self.in_c:
-            raise NotCompiled("asked for")
-        if self.solvers:
-            raise NotCompiled("algebraic loops are solved")
-        if any(self.system.courses):
-            raise NotCompiled("inputs follow polynomials during a step")
-        links = self.copying.links
-        data = self.system, self.components, self.steps, self.h, self.row, self.rows
-        calls = self.calls, self._next_call, self.look
-        return prepare_steps(LoopData(*data, lambda t: links[t.name], *calls, first=self.done))
 
     def announce(self, component: Any, call: int = OTHER) -> None:
         """Store the next call, so that a crash or a hang is blamed on its component."""
         self.doing[0] = CALLS * self.components.index(component) + call
-
-    @property
-    def reruns(self) -> bool:
-        """Return whether a resumed run repeats all steps."""
-        return self.system.reruns
 
     def look(self, k: int) -> None:
         """Make a due checkpoint after point k."""
@@ -319,12 +303,14 @@ class Master:
         if self.pacer is not None:
             self.pacer.restart()
 
-    def _next_call(self, k: int) -> int:
+    def next_call(self, k: int) -> int:
         """Return the next communication point, from k on, that needs Python in the C loop, or `NEVER`."""
-        if self.beside or self.pacer is not None or self._sends is not None:
+        if self.beside or self.pacer is not None:
             return k
         place = bisect.bisect_left(self.events, k)
         points = self.events[place : place + 1]
+        if self.rows.keeper is not None and self.rows.keeper.repeated >= k:
+            points.append(self.rows.keeper.repeated)
         if self.inbox is not None:  # Progress is reported at its looks.
             points.append(self.inbox.next_look(k))
         elif self.progress is not None:
@@ -332,14 +318,12 @@ class Master:
         return min(points, default=NEVER)
 
     def _calls(self, progress: Progress | None) -> tuple[Progress, ...]:
-        """Return the functions to call at requested points before rows are stored: pace and events first."""
+        """Return the functions to call at requested points before rows are stored, after changes."""
         calls: list[Progress] = []
-        if self.system.events or self.inbox is not None or self.pacer is not None:
-            calls.append(self._apply_events)
         if self.beside:
             calls.append(self._record_exact)
-        if (send := self._sends) is not None:
-            calls.append(lambda k: send(k, self.row))
+        if (keeper := self.rows.keeper) is not None:
+            calls.append(lambda k: keeper.compare_rows(self, k))
         if progress is not None:
             every = PROGRESS_EVERY if self.inbox is None else 1
             calls.append(lambda k: progress(k) if k and k % every == 0 else None)
@@ -349,7 +333,14 @@ class Master:
         if k >= self.rows.given:
             self.beside_rows.append(tuple(self.beside))
 
-    def _apply_events(self, k: int) -> None:
+    def make_calls(self, k: int) -> None:
+        """Make the changes and calls of a requested point, for C."""
+        self._change(k)
+        for call in self.calls:
+            call(k)
+
+    def _change(self, k: int) -> None:
+        """Wait for the time of point k, and change parameters and inputs."""
         changes: Mapping[str, Mapping[str, Any]] = self.system.events.get(k, {})
         if self.pacer is not None:
             self.pacer.wait(k)
@@ -359,47 +350,51 @@ class Master:
                 self.pacer.shift(self.inbox.pause)
         changed = [component for component in self.components if component.name in changes]
         for component in changed:
-            component.change(changes[component.name])  # type: ignore[attr-defined]
+            component.change(changes[component.name])
             if not isinstance(component, EventFmu):  # It is read at the instant.
                 self.announce(component, GET)
                 component.get()
         if changed and self.loop != "C":  # C makes its held transfers again.
-            every = {stage.component.name: stage.every for stage in self.system.stages}
-            held = [t for t in self.system.held if k % every[t.name.partition(".")[0]] == 0]
-            copy_values(self.row, self.copying.of(held), k)
+            due = [stage.component.name for stage in self.system.stages if k % stage.every == 0]
+            copy_values(self.row, self.copying.of(t for name in due for t in self.held[name]), k)
 
-    def _cycle(self) -> Sequence[Round]:
-        """Return steps and transfers for each point of a cycle. With a single rate, the cycle has one point."""
-        stages, held = self.system.stages, self.system.held
-        period = math.lcm(*(stage.every for stage in stages), 1)
-        every = {stage.component.name: stage.every for stage in stages}
-        if period > LONGEST_CYCLE:
-            period = self.steps + 1
-        rounds: dict[tuple[str, ...], Round] = {}
+    def rounds(self, stages: Sequence[Stage], held: Collection[str] = (), *, nominal: bool = True) -> RoundAt:
+        """Return a function that returns the steps due at a point, and the copies at their end.
+
+        Args:
+            held: Components whose held values are copied at any point.
+            nominal: Whether components may have steps of nominal length.
+        """
+        made: dict[tuple[str, ...], Round] = {}
 
         def round_at(k: int) -> Round:
-            stepping = [stage for stage in stages if k % stage.every == 0]
-            key = tuple(stage.component.name for stage in stepping)
-            if key not in rounds:
-                waiting = self.copying.of(t for t in held if k % every[t.name.partition(".")[0]] == 0)
-                rounds[key] = (*map(self.active, stepping), (lambda t, h: None, 1, 0.0, *waiting, None))
-            return rounds[key]
+            due = [stage for stage in stages if k % stage.every == 0]
+            names = tuple(stage.component.name for stage in due)
+            if names not in made:
+                copies = self.copying.of(t for name in (*names, *held) for t in self.held[name])
+                actives = [active if nominal else active._replace(length=0.0) for active in map(self.active, due)]
+                made[names] = (*actives, Active(lambda t, h: None, 1, 0.0, *copies, None))
+            return made[names]
 
-        return [round_at(k) for k in range(period)]
+        return round_at
 
     def active(self, stage: Stage) -> Active:
         """Return a component's step with the copies around it."""
+        if stage.component.name not in self._actives:
+            self._actives[stage.component.name] = self._active(stage)
+        return self._actives[stage.component.name]
+
+    def _active(self, stage: Stage) -> Active:
         component, pulls = stage.component, self.copying.of(stage.pulls)
         for solver in self.solvers:
-            if component.name in {member.component.name for member in solver.members}:
-                is_last = component.name == solver.last
-                loop = step_function(solver, self.system.start, self.h) if is_last else lambda t, h: None
-                return loop, 1, 0.0, *pulls, None
+            if component.name in solver.names:  # The last one steps all.
+                step = solver.step if component.name == solver.last else lambda t, h: None
+                return Active(step, 1, 0.0, *pulls, None)
         length = stage.every * self.h if component.nominal_step else 0.0
         step = component.stepping(self.doing, CALLS * self.components.index(component))
         if any(self.system.courses):
             step = with_courses(step, self.system, stage, self.view)
-        return step, stage.every, length, *pulls, self._set_late(stage)
+        return Active(step, stage.every, length, *pulls, self._set_late(stage))
 
     def _set_late(self, stage: Stage) -> Callable[[int], None] | None:
         """Return the function that sets known values after a component's step and reads its outputs again."""
@@ -419,11 +414,8 @@ class Master:
         time, table = self.time[: self.done], self.table[: self.done]
         of_loops = [note for solver in self.solvers for note in solver.notes()]
         notes = [*self.notes, *of_loops, *(() if self.pacer is None else self.pacer.notes(self.system.start))]
-        if self.partners is not None:
-            self.partners.finish(max(0, self.done - 1))
-            notes += self.partners.notes()
         results = results_of(self.system, time, table, beside, notes, self.loop, details=self.details())
-        return results if self.instants is None else self.instants.record.add_to(results)
+        return results if self.instants is None else self.instants.add_to(results)
 
     def details(self) -> dict[str, Any]:
         """Return entries of the manifest about the steps."""
@@ -432,8 +424,6 @@ class Master:
             details["steps"] = self.controlled.record()
         if self.pacer is not None:
             details["pacing"] = self.pacer.record(self.system.start)
-        if self.partners is not None:
-            details["partners"] = self.partners.record()
         return details
 
 

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from cosim.isolation.rows import WAITING
-from cosim.master import messages
 
 SPIN = 2e-4  # [s] before the time, from which on to look at the clock instead of sleeping
 NAP = 0.1  # [s] of a longest sleep, after which a requested end counts
@@ -119,8 +118,19 @@ class Pacer:
         fields = {"count": overruns["beyond_step"], "points": record["points"], "worst": 1e3 * overruns["worst"]}
         fields |= {"pace": self.pace, "at": overruns["at"]}
         if (end := record["behind_at_end"]) > self.length:
-            return (messages.PACE_NOT_KEPT(end=1e3 * end, **fields),)
-        return (messages.PACE_LOST(**fields),)
+            return (
+                (
+                    "the pace {pace:g} is not kept: {count} of {points} communication points came more than a step "
+                    "late, at worst {worst:.3g} ms at t = {at:.6g} s, and the last {end:.3g} ms; the run went on as "
+                    "fast as it could"
+                ).format(end=1e3 * end, **fields),
+            )
+        return (
+            (
+                "{count} of {points} communication points came more than a step behind the pace {pace:g}, at worst "
+                "{worst:.3g} ms at t = {at:.6g} s; the run caught up"
+            ).format(**fields),
+        )
 
 
 def _rounded(value: Any) -> float:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -16,11 +16,10 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.drafts import is_full
 from cosim.base.errors import CosimError, DiskFull, SimulationError, Terminated, stop_error
-from cosim.base.messages import with_prefix
-from cosim.base.scratch import ScratchFolder, lock_file, scratch, temporary_folder
+from cosim.base.messages import Note, with_prefix
+from cosim.base.scratch import lock_file, scratch, temporary_folder
 from cosim.blocks.component import EarlyEnd
 from cosim.isolation import worker as here
-from cosim.isolation.component_times import ComponentTimes, Slower
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.isolation.rows import (
@@ -34,12 +33,10 @@ from cosim.isolation.rows import (
     read_exact,
     read_table,
 )
-from cosim.isolation.watch import Clock, Watch, fmi_calls
-from cosim.master import messages
+from cosim.isolation.watch import Clock, ComponentTimes, Watch, fmi_calls
 from cosim.master.c_loop import compile_beforehand
 from cosim.master.checkpoint import BESIDE, ROWS, STATE, Continuation, Keeper, Keeping
-from cosim.master.halving import Halved
-from cosim.master.inbox import Change, Channel, Control, FileChannel, Inbox, MemoryChannel
+from cosim.master.inbox import Change, Control, Inbox
 from cosim.master.master import StoppedRun, results_of, simulate
 from cosim.master.observer import MAX_CHARACTERS, Feed, ObservedRun, Observer
 from cosim.master.own_process import in_own_processes
@@ -52,7 +49,6 @@ from cosim.system.system import System
 MODULES = ("cosim.master.remote", "fmpy.fmi2", "fmpy.logging")
 PREFIX = ".rows-"
 IN_USE = "in-use"  # file that a worker locks while it writes into a folder of checkpoints
-DISK_RETRY_SHARE = 0.9  # share of rows to try next on a full disk
 
 
 @dataclass(frozen=True)
@@ -85,40 +81,44 @@ def simulate_here(
     system: System, steps: int, h: float, observers: Sequence[Observer] = (), *, start: Continuation | None = None
 ) -> SteppedRun:
     """Step a system in this process."""
-    channel = MemoryChannel()
-    feed = _feed(observers, system, steps, h, channel)
-    rows = Rows.in_memory(steps + 1, len(system.columns))
-    feed.table = rows.table
-    if start is not None:
-        rows.beside.extend(start.exact)  # type: ignore[attr-defined]
-        rows = replace(rows, given=start.count, keeper=Keeper(Path(), rows.asked, [0], start=start))
+    with ExitStack() as stack:
+        control, inbox, counters = None, None, Progress()
+        if observers:
+            exchange = stack.enter_context(temporary_folder("changes"))
+            control, inbox = Control(system, exchange, counters), Inbox(exchange, counters)
+        feed = _feed(observers, system, steps, h, control)
+        rows = Rows.in_memory(steps + 1, len(system.columns))
+        feed.table = rows.table
+        if start is not None:
+            rows.beside.extend(start.exact)  # type: ignore[attr-defined]
+            rows = replace(rows, given=start.count, keeper=Keeper(Path(), rows.asked, [0], start=start))
 
-    def give(done: int) -> None:
-        feed(done)
-        if feed.failure is not None:
-            raise feed.failure
-        if feed.stop:
-            raise _early_end(system, h, done)
+        def give(done: int) -> None:
+            feed(done)
+            if feed.failure is not None:
+                raise feed.failure
+            if feed.stop:
+                raise _early_end(system, h, done)
 
-    try:
-        with _inbox(system, h, channel, observed=bool(observers)) as inbox:
-            results, failure = _run(system, steps, h, give if observers else None, rows, inbox), None
-    except StoppedRun as run:
-        results, failure = run.results, run.error
-    feed.end(results.values)
-    return SteppedRun(results, _log_lines(system), failure or feed.failure, channel.noted())
+        failure: SimulationError | None = None
+        try:
+            results = simulate(system, steps, h, give if observers else None, rows, inbox=inbox)
+        except StoppedRun as run:
+            results, failure = run.results, run.error
+        feed.end(results.values)
+        changes = () if control is None else control.changes
+        return SteppedRun(results, _log_lines(system), failure or feed.failure, changes)
 
 
-def _feed(observers: Sequence[Observer], system: System, steps: int, h: float, channel: Channel) -> Feed:
-    """Return the feed of rows to a run's observers, which may send changes through a channel."""
-    time = _times_of(system, steps, h)
-    control = Control(system, channel) if observers else None
-    return Feed(observers, ObservedRun(system.columns, steps + 1, system.start, h, system.units, control), time)
+def _feed(observers: Sequence[Observer], system: System, steps: int, h: float, control: Control | None) -> Feed:
+    """Return the feed of rows to a run's observers, which may control it."""
+    run = ObservedRun(system.columns, steps + 1, system.start, h, system.units, control)
+    return Feed(observers, run, _times_of(system, steps, h))
 
 
 def _early_end(system: System, h: float, done: int) -> EarlyEnd:
     """Return the early end requested by an observer."""
-    return EarlyEnd("an observer", _last_time(system, h, done), messages.END_REQUESTED())
+    return EarlyEnd("an observer", _last_time(system, h, done), Note("it asked for the end"))
 
 
 def _times_of(system: System, steps: int, h: float) -> Array:
@@ -126,41 +126,9 @@ def _times_of(system: System, steps: int, h: float) -> Array:
     return system.start + h * np.arange(steps + 1, dtype=np.float64)
 
 
-def _time_of_call(system: System, steps: int, h: float, rows: int, call: int) -> float:
-    """Return the simulated time [s] of a call after so many finished rows."""
-    return system.start + h * (max(0, rows - 1) + (call == GET and 0 < rows <= steps))
-
-
 def _last_time(system: System, h: float, rows: int) -> float:
     """Return the time [s] of the last finished row."""
     return system.start + h * max(0, rows - 1)
-
-
-@contextmanager
-def _inbox(system: System, h: float, channel: Channel, *, observed: bool) -> Iterator[Inbox | None]:
-    """Yield the inbox of a run with observers or partners, None without; links to partners are open meanwhile."""
-    plan = None if system.real_time is None else system.real_time.live
-    if plan is None:
-        yield Inbox(channel) if observed else None
-        return
-    from cosim.master.live_values import LiveValues
-
-    with closing(LiveValues(system, plan, h)) as partners:
-        yield Inbox(channel, partners)
-
-
-def _run(
-    system: System,
-    steps: int,
-    h: float,
-    progress: Callable[[int], None] | None = None,
-    rows: Rows | None = None,
-    inbox: Inbox | None = None,
-) -> Results:
-    """Return the signals of a run; for a halved system, their differences between whole and halved steps."""
-    if not system.halved:
-        return simulate(system, steps, h, progress, rows, inbox=inbox)
-    return Halved(system, steps, h, progress, rows or Rows.in_memory(steps + 1, len(system.columns))).results()
 
 
 # -- in the worker ------------------------------------------------------------------------------
@@ -194,16 +162,13 @@ class WorkerEnd:
 
     Attributes:
         last: Time of the last row [s], if any.
-        details: Entries of the manifest about the steps.
+        about: Fields of the results beside the rows.
     """
 
     log: Sequence[str] = ()
     failure: SimulationError | None = None
     last: float | None = None
-    notes: Sequence[str] = ()
-    events: tuple[tuple[float, str, str], ...] = ()
-    event_counts: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
-    details: Mapping[str, Any] = field(default_factory=dict)
+    about: Mapping[str, Any] = field(default_factory=dict)
 
 
 def simulate_rows(system: System, steps: int, h: float, job: RowsJob) -> WorkerEnd:
@@ -224,24 +189,25 @@ def simulate_rows(system: System, steps: int, h: float, job: RowsJob) -> WorkerE
     failure: SimulationError | None = None
     try:
         keeper = _keeper(job, mapped) if job.keeps else None
-        shared = progress.made, progress.doing, _store_loop, progress.asked, keeper, job.given, progress.steps
+        shared = progress.made, progress.doing, _store_loop, progress.asked, keeper, job.given
         rows = Rows(mapped, beside, *shared)
-        with _inbox(system, h, FileChannel(job.channel, progress), observed=job.observed) as inbox:
-            results = _run(system, steps, h, obey if job.observed else None, rows, inbox)
+        inbox = Inbox(job.channel, progress) if job.observed else None
+        results = simulate(system, steps, h, obey if job.observed else None, rows, inbox=inbox)
     except StoppedRun as run:
         results, failure = run.results, run.error
     except OSError as error:
         if not is_full(error):
             raise
         count = progress.made[0]
-        return WorkerEnd(_log_lines(system), _disk_full(_last_time(system, h, count), count, steps + 1))
+        reason = f"the disk is full: it has room for {count} of {steps + 1} rows while the run lasts"
+        return WorkerEnd(_log_lines(system), DiskFull("the run", _last_time(system, h, count), reason))
     finally:
         beside.close()
         if lock is not None:
             os.close(lock)
     last = float(results.time[-1]) if len(results.time) else None
-    ends = results.events, results.event_counts, results.details
-    return WorkerEnd(_log_lines(system), failure, last, results.notes, *ends)
+    about = {name: getattr(results, name) for name in ("notes", "events", "event_counts", "details")}
+    return WorkerEnd(_log_lines(system), failure, last, about)
 
 
 def _keeper(job: RowsJob, mapped: Array) -> Keeper:
@@ -265,41 +231,48 @@ def _store_loop(loop: str) -> None:
 # -- in the caller -----------------------------------------------------------------------------------
 
 
-def simulate_apart(
-    worker: Worker,
+def simulate_in(
+    worker: Worker | None,
     system: System,
     steps: int,
     h: float,
-    folder: Path,
     limits: Limits | None = None,
     *,
+    folder: Path | None = None,
     observers: Sequence[Observer] = (),
     keeping: Keeping | None = None,
-    warn: Callable[[Slower], None] | None = None,
+    measure_times: bool = False,
     recording: RecordedPart | None = None,
 ) -> SteppedRun:
-    """Step a system in a worker process.
+    """Step a system in a worker process, or in this process without one.
 
     The rows are in a file within `folder` until the end, or in the folder of the checkpoints.
 
     Args:
-        warn: Function called when a component gets much slower; None measures no times of components.
+        folder: By default that of temporary files.
+        measure_times: Whether to sum the wall time of components.
         recording: Signals of the results, by default all; the others are not read into memory.
 
     Raises:
         FmuError: An FMU does not load.
     """
     columns, limits, kept = len(system.columns), limits or Limits(), keeping or Keeping()
+    if worker is None:
+        stepped = simulate_here(system, steps, h, observers, start=kept.start)
+        return replace(stepped, results=take_signals(recording, stepped.results))
 
     def give(rows: int) -> None:
         feed(rows)
         worker.progress.stop[0] = feed.is_over
 
-    last, given = partial(_last_time, system, h), kept.first_rows
-    times = ComponentTimes(system.names, steps + 1, last, warn, given=given) if warn is not None else None
+    given = kept.first_rows
+    times = ComponentTimes(system.names, given) if measure_times else None
     grace = 0.0 if keeping is None else keeping.grace
     calls = [fmi_calls(getattr(stage.component, "description", None)) for stage in system.stages]
-    at = partial(_time_of_call, system, steps, h)
+
+    def at(rows: int, call: int) -> float:
+        return system.start + h * (max(0, rows - 1) + (call == GET and 0 < rows <= steps))
+
     watch = Watch(system.names, calls, at, limits, 8 * columns, progress=give, times=times, grace=grace)
     compile_beforehand(system)
     with ExitStack() as stack:
@@ -307,51 +280,61 @@ def simulate_apart(
         counters = worker.progress
         counters.loop, counters.stop[0], counters.hold[0], counters.sent[0] = b"", 0, 0, 0
         exchange = stack.enter_context(temporary_folder("changes"))  # outlives a crash of the worker
-        channel = FileChannel(exchange, counters)
-        table, count = _begin_rows(stack, worker, folder, (steps + 1, 8 * columns), kept)
-        feed = _feed(observers, system, steps, h, channel)
+        control = Control(system, exchange, counters)
+        table = _begin_rows(stack, worker, folder, 8 * columns * (steps + 1), kept)
+        feed = _feed(observers, system, steps, h, control if observers else None)
         if observers and columns:
-            feed.table = np.memmap(table, np.float64, "r", shape=(count, columns))
+            feed.table = np.memmap(table, np.float64, "r", shape=(steps + 1, columns))
         job = RowsJob(table, limits, exchange, bool(observers), kept.interval, given, keeping is not None)
-        end = _end_of(worker, system, count - 1, h, job, watch)
+        end = _end_of(worker, system, steps, h, job, watch)
         done = max(counters.made[0], given)  # A failure before the last given row loses none.
         state = read_state(table.with_name(STATE)) if kept.folder is None else None
         values = read_table(table, done, columns, mapped=recording is not None)
-        beside, changes = read_exact(table.with_name(BESIDE), done), channel.noted()
+        beside, changes = read_exact(table.with_name(BESIDE), done), control.changes
         feed.end(values)
         time = _times_of(system, steps, h)
         if end.last is not None:
             time[done - 1] = end.last
         loop = counters.loop.decode("utf-8", "ignore")
-        results = results_of(system, time[:done], values, beside, end.notes, loop, details=end.details)
+        results = replace(results_of(system, time[:done], values, beside, loop=loop), **end.about)
         results = take_signals(recording, results)
         del values  # Its file is removed.
-    results = replace(results, events=end.events, event_counts=end.event_counts)
-    failure = end.failure or feed.failure
-    if failure is None and done == count <= steps:
-        failure = _disk_full(time[count - 1].item(), count, steps + 1)
     component_times = {} if times is None else times.record()
-    return SteppedRun(results, end.log, failure, changes, state, component_times)
+    return SteppedRun(results, end.log, end.failure or feed.failure, changes, state, component_times)
 
 
-def _begin_rows(
-    stack: ExitStack, worker: Worker, folder: Path, size: tuple[int, int], kept: Keeping
-) -> tuple[Path, int]:
-    """Create the file of the rows of a run; return the file and the number of rows that fit.
+def _begin_rows(stack: ExitStack, worker: Worker, folder: Path | None, size: int, kept: Keeping) -> Path:
+    """Create and return the file of the rows of a run, in the folder of the checkpoints, or until the stack ends.
 
-    It is in the folder of the checkpoints, or in one that is removed with the stack.
+    Without checkpoints the folder is beside the results, or elsewhere for lack of space.
 
-    Args:
-        size: Rows, and bytes of a row.
+    Raises:
+        DiskFull: The rows do not fit.
     """
-    if kept.folder is not None:
-        return kept.folder / ROWS, _allocate_kept(kept.folder, *size, kept)
-    place, count = _allocate_rows((folder, Path(tempfile.gettempdir())), *size)
-    stack.callback(place.remove)
-    worker.take_along(place.path)
-    if kept.start is not None:
-        _write_start(place.path, kept.start)
-    return place.path / ROWS, count
+    elsewhere = Path(tempfile.gettempdir())
+    parents = (folder or elsewhere, elsewhere) if kept.folder is None else (kept.folder,)
+    for parent in parents:
+        if kept.folder is None:
+            temporary = scratch(PREFIX, parent)
+            stack.callback(temporary.remove)
+            worker.take_along(temporary.path)
+            parent = temporary.path
+        new = parent / f"{ROWS}.new"
+        try:
+            allocate(new, size)
+            if kept.start is not None:
+                _write_start(new, kept.start)
+        except OSError as error:
+            new.unlink(missing_ok=True)
+            if not is_full(error):
+                raise
+        else:
+            if kept.start is None:
+                (parent / STATE).unlink(missing_ok=True)
+                (parent / BESIDE).unlink(missing_ok=True)
+            return new.replace(parent / ROWS)
+    reason = f"the disk is full: it has no room for the rows of the run, {size / 1e6:.3g} MB, while it lasts"
+    raise DiskFull("the run", 0.0, reason)
 
 
 def _end_of(worker: Worker, system: System, steps: int, h: float, job: RowsJob, watch: Watch) -> WorkerEnd:
@@ -365,16 +348,11 @@ def _end_of(worker: Worker, system: System, steps: int, h: float, job: RowsJob, 
     except (CosimError, OSError, MemoryError):
         raise
     except Exception as error:  # An unexpected error of a library is no reason to lose the rows.
-        return WorkerEnd(failure=_convert_unexpected(error, watch, counters))
+        component, at, call = Clock(watch, counters).place()
+        reason = " ".join(str(error).split())[:MAX_CHARACTERS]
+        message = f"{call}: {type(error).__name__}: {reason} (--in-process shows where)"
+        return WorkerEnd(failure=SimulationError(component, at, message))
     return end
-
-
-def _convert_unexpected(error: Exception, watch: Watch, counters: Progress) -> SimulationError:
-    """Return an unexpected error with its call as SimulationError."""
-    component, at, call = Clock(watch, counters).place()
-    reason = " ".join(str(error).split())[:MAX_CHARACTERS]
-    message = messages.UNEXPECTED_ERROR(call=call, error=type(error).__name__, reason=reason)
-    return SimulationError(component, at, message)
 
 
 def read_state(path: Path) -> bytes | None:
@@ -382,65 +360,10 @@ def read_state(path: Path) -> bytes | None:
     return path.read_bytes() if path.is_file() else None
 
 
-def _allocate_kept(folder: Path, rows: int, width: int, kept: Keeping) -> int:
-    """Create the kept files; return the number of rows.
-
-    Raises:
-        DiskFull: No further row fits.
-    """
-    count, start = rows, kept.start
-    while count and count >= kept.first_rows:
-        try:
-            allocate(folder / f"{ROWS}.new", count * width)
-            if start is None:
-                (folder / STATE).unlink(missing_ok=True)
-                (folder / BESIDE).unlink(missing_ok=True)
-            else:
-                _write_start(folder, start, f"{ROWS}.new")
-        except OSError as error:
-            (folder / f"{ROWS}.new").unlink(missing_ok=True)
-            if not is_full(error):
-                raise
-            count = int(DISK_RETRY_SHARE * count)
-        else:
-            (folder / f"{ROWS}.new").replace(folder / ROWS)
-            return count
-    raise _disk_full(0.0, kept.first_rows, rows)
-
-
-def _write_start(folder: Path, start: Continuation, rows: str = ROWS) -> None:
-    """Write the rows and the state of `start`."""
-    with (folder / rows).open("r+b") as stream:
+def _write_start(file: Path, start: Continuation) -> None:
+    """Write the rows of `start` into a file, and its exact values and state beside it."""
+    with file.open("r+b") as stream:
         stream.write(start.values.tobytes())
-    write_durable(folder / BESIDE, b"".join(map(exact_line, start.exact)))
+    write_durable(file.with_name(BESIDE), b"".join(map(exact_line, start.exact)))
     if start.state is not None:
-        write_durable(folder / STATE, start.state)
-
-
-def _disk_full(time: float, count: int, rows: int) -> DiskFull:
-    """Return the error of a disk without space for the rows."""
-    return DiskFull("the run", time, messages.DISK_FULL(count=count, rows=rows))
-
-
-def _allocate_rows(folders: Sequence[Path], rows: int, width: int) -> tuple[ScratchFolder, int]:
-    """Create the file of the rows; return its folder and the number of rows that fit.
-
-    The folder is beside the results, or elsewhere for lack of space. On a full disk, the number is smaller.
-
-    Raises:
-        DiskFull: No row fits.
-    """
-    count = rows
-    while count:
-        for parent in folders:
-            folder = scratch(PREFIX, parent)
-            try:
-                allocate(folder.path / ROWS, count * width)
-            except OSError as error:
-                folder.remove()
-                if not is_full(error):
-                    raise
-            else:
-                return folder, count
-        count = int(DISK_RETRY_SHARE * count)
-    raise _disk_full(0.0, 0, rows)
+        write_durable(file.with_name(STATE), start.state)

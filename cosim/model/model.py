@@ -213,11 +213,6 @@ class Model(Parametric):
         )
 
     @property
-    def static(self) -> bool:
-        """Return True for a model without states, whose measurements are a table without time."""
-        return not self.base_states
-
-    @property
     def awake(self) -> tuple[Any, ...]:
         """Return the active effects in catalogue order."""
         return tuple(e for e in self.effects if not e.dormant)

@@ -22,13 +22,11 @@ class Traits:
         rates: Output → output that is its time derivative.
         bounds: Signal → least and largest possible value.
         planar: Signal names of a planar motion, or None.
-        static: True without states; measurements are a table without time.
     """
 
     rates: Mapping[str, str] = field(default_factory=dict)
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     planar: PlanarFrame | None = None
-    static: bool = False
 
     @classmethod
     def of(cls, model: Model, rates: Mapping[str, str] | None = None) -> Traits:
@@ -39,7 +37,7 @@ class Traits:
         """
         signals = {q.name: q for q in (*model.outputs, *model.inputs)}
         bounds = {n: q.bounds for n, q in signals.items() if q.is_bounded}
-        return cls(rates_of(model) if rates is None else rates, bounds, model.planar, model.static)
+        return cls(rates_of(model) if rates is None else rates, bounds, model.planar)
 
 
 def rate_of(name: str, names: Container[str]) -> str | None:

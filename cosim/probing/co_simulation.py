@@ -14,7 +14,6 @@ from cosim.base.arrays import Array, Flags
 from cosim.base.errors import SimulationError
 from cosim.blocks.derivatives import reals, scalars
 from cosim.blocks.description import takes_any_step
-from cosim.probing import messages
 from cosim.probing.fmu_structure import Pair, Port, ProbedParameter, Structure
 from cosim.probing.log_runs import SAME, Course, Fmu, amplitude_of, limits_of, moved_within, run_along
 from cosim.probing.parameter_trials import settable_parameters, tried_parameters
@@ -36,7 +35,7 @@ LASTS = 1.4  # least such ratio of a stored quantity; 1 without an integrator, 2
 
 def outputs_along(fmu: Fmu, course: Course) -> tuple[Array, SimulationError | None]:
     """Return the real outputs along a course, and the error that ended it early. Runs in the worker."""
-    block, row = fmu.opened_for_steps(course)
+    block, row = fmu.opened_by("co-simulation", course)
     with closing(block):
         table, stop = run_along(block, row, course)
         names = [s.name for s in block.outputs]
@@ -56,7 +55,9 @@ def co_simulation_structure(prober: Prober, courses: Sequence[Course]) -> Struct
     counts = [len(table) > (SPAN if stop else 2) for table, stop in runs]
     good = [(course, table) for course, (table, _), counted in zip(courses, runs, counts, strict=True) if counted]
     if not good:
-        raise runs[0][1] or SimulationError(fmu.name, float(courses[0].time[0]), messages.TOO_SHORT())
+        raise runs[0][1] or SimulationError(
+            fmu.name, float(courses[0].time[0]), "the log has too few rows to probe the FMU; give a longer one"
+        )
     values = np.concatenate([table for _, table in good])
     size = np.maximum(np.abs(values).max(axis=0), SAME)
     short, base = good[0][0].first(min(ROWS, len(good[0][1]))), good[0][1][:ROWS]

@@ -12,7 +12,6 @@ import numpy as np
 from cosim.base.arrays import Array, Flags
 from cosim.base.errors import FmuError, InputError, SimulationError
 from cosim.blocks.derivatives import states_of
-from cosim.probing import messages
 from cosim.probing.damping_trials import dampings
 from cosim.probing.exchange_points import (
     CONSTANT,
@@ -44,7 +43,11 @@ def exchange_structure(prober: Prober, courses: Sequence[Course]) -> Structure:
         SimulationError: The FMU fails at its start.
     """
     if len(states_of(prober.description)) != len(prober.description.derivatives):
-        raise InputError.at(prober.path, messages.DERIVATIVES_WITHOUT_STATES(), FmuError.exit_code)
+        raise InputError.at(
+            prober.path,
+            "does not declare the state of every derivative; probe its co-simulation, or export it again",
+            FmuError.exit_code,
+        )
     names = states, inputs, outputs = prober.fmu.names
     start: StartPoint = prober.call(start_point, prober.fmu, courses[0])
     firsts = [_measured_start(course, start.shown, outputs) for course in courses]
@@ -91,7 +94,9 @@ def _simulations(prober: Prober, courses: Sequence[Course], firsts: Sequence[Map
         prober.call(simulated, prober.fmu, course, first) for course, first in zip(courses, firsts, strict=True)
     ]
     if not any(run.time.size for run in runs):
-        raise runs[0].stop or SimulationError(prober.fmu.name, float(courses[0].time[0]), messages.TOO_SHORT())
+        raise runs[0].stop or SimulationError(
+            prober.fmu.name, float(courses[0].time[0]), "the log has too few rows to probe the FMU; give a longer one"
+        )
     return runs
 
 

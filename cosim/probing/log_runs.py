@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import SimulationError
 from cosim.blocks.derivatives import DifferentiableFmu, reals, scalars, states_of
+from cosim.blocks.description import Way
 from cosim.blocks.fmu import FmuBlock
 from cosim.isolation import worker as here
 from cosim.isolation.rows import ADVANCE, GET, OTHER, PUT
@@ -162,10 +164,14 @@ class Fmu:
         block = DifferentiableFmu(self.name, self.path, self.description, self.values, frozenset(course.inputs))
         return block, bound_row(block, course, self.place)
 
-    def opened_for_steps(self, course: Course) -> tuple[FmuBlock, Any]:
-        """Return an instance for co-simulation before its initialization, and the row of its signals."""
-        connected = frozenset(course.inputs)
-        block = FmuBlock(self.name, self.path, self.description, self.values, connected, way="co-simulation")
+    def opened_by(self, way: Way, course: Course, recorded: frozenset[str] = frozenset()) -> tuple[FmuBlock, Any]:
+        """Return an instance before its initialization, and the row of its signals.
+
+        Args:
+            recorded: Names of variables that are read beside the outputs.
+        """
+        values = self.description, self.values, frozenset(course.inputs)
+        block = FmuBlock(self.name, self.path, *values, way=way, recorded=recorded)
         return block, bound_row(block, course, self.place)
 
 
@@ -286,3 +292,12 @@ def run_along(block: FmuBlock, row: Any, course: Course) -> tuple[Array, Simulat
     except SimulationError as error:
         stop = error
     return np.array(table, float).reshape(len(table), len(block.outputs)), stop
+
+
+def outputs_by(
+    way: Way, fmu: Fmu, course: Course, recorded: frozenset[str] = frozenset()
+) -> tuple[Array, SimulationError | None]:
+    """Return the outputs and recorded variables along a course, and the error that ended it early."""
+    block, row = fmu.opened_by(way, course, recorded)
+    with closing(block):
+        return run_along(block, row, course)

@@ -9,14 +9,12 @@ from types import MappingProxyType
 from typing import Any
 
 from cosim.base.errors import FmuError, InputError, SimulationError
-from cosim.base.messages import Message
 from cosim.blocks.description import Way, read_description, ways
 from cosim.isolation.limits import Limits
 from cosim.logs.log import Log
 from cosim.model.quantities import Quantity
-from cosim.probing import messages
-from cosim.probing.behaviour import Behaviour, probe_behaviour
 from cosim.probing.fmu_structure import Structure
+from cosim.probing.own_step import OwnStep, probe_own_step
 from cosim.probing.probe_structure import probe_structure
 from cosim.probing.prober import LIMITS
 
@@ -30,34 +28,47 @@ class Places:
     Attributes:
         way, reason: Interface and the reason for it.
         structure: Structure of that interface.
-        behaviour: Behaviour of co-simulation if the FMU has it, else of model exchange.
+        own_step: Step that the FMU makes on its own in co-simulation, None without one.
     """
 
     way: Way
-    reason: Message
+    reason: str
     structure: Structure
-    behaviour: Behaviour
+    own_step: OwnStep | None
 
     @property
-    def findings(self) -> tuple[Message, ...]:
-        """Return everything that deviates, with codes."""
-        stops = [messages.RUN_ENDS(error=stop) for stop in self.structure.stops]
+    def findings(self) -> tuple[str, ...]:
+        """Return sentences on a step of its own, on failures, and on dampings that could not be tried."""
+        stops = [f"{stop}; the structure is that before it" for stop in self.structure.stops]
         apart = [d for d in self.structure.directions if not d.in_step]
-        lost = [messages.NOT_IN_STEP(parameter=d.parameter, velocity=d.pair.velocity) for d in apart]
-        return (*self.behaviour.findings, *lost, *stops)
+        lost = [
+            (
+                f"{d.parameter} brakes {d.pair.velocity} and would tell how forces there change other rates, but a "
+                "second instance cannot be kept in step: events occur, or a process holds one instance only; forces "
+                f"at {d.pair.velocity} act through an input, or on its rate alone"
+            )
+            for d in apart
+        ]
+        return (*([self.own_step.finding] if self.own_step else []), *lost, *stops)
 
     def as_json(self) -> dict[str, Any]:
         """Return the places as plain data."""
-        s, b = self.structure, self.behaviour
+        s = self.structure
         return {
             "way": self.way,
-            "reason": {"code": self.reason.code, "text": str(self.reason)},
+            "reason": self.reason,
             "pairs": [asdict(pair) for pair in s.pairs],
             "connections": [asdict(connection) for connection in s.connections],
             "dampings": [asdict(damping) for damping in s.dampings],
             "storages": [_entry(s.states or s.outputs, name) for name in s.storages],
             "feeds": {name: asdict(port) for name, port in s.feeds.items()},
-            "sensors": [{**_entry(s.outputs, q.name), "shows": _shown(s, q.name)} for q in s.outputs],
+            "sensors": [
+                {
+                    **_entry(s.outputs, q.name),
+                    "shows": next((state for state, shown in s.shown.items() if shown == q.name), ""),
+                }
+                for q in s.outputs
+            ],
             "inputs": [_entry(s.inputs, q.name) for q in s.inputs],
             "parameters": [
                 {**_entry([p.quantity], p.name), "acts": p.acts, "starts": p.starts, "failure": p.failure}
@@ -66,32 +77,14 @@ class Places:
             "largest_rate": s.largest_rate,
             "step": s.step,
             "events": [asdict(count) for count in s.events],
-            "behaviour": {
-                "way": b.way,
-                "resets": b.resets,
-                "keeps_early": b.keeps_early,
-                "keeps_inside": b.keeps_inside,
-                "repeats": b.repeats,
-                "independent": b.independent,
-                "moves": b.moves,
-                "growth": b.growth,
-                "own_step": b.own_step,
-                "rolls_back": b.rolls_back,
-                "events": b.events,
-                "failing": list(b.failing),
-            },
-            "findings": [{"code": finding.code, "text": str(finding)} for finding in self.findings],
+            "own_step": self.own_step.length if self.own_step else 0.0,
+            "findings": list(self.findings),
         }
 
 
 def _entry(quantities: Sequence[Quantity], name: str) -> dict[str, Any]:
     quantity = next(q for q in quantities if q.name == name)
     return {"name": name, "unit": quantity.unit, "start": quantity.start}
-
-
-def _shown(structure: Structure, output: str) -> str:
-    """Return the state that an output equals, or ""."""
-    return next((state for state, shown in structure.shown.items() if shown == output), "")
 
 
 def probe_places(
@@ -113,24 +106,24 @@ def probe_places(
         SimulationError: The FMU fails, crashes or hangs at its start.
     """
     offered = ways(read_description(fmu))
-    behaviour = probe_behaviour(fmu, logs, values, limits=limits)
+    own_step = probe_own_step(fmu, logs, values, limits=limits)
     if "model-exchange" not in offered:
         structure = probe_structure(fmu, logs, values, limits=limits)
-        return Places("co-simulation", messages.ONLY_CO_SIMULATION(), structure, behaviour)
+        return Places("co-simulation", "it has no model exchange", structure, own_step)
     try:
         exchange = probe_structure(fmu, logs, values, way="model-exchange", limits=limits)
     except (InputError, FmuError, SimulationError) as error:
         if "co-simulation" not in offered:
             raise
         structure = probe_structure(fmu, logs, values, way="co-simulation", limits=limits)
-        return Places("co-simulation", messages.NO_USABLE_EXCHANGE(error=str(error)), structure, behaviour)
-    way, reason = choose_way(exchange, behaviour, offered)
+        return Places("co-simulation", f"its model exchange fails: {error!s}", structure, own_step)
+    way, reason = choose_way(exchange, own_step, offered)
     if way == "co-simulation":
         exchange = probe_structure(fmu, logs, values, way=way, limits=limits)
-    return Places(way, reason, exchange, behaviour)
+    return Places(way, reason, exchange, own_step)
 
 
-def choose_way(exchange: Structure, behaviour: Behaviour, offered: Sequence[Way]) -> tuple[Way, Message]:
+def choose_way(exchange: Structure, own_step: OwnStep | None, offered: Sequence[Way]) -> tuple[Way, str]:
     """Return the interface by which an FMU is refined, and the reason.
 
     Args:
@@ -138,17 +131,23 @@ def choose_way(exchange: Structure, behaviour: Behaviour, offered: Sequence[Way]
     """
     stiffness = exchange.step * exchange.largest_rate
     events = sum(count.total for count in exchange.events)
-    objection: Message | None = None
+    objection: str | None = None
     if events:
-        objection = messages.EVENTS_ON_LOGS(count=events)
+        objection = f"model exchange has {events} events along the logs"
     elif stiffness > FASTEST:
-        objection = messages.TOO_FAST(stiffness=stiffness, most=FASTEST)
+        objection = f"step times largest eigenvalue is {stiffness:.3g} in model exchange, above {FASTEST:g}"
     elif not exchange.states:
-        objection = messages.NO_STATES()
+        objection = "model exchange has no continuous states"
     if objection is None:
-        return "model-exchange", messages.EXCHANGE_FITS(stiffness=stiffness, most=FASTEST)
+        return "model-exchange", (
+            "its states and derivatives are accessible, no events occur along the logs, and step times largest "
+            f"eigenvalue is {stiffness:.2g}, at most {FASTEST:g}"
+        )
     if "co-simulation" not in offered:
-        return "model-exchange", messages.ONLY_EXCHANGE(objection=objection)
-    if behaviour.own_step:
-        return "model-exchange", messages.OWN_STEP_TOO_LONG(objection=objection, own=behaviour.own_step)
+        return "model-exchange", f"it has no co-simulation, although {objection}"
+    if own_step:
+        return "model-exchange", (
+            f"its co-simulation has steps of its own of {own_step.length:.3g} s, above those of the logs, "
+            f"although {objection}"
+        )
     return "co-simulation", objection

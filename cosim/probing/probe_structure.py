@@ -13,7 +13,6 @@ from cosim.blocks.description import Way, ways
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.logs.log import Log
-from cosim.probing import messages
 from cosim.probing.co_simulation import co_simulation_structure
 from cosim.probing.exchange_structure import exchange_structure
 from cosim.probing.fmu_structure import Structure
@@ -50,7 +49,7 @@ def probe_structure(
         offered = ways(prober.description)
         chosen = way or ("model-exchange" if "model-exchange" in offered else "co-simulation")
         if chosen not in offered:
-            raise InputError.at(path, messages.NO_INTERFACE(way=chosen, ways=", ".join(offered)))
+            raise InputError.at(path, f"has no usable interface for {chosen}; it offers {', '.join(offered)}")
         unpack(path, place)
         courses = [Course.of(log) for log in logs] or [sine_course(prober.description, values)]
         if chosen == "co-simulation":

@@ -18,12 +18,11 @@ from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
 from cosim.isolation.watch import Watch, fmi_calls
 from cosim.model.quantities import Quantity
-from cosim.probing import messages
 from cosim.probing.log_runs import Fmu, limits_of
 from cosim.storage.yaml_file import did_you_mean
 
 Job = Callable[..., Any]
-JOBS = ("exchange_points", "co_simulation", "trial_runs")
+JOBS = ("exchange_points", "co_simulation", "log_runs", "misbehaviour")
 MODULES = (*(f"cosim.probing.{job}" for job in JOBS), "fmpy.fmi2", "fmpy.fmi3", "fmpy.logging")
 LIMITS = Limits(step=20.0, load=60.0)
 USUAL_STEP, USUAL_LOAD = 5.0, 10.0  # least time limits of a trial [s]
@@ -42,9 +41,7 @@ class Prober:
         self.path, self.description = path, read_description(path)
         self.values, self._worker, self._limits, self.place = dict(values), worker, limits, place
         variables = {v.name for v in self.description.modelVariables}
-        unknown = [
-            messages.UNKNOWN_VALUE(name=n, cure=did_you_mean(n, variables)) for n in values if n not in variables
-        ]
+        unknown = [f'has no variable "{n}"{did_you_mean(n, variables)}' for n in values if n not in variables]
         refuse(Fault(path, 0, 0, message) for message in unknown)
 
     def with_values(self, values: Mapping[str, Any]) -> Fmu:
@@ -55,10 +52,6 @@ class Prober:
     def fmu(self) -> Fmu:
         """Return the FMU with its start values."""
         return self.with_values({})
-
-    def in_worker(self, worker: Worker) -> Prober:
-        """Return the same FMU in another worker process."""
-        return Prober(self.path, self.values, worker, self.place, self._limits)
 
     @contextmanager
     def hurry(self, took: float) -> Iterator[None]:

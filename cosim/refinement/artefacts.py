@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from cosim.storage.artefact import Artefact
-from cosim.storage.kind_names import ANSWER, STUDY
+from cosim.storage.artefact import ANSWER, STUDY, Artefact
 
 ARTEFACTS = (
     Artefact(
@@ -28,14 +27,11 @@ ARTEFACTS = (
             "plant.fmu",
             "nearest.yaml",
             "nearest.fmu",
-            "plant.ssp",
-            "nearest.ssp",
             "report.html",
         ),
         folder="the folder of a refine",
         folder_step="`cosim build --model {file}` builds its model, `cosim excite {file}` seeks the experiment "
         "that decides",
-        sources=("study",),
         reader="cosim.refinement.refined_result:read_refined",
     ),
 )

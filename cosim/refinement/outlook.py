@@ -8,13 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.base.messages import Message, with_prefix
+from cosim.base.messages import Note
 from cosim.base.text import counted, join_names
-from cosim.fmi.native.compiler import compiler
 from cosim.loading.file import is_execution_allowed
 from cosim.logs.log import Log
 from cosim.probing.fmu_structure import Pair, Structure
-from cosim.refinement import messages
 from cosim.refinement.study import FMU_SUFFIX, Study, keys_of, read_parts_of_fmu, read_study
 from cosim.storage.artefact import Checking
 from cosim.storage.yaml_file import YamlFile
@@ -35,15 +33,18 @@ def check_study(path: Path, checking: Checking) -> list[str]:
     model = str(content.get("model", "")) if isinstance(content, dict) else ""
     if model.lower().endswith(FMU_SUFFIX) and checking.worker is None and not is_execution_allowed():
         read_parts_of_fmu(*keys_of(path))
-        return [messages.NOT_PROBED(model=model).after("warning: ")]
+        return [
+            f"warning: {model} is not loaded (--no-load), so the names of candidates, noise and tolerance are not "
+            "checked"
+        ]
     study = read_study(path)
     return [
-        *(with_prefix("warning: ", text) for text in study.warnings),
-        *(text.after("" if text.code.startswith("N") else "warning: ") for text in outlook(study)),
+        *(f"warning: {text}" for text in study.warnings),
+        *(text if isinstance(text, Note) else f"warning: {text}" for text in outlook(study)),
     ]
 
 
-def outlook(study: Study) -> list[Message]:
+def outlook(study: Study) -> list[str]:
     """Return plans and blind spots of a refinement."""
     subject = study.subject
     if not isinstance(subject, FmuSubject):
@@ -51,14 +52,12 @@ def outlook(study: Study) -> list[Message]:
     return [*_plan(study, subject), *_blind_spots(study, subject)]
 
 
-def _plan(study: Study, subject: FmuSubject) -> Iterator[Message]:
+def _plan(study: Study, subject: FmuSubject) -> Iterator[str]:
     """Yield interface, places and number of candidates."""
     structure = subject.structure
-    yield messages.WILL_USE(way=subject.source.removeprefix(f"{structure.fmu}, "))
+    yield Note(f"`cosim refine` will use {subject.source.removeprefix(f'{structure.fmu}, ')}")
     count = len(subject.candidates([q.name for q in subject.inputs]))
-    yield messages.WILL_TRY(count=count, places="; ".join(_places(structure)))
-    if compiler() is None:
-        yield messages.NEEDS_COMPILER()
+    yield Note(f"`cosim refine` will try {count} terms and parameters: {'; '.join(_places(structure))}")
 
 
 def _places(s: Structure) -> Iterator[str]:
@@ -84,22 +83,40 @@ def _force_place(s: Structure, pair: Pair) -> str:
     return f"{pair.velocity} (through {ports[0]})" if ports else pair.velocity
 
 
-def _blind_spots(study: Study, subject: FmuSubject) -> Iterator[Message]:
+def _blind_spots(study: Study, subject: FmuSubject) -> Iterator[str]:
     """Yield what these logs, or this interface, cannot show."""
     s, logs, names, is_stepped = subject.structure, study.logs, subject.names, subject.structure.way == "co-simulation"
     logged = set().union(*(log.outputs for log in logs))
     places = (
-        (messages.STILL_INPUTS, [q.name for q in s.inputs if _is_still(logs, names[q.name])]),
-        (messages.UNLOGGED_OUTPUTS, [q.name for q in s.outputs if names[q.name] not in logged]),
-        (messages.IDLE_PARAMETERS, s.idle),
-        (messages.NO_PORT, s.without_port if is_stepped else ()),
-        (messages.ONE_WAY, [p.velocity for p in s.pairs if _goes_one_way(logs, with_place(s.shown_as(p.velocity)))]),
+        (
+            "terms at {}, which never changes in the estimation logs",
+            [q.name for q in s.inputs if _is_still(logs, names[q.name])],
+        ),
+        (
+            "errors of the sensors of {}, which no estimation log has",
+            [q.name for q in s.outputs if names[q.name] not in logged],
+        ),
+        ("{}, which changes no output along these logs", s.idle),
+        (
+            "forces at {}, because no input acts there and co-simulation gives no access to derivatives",
+            s.without_port if is_stepped else (),
+        ),
+        (
+            "dry friction at {} apart from a constant force, because the velocity never reverses",
+            [p.velocity for p in s.pairs if _goes_one_way(logs, with_place(s.shown_as(p.velocity)))],
+        ),
     )
-    yield from (message(names=join_names(found)) for message, found in places if found)
+    yield from (f"not visible: {text.format(join_names(names))}" for text, names in places if names)
     if is_stepped and len(set(map(attrgetter("path"), logs))) < FEWEST_STEPPED:
-        yield messages.FEW_LOGS(least=FEWEST_STEPPED)
+        yield (
+            f"co-simulation has free runs only, so at least {FEWEST_STEPPED} estimation logs are needed to judge "
+            "a claim"
+        )
     if not study.content.logs.validation:
-        yield messages.NOTHING_SEALED(logs=counted(len(study.content.logs.estimation), "log"))
+        yield Note(
+            f"no validation log: a claim from {counted(len(study.content.logs.estimation), 'log')} will not be "
+            "proven on data that no decision has used"
+        )
 
 
 def _is_still(logs: Sequence[Log], name: str) -> bool:

@@ -192,18 +192,6 @@ class Residual(_Entry):
     )
 
 
-class LeftOut(_Entry):
-    """RMSE on the rows of tables, each row predicted by a fit to the others.
-
-    Few rows are held out one by one, many rows in evenly spread parts.
-    """
-
-    before: Channels = Field(description="the model named in the study: nothing is fitted")
-    recalibrated: Channels = Field(description="its base parameters fitted to the other rows")
-    after: Channels = Field(description="what is claimed, fitted to the other rows")
-    nearest: Channels | None = Field(default=None, description="the nearest model, likewise, where there is one")
-
-
 class RungEntry(_Entry):
     """Error of predictions of held-out logs by one model, each log predicted by a fit to the others."""
 
@@ -228,15 +216,14 @@ class Errors(_Entry):
     recalibrated: Parts = Field(description="that model with its base parameters adjusted")
     after: Parts = Field(description="model.yaml")
     nearest: Parts | None = Field(default=None, description="nearest.yaml (for an FMU nearest.fmu), where there is one")
-    left_out: LeftOut | None = Field(default=None, description="of a model without states, on rows left out")
 
 
 class Replays(_Entry):
     """FMUs used for the replays."""
 
-    through: Literal["native", "python", "own", "ssp"] = Field(
+    through: Literal["native", "python", "own"] = Field(
         description="`native`: the native FMU of the model's class, given each variant's values; `python`: FMUs "
-        "that need Python, as plant.fmu does; `own`: the replayer of an object without an FMU; `ssp`: plant.ssp"
+        "that need Python, as plant.fmu does; `own`: the replayer of an object without an FMU"
     )
     why: str = Field(default="", description="why not natively; empty where it was")
     log: str = Field(default="", description="the log that plant.fmu has replayed too")
@@ -355,8 +342,7 @@ def record(
     study: Study, a: Attribution, claims: Claims, problem: Problem, between: Between, proof: Measurements
 ) -> Record:
     """Return the content of refine.json."""
-    judged, static = study.subject.horizon, study.subject.static
-    rows = LeftOut.model_validate(claims.left_out) if claims.left_out else None
+    judged = study.subject.horizon
     claimed, floors, sets = claims.claimed, proof.floors, proof.played.items()
 
     def errors(horizon: float) -> Errors:
@@ -384,11 +370,11 @@ def record(
         sensor_noise=dict(zip(problem.layout.outputs, np.exp(0.5 * proof.noise.sensors).tolist(), strict=True)),
         inputs=Inputs(taken=dict(between.ways), gain_otherwise=between.gain),
         warnings=list(study.warnings),
-        residual=Residual.model_validate(claims.residual),
+        residual=Residual.model_validate(claims.misfit),
         replays=proof.way,
-        horizon="row" if static else judged if math.isfinite(judged) else "free run",
-        error=errors(judged).model_copy(update={"left_out": rows}),
-        horizons={} if static else {name: errors(horizon) for name, horizon in OTHER_HORIZONS.items()},
+        horizon=judged if math.isfinite(judged) else "free run",
+        error=errors(judged),
+        horizons={name: errors(horizon) for name, horizon in OTHER_HORIZONS.items()},
         noise_floor=keep_finite(floors["validation" if "validation" in floors else "estimation"].level),
         noise_floors={part: keep_finite(floor.level) for part, floor in floors.items()},
         floor_scatters={part: keep_finite(floor.scatter) for part, floor in floors.items()},

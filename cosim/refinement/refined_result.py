@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.loading.refined import ANSWER, REFINED
-from cosim.refinement import messages
 from cosim.storage.folders import content_of
 
 if TYPE_CHECKING:
@@ -62,7 +61,7 @@ class Refined:
         try:
             import pandas
         except ImportError:
-            raise ImportError(messages.NO_PANDAS()) from None
+            raise ImportError("to_pandas needs pandas: pip install pandas") from None
         rows = [
             {"model": model, "part": part, "channel": channel, "rmse": value}
             for model, parts in dict(self.record.get("error") or {}).items()

@@ -22,6 +22,7 @@ from cosim.base.registry import BASE
 from cosim.base.text import counted, plain
 from cosim.base.units import has_unit, read_quantity
 from cosim.estimation.problem import Settings
+from cosim.fmi.native.compiler import compiler, cure
 from cosim.isolation.limits import Limits, read_limits
 from cosim.loading.file import LoadedModel, load_model, own_terms
 from cosim.loading.substep import with_substep
@@ -29,9 +30,7 @@ from cosim.logs.gate import gate, gate_faults
 from cosim.logs.holes import fill_holes
 from cosim.logs.log import Log, read_log, rename_signals, stretches
 from cosim.logs.spikes import drop_outliers, find_spikes
-from cosim.probing.messages import OWN_STEP
 from cosim.probing.places import probe_places
-from cosim.refinement import messages
 from cosim.refinement.search.groups import Places, full_name, group_of, per_log_faults
 from cosim.residuals.drive import log_of_fmu
 from cosim.residuals.windows import SKIPPED
@@ -39,14 +38,14 @@ from cosim.storage.artefact import kind_by_keys
 from cosim.storage.files import FilePath
 from cosim.storage.kinds import STUDY, check_form, refuse_other
 from cosim.storage.yaml_file import UNIT_OF_KEY, Positive, PositiveSeconds, YamlFile, did_you_mean
-from cosim.subject.base_parameters import tolerances
-from cosim.subject.fmu_subject import Delivery, FmuSubject
+from cosim.subject.fmu_subject import FmuSubject
 from cosim.subject.interface import Subject
 from cosim.subject.model_subject import ModelSubject
 
+MISSING_LOG = "{log}: no such file beside the study; its logs are named from there"
+
 FMU_SUFFIX = ".fmu"
 SCORED = 1.0  # [s] least scored time, beside the skipped start and one horizon
-SPARE = 3  # rows of tables beyond the estimated parameters, to estimate the noise
 FINEST, COARSEST = 1e-12, 1e3  # share of the largest reading outside which a standard deviation is implausible
 Interpolation = Literal["held", "interpolated"]
 AnySubject = TypeVar("AnySubject", bound=Subject)
@@ -109,8 +108,6 @@ class StudyFile(BaseModel):
     limits:     Limits of each FMU call; `total` ends a search that takes longer.
     horizon:    Duration of the replays that measure errors, if different from the model's, or `free run` [s].
     terms:      File with further terms for an FMU, subclasses of `cosim.terms.Force`, `InputTerm` or `RateTerm`.
-    carry_logs: Whether the refined FMU carries the validation logs, with the errors before and after.
-    delivery:   `ssp` for an FMU that must not be repackaged: an SSP of the original and of FMUs with the terms.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -132,8 +129,6 @@ class StudyFile(BaseModel):
     groups: dict[str, list[FileName]] = {}
     limits: Limits | None = None
     terms: FileName = ""
-    carry_logs: bool = False
-    delivery: Delivery = "fmu"
     horizon: PositiveSeconds | Literal["free run"] | None = None
 
     def judged(self, subject: AnySubject) -> AnySubject:
@@ -225,9 +220,13 @@ def read_study(path: Path, limits: str = "") -> Study:
     if content.model.lower().endswith(FMU_SUFFIX):
         return _of_fmu(yaml, content, faults)
     if content.terms:
-        faults.append(yaml.fault(("terms",), messages.TERMS_WITHOUT_FMU(model=content.model), key=True))
-    if content.delivery == "ssp":
-        faults.append(yaml.fault(("delivery",), messages.SSP_WITHOUT_FMU(model=content.model), key=True))
+        faults.append(
+            yaml.fault(
+                ("terms",),
+                f"terms are for an FMU, and {content.model} is none; a model lists its effects in its catalogue",
+                key=True,
+            )
+        )
     try:
         loaded = load_model(content.model, path.parent, yaml)
     except InputError as error:
@@ -236,6 +235,7 @@ def read_study(path: Path, limits: str = "") -> Study:
         refuse([*faults, *_repeated_logs(yaml, content.logs, {})])
         raise
     subject = ModelSubject(loaded)
+    _refuse_without_states(yaml, subject)
     content, unit_faults = _in_units(yaml, content, subject)
     subject = content.judged(subject)
     faults += unit_faults
@@ -258,8 +258,6 @@ def keys_of(path: Path) -> tuple[YamlFile, StudyFile, list[Fault]]:
     yaml = YamlFile(path)
     refuse_other(path, kind_by_keys(yaml.root), STUDY)
     content, faults = yaml.partly(StudyFile, "model")
-    if content is None:
-        raise InputError(faults)
     return yaml, content, faults
 
 
@@ -275,12 +273,17 @@ def read_parts_of_fmu(
     folder = yaml.path.parent
     fmu = folder / content.model
     if not fmu.is_file():
-        refuse([*faults, yaml.fault(("model",), messages.NO_SUCH_FMU(name=content.model))])
+        refuse(
+            [
+                *faults,
+                yaml.fault(("model",), f"{content.model}: no such file; model names the FMU, relative to the study"),
+            ]
+        )
     logs, terms = list[Log](), list[type[Any]]()
     for part, name in _entries(content.logs):
         if not os.path.exists(folder / name):
             place = ("logs", part, getattr(content.logs, part).index(name))
-            faults.append(yaml.fault(place, messages.MISSING_LOG(log=name)))
+            faults.append(yaml.fault(place, MISSING_LOG.format(log=name)))
             continue
         try:
             log = log_of_fmu(folder / name, fmu, content.columns, alone=False)
@@ -289,7 +292,7 @@ def read_parts_of_fmu(
             continue
         logs += [log] if part == "estimation" else []
     if not content.logs.estimation:
-        faults.append(yaml.fault(("logs", "estimation"), messages.NO_LOG()))
+        faults.append(yaml.fault(("logs", "estimation"), "no log is listed; list one"))
     if content.terms:
         try:
             terms = own_terms(folder / content.terms)
@@ -307,20 +310,25 @@ def _of_fmu(yaml: YamlFile, content: StudyFile, faults: list[Fault]) -> Study:
         FmuError: Only the FMU has faults.
     """
     fmu, logs, terms = read_parts_of_fmu(yaml, content, faults)
+    if compiler() is None:
+        raise InputError.at(fmu, f"a refinement of an FMU needs a C compiler; {cure('refine')}")
     probed = probe_places(fmu, logs)
-    if probed.way == "co-simulation" and probed.behaviour.has(OWN_STEP):
-        own = {"own": probed.behaviour.own_step, "step": probed.structure.step}
-        message = messages.OWN_STEP_ABOVE(name=content.model, reason=probed.reason, **own)
+    if probed.way == "co-simulation" and probed.own_step and probed.own_step.distorts:
+        own = {"own": probed.own_step.length, "step": probed.structure.step}
+        message = (
+            "{name} has no usable model exchange ({reason}), and its co-simulation takes steps of its own of "
+            "about {own:.3g} s, above the {step:.3g} s of the logs, so its results are wrong there; export it "
+            "for model exchange or with a shorter step, or record rows every {own:.3g} s"
+        ).format(name=content.model, reason=probed.reason, **own)
         raise InputError([yaml.fault(("model",), message)])
     subject = FmuSubject.of_fmu(probed.structure, logs, terms, content.limits or Limits())
     subject.source += f", because {probed.reason}"
-    subject.delivery = content.delivery
     content, unit_faults = _in_units(yaml, _in_names_of(subject, content), subject)
     subject = content.judged(subject)
     faults += [*unit_faults, *_key_faults(yaml, content, subject, unlisted=False)]
     read, warnings, log_faults = _read_logs(yaml, content, subject)
     refuse([*faults, *log_faults])
-    found = [with_prefix(f"{content.model}: ", finding) for finding in probed.behaviour.findings]
+    found = [f"{content.model}: {probed.own_step.finding}"] if probed.own_step else []
     return Study(yaml.path, content, subject, tuple(read["estimation"]), (*found, *warnings))
 
 
@@ -382,12 +390,20 @@ def study_of(
         content = StudyFile.model_validate({"model": subject.source, "logs": lists, **settings})
     except ValidationError as error:
         raise InputError(
-            [places.fault(e["loc"], messages.INVALID_SETTING(reason=e["msg"])) for e in error.errors()]
+            [places.fault(e["loc"], f"{e['msg']}; give a value as in a study file") for e in error.errors()]
         ) from None
+    _refuse_without_states(places, subject)
     subject = content.judged(copy(subject))
     usable, warnings, log_faults = _read_logs(places, content, subject)
     refuse([*_key_faults(places, content, subject, unlisted=not logs), *log_faults])
     return Study(None, content, subject, tuple(usable["estimation"]), tuple(warnings))
+
+
+def _refuse_without_states(places: Places, subject: Subject) -> None:
+    """Raise InputError for a model without states, whose rows over time say nothing more than any table."""
+    if not subject.states:
+        cure = "estimate its parameters with `cosim fit LOG --fmu FMU`, or give it the state that it lacks"
+        raise InputError([places.fault(("model",), f"{subject.title} has no states, so it cannot be refined; {cure}")])
 
 
 def _key_faults(places: Places, content: StudyFile, subject: Subject, *, unlisted: bool) -> Iterator[Fault]:
@@ -400,8 +416,10 @@ def _key_faults(places: Places, content: StudyFile, subject: Subject, *, unliste
     logs = content.logs.model_dump()
     yield from per_log_faults(places, subject, content.per_log, content.groups, logs, content.candidates or ())
     if unlisted:
-        message = messages.ALL_LOGS_SEALED if content.logs.validation else messages.NO_LOG
-        yield places.fault(("logs", "estimation"), message())
+        message = "no log is listed; list one"
+        if content.logs.validation:
+            message = "every log is sealed, and none is left to learn from; move one to estimation"
+        yield places.fault(("logs", "estimation"), message)
 
 
 def _read_logs(
@@ -416,7 +434,7 @@ def _read_logs(
         path = places.path.parent / name
         if not os.path.exists(path):
             place = ("logs", part, getattr(content.logs, part).index(name))
-            faults.append(places.fault(place, messages.MISSING_LOG(log=name)))
+            faults.append(places.fault(place, MISSING_LOG.format(log=name)))
             continue
         try:
             log = _read(path, content, subject)
@@ -429,7 +447,10 @@ def _read_logs(
         faults += gate_faults(log, findings)
         log = drop_outliers(log, spikes)
         warnings += [
-            messages.READINGS_LEFT_OUT(log=name, readings=counted(rows.size, "reading"), output=output)
+            (
+                f"{name}: {counted(rows.size, 'reading')} of {output} left out as outlying, far from the "
+                "neighbouring readings and from the model"
+            )
             for output, rows in spikes.items()
         ]
         usable = _usable_stretches(log, subject.horizon)
@@ -437,12 +458,11 @@ def _read_logs(
         warnings += [
             with_prefix(f"{name}: ", f.whole) for f in findings if f.severity == "warning" and f.kind != "outliers"
         ]
-        if count := 0 if log.table else len(stretches(log)) - len(usable):
-            warnings.append(messages.SHORT_PIECES(log=name, pieces=counted(count, "piece")))
+        if count := len(stretches(log)) - len(usable):
+            warnings.append(f"{name}: {counted(count, 'piece')} between pauses too short to be used")
         logs[part] += usable
     faults += _implausible_noise(places, content.noise, logs["estimation"])
     faults += _repeated_logs(places, content.logs, digests)
-    faults += _few_rows(places, content, subject, logs["estimation"])
     return logs, warnings, faults
 
 
@@ -456,7 +476,7 @@ def _read(path: Path, content: StudyFile, subject: Subject) -> Log:
     if isinstance(subject, FmuSubject):
         log = log_of_fmu(path, subject.structure.fmu, content.columns, alone=False)
         return rename_signals(log, subject.names)
-    return read_log(path, subject.inputs, subject.outputs, table=subject.static, columns=content.columns)
+    return read_log(path, subject.inputs, subject.outputs, columns=content.columns)
 
 
 def _repeated_logs(places: Places, logs: LogLists, digests: Mapping[str, str]) -> Iterator[Fault]:
@@ -467,10 +487,11 @@ def _repeated_logs(places: Places, logs: LogLists, digests: Mapping[str, str]) -
         keys = [path, *([digests[name]] if name in digests else [])]
         if earlier := next((first[key] for key in keys if key in first), None):
             other, purpose = earlier
-            twice, copy = messages.LOG_IN_BOTH_LISTS, messages.COPY_IN_OTHER_LIST
-            if purpose == part:
-                twice, copy = messages.LOG_TWICE, messages.COPY
-            message = (twice if path in first else copy)(log=name, other=other, purpose=purpose)
+            if path in first:
+                message = f"{name} is listed for {purpose} {'twice' if purpose == part else 'too'}"
+            else:
+                message = f"{name} holds the same as {other}, which is listed for {purpose}"
+            message += "; keep one" if purpose == part else "; a validation log is never fitted on"
             yield places.fault(("logs", part, n if part == "estimation" else n - len(logs.estimation)), message)
         for key in keys:
             first.setdefault(key, (name, part))
@@ -485,8 +506,8 @@ def _digest(log: Log) -> str:
 
 
 def _spikes(log: Log, subject: Subject) -> dict[str, Rows]:
-    """Return outliers of a log; a table has none."""
-    return {} if log.table else find_spikes(log, subject.prediction(log))
+    """Return outliers of a log."""
+    return find_spikes(log, subject.prediction(log))
 
 
 def _min_duration(log: Log, horizon: float) -> float:
@@ -499,8 +520,6 @@ def _min_duration(log: Log, horizon: float) -> float:
 
 def _usable_stretches(log: Log, horizon: float) -> list[Log]:
     """Return the measured stretches of sufficient duration."""
-    if log.table:
-        return [log]
     least = _min_duration(log, horizon) - 0.5 * log.step
     return [fill_holes(s) for s in stretches(log) if s.outputs and s.time[-1] - s.time[0] >= least]
 
@@ -508,20 +527,15 @@ def _usable_stretches(log: Log, horizon: float) -> list[Log]:
 def _short_log(log: Log, horizon: float) -> Fault:
     """Return a log's fault without a usable stretch."""
     durations = [float(s.time[-1] - s.time[0]) for s in stretches(log)]
-    message = messages.LOG_TOO_SHORT if len(durations) == 1 else messages.PIECES_TOO_SHORT
     least, better = plain(_min_duration(log, horizon), None), plain(20 * log.slowness)
-    return Fault(log.path, 0, 0, message(duration=plain(max(durations)), least=least, better=better))
-
-
-def _few_rows(places: Places, content: StudyFile, subject: Subject, logs: Sequence[Log]) -> Iterator[Fault]:
-    """Yield faults of tables with too few rows."""
-    if not logs or not subject.static:
-        return
-    count = len(tolerances(subject, content.tolerance_of(subject)))
-    rows, least = sum(len(log.time) for log in logs), count + 1 + SPARE
-    if rows < least:
-        texts = {"rows": counted(rows, "row"), "parameters": counted(count, "number")}
-        yield places.fault(("logs", "estimation"), messages.TOO_FEW_ROWS(least=least, spare=SPARE, **texts))
+    duration = (
+        f"{plain(max(durations))} s" if len(durations) == 1 else f"at most {plain(max(durations))} s without a pause"
+    )
+    message = (
+        f"lasts {duration}, too short to be judged: it takes {least} s, and {better} s and more tell more; log "
+        "longer or leave it out"
+    )
+    return Fault(log.path, 0, 0, message)
 
 
 def _latency_faults(model_file: Path, loaded: LoadedModel, logs: Sequence[Log]) -> Iterator[Fault]:
@@ -535,7 +549,10 @@ def _latency_faults(model_file: Path, loaded: LoadedModel, logs: Sequence[Log]) 
                 durations[log.path] = rest + latency
         if latency > 0.0 and durations:
             texts = ", ".join(f"{path.name} lasts {plain(duration)} s" for path, duration in durations.items())
-            message = messages.LATENCY_TOO_LONG(sensor=name, latency=plain(latency), logs=texts)
+            message = (
+                f"{name} is {plain(latency)} s, and {texts}: the rest is too short to judge a model; correct "
+                "this value, or record longer logs"
+            )
             yield YamlFile(model_file).fault(("sensors", name), message)
 
 
@@ -545,7 +562,10 @@ def _implausible_noise(places: Places, noise: Mapping[str, float], logs: Sequenc
         readings = np.concatenate([np.zeros(0), *(log.outputs[name] for log in logs if name in log.outputs)])
         largest = float(np.max(np.abs(readings[np.isfinite(readings)]), initial=0.0))
         if largest > 0.0 and not FINEST * largest < level < COARSEST * largest:
-            message = messages.IMPLAUSIBLE_NOISE(output=name, level=plain(level), largest=plain(largest))
+            message = (
+                f"noise.{name}: {plain(level)} is no noise of readings of up to {plain(largest)}; state it in "
+                "their unit"
+            )
             yield places.fault(("noise", name), message)
 
 
@@ -553,24 +573,23 @@ def _unknown_names(places: Places, content: StudyFile, subject: Subject) -> Iter
     """Yield faults of unknown outputs, states, base parameters, inputs and candidates."""
     inputs, outputs = ([q.name for q in signals] for signals in (subject.inputs, subject.outputs))
     parameters = [p.name for p in subject.parameters if not isinstance(p.default, bool)]
-    for key, names, message in (
-        ("noise", outputs, messages.UNKNOWN_OUTPUT),
-        ("start_noise", [q.name for q in subject.states], messages.UNKNOWN_STATE),
-        ("tolerance", parameters, messages.UNKNOWN_BASE_PARAMETER),
-        ("inputs", inputs, messages.UNKNOWN_INPUT),
+    for key, names, kind in (
+        ("noise", outputs, "output"),
+        ("start_noise", [q.name for q in subject.states], "state"),
+        ("tolerance", parameters, "base parameter"),
+        ("inputs", inputs, "input"),
     ):
         setting = getattr(content, key)
         for name in setting if isinstance(setting, dict) else ():
             if name not in names:
-                yield places.fault((key, name), message(name=name, hint=did_you_mean(name, names)), key=True)
+                yield places.fault((key, name), f'no {kind} "{name}"{did_you_mean(name, names)}', key=True)
     yield from _unknown_candidates(places, content, [c.name for c in subject.candidates(inputs)])
 
 
 def _unknown_candidates(places: Places, content: StudyFile, candidates: Sequence[str]) -> Iterator[Fault]:
     """Yield faults of unknown candidates and of an empty list."""
     if content.candidates == []:
-        yield places.fault(("candidates",), messages.NO_CANDIDATES())
+        yield places.fault(("candidates",), "names none; name some, or leave the key out to try all")
     for k, name in enumerate(content.candidates or ()):
         if name not in candidates:
-            message = messages.UNKNOWN_CANDIDATE
-            yield places.fault(("candidates", k), message(name=name, hint=did_you_mean(name, candidates)))
+            yield places.fault(("candidates", k), f'no candidate "{name}"{did_you_mean(name, candidates)}')

@@ -28,9 +28,8 @@ from cosim.estimation.sensor_noise import at_rest, cell_warnings, first_noise, n
 from cosim.estimation.start_states import with_likely_starts
 from cosim.isolation.limits import Limits
 from cosim.kernel.nameless import RATE
-from cosim.loading.refined import ANSWER, NEAREST, REFINED, SSPS
+from cosim.loading.refined import ANSWER, NEAREST, REFINED
 from cosim.logs.log import Log
-from cosim.refinement import messages
 from cosim.refinement.decision.claims import Claims, Nearest, judge
 from cosim.refinement.decision.constancy import check_constancy
 from cosim.refinement.decision.evidence import (
@@ -45,7 +44,6 @@ from cosim.refinement.decision.sentences import floor_warning
 from cosim.refinement.decision.special_cases import not_excluded
 from cosim.refinement.decision.trust import attribute
 from cosim.refinement.proof.agreement import compare_with_predictions
-from cosim.refinement.proof.carried import carry_sealed_logs
 from cosim.refinement.proof.measure import (
     FLOOR_SEED,
     Evidence,
@@ -55,7 +53,6 @@ from cosim.refinement.proof.measure import (
     rmse,
 )
 from cosim.refinement.proof.nearest import held_out_improvement, ladder, nearest
-from cosim.refinement.proof.prediction_search import search_nearest
 from cosim.refinement.proof.proof_replays import LogSets, Proof, warnings_of
 from cosim.refinement.proof.refined_models import Variant, log_noise, refined_subject, variant_of, variants_of
 from cosim.refinement.proof.replay_check import (
@@ -65,7 +62,6 @@ from cosim.refinement.proof.replay_check import (
     with_miss_of_rivals,
 )
 from cosim.refinement.proof.sealed import find_rises, repeated_motion, sealed_improvement
-from cosim.refinement.proof.table_errors import add_dependence, errors_on_held_out_rows
 from cosim.refinement.record import Floors, Measurements, Part, Replayed, keep_finite, record
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.search.fits import SearchResult
@@ -85,36 +81,32 @@ from cosim.storage.files import (
     scratch_folder,
     write_json,
 )
-from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import begin_unrecorded, check_overwritable, keep_earlier
+from cosim.storage.folders import remove_earlier
 from cosim.subject.candidates import Candidate
 from cosim.subject.interface import Subject, Workplace
 
 DELIVERED = {"refined": "after", "nearest": "nearest"}  # name of written files → variant
-RESULTS = (*REFINED, *NEAREST, *SSPS, ANSWER)  # in the order of their publication
+RESULTS = (*REFINED, *NEAREST, ANSWER)  # in the order of their publication
 Progress = Callable[[str, float], None]
 
 
 @one_stop()
-@folder_locks()
 def refine(
     study: FilePath | Study,
     folder: FilePath,
     progress: Progress | None = None,
     *,
     report: bool = False,
-    force: bool = True,
     in_process: bool = False,
     limits: str = "",
 ) -> Refinement:
     """Refine the model of a study; write refine.json and the refined files to `folder`, all or none.
 
-    A model gives model.yaml and plant.fmu. The files of an earlier refinement move to `runs` in the folder.
+    A model gives model.yaml and plant.fmu. The files of an earlier refinement are replaced.
 
     Args:
         study: Study file, or a study of any subject (`cosim.refinement.study.study_of`).
         report: Write report.html too.
-        force: Overwrite results of another study or command.
         in_process: Load FMUs into this process, for a debugger.
         limits: Limits in place of those of a study file, such as `step: 10 s, total: 10 min`.
 
@@ -129,9 +121,7 @@ def refine(
     folder = named_path(folder)
     study = study if isinstance(study, Study) else read_study(Path(study), limits)
     limited = _within_limit(progress, study.content.limits, start)
-    check_overwritable(folder, "cosim refine", *filter(None, [str(study.path or "")]), force=force)
     check_writable(folder, (*RESULTS, "report.html"), study.files)
-    begin_unrecorded(folder, "cosim refine", study.files)
     problem = _build_problem(study)
     refuse(_divergences(study, problem))
     study = _with_predictable_horizon(study, problem)
@@ -139,7 +129,7 @@ def refine(
     result = attribute(subject, problem, _candidates(study), limited)
     limited("weighing what was found", 0.0)
     attribution, claims = _judge(study, decide(result), result, limited)
-    claims = _add_nearest(study, claims, result, attribution, problem, limited)
+    claims = _add_nearest(study, claims, result, attribution)
     between = between_rows(result.search.problem, attribution.base)
     claims = replace(claims, inputs=between.other_line if between.is_otherwise else "")
     noise = log_noise(attribution.best.fit.noise, result.free_noise)
@@ -181,10 +171,8 @@ def refine(
         written = record(study, attribution, claims, problem, between, measured)
         content = written.model_dump(mode="json")
         write_json(scratch / ANSWER, content, allow_nan=False)
-        if study.content.carry_logs and sealed:
-            carry_sealed_logs([path for path in files if path.suffix == ".fmu"], sealed, content)
         with delay_stops():
-            keep_earlier(folder, "cosim refine", read=study.files)
+            remove_earlier(folder, read=study.files)
             _publish(files, scratch / ANSWER, folder)
         release_stops()
     searched, evidence = result.search.problem, _at_horizon(played, subject.horizon)
@@ -219,7 +207,14 @@ def _within_limit(progress: Progress, limits: Limits | None, start: float) -> Pr
 
     def report(stage: str, share: float) -> None:
         if time.perf_counter() - start > total:
-            raise TimedOut("the search", 0.0, messages.OUT_OF_TIME(limit=total, stage=stage))
+            raise TimedOut(
+                "the search",
+                0.0,
+                (
+                    f"the limit of {total:g} s (limits: total) is reached at {stage!r}; nothing is written: allow "
+                    "more time, or name fewer candidates"
+                ),
+            )
         progress(stage, share)
 
     return report
@@ -245,7 +240,10 @@ def _with_predictable_horizon(study: Study, problem: Problem) -> Study:
     subject = copy(study.subject)
     subject.horizon = shorter
     name = f"{plain(horizon)} s" if math.isfinite(horizon) else "free run"
-    warning = messages.SHORTER_HORIZON(new=plain(shorter, 2), old=name)
+    warning = (
+        "errors of the start state grow exponentially in these logs. Predictions therefore last "
+        f"{plain(shorter, 2)} s, in which these errors grow tenfold, and not the model's {name}"
+    )
     return replace(study, subject=subject, warnings=(*study.warnings, warning))
 
 
@@ -260,7 +258,15 @@ def _divergences(study: Study, problem: Problem) -> Iterator[Fault]:
         with np.errstate(over="ignore", invalid="ignore"):
             diverged = ~np.isfinite(errors * errors / variances) & problem.readings[index].scored
         t = data.start + data.step * int(np.argmax(diverged.any(axis=1)))
-        yield Fault(log.path, 0, 0, messages.DIVERGING_MODEL(model=study.subject.title, time=t))
+        yield Fault(
+            log.path,
+            0,
+            0,
+            (
+                f"{study.subject.title} runs away on this log: its prediction is not finite at t = {t:.6g} s; check "
+                "its parameters, start values and the units of the log, or state a shorter substep in its class"
+            ),
+        )
 
 
 def _candidates(study: Study) -> list[Candidate]:
@@ -315,8 +321,7 @@ def _judge_best(study: Study, a: Attribution, result: SearchResult, progress: Pr
         claims = compare_with_predictions(search, a, claims)
     progress("replaying with the claim and without", 0.0)
     claims = check_constancy(search, a, check_with_replays(study, a, claims, result, problem))
-    claims = replace(claims, not_excluded=not_excluded(search, claims, _candidates(study)))
-    return add_dependence(claims, a, problem, subject) if subject.static else claims
+    return replace(claims, not_excluded=not_excluded(search, claims, _candidates(study)))
 
 
 def _is_steady(problem: Problem, leftover: Leftover, with_terms: Fit, alone: Fit, horizon: float) -> bool:
@@ -326,9 +331,7 @@ def _is_steady(problem: Problem, leftover: Leftover, with_terms: Fit, alone: Fit
     return steadiness(problem, with_terms, alone) >= chance_limit(problem, with_terms, leftover.among)
 
 
-def _add_nearest(
-    study: Study, claims: Claims, result: SearchResult, a: Attribution, problem: Problem, progress: Progress
-) -> Claims:
+def _add_nearest(study: Study, claims: Claims, result: SearchResult, a: Attribution) -> Claims:
     """Return the claims with held-out errors by number of candidates, and the nearest model if incomplete."""
     close = {h.names: h for h in (a.best, result.best) if h.candidates}
     claims = replace(claims, ladder=ladder(result.search, a, list(close.values())))
@@ -336,12 +339,9 @@ def _add_nearest(
         h = nearest(claims.ladder)
         why = a.reasons.get(h.names, "") if h else ""
         claims = replace(claims, nearest=Nearest(h, moved_beyond_tolerance(h.fit) if h else (), why))
-        progress("fitting predictions over the horizon", 0.0)
-        claims = search_nearest(study, claims, a, problem, result.search, result.candidates)
     if claims.name in ("ambiguous", "unexplained") and not claims.claimed_candidates:
         claims = replace(claims, improvement=held_out_improvement(claims.ladder, claims.nearest_hypothesis))
-    left_out = errors_on_held_out_rows(result.search, a, claims) if result.search.problem.table else None
-    return replace(claims, restricted=study.content.candidates is not None, left_out=left_out)
+    return replace(claims, restricted=study.content.candidates is not None)
 
 
 def _variants(study: Study, a: Attribution, claims: Claims, free_noise: Noise | None) -> dict[str, Variant]:
@@ -379,7 +379,10 @@ def _delivery_warnings(variants: Mapping[str, Variant]) -> Iterator[str]:
     subjects = [variant.subject for variant in variants.values()]
     yield from dict.fromkeys(s.undelivered for s in subjects if s.undelivered)
     for names in dict.fromkeys(s.missing_platforms for s in subjects if s.missing_platforms):
-        yield messages.MISSING_PLATFORMS(names=join_names(names))
+        yield (
+            f"the delivered FMU lacks the platforms {join_names(names)} of the original: the library around it "
+            "cannot be compiled for them here; pip install 'fmu-cosim[native]' has a compiler for most"
+        )
 
 
 def _at_horizon(played: Replayed, horizon: float) -> dict[str, dict[Part, Evidence]]:
@@ -392,7 +395,7 @@ def failure_warnings(problem: Problem) -> Iterator[str]:
     failures: Sequence[Exception] = getattr(problem.kernel, "failures", ())
     if failures:
         evaluations = counted(len(failures), "evaluation")
-        yield messages.FAILED_EVALUATIONS(evaluations=evaluations, reason=failures[0])
+        yield f"the FMU failed in {evaluations}, which count as diverged; the first time: {failures[0]}"
 
 
 def _rises(claims: Claims, played: Replayed, subject: Subject) -> Mapping[str, tuple[float, float]]:

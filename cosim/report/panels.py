@@ -15,7 +15,6 @@ WIDEST_RANGES = 20.0  # axis' range over the range of a signal without a unit; s
 CONSTANT = 1e-9  # range of a constant signal, relative to its size
 NO_UNIT = ("", "1")
 NO_UNIT_TEXT = "no unit declared"  # in place of a unit on an axis; the script of a page reads it, too
-LINE, HELD, DOTS, STEMS, BARS, CROSSES = range(6)
 
 
 @dataclass(frozen=True)
@@ -46,20 +45,14 @@ class Trace:
     items: Mapping[float, str] = field(default_factory=dict)
 
     @property
-    def form(self) -> int:
-        """Return the kind of drawing for the page's script: LINE, HELD, DOTS, STEMS, BARS or CROSSES."""
-        if self.upper is not None:
-            return BARS
-        if self.stems:
-            return STEMS
+    def form(self) -> str:
+        """Return the kind of drawing for the page's script."""
         words = self.style.split()
-        return DOTS if "dots" in words else CROSSES if "crosses" in words else HELD if self.held else LINE
-
-    @property
-    def reach(self) -> list[Array]:
-        """Return the values to be included in an axis."""
-        zero = [np.zeros(1)] if self.stems else []
-        return [self.values, *zero] if self.upper is None else [self.values, self.upper]
+        if self.upper is not None:
+            return "bars"
+        if self.stems:
+            return "stems"
+        return "dots" if "dots" in words else "crosses" if "crosses" in words else "held" if self.held else "line"
 
 
 @dataclass(frozen=True)
@@ -87,6 +80,12 @@ class Panel:
     limits: tuple[float, ...] = ()
     limit_label: str = ""
     symbol: str = ""
+
+
+def extent(signals: Sequence[Array]) -> tuple[float, float] | None:
+    """Return the least and largest finite value."""
+    finite = np.concatenate([np.zeros(0), *(values[np.isfinite(values)] for values in signals)])
+    return (float(finite.min()), float(finite.max())) if finite.size else None
 
 
 def by_unit(

@@ -10,18 +10,16 @@ from typing import Any
 from cosim.base.messages import printable
 
 TEMPLATES = Path(__file__).with_name("templates")
-SCRIPTS = ("axes.js", "saving.js", "charts.js", "report.js")  # in this order
-DESK = ("desk.css", "desk.js")  # shared by the pages of a local server
 
 
-def render(page: Path, values: Mapping[str, Any], folders: Sequence[Path] = (), also: Sequence[str] = ()) -> str:
+def render(page: Path, values: Mapping[str, Any], folders: Sequence[Path] = (), *, is_report: bool = True) -> str:
     """Return a self-contained HTML page from a template.
 
     The template may use the shared templates and templates in `folders`. Every `.css` and `.js` in the page's
     folder is inlined. Lines of a template literal lose their indentation.
 
     Args:
-        also: Names of further shared styles and scripts.
+        is_report: Whether the page draws the charts of `Charts.data` by itself.
     """
     # Only pages need jinja2: `import cosim.report` must not load it.
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
@@ -35,14 +33,10 @@ def render(page: Path, values: Mapping[str, Any], folders: Sequence[Path] = (), 
         lstrip_blocks=True,
     )
     environment.filters["code"] = _code
-    # a page's own script listens to the shared scripts, so it comes first; its own style overrides the shared style
-    more = [TEMPLATES / name for name in also]
-    style = inline(
-        [TEMPLATES / "report.css", *(f for f in more if f.suffix == ".css"), *sorted(page.parent.glob("*.css"))]
-    )
-    script = inline(
-        [*(f for f in more if f.suffix == ".js"), *sorted(page.parent.glob("*.js")), *(TEMPLATES / n for n in SCRIPTS)]
-    )
+    # A page's own style overrides the shared style.
+    style = inline([TEMPLATES / "report.css", *sorted(page.parent.glob("*.css"))])
+    scripts = [TEMPLATES / "chart.js", *sorted(page.parent.glob("*.js"))]
+    script = inline([*scripts, *([TEMPLATES / "report.js"] if is_report else [])])
     return environment.get_template(page.name).render(**values, style=style, script=script)
 
 

@@ -16,7 +16,6 @@ ARTEFACTS = (
         tables=("results", "residual"),
         folder="the folder of a replay",
         folder_step="`cosim compare {file} OTHER` compares it with another",
-        sources=("log", "fmu"),
         reader="cosim.residuals.replay_signals:read_replay",
     ),
 )

@@ -12,7 +12,6 @@ from cosim.logs.finding import Finding
 from cosim.logs.gate import ORDER, refuse_faults
 from cosim.logs.log import Log
 from cosim.logs.model_comparison import output_findings
-from cosim.residuals import messages
 from cosim.residuals.drive import Drive
 from cosim.residuals.floor import EXACT, ChannelFloor, draws, floors
 from cosim.residuals.residual_statistics import (
@@ -136,7 +135,11 @@ def steps_of(log: Log) -> int:
 def _hidden_states(channels: Sequence[ChannelSummary]) -> Iterator[Finding]:
     for c in channels:
         if c.lost:
-            message = messages.HIDDEN_STATE(error=size(c.floor.astray, c.unit), horizon=plain(c.horizon))
+            message = (
+                f"is missed by {size(c.floor.astray, c.unit)} over {plain(c.horizon)} s where the FMU is "
+                "restarted from its own outputs: it keeps a state that no output shows, and only the free run "
+                "measures it"
+            )
             yield Finding("warning", "hidden_state", c.name, message, {"rmse": c.floor.astray, "noise": c.floor.rmse})
 
 

@@ -26,7 +26,6 @@ from cosim.fmi.state import Memory, Own
 from cosim.isolation.rows import ADVANCE, GET, OTHER, PUT, Rows
 from cosim.logs.log import Log, read_log
 from cosim.model.planar import PlanarFrame
-from cosim.residuals import messages
 from cosim.storage.kinds import FMU, LOG, check_given
 from cosim.storage.yaml_file import did_you_mean
 
@@ -92,8 +91,6 @@ def log_of_fmu(path: Path, fmu: Path, columns: Mapping[str, str] = MappingProxyT
     """
     check_files(path, fmu)
     signals = model_signals(fmu)
-    if (traits := traits_of(fmu)) is not None and traits.static:
-        raise InputError.at(fmu, messages.NO_STATES())
     return read_log(path, *signals, columns=columns, alone=alone)
 
 
@@ -287,30 +284,6 @@ class Drive:
         self._count(steps)
         return self._at_rows(table, steps.reached, first, last)
 
-    def rows(self, start: Mapping[str, Any]) -> Array:
-        """Return the FMU's outputs for each row of a table (independent rows without time), shape (rows, outputs).
-
-        Raises:
-            StoppedReplay: The FMU fails.
-        """
-        log, written = self.log, self._new_rows(self.log.rows, len(self.outputs))
-        table, done = written.table, 0
-        try:
-            written.doing[0] = OTHER
-            self._begin(start, 0, float(log.time[-1]) + log.step)
-            self.block.start()
-            for done, t in enumerate(log.time.tolist()):
-                self._row[: len(self.inputs)] = self._commands[done]
-                written.doing[0] = ADVANCE
-                self.block.put()
-                self.block.advance(t, log.step)
-                self.block.get()
-                table[done] = self._row[len(self.block.inputs) :]
-                written.made[0] = done + 1
-        except SimulationError as error:
-            raise StoppedReplay(error, table[:done]) from None
-        return table
-
     # -- internals ----------------------------------------------------------------------------
 
     def _begin(self, start: Mapping[str, Any], row: int, stop: float) -> None:
@@ -398,15 +371,18 @@ class Drive:
                 if name not in units:
                     cure, every = did_you_mean(name, units), ", ".join(units) or "none"
                     log = self.log.path.name
-                    faults.append(messages.UNKNOWN_SIGNAL(kind=kind, name=name, log=log, cure=cure, names=every))
+                    faults.append(f'has no {kind} "{name}", which {log} holds{cure} (its {kind}s: {every})')
                 elif conversion(self.log.units[name], units[name]) != Conversion():
                     other = self.log.units[name]
-                    faults.append(messages.OTHER_UNIT(name=name, unit=units[name], other=other))
+                    faults.append(
+                        f"{name} is in {units[name]} here and in {other} in the log as it was read; read the log "
+                        "for this FMU"
+                    )
         refuse(Fault(self.fmu, 0, 0, message) for message in faults)
 
     def _check_start(self, start: Mapping[str, Any]) -> None:
         cures = {name: did_you_mean(name, self.variables) for name in start.keys() - self.variables}
-        faults = (messages.UNKNOWN_PARAMETER(name=name, cure=cure) for name, cure in cures.items())
+        faults = (f'has no parameter "{name}"{cure}' for name, cure in cures.items())
         refuse(Fault(self.fmu, 0, 0, message) for message in faults)
 
 

@@ -10,7 +10,6 @@ from typing import Any
 from cosim.base.errors import Fault, refuse
 from cosim.base.text import split_assignment
 from cosim.blocks.description import read_description
-from cosim.residuals import messages
 from cosim.scenario.start_values import NOT_NUMBERS, Misfit, convert_value, settable
 from cosim.storage.yaml_file import did_you_mean, short
 
@@ -47,7 +46,7 @@ def start_values(
         else:
             value = convert_value(description, variable, _read(written, variable.type))
         if isinstance(value, Misfit):
-            message = messages.START_OPTION(text=short(text), reason=value.reason)
+            message = f'--start "{short(text)}": {value.reason}'
             faults.append(Fault(fmu, 0, 0, message) if fault is None else fault(name, message))
         else:
             values[name] = value

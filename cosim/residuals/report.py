@@ -14,15 +14,13 @@ from cosim.base.text import MISSING, amount, counted, display, percent, plain, s
 from cosim.base.version import __version__
 from cosim.logs.finding import Finding
 from cosim.logs.log import Log
-from cosim.report.chart_data import Abscissa
-from cosim.report.drawing import Charts, Drawing
+from cosim.report.charts import Abscissa, Charts, Drawing, Plot
 from cosim.report.html_tables import Badge, Row
 from cosim.report.panels import OTHERS_PER_PANEL, Band, Panel, Trace, by_unit
-from cosim.report.svg import Plot
 from cosim.residuals import replay_sentences as words
 from cosim.residuals.compare import ChannelSummary, Comparison
 from cosim.residuals.drive import Drive
-from cosim.residuals.lags import LAG, every_lag, lag_drawing, neighbours
+from cosim.residuals.lags import every_lag, lag_drawing, neighbours
 from cosim.residuals.residual_statistics import FREE_RUN
 from cosim.residuals.windows import SKIPPED
 
@@ -66,7 +64,7 @@ def context(comparison: Comparison, *, passing: bool = False) -> Mapping[str, An
     """
     log, drive = comparison.log, comparison.drive
     charts = Charts()
-    drawing = charts.over(log.time, 8 * len(log.outputs) + len(log.inputs))
+    drawing = charts.over(log.time)
     windowed, measure = comparison.measure in comparison.replays, comparison.measure
     skipped = SKIPPED * log.slowness
     horizons = sorted(comparison.replays)
@@ -169,7 +167,7 @@ def _autocorrelation(comparison: Comparison, charts: Charts) -> list[Plot]:
             continue
         rows = every_lag(size - 1, STEMS)
         if size not in drawings:
-            drawings[size] = lag_drawing(charts, rows, comparison.log.step, 3 * len(comparison.channels))
+            drawings[size] = lag_drawing(charts, rows, comparison.log.step)
         width = np.full(rows.size, c.whiteness.band)
         stem = Trace("residual", c.whiteness.rho[rows], "error", stems=True)
         band = Band("95 % band if white", -width, width)
@@ -186,7 +184,7 @@ def _input_correlation(comparison: Comparison, charts: Charts) -> list[Plot]:
         panel = Panel(f"Residual of {c.name} with the commands", "1", traces, Band("95 % band", -width, width))
         lag = comparison.log.step * chosen[0].lags.astype(np.float64)
         ends = float(lag.min()), float(lag.max())
-        plots += charts.over(lag, 2 + len(traces), Abscissa(LAG, ends)).plots([panel])
+        plots += charts.over(lag, Abscissa(("lag of the residual behind the command", "s"), ends)).plots([panel])
     return plots
 
 

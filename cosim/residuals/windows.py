@@ -79,12 +79,6 @@ def free_run(drive: Drive, start: Mapping[str, Any] | None = None) -> Replay:
     return Replay(log.time, FREE_RUN, {0: chosen}, as_columns(table, drive.outputs), drive.units, states)
 
 
-def row_by_row(drive: Drive, start: Mapping[str, Any]) -> Replay:
-    """Return the outputs for a table (independent rows without time), each row from its own inputs."""
-    table = drive.rows(start)
-    return Replay(drive.log.time, FREE_RUN, {0: dict(start)}, as_columns(table, drive.outputs), drive.units)
-
-
 def windows(
     drive: Drive,
     starts: Mapping[int, Mapping[str, Any]],

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from types import MappingProxyType
@@ -27,7 +27,6 @@ from cosim.logs.log import Log, read_column_names
 from cosim.logs.spikes import find_spikes
 from cosim.logs.unit_mistakes import input_unit_findings
 from cosim.report.template import render
-from cosim.residuals import messages
 from cosim.residuals.compare import Comparison, compare, steps_of
 from cosim.residuals.drive import PLANT, Drive, StoppedReplay, as_columns, check_files, log_of_fmu
 from cosim.residuals.next_study import NEXT_STUDY, claimed_sensor_errors, lacks_something, next_study
@@ -47,16 +46,13 @@ from cosim.storage.files import (
     write_json,
     write_text,
 )
-from cosim.storage.folder_lock import folder_locks, release_early
-from cosim.storage.folders import REPLAY, SCHEMA_VERSION, begin, check_overwritable, keep_earlier
-from cosim.storage.results import Results, remove_rows, rows_name
-from cosim.storage.started import KILLED, STARTED, STATUS
+from cosim.storage.folders import REPLAY, SCHEMA_VERSION, describe_run, remove_earlier
+from cosim.storage.results import Results, rows_name
 
 MEASURED = "log"  # component name of measurements, beside PLANT
 
 
 @one_stop()
-@folder_locks()
 def replay(
     log: FilePath,
     folder: FilePath,
@@ -65,7 +61,6 @@ def replay(
     start: Sequence[str] = (),
     columns: Sequence[str] = (),
     report: bool = True,
-    force: bool = True,
     in_process: bool = False,
     limits: str = "",
     format_: str = "csv",
@@ -79,7 +74,6 @@ def replay(
     Args:
         start: Start values and parameters of the FMU as NAME=VALUE, `gain=0.9`, `angle=12 deg`.
         columns: Log columns with other names than in the FMU, `measured_speed=motor.w`.
-        force: Overwrite results of another command.
         in_process: Load the FMU into this process, for a debugger.
         limits: Limits of the FMU, such as `step: 10 s, memory: 2 GB`; default: none.
 
@@ -92,7 +86,6 @@ def replay(
     rows_name("results", format_)  # An unavailable format must fail before the replay.
     check_files(Path(log), None if fmu is None else Path(fmu))
     place = named_path(folder)
-    check_overwritable(place, "cosim replay", str(log), str(fmu or ""), force=force)
     with ExitStack() as stack:
         worker = None if in_process else stack.enter_context(Worker(*MODULES))
         if worker is not None:
@@ -159,11 +152,10 @@ def write_replay(
         findings = _findings(drive, log, rate)
         written = "report.html", REPLAY, NEXT_STUDY
         check_writable(folder, (rows_file.name, residual_file.name, *written), (log.path, fmu))
-        keep_earlier(folder, "cosim replay", read=(log.path, fmu))
-        _remove_outdated(folder, written, rows_file)
+        remove_earlier(folder, read=(log.path, fmu))
         sources = {"log": str(log.path), "fmu": "" if passing else str(fmu)}
         chosen = {"start": dict(given)} if given else {}
-        begin(folder, "cosim replay", REPLAY, {"schema_version": SCHEMA_VERSION, **sources, **chosen, STATUS: KILLED})
+        describe_run(folder, {**sources, **chosen})
         free = _free_run(drive, start, rows_file)
         try:
             release_stops()
@@ -197,14 +189,6 @@ def _findings(drive: Drive, log: Log, rate: float | None) -> list[Finding]:
     return findings
 
 
-def _remove_outdated(folder: Path, names: Iterable[str], rows_file: Path) -> None:
-    """Remove the results of an earlier replay."""
-    for name in names:
-        (folder / name).unlink(missing_ok=True)
-    remove_rows(folder, "residual")
-    remove_rows(folder, "results", besides=rows_file.name)
-
-
 def _free_run(drive: Drive, start: Mapping[str, Any] | None, file: Path) -> Replay:
     """Run the FMU over the whole log and write its rows. After a failure, write the finished rows."""
     try:
@@ -229,7 +213,7 @@ def _free_run(drive: Drive, start: Mapping[str, Any] | None, file: Path) -> Repl
 def _full(file: Path, residual: Path, log: Log) -> DiskFull:
     """Return the error of a full disk."""
     missing = "no report" if residual.exists() else f"no {residual.name} and no report"
-    reason = messages.FULL_DISK_AFTER_RUN(rows=log.rows, file=file.name, missing=missing)
+    reason = f"the disk is full: all {log.rows} rows are in {file.name}, there is {missing}"
     return DiskFull("the replay", float(log.time[-1]), reason)
 
 
@@ -237,7 +221,6 @@ def _write_rows(rows: Results, file: Path) -> None:
     """Write the rows, with units in replay.json; raise DiskFull after a partial write."""
     try:
         _record(file.parent, {"status": "stopped", "units": dict(rows.units)})  # rewritten at the end
-        release_early(file.parent / STARTED)
         rows.write(file)
     except OSError as error:
         if not is_full(error):
@@ -247,7 +230,7 @@ def _write_rows(rows: Results, file: Path) -> None:
             count = rows.write_what_fits(file)
         except OSError:
             count = 0
-        reason = messages.FULL_DISK(count=count, rows=len(rows.time), file=file.name)
+        reason = f"the disk is full: {count} of {len(rows.time)} rows are in {file.name}"
         raise DiskFull("the replay", rows.time[max(0, count - 1)].item(), reason) from None
 
 
@@ -259,13 +242,29 @@ def _record(folder: Path, content: Mapping[str, Any]) -> None:
 def _version_findings(drive: Drive) -> Iterator[Finding]:
     """Yield a warning for an FMU built by an earlier version, treated as a foreign one."""
     if drive.traits is None and drive.description.author == AUTHOR:
-        yield Finding("warning", "older", "", messages.OLD_FMU(fmu=drive.fmu.name))
+        yield Finding(
+            "warning",
+            "older",
+            "",
+            (
+                f"{drive.fmu.name} was built by an earlier version, which says nothing of frame, limits and state: "
+                "the log is checked less and windows start worse; build it again"
+            ),
+        )
 
 
 def _sensor_findings(drive: Drive) -> Iterator[Finding]:
     """Yield a warning for the FMU of a refine that claims errors of sensors, which the log has and the FMU has not."""
     if names := claimed_sensor_errors(drive.fmu):
-        yield Finding("warning", SENSORS, "", messages.SENSOR_ERRORS(names=join_names(names), fmu=drive.fmu.name))
+        yield Finding(
+            "warning",
+            SENSORS,
+            "",
+            (
+                f"the readings have {join_names(names)}, which the refine beside {drive.fmu.name} claims and an FMU "
+                "does not hold; correct the readings, or see error.after in its refine.json"
+            ),
+        )
 
 
 def results(drive: Drive, outputs: Mapping[str, Array]) -> Results:

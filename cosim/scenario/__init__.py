@@ -1,1 +1,1 @@
-"""Contents of scenario files, start values and controller design."""
+"""Contents of scenario files and start values."""

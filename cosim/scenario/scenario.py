@@ -5,12 +5,11 @@ from __future__ import annotations
 import json
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BeforeValidator, ConfigDict, Discriminator, Field, SerializeAsAny, Tag
+from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag
 
+from cosim.blocks.coupling import DEFAULT, AlgorithmKey
 from cosim.blocks.profile import Profile
-from cosim.coupling.algorithms import DEFAULT, AlgorithmKey
 from cosim.isolation.limits import Limits
-from cosim.scenario import messages
 from cosim.storage.yaml_file import (
     Amount,
     InUnit,
@@ -41,7 +40,7 @@ def _scalar(value: Any) -> Any:
         return [_scalar(each) for each in value]
     if isinstance(value, (bool, str)) or (isinstance(value, (int, float)) and abs(value) < LARGEST_NUMBER):
         return value
-    raise ValueError(messages.NO_START_VALUE())
+    raise ValueError("a start value is a finite number, true or false, or text such as 12 deg")
 
 
 def _kind_of(component: Any) -> str | None:
@@ -142,8 +141,7 @@ class ClockTiming(Part):
 class FmuComponent(Part):
     """FMU with start values: a number in the variable's unit, or text such as `12 deg`.
 
-    fmu:     file, relative to the scenario; with `at`, relative to a folder of the server
-    at:      host:port of a server of FMUs (`cosim serve`) that has the file
+    fmu:     file, relative to the scenario
     start:   variable → value, for parameters and unconnected inputs
     process: `own` for a process shared with no other FMU
     interface: FMI interface, if the FMU offers several
@@ -162,7 +160,6 @@ class FmuComponent(Part):
     """
 
     fmu: str
-    at: Annotated[str, Field(pattern=r"^[A-Za-z0-9.-]+:[1-9][0-9]{0,4}$")] | None = None
     process: Literal["own"] | None = None
     start: dict[str, Annotated[Any, AfterValidator(_scalar)]] = Field(default_factory=dict)
     interface: Literal["co-simulation", "model-exchange", "scheduled-execution"] | None = None
@@ -234,21 +231,6 @@ class FixComponent(Part):
     signals: dict[Name, FixedSignal] = Field(min_length=1)
 
 
-class Design(Part):
-    """Start values of a controller designed before the run; further keys belong to the designer.
-
-    `component`: FMU that gets the start values
-    `model`: model file with the numbers of the design; numbers given here take precedence
-    `nearest`: whether to use the nearest model of a refine instead of its refined model
-    """
-
-    model_config = ConfigDict(extra="allow")
-
-    component: Name = "controller"
-    model: str | None = None
-    nearest: bool | None = None
-
-
 class Bond(Part):
     """Power bond of two FMUs: two outputs, each connected to an input of the other, whose product is a power.
 
@@ -300,7 +282,10 @@ class Recording(Part):
 def _check_record(record: Any) -> Any:
     """Return the value of `record`; raise ValueError unless it is a list or a mapping."""
     if not isinstance(record, dict | Recording | list | tuple):
-        raise ValueError(messages.FORMS_OF_RECORD())
+        raise ValueError(
+            "it should be a list of patterns of locals and parameters to record beside inputs and outputs, "
+            "[plant.*], or a mapping that limits the record, {signals: [plant.x], every: 0.1 s}"
+        )
     return record
 
 
@@ -321,48 +306,6 @@ class LoopSettings(Part):
     tolerance: Positive = 1e-8
     iterations: Annotated[int, Field(strict=True, ge=1)] = 20
     method: Literal["newton", "anderson"] | None = None
-
-
-def _address(value: Any) -> str:
-    """Return a port or `host:port` as `host:port`; a port alone is one of this machine."""
-    host, _, port = str(value).rpartition(":")
-    if isinstance(value, bool) or not (port.isascii() and port.isdigit() and 0 < int(port) < 65536):
-        raise ValueError(messages.NO_ADDRESS())
-    return f"{host or LOCALHOST}:{int(port)}"
-
-
-LOCALHOST = "127.0.0.1"
-Address = Annotated[Any, AfterValidator(_address), Field(json_schema_extra={"type": ["integer", "string"]})]
-
-
-class LiveValue(Part):
-    """Partner that sends an input or receives an output in messages of JSON; udp or mqtt.
-
-    udp:   port on this machine, or `host:port`: where to receive, or where to send to
-    mqtt:  topic
-    field: name of the value in the message; by default that of the variable
-    """
-
-    udp: Address | None = None
-    mqtt: Annotated[str, Field(min_length=1, max_length=1000, pattern=r"^[^#+\x00]+$")] | None = None
-    field: str | None = None
-
-
-class Live(Part):
-    """Values exchanged with partners while a run goes on.
-
-    inputs:  unconnected input or tunable parameter, `component.variable` → its sender
-    outputs: signal, `component.variable` → its receiver
-    every:   simulated time [s] between two messages to receivers; by default each communication point
-    lost:    time [s] on the clock without message, after which a sender counts as lost
-    broker:  `host:port` of the MQTT broker
-    """
-
-    inputs: dict[Variable, LiveValue] = Field(default_factory=dict)
-    outputs: dict[Variable, LiveValue] = Field(default_factory=dict)
-    every: PositiveSeconds | None = None
-    lost: PositiveSeconds = 1.0
-    broker: Address = f"{LOCALHOST}:1883"
 
 
 class Criterion(Part):
@@ -422,7 +365,6 @@ class Scenario(Part):
     tolerance:   relative tolerance of the solvers; by default each FMU's own
     record:      patterns such as `plant.*` of locals and parameters to record beside inputs and outputs; or a part of
         all signals, at a rate of its own
-    design:      start values of a controller designed before the run
     components:  name → FMU, reference, recording or fixes
     connections: from outputs to inputs
     events:      values set for parameters and inputs at a time
@@ -431,7 +373,6 @@ class Scenario(Part):
     limits:      limits on time and memory of a run
     checkpoint:  wall-clock time [s] between two checkpoints, from which `cosim run FOLDER --resume` goes on
     pace:        simulated seconds per second: 1 for real time; by default as fast as possible
-    live:        values exchanged with partners outside while it runs
     """
 
     name: str
@@ -455,7 +396,6 @@ class Scenario(Part):
         Discriminator(_kind_of_record),
         BeforeValidator(_check_record),
     ] = Field(default_factory=list)
-    design: SerializeAsAny[Design] | None = None
     components: dict[Name, Component] = Field(min_length=1)
     connections: Connections = Field(default_factory=list)
     events: list[Event] = Field(default_factory=list)
@@ -464,7 +404,6 @@ class Scenario(Part):
     limits: Limits | None = None
     checkpoint: PositiveSeconds | None = None
     pace: Positive | None = None
-    live: Live | None = None
 
     @property
     def control(self) -> StepControl | None:

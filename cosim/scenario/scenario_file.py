@@ -3,31 +3,31 @@
 from __future__ import annotations
 
 import copy
+import hashlib
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import islice
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 from typing import Any
 
 from pydantic import ValidationError
 
-from cosim.base.errors import Fault, InputError
-from cosim.base.messages import Template
-from cosim.base.registry import BASE, is_model
-from cosim.scenario import messages
-from cosim.scenario.pinned import with_files_beside
-from cosim.scenario.scenario import Recording, Scenario, StepControl
+from cosim.base.errors import Fault, InputError, refuse
+from cosim.loading.refined import NEAREST, REFINED, NoNearest, folder_of, names_refine, refined_file
+from cosim.scenario.scenario import Component, FmuComponent, Recording, Scenario, StepControl
 from cosim.scenario.signal_units import convert_quantities
-from cosim.storage import messages as storage_messages
 from cosim.storage.artefact import kind_by_keys
 from cosim.storage.folders import SCHEMA_VERSION, other_version
 from cosim.storage.kinds import MANIFEST, SCENARIO, check_form, refuse_other
-from cosim.storage.yaml_file import Origin, YamlFile, did_you_mean, location_in, short
+from cosim.storage.yaml_file import MOST_FAULTS, Origin, YamlFile, did_you_mean, location_in, short
 from cosim.storage.yaml_nodes import Document, Location, NotYaml
 
 MOST_STEPS = 2e7
 ROUNDING = 1e-9  # relative tolerance for a whole number of steps
+SYSTEM = "system"  # folder with scenario and FMUs in the run folder of an SSP
+LONGEST = 2000  # of a message [characters]
+Place = tuple[str | int, ...]  # keys of a part of the scenario
 TICKS = 1000  # spacings of floating-point times in the shortest controlled step
 
 
@@ -67,7 +67,10 @@ class ScenarioFile:
         self.faults: list[Fault] = []
         self.warnings: list[str] = []  # about valid parts of the scenario
         if self.manifest is not None and "schema_version" not in self.manifest:
-            self.warnings.append(storage_messages.NO_VERSION(file=path, known=SCHEMA_VERSION))
+            self.warnings.append(
+                f"{path} is a manifest without schema_version, as after an edit; it is read as one of version "
+                f"{SCHEMA_VERSION}"
+            )
         self.warnings += other_version(path, self.manifest or {})
         convert_quantities(data, self.resolve, lambda at, message: self.faults.append(self.fault(at, message)))
         rest = Salvage(data)
@@ -75,7 +78,7 @@ class ScenarioFile:
         self.broken, self.places, self.stands_in = rest.broken, rest.places, rest.stands_in
         if self.manifest is not None:
             self.scenario = with_files_beside(self.scenario, path.parent)
-        self.faults += [*self._step_faults(), *self._record_faults(), *self._criteria_faults()]
+        self.faults += [self.fault(where, message) for where, message in self._time_faults()]
 
     def _validate(self, rest: Salvage) -> Scenario:
         """Return the scenario, without faulty parts if necessary."""
@@ -101,78 +104,104 @@ class ScenarioFile:
     @property
     def files(self) -> list[Path]:
         """Return the FMUs and recordings of the components."""
-        local = [c for c in self.scenario.components.values() if getattr(c, "at", None) is None]
-        names = ((getattr(c, "fmu", None) or getattr(c, "file", None)) for c in local)
+        every = self.scenario.components.values()
+        names = ((getattr(c, "fmu", None) or getattr(c, "file", None)) for c in every)
         return [self.resolve(name) for name in names if name]
 
-    def fault(self, location: tuple[str | int, ...], message: str, exit_code: int = 2) -> Fault:
+    def fault(self, location: Location, message: str, exit_code: int = 2) -> Fault:
         """Return a fault at a place of the scenario."""
         return self.yaml.fault(location, message, exit_code=exit_code)
 
-    def _step_faults(self) -> list[Fault]:
+    def _time_faults(self) -> Iterator[tuple[Location, str]]:
+        """Yield places and faults of times that contradict each other."""
         s = self.scenario
-        if self.stands_in:  # Duration or step is faulty itself.
-            return []
-        if s.control is not None and (faults := self._control_faults(s.control)):
-            return faults
+        if not self.stands_in:  # Otherwise duration or step is faulty itself.
+            control = [] if s.control is None else [*self._control_faults(s.control)]
+            yield from control or self._step_faults()
+            yield from self._record_faults()
+        for kind, k, criterion in s.goals:
+            where: Location = ("criteria", kind, *(() if k is None else (k,)))
+            if kind == "settling_time" and criterion.band is None:
+                yield where, f"{kind} needs a band; add the allowed distance from its target"
+            elif kind != "settling_time" and criterion.band is not None:
+                yield where, f"{kind} takes no band; leave it out"
+            start, end = criterion.after, s.duration if criterion.until is None else criterion.until
+            is_inside = self.stands_in or (start < end <= s.duration and end - start >= s.step)
+            if start < 0 or not is_inside:
+                interval = f"{kind} looks from {start:g} s to {end:g} s of {s.duration:g} s"
+                yield where, f"{interval}; choose times within the run, a step or more apart"
+
+    def _step_faults(self) -> Iterator[tuple[Location, str]]:
+        """Yield the fault of a duration that is no whole number of steps."""
+        s, overrides = self.scenario, self.yaml.overrides
         count = s.duration / s.step
         if not count <= MOST_STEPS:
-            return [self.fault(("step",), messages.MANY_STEPS(step=s.step, count=count, limit=MOST_STEPS))]
-        if abs(count - round(count)) <= ROUNDING * max(1.0, count) and round(count) >= 1:
-            return []
-        divisor, overrides = s.duration / max(1, math.ceil(count)), self.yaml.overrides
-        if s.control is not None:
-            where = ("step", "max" if s.control.rows is None else "rows")
-            return [self.fault(where, messages.STEP_NOT_A_DIVISOR(step=s.step, duration=s.duration, divisor=divisor))]
-        key = "duration" if ("duration",) in overrides and ("step",) not in overrides else "step"
-        return [self.fault((key,), messages.STEP_NOT_A_DIVISOR(step=s.step, duration=s.duration, divisor=divisor))]
+            steps = f"which makes {count:.3g} steps, and a run may have {MOST_STEPS:g}"
+            yield ("step",), f"step is {s.step:g} s, {steps}; give a longer step or a shorter duration"
+        elif not _is_whole(count):
+            where: Location = ("step",)
+            if s.control is not None:
+                where = ("step", "max" if s.control.rows is None else "rows")
+            elif ("duration",) in overrides and ("step",) not in overrides:
+                where = ("duration",)
+            divisor = s.duration / max(1, math.ceil(count))
+            cure = f"use a whole divisor of duration {s.duration:g} s, {divisor:.6g} s for one"
+            yield where, f"step is {s.step:g} s; {cure}"
 
-    def _record_faults(self) -> list[Fault]:
-        """Return the fault of a rate of recording that is no whole number of steps, or longer than the run."""
+    def _record_faults(self) -> Iterator[tuple[Location, str]]:
+        """Yield the fault of a rate of recording that is no whole number of steps, or longer than the run."""
         s = self.scenario
-        if self.stands_in or not isinstance(s.record, Recording) or s.record.every is None:
-            return []
+        if not isinstance(s.record, Recording) or s.record.every is None:
+            return
         every, steps = s.record.every, s.record.every / s.step
         if every > s.duration * (1.0 + ROUNDING):
-            message = messages.EVERY_TOO_LONG(every=every, duration=s.duration)
-            return [self.fault(("record", "every"), message)]
-        if abs(steps - round(steps)) <= ROUNDING * steps and round(steps) >= 1:
-            return []
-        near = [n * s.step for n in (math.floor(steps), math.ceil(steps)) if n]
-        values = " or ".join(f"{value:.6g} s" for value in near)
-        return [self.fault(("record", "every"), messages.EVERY_NO_MULTIPLE(every=every, step=s.step, near=values))]
+            yield ("record", "every"), f"{every:g} s is longer than the run, {s.duration:g} s; use a shorter time"
+        elif not _is_whole(steps):
+            near = " or ".join(f"{n * s.step:.6g} s" for n in (math.floor(steps), math.ceil(steps)) if n)
+            cure = f"use for example {near}"
+            yield ("record", "every"), f"{every:g} s is no whole number of steps of {s.step:g} s; {cure}"
 
-    def _control_faults(self, control: StepControl) -> list[Fault]:
-        """Return the faults of contradicting keys of `step`."""
-        faults, rows = [], control.max if control.rows is None else control.rows
+    def _control_faults(self, control: StepControl) -> Iterator[tuple[Location, str]]:
+        """Yield the faults of contradicting keys of `step`."""
+        rows = control.max if control.rows is None else control.rows
         if not control.min <= control.max <= rows * (1.0 + ROUNDING):
-            where = ("step", "min" if control.min > control.max else "max")
-            message = messages.CONTROL_OUT_OF_ORDER(min=control.min, max=control.max, rows=rows)
-            faults.append(self.fault(where, message))
-        resolution = TICKS * math.ulp(abs(self.scenario.start_time) + self.scenario.duration)
-        if control.min < resolution:
-            message = messages.MIN_BELOW_RESOLUTION(min=control.min, resolution=resolution)
-            faults.append(self.fault(("step", "min"), message))
+            times = f"min is {control.min:g} s, max {control.max:g} s and rows {rows:g} s"
+            key = "min" if control.min > control.max else "max"
+            yield ("step", key), f"{times}; min is at most max, and max at most rows"
+        least = TICKS * math.ulp(abs(self.scenario.start_time) + self.scenario.duration)
+        if control.min < least:
+            reason = "too short for floating-point times of this run"
+            yield ("step", "min"), f"min is {control.min:g} s, {reason}; give at least {least:.2g} s"
         if control.bonds and control.estimator not in (None, "energy"):
-            faults.append(self.fault(("step", "bonds"), messages.BONDS_WITHOUT_ENERGY(estimator=control.estimator)))
+            yield ("step", "bonds"), f"bonds belong to estimator: energy, not to {control.estimator}; leave one out"
         if control.estimator == "energy" and not control.bonds:
-            faults.append(self.fault(("step", "estimator"), messages.ENERGY_WITHOUT_BONDS()))
-        return faults
+            yield ("step", "estimator"), "estimator: energy needs bonds: [{effort: a.force, flow: b.velocity}]"
 
-    def _criteria_faults(self) -> list[Fault]:
-        faults = []
-        for kind, k, criterion in self.scenario.goals:
-            where: tuple[str | int, ...] = ("criteria", kind, *(() if k is None else (k,)))
-            if (kind == "settling_time") != (criterion.band is not None):
-                template = messages.NO_BAND if kind == "settling_time" else messages.NEEDLESS_BAND
-                faults.append(self.fault(where, template(kind=kind)))
-            start, duration = criterion.after, self.scenario.duration
-            end = duration if criterion.until is None else criterion.until
-            is_inside = self.stands_in or (start < end <= duration and end - start >= self.scenario.step)
-            if start < 0 or not is_inside:
-                message = messages.INTERVAL_OUTSIDE(kind=kind, start=start, end=end, duration=duration)
-                faults.append(self.fault(where, message))
-        return faults
+
+class Diagnosis:
+    """Collected faults and warnings, reported all at once; faults of form come first."""
+
+    def __init__(self, file: ScenarioFile) -> None:
+        self.file = file
+        self.faults: list[Fault] = list(file.faults)
+        self.warnings: list[str] = list(file.warnings)
+
+    def note(self, where: Place, message: str, exit_code: int = 2) -> None:
+        """Note a fault at a place of the scenario; raise InputError at the limit of faults."""
+        if len(message) > LONGEST:
+            message = f"{message[: LONGEST - 1]}…"
+        self.faults.append(self.file.fault(where, message, exit_code=exit_code))
+        if len(self.faults) >= MOST_FAULTS:
+            raise InputError([*self.faults, Fault(self.file.path, 0, 0, f"the first {MOST_FAULTS} faults are shown")])
+
+    def raise_any(self) -> None:
+        """Raise InputError if any fault was noted."""
+        refuse(self.faults)
+
+
+def _is_whole(count: float) -> bool:
+    """Return whether a number of steps is whole within rounding, and at least 1."""
+    return abs(count - round(count)) <= ROUNDING * max(1.0, count) and round(count) >= 1
 
 
 LISTS = ("connections", "faults", "events")  # lists from which faulty entries are removed singly
@@ -223,51 +252,44 @@ class Salvage:
                 self.data["components"] = {"_": {"block": "reference", "signals": {"_": {}}}}
 
 
-def _index(node: Any, key: str, *, new: bool) -> str | int | None:
-    """Return the index or key of `key` in a node, if allowed.
-
-    Args:
-        new: Whether a mapping may gain the key.
-    """
-    if isinstance(node, list):
-        return int(key) if key.isascii() and key.isdigit() and int(key) < len(node) else None
-    return key if isinstance(node, dict) and (key in node or new) else None
-
-
 def _override(path: Path, data: dict[str, Any], text: str, subject: str) -> Location:
     """Apply a `path=value` override; return its place.
 
-    The value is read as YAML, which includes JSON.
+    The value is read as YAML, which includes JSON, else as text.
 
     Args:
         subject: The override in messages; "" for its path.
     """
     target, sign, value = text.partition("=")
 
-    def refusal(template: Template, **fields: Any) -> InputError:
-        return InputError.at(path, template(override=subject or short(target), **fields))
+    def refusal(reason: str) -> InputError:
+        return InputError.at(path, f"{subject or short(target)} {reason}")
 
     if not sign or not target.strip():
-        raise refusal(messages.OVERRIDE_WITHOUT_VALUE)
+        raise refusal("is not path=value; for example --set noise=off")
     node: Any = data
     keys = keys_of(target.strip())
     at: list[str | int] = []
     for depth, key in enumerate(keys):
-        index = _index(node, key, new=depth not in NAMED.get(keys[0], ()))
-        if index is None:
+        index: str | int = key
+        if isinstance(node, list) and key.isascii() and key.isdigit() and int(key) < len(node):
+            index = int(key)
+        elif not isinstance(node, dict) or (key not in node and depth == 1 and keys[0] == "components"):
             break
         at.append(index)
         if len(at) == len(keys):
-            node[index] = _from_here(keys, _value(value))
+            try:
+                node[index] = _from_here(keys, Document(value).data)
+            except NotYaml:
+                node[index] = _from_here(keys, value)
             return tuple(at)
         node = node.setdefault(index, {}) if isinstance(node, dict) else node[index]
     if keys[0] == "components" and isinstance(components := data.get("components"), dict):
         some, hint = ", ".join(map(short, islice(components, 20))), did_you_mean(keys[1], components)
-        raise refusal(messages.OVERRIDE_OF_NO_COMPONENT, name=short(keys[1]), hint=hint, components=some)
-    raise refusal(messages.OVERRIDE_OF_NOTHING, path=short(target))
-
-
-NAMED = {"components": (1,)}  # depths at which a path must name an existing key
+        raise refusal(
+            f'is for component "{short(keys[1])}", which is not in the scenario{hint} (its components: {some})'
+        )
+    raise refusal(f"leads nowhere: there is no {short(target)} in the scenario")
 
 
 def keys_of(target: str) -> list[str]:
@@ -281,7 +303,7 @@ def keys_of(target: str) -> list[str]:
     return keys
 
 
-FILES = {"components": ("fmu", "file"), "design": ("model",)}  # keys of file names, by section
+FILES = ("fmu", "file")  # keys of file names of a component
 
 
 def _from_here(keys: Sequence[str], value: Any) -> Any:
@@ -289,13 +311,11 @@ def _from_here(keys: Sequence[str], value: Any) -> Any:
 
     Relative names start at the current folder, where the user typed them.
     """
-    file_keys = FILES.get(keys[0], ())
-    inner = keys[2:] if keys[0] == "components" else keys[1:]
-    if isinstance(value, dict) and not inner and value.get("at"):
-        return value  # Its file is that of a server.
-    if isinstance(value, dict) and not inner:
-        return {key: _absolute(v) if key in file_keys else v for key, v in value.items()}
-    return _absolute(value) if len(inner) == 1 and inner[0] in file_keys else value
+    if keys[0] != "components" or len(keys) not in {2, 3}:
+        return value
+    if len(keys) == 2:
+        return {k: _from_here([*keys, str(k)], v) for k, v in value.items()} if isinstance(value, dict) else value
+    return os.path.abspath(value) if keys[2] in FILES and isinstance(value, str) and value else value
 
 
 def from_here(data: Mapping[str, Any]) -> dict[str, Any]:
@@ -306,19 +326,63 @@ def from_here(data: Mapping[str, Any]) -> dict[str, Any]:
             name: _from_here(["components", str(name)], dict(c)) if isinstance(c, Mapping) else c
             for name, c in components.items()
         }
-    if isinstance(design := scenario.get("design"), Mapping):
-        scenario["design"] = _from_here(["design"], dict(design))
     return scenario
 
 
-def _absolute(name: Any) -> Any:
-    """Return the absolute path of a file name; return model names and other values unchanged."""
-    return os.path.abspath(name) if isinstance(name, str) and name and not is_model(name) and name != BASE else name
+# -- files of a repeated run, which must have the content hash in the manifest ---------------------
 
 
-def _value(text: str) -> Any:
-    """Return a value of --set parsed as YAML, else the text."""
-    try:
-        return Document(text).data
-    except NotYaml:
-        return text
+def sha256(path: Path) -> str:
+    """Return the SHA-256 of a file."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def key_of(component: Component) -> str:
+    """Return the key for a component's file."""
+    return "fmu" if isinstance(component, FmuComponent) else "file"
+
+
+def with_files_beside(scenario: Scenario, folder: Path) -> Scenario:
+    """Return a manifest's scenario with missing or changed files replaced by those beside the manifest.
+
+    A file missing at its path is taken by name from `folder` or from the system of an SSP there. A file with different
+    content is replaced too, if the file in `folder` has the content of the run.
+    """
+    components: dict[str, Any] = {}
+    for name, component in scenario.components.items():
+        key = key_of(component)
+        pinned, named = getattr(component, "sha256", None), getattr(component, key, None)
+        file = PureWindowsPath(named or "").name  # file name from a path of any operating system
+        substitute = next((each for each in (file, f"{SYSTEM}/{file}") if (folder / each).is_file()), "")
+        if pinned is None or not named or not substitute:
+            continue
+        original = folder / named
+        if not original.is_file() or (sha256(original) != pinned and sha256(folder / substitute) == pinned):
+            components[name] = component.model_copy(update={key: substitute})
+    return scenario.model_copy(update={"components": {**scenario.components, **components}}) if components else scenario
+
+
+# -- nearest models --------------------------------------------------------------------------------
+
+
+def take_nearest(file: ScenarioFile) -> None:
+    """Replace refined FMUs by the nearest, as `--nearest` asks. Failures become faults of the scenario file."""
+    components: dict[str, Any] = dict(file.scenario.components)
+    has_refined = False
+    for name, component in components.items():
+        if not isinstance(component, FmuComponent):
+            continue
+        path = file.resolve(component.fmu)
+        if not folder_of(path) or not (path.name in (*REFINED, *NEAREST) or names_refine(path)):
+            continue
+        has_refined = True
+        try:
+            if component.sha256 is not None:
+                raise NoNearest("a manifest repeats its run as it was; leave --nearest out, or run the scenario")
+            components[name] = component.model_copy(update={"fmu": str(refined_file(path, nearest=True))})
+        except NoNearest as error:
+            file.faults.append(file.fault(("components", name, "fmu"), str(error)))
+    if not has_refined:
+        reason = "no component uses a result of `cosim refine`, so --nearest has no effect"
+        file.faults.append(Fault(file.path, 0, 0, f"{reason}; name the FMU of such a result, or leave --nearest out"))
+    file.scenario = file.scenario.model_copy(update={"components": components})

@@ -6,7 +6,7 @@ Quantities with a fixed unit, such as `duration`, are converted by `cosim.storag
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,8 +14,7 @@ from cosim.base.errors import FmuError, InputError
 from cosim.base.units import allowed_quantity, computed_in, has_unit, read_quantity, split_quantity, square_unit
 from cosim.blocks.description import read_description, unit_of
 from cosim.blocks.sources import playback
-from cosim.scenario import messages
-from cosim.scenario.start_values import Misfit, convert_quantity
+from cosim.scenario.start_values import convert_quantity
 from cosim.storage.yaml_file import format_value, wrong_value
 from cosim.storage.yaml_nodes import Location
 
@@ -51,21 +50,6 @@ class Measure(NamedTuple):
         return read_quantity(text, units[kind], difference=True)
 
 
-@dataclass(frozen=True)
-class Place:
-    """A value in a scenario whose unit depends on a signal.
-
-    Attributes:
-        location: Place in the file.
-        of: Signal as `component.variable`, or the measure itself.
-        kind: Relation to the signal, see `Measure.of_kind`.
-    """
-
-    location: Location
-    of: str | Measure
-    kind: str
-
-
 def convert_quantities(data: dict[str, Any], resolve: Resolve, note: Note) -> None:
     """Convert text such as `2 deg` to the signal's unit, in place.
 
@@ -73,23 +57,24 @@ def convert_quantities(data: dict[str, Any], resolve: Resolve, note: Note) -> No
         note: Called with place and message of each fault.
     """
     measures: dict[str, Measure | None] = {}
-    for place in _places(data):
-        *path, last = place.location
-        parent = _part(data, *path)
-        text, parent[last] = parent[last], STAND_IN
-        name = ".".join(map(str, place.location))
-        measure: str | Measure | None = place.of
-        if isinstance(measure, str):
-            if measure not in measures:
-                measures[measure] = _measure(data, measure, resolve)
-            measure = measures[measure]
+    for location, of, kind in _places(data):
+        *path, last = location
+        text = _part(data, *location)
+        if not isinstance(text, str) or not isinstance(of, (str, Measure)):
+            continue
+        parent, name = _part(data, *path), ".".join(map(str, location))
+        parent[last] = STAND_IN
+        if isinstance(of, str) and of not in measures:
+            measures[of] = _measure(data, of, resolve)
+        measure = measures[of] if isinstance(of, str) else of
         if measure is None:
-            note(place.location, messages.UNKNOWN_UNIT(name=name, value=format_value(text), signal=place.of))
+            unknown = f"{name} is {format_value(text)}: the unit of {of} is not known"
+            note(location, f"{unknown}; write a number alone")
             continue
         try:
-            parent[last] = measure.of_kind(place.kind, text)
+            parent[last] = measure.of_kind(kind, text)
         except ValueError as error:
-            note(place.location, wrong_value(name, text, str(error)))
+            note(location, wrong_value(name, text, str(error)))
 
 
 def _measure(data: Mapping[str, Any], signal: str, resolve: Resolve) -> Measure | None:
@@ -103,7 +88,12 @@ def _measure(data: Mapping[str, Any], signal: str, resolve: Resolve) -> Measure 
         return None
     try:
         if isinstance(file := component.get("fmu"), str):
-            return _of_fmu(resolve(file), name)
+            description = read_description(resolve(file))
+            names = {v.name: v for v in description.modelVariables}
+            variable = names.get(name) or names.get(name.rpartition("[")[0])
+            if variable is None:
+                return None
+            return Measure(unit_of(variable), partial(convert_quantity, description, variable))
         if component.get("block") == "playback" and isinstance(file := component.get("file"), str):
             units = {s.name: s.unit for s in playback(owner, resolve(file), (name,)).outputs}
             return _measure_in(units[name]) if name in units else None
@@ -115,85 +105,54 @@ def _measure(data: Mapping[str, Any], signal: str, resolve: Resolve) -> Measure 
     return _measure_in(computed_in(unit)[0] if is_reference else unit) if isinstance(unit, str) else None
 
 
-def _of_fmu(path: Path, name: str) -> Measure | None:
-    description = read_description(path)
-    names = {v.name: v for v in description.modelVariables}
-    variable = names.get(name) or names.get(name.rpartition("[")[0])
-    if variable is None:
-        return None
-
-    def number(text: str, difference: bool) -> float:
-        value = convert_quantity(description, variable, text, difference=difference)
-        if isinstance(value, Misfit):
-            raise ValueError(value.reason)
-        return value
-
-    return Measure(unit_of(variable), number)
-
-
 def _measure_in(unit: str) -> Measure:
     return Measure(unit, lambda text, difference: read_quantity(text, unit, difference=difference))
 
 
-def _places(data: dict[str, Any]) -> Iterator[Place]:
-    """Yield the places of all quantities written as text."""
-    for place in (*_of_connections(data), *_of_faults(data), *_of_criteria(data), *_of_components(data)):
-        if isinstance(_part(data, *place.location), str):
-            yield place
+def _places(data: dict[str, Any]) -> Iterator[tuple[Location, Any, str]]:
+    """Yield quantities in the unit of a signal: place, the signal or the measure itself, and kind of `Measure.of_kind`.
 
-
-def _of_connections(data: Mapping[str, Any]) -> Iterator[Place]:
+    Values and signals may be of any type.
+    """
     for k, connection in _entries(data.get("connections")):
-        if isinstance(target := connection.get("to"), str):
-            yield Place(("connections", k, "offset"), target, "difference")
-            yield Place(("connections", k, "noise", "bias"), target, "difference")
-            yield Place(("connections", k, "noise", "variance"), target, "square")
-
-
-def _of_faults(data: Mapping[str, Any]) -> Iterator[Place]:
+        at, to = ("connections", k), connection.get("to")
+        yield (*at, "offset"), to, "difference"
+        yield (*at, "noise", "bias"), to, "difference"
+        yield (*at, "noise", "variance"), to, "square"
     for k, fault in _entries(data.get("faults")):
-        if isinstance(target := fault.get("on"), str):
-            at = ("faults", k, "value")
-            kind = "value" if fault.get("kind") == "stuck" else "difference"
-            yield Place(at, _measure_in("1") if fault.get("kind") == "scale" else target, kind)
-
-
-def _of_criteria(data: Mapping[str, Any]) -> Iterator[Place]:
-    criteria = data.get("criteria")
-    for kind, content in criteria.items() if isinstance(criteria, dict) else ():
+        of = _measure_in("1") if fault.get("kind") == "scale" else fault.get("on")
+        yield ("faults", k, "value"), of, "value" if fault.get("kind") == "stuck" else "difference"
+    for kind, content in _items(data.get("criteria")):
         single: list[tuple[Location, Any]] = [((), content)]
         for within, criterion in single if isinstance(content, dict) else [((k,), c) for k, c in _entries(content)]:
-            at: Location = ("criteria", kind, *within)
-            signal = criterion.get("of")
-            if not isinstance(signal, str):
-                continue
-            if isinstance(to := criterion.get("to"), str) and split_quantity(to) is not None:
-                yield Place((*at, "to"), signal, "value")
-            yield Place((*at, "band"), signal, "difference")
+            place: Location = ("criteria", kind, *within)
+            of, to = criterion.get("of"), criterion.get("to")
+            if isinstance(to, str) and split_quantity(to) is not None:
+                yield (*place, "to"), of, "value"
+            yield (*place, "band"), of, "difference"
             if kind == "settling_time":
-                yield Place((*at, "max"), _measure_in("s"), "value")
+                yield (*place, "max"), _measure_in("s"), "value"
             elif kind == "effort":
-                yield Place((*at, "max"), signal, "integral")
+                yield (*place, "max"), of, "integral"
             else:  # A peak without a target is a value: at most 80 degC.
-                yield Place((*at, "max"), signal, "value" if kind == "peak" and not to else "difference")
-
-
-def _of_components(data: Mapping[str, Any]) -> Iterator[Place]:
-    components = data.get("components")
-    for name, component in components.items() if isinstance(components, dict) else ():
-        signals = component.get("signals") if isinstance(component, dict) else None
-        for signal, about in signals.items() if isinstance(signals, dict) else ():
+                yield (*place, "max"), of, "value" if kind == "peak" and not to else "difference"
+    for name, component in _items(data.get("components")):
+        for signal, about in _items(_part(component, "signals")):
             unit = about.get("unit", "") if isinstance(about, dict) else None
             if not isinstance(unit, str):
                 continue
-            at: Location = ("components", name, "signals", signal)
-            measure = _measure_in(unit)  # The written unit; degrees become radians later.
-            yield Place((*at, "start"), measure, "value")
+            place, measure = ("components", name, "signals", signal), _measure_in(unit)  # Degrees become radians later.
+            yield (*place, "start"), measure, "value"
             for k, _ in _entries(about.get("changes")):
-                yield Place((*at, "changes", k, "to"), measure, "value")
-                yield Place((*at, "changes", k, "rate"), measure, "rate")
-            yield Place((*at, "noise", "bias"), measure, "difference")
-            yield Place((*at, "noise", "variance"), measure, "square")
+                yield (*place, "changes", k, "to"), measure, "value"
+                yield (*place, "changes", k, "rate"), measure, "rate"
+            yield (*place, "noise", "bias"), measure, "difference"
+            yield (*place, "noise", "variance"), measure, "square"
+
+
+def _items(content: Any) -> Iterator[tuple[Any, Any]]:
+    """Yield the entries of a mapping, none of other data."""
+    yield from content.items() if isinstance(content, dict) else ()
 
 
 def _entries(content: Any) -> Iterator[tuple[int, dict[str, Any]]]:

@@ -62,22 +62,21 @@ def with_elements(start: Mapping[str, Any], variables: Mapping[str, Any]) -> dic
 
 def _elements(value: Any, count: int) -> list[Any] | None:
     """Return the values of an array as a list, or None if their number is wrong, which is reported elsewhere."""
-    if value is None or isinstance(value, (int, float)):
-        return [value or 0.0] * count
-    values = value.split() if isinstance(value, str) else value
+
+    def number(text: Any) -> Any:
+        """Return an XML start value as a number, if numeric."""
+        if not isinstance(text, str):
+            return text
+        try:
+            return int(text) if text.lstrip("+-").isdigit() else float(text)
+        except ValueError:
+            return {"true": True, "false": False}.get(text, text)
+
+    values = [value or 0.0] if value is None or isinstance(value, (int, float)) else value
+    values = values.split() if isinstance(values, str) else values
     if isinstance(values, (list, tuple)) and len(values) in {1, count}:
-        return [_number(v) for v in values] * (count // len(values))
+        return [*map(number, values)] * (count // len(values))
     return None
-
-
-def _number(text: Any) -> Any:
-    """Return an XML start value as a number, if numeric."""
-    if not isinstance(text, str):
-        return text
-    try:
-        return int(text) if text.lstrip("+-").isdigit() else float(text)
-    except ValueError:
-        return {"true": True, "false": False}.get(text, text)
 
 
 def convert_value(description: Any, variable: Any, value: Any) -> Any:
@@ -85,31 +84,43 @@ def convert_value(description: Any, variable: Any, value: Any) -> Any:
 
     An array has a list of values.
     """
-    if not variable.shape:
-        return _scalar(description, variable, value)
-    count = math.prod(variable.shape)
-    if not isinstance(value, list) or len(value) != count:
-        return Misfit(f"it is a list of {count} values")
-    values = [_scalar(description, variable, each) for each in value]
-    return next((v for v in values if isinstance(v, Misfit)), values)
+    count = math.prod(variable.shape or ())
+    try:
+        if not variable.shape:
+            return _scalar(description, variable, value)
+        if not isinstance(value, list) or len(value) != count:
+            raise ValueError(f"it is a list of {count} values")
+        return [_scalar(description, variable, each) for each in value]
+    except ValueError as error:
+        return Misfit(str(error))
 
 
 def _scalar(description: Any, variable: Any, value: Any) -> Any:
-    """Return a value of a scalar in FMI's type, or the misfit."""
-    kind = kinds_of(description.fmiVersion).get(variable.type)
+    """Return a value of a scalar in FMI's type; raise ValueError with the reason against it."""
+    kind, unit = kinds_of(description.fmiVersion).get(variable.type), unit_of(variable)
     if kind is None:
-        return Misfit(f"it is a {variable.type}, which is not supported")
+        raise ValueError(f"it is a {variable.type}, which is not supported")
     if variable.type in NOT_NUMBERS:
         fits, reason = NOT_NUMBERS[variable.type]
-        return value if fits(value) else Misfit(reason)
-    if isinstance(value, str):
-        value = (
-            _item(variable, value) if variable.type == "Enumeration" else convert_quantity(description, variable, value)
-        )
-        if isinstance(value, Misfit):
-            return value
-    if reason := _why_no_number(variable, kind, value):
-        return Misfit(reason)
+        if not fits(value):
+            raise ValueError(reason)
+        return value
+    items = enumeration_items(variable) if variable.type == "Enumeration" else {}
+    if isinstance(value, str) and variable.type == "Enumeration":
+        if value not in items:
+            raise ValueError(f"it is one of {', '.join(items)}{did_you_mean(value, items)}")
+        value = items[value]
+    elif isinstance(value, str):
+        value = convert_quantity(description, variable, value)
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise ValueError(f"it is a number [{unit or '1'}]")
+    if kind.low is not None and not float(value).is_integer():
+        raise ValueError("it is a whole number")
+    if items and int(value) not in items.values():
+        raise ValueError(f"it is one of {', '.join(f'{n} ({k})' for n, k in items.items())}")
+    low, high = _bounds(variable, kind)
+    if not low <= value <= high:
+        raise ValueError(f"it lies in [{low:g}, {high:g}] {unit}".removesuffix(" 1").rstrip())
     return int(value) if kind.low is not None else float(value)
 
 
@@ -118,21 +129,6 @@ NOT_NUMBERS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "String": (lambda v: isinstance(v, str), "it is text"),
     "Binary": (lambda v: isinstance(v, str) and HEX.fullmatch(v) is not None, "it is text of hexadecimal digits"),
 }
-
-
-def _why_no_number(variable: Any, kind: FmiType, value: Any) -> str:
-    """Return the reason for rejecting a number, or ""."""
-    unit = unit_of(variable)
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        return f"it is a number [{unit or '1'}]"
-    if kind.low is not None and not float(value).is_integer():
-        return "it is a whole number"
-    if variable.type == "Enumeration" and (items := enumeration_items(variable)) and int(value) not in items.values():
-        return f"it is one of {', '.join(f'{n} ({k})' for n, k in items.items())}"
-    low, high = _bounds(variable, kind)
-    if not low <= value <= high:
-        return f"it lies in [{low:g}, {high:g}] {unit}".removesuffix(" 1").rstrip()
-    return ""
 
 
 def bounds_of(description: Any, variable: Any) -> tuple[float, float]:
@@ -155,37 +151,26 @@ def _bounds(variable: Any, kind: FmiType) -> tuple[float, float]:
     return max(lowest, bound("min", -math.inf)), min(highest, bound("max", math.inf))
 
 
-def _item(variable: Any, text: str) -> int | Misfit:
-    """Return the number of an enumeration's item."""
-    items = enumeration_items(variable)
-    return items[text] if text in items else Misfit(f"it is one of {', '.join(items)}{did_you_mean(text, items)}")
-
-
-def convert_quantity(description: Any, variable: Any, text: str, *, difference: bool = False) -> float | Misfit:
-    """Return text such as `12 deg` in the unit of the variable.
+def convert_quantity(description: Any, variable: Any, text: str, difference: bool = False) -> float:
+    """Return text such as `12 deg` in the unit of the variable; raise ValueError with the reason if that is impossible.
 
     Args:
         difference: Whether to ignore the unit's offset.
     """
     unit, relative = unit_of(variable), difference or is_difference(variable)
-    displays: list[Any] = next((d.displayUnits for d in description.unitDefinitions if d.name == unit), [])
-    display_units = {d.name: d for d in displays}
-    quantity = split_quantity(text)
-    if unit and quantity is not None:
-        number, written = quantity
-        if written in display_units:
-            return _displayed(number, display_units[written], relative=relative, unit=unit)
-        source, target = (Signal("", u, unit_definition(description, u), relative=relative) for u in (written, unit))
-        if written and (by := source.conversion(target)):
-            return by[0] * number + by[1]
-    return Misfit(allowed_quantity(unit, display_units))
-
-
-def _displayed(number: float, display: Any, *, relative: bool, unit: str) -> float | Misfit:
-    """Return the value that a display unit of FMI shows as `number`."""
-    factor, offset = float(display.factor), 0.0 if relative else float(display.offset)
-    if not getattr(display, "inverse", False):
-        return (number - offset) / factor
-    if relative or number == offset:
-        return Misfit(f"{display.name} is the inverse of {unit}; give it in {unit}")
-    return factor / (number - offset)
+    units: list[Any] = next((d.displayUnits for d in description.unitDefinitions if d.name == unit), [])
+    displays, quantity = {d.name: d for d in units}, split_quantity(text)
+    if not unit or quantity is None:
+        raise ValueError(allowed_quantity(unit, displays))
+    number, written = quantity
+    if (display := displays.get(written)) is not None:
+        factor, offset = float(display.factor), 0.0 if relative else float(display.offset)
+        if not getattr(display, "inverse", False):
+            return (number - offset) / factor
+        if relative or number == offset:
+            raise ValueError(f"{display.name} is the inverse of {unit}; give it in {unit}")
+        return factor / (number - offset)
+    source, target = (Signal("", u, unit_definition(description, u), relative=relative) for u in (written, unit))
+    if not written or not (by := source.conversion(target)):
+        raise ValueError(allowed_quantity(unit, displays))
+    return by[0] * number + by[1]

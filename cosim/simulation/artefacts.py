@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from cosim.storage.artefact import Artefact
-from cosim.storage.kind_names import LOG, MANIFEST, RESULTS, SCENARIO, SSP
+from cosim.storage.artefact import FMU, LOG, MANIFEST, RESULTS, SCENARIO, SSP, Artefact
 
 ARTEFACTS = (
     Artefact(
@@ -23,7 +22,6 @@ ARTEFACTS = (
         marks=("manifest.json",),
         unfinished=("checkpoint/run.json",),
         files=("manifest.json", "report.html", "system/*", "checkpoint/*"),
-        drawn=("figures/*.png",),
         tables=("results",),
         folder="the folder of a run",
         folder_step="`cosim report {file}` makes its page again, `cosim compare {file} OTHER` compares it with another",
@@ -36,6 +34,14 @@ ARTEFACTS = (
         "COMPONENT.INPUT=INPUT` drives an FMU with it, a --column for each name",
         beside=("results.csv", "manifest.json"),
         taken_as=LOG,
+    ),
+    Artefact(
+        FMU,
+        "`cosim info {file}` lists what it has, `cosim simulate {file}` runs it, `cosim check` checks it, "
+        "a scenario names it as fmu:, `cosim replay LOG.csv --plant` drives it",
+        endings=(".fmu",),
+        member="modelDescription.xml",
+        check="cosim.simulation.trial:check_loaded_fmu",
     ),
     Artefact(
         SSP,

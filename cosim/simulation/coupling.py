@@ -7,7 +7,6 @@ also repeated in halves, to show when the coupling error is largest.
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
@@ -16,17 +15,15 @@ from pathlib import Path
 import numpy as np
 
 from cosim.base.errors import InputError, Interrupted
+from cosim.base.messages import Note
 from cosim.isolation.process import Worker
-from cosim.master.halving import rollback_objection
-from cosim.master.remote import MODULES, simulate_apart, simulate_here
-from cosim.scenario.controller_design import designed_apart
-from cosim.scenario.nearest_models import take_nearest
-from cosim.scenario.scenario_file import ScenarioFile
-from cosim.simulation import messages
+from cosim.master.policies import rollback_objection
+from cosim.master.remote import MODULES, simulate_in
+from cosim.scenario.scenario_file import ScenarioFile, take_nearest
 from cosim.simulation.undeclared import with_feedthrough
 from cosim.storage.files import FilePath
 from cosim.storage.results import Results
-from cosim.system.system import build_system
+from cosim.system.system import System, build_system
 
 
 @dataclass(frozen=True)
@@ -49,7 +46,7 @@ class CouplingError:
     def sentence(self) -> str:
         """Return the result as one sentence."""
         if self.stopped:
-            return messages.COUPLING_ERROR_UNKNOWN(reason=self.stopped)
+            return f"coupling error not known: with half the step {self.stopped}"
         sizes = ", ".join(f"{name} {value:.2g}" for name, value in self.of.items())
         changes = f"{sizes}; the coupling error is about twice that" if sizes else "nothing, for nothing is connected"
         steps = ", ".join(f"{name} {value:.2g} at t = {t:g} s" for name, (value, t) in self.steps.items())
@@ -57,7 +54,7 @@ class CouplingError:
             steps = f"; of single steps not known: {self.without}"
         elif steps:
             steps = f"; of a single step, taken back and made again in halves: {steps}"
-        return messages.COUPLING_ERROR(changes=changes, steps=steps)
+        return Note(f"half the step changes at most {changes}{steps}")
 
 
 def coupling_error(
@@ -72,24 +69,46 @@ def coupling_error(
         FmuError: An FMU does not load.
         Interrupted: The user stopped a run.
     """
+    original = ScenarioFile(Path(scenario), overrides)
+    if original.scenario.control is not None:
+        message = "controls the error of each step; --coupling-error measures equal steps: set one, --set step=0.01"
+        raise InputError([original.fault(("step",), message)])
+    step, steps = original.scenario.step, original.scenario.steps
     with ExitStack() as stack:
         worker = None if in_process else stack.enter_context(Worker(*MODULES))
-        whole, halved = (_results(Path(scenario), tuple(overrides), nearest, parts, worker) for parts in (1, 2))
-        single = _results(Path(scenario), tuple(overrides), nearest, 1, worker, halved=True)
-    if isinstance(whole, str):
-        return CouplingError({}, whole)
-    if isinstance(halved, str):
-        return CouplingError({}, halved)
-    names = list(dict.fromkeys(c.source for c in ScenarioFile(Path(scenario), overrides).scenario.connections))
-    of = differences(whole, halved, names)
+
+        def system_of(length: float) -> System:
+            file = ScenarioFile(Path(scenario), (*overrides, "noise=off", f"step={length!r}"))
+            if nearest:
+                take_nearest(file)
+            return with_feedthrough(file, build_system(file), worker)
+
+        def run(system: System, parts: int) -> Results | str:
+            """Return the rows, or the reason for missing rows."""
+            stepped = simulate_in(worker, system, steps * parts, step / parts, original.scenario.limits)
+            if isinstance(stepped.failure, Interrupted):
+                raise stepped.failure
+            if stepped.failure is not None:
+                return str(stepped.failure)
+            if len(stepped.results.time) <= steps * parts:
+                return f"the run ends early, at t = {stepped.results.time[-1]:g} s"
+            return stepped.results
+
+        system = system_of(step)
+        whole = run(system, 1)
+        try:
+            halved = run(system_of(step / 2), 2)
+        except InputError as error:
+            reason = "; ".join(fault.message.partition(": set ")[0] for fault in error.faults)  # a remedy for runs only
+            halved = f"(halved by --coupling-error: {step / 2:g} s for {step:g} s) it cannot be run: {reason}"
+        single = rollback_objection(system) or run(replace(system, halved=True), 1)
+    if isinstance(whole, str) or isinstance(halved, str):
+        return CouplingError({}, whole if isinstance(whole, str) else str(halved))
+    of = differences(whole, halved, list(dict.fromkeys(c.source for c in original.scenario.connections)))
     if isinstance(single, str):
         return CouplingError(of, without=single)
-    return CouplingError(of, steps={name: _largest(single, name) for name in of})
-
-
-def _largest(results: Results, name: str) -> tuple[float, float]:
-    row = int(np.argmax(results[name]))
-    return float(results[name][row]), float(results.time[row])
+    rows = {name: int(np.argmax(single[name])) for name in of}
+    return CouplingError(of, steps={n: (float(single[n][row]), float(single.time[row])) for n, row in rows.items()})
 
 
 def differences(whole: Results, halved: Results, names: Sequence[str]) -> dict[str, float]:
@@ -97,45 +116,3 @@ def differences(whole: Results, halved: Results, names: Sequence[str]) -> dict[s
     rows = min(len(whole.time), (len(halved.time) + 1) // 2)
     columns = [c for name in names for c in whole.columns if c == name or c.startswith(f"{name}[")]
     return {c: float(np.max(np.abs(whole[c][:rows] - halved[c][: 2 * rows : 2][:rows]))) for c in columns}
-
-
-def _results(
-    path: Path, overrides: tuple[str, ...], nearest: bool, parts: int, worker: Worker | None, *, halved: bool = False
-) -> Results | str:
-    """Run a scenario with another step and return its rows, or the reason for missing rows.
-
-    Args:
-        parts: Number of parts into which the scenario's step is divided.
-        halved: Whether to record the differences made by halving each step.
-    """
-    original = ScenarioFile(path, overrides)
-    if original.scenario.control is not None:
-        raise InputError([original.fault(("step",), messages.ERROR_OF_CONTROLLED_STEPS())])
-    step, steps = original.scenario.step / parts, original.scenario.steps * parts
-    file = ScenarioFile(path, (*overrides, "noise=off", f"step={step!r}"))
-    if nearest:
-        take_nearest(original)
-        take_nearest(file)
-    try:
-        designed = designed_apart(original, worker)
-        system = with_feedthrough(file, designed, build_system(file, designed), worker)
-    except InputError as error:
-        if parts == 1:
-            raise
-        reason = "; ".join(fault.message.partition(": set ")[0] for fault in error.faults)  # a remedy for runs only
-        return f"(halved by --coupling-error: {step:g} s for {original.scenario.step:g} s) it cannot be run: {reason}"
-    if halved:
-        if reason := rollback_objection(system):
-            return reason
-        system = replace(system, halved=True)
-    if worker is None:
-        stepped = simulate_here(system, steps, step)
-    else:
-        stepped = simulate_apart(worker, system, steps, step, Path(tempfile.gettempdir()), file.scenario.limits)
-    if isinstance(stepped.failure, Interrupted):
-        raise stepped.failure
-    if stepped.failure is not None:
-        return str(stepped.failure)
-    if len(stepped.results.time) <= steps:
-        return f"the run ends early, at t = {stepped.results.time[-1]:g} s"
-    return stepped.results

@@ -1,4 +1,8 @@
-"""Evaluation of a scenario's criteria on its results."""
+"""Evaluation of a scenario's criteria on its results, and the figures of merit behind them.
+
+Each figure of merit takes time `t` [s], a signal and its target as arrays of shape (samples,). It returns a float in
+the signal's own unit, or in seconds.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.arrays import far_beyond
+from cosim.base.arrays import Array, far_beyond
 from cosim.base.times import roundings
 from cosim.scenario.scenario import Criterion, Scenario
-from cosim.simulation import metrics
 from cosim.storage.results import Results
 
 DIGITS, MOST_DIGITS = 4, 17  # of a value and its limit; more where they would look the same
@@ -43,13 +46,13 @@ def _evaluate(kind: str, criterion: Criterion, results: Results, step: float) ->
         case _ if not signal.size:  # An FMU ended the simulation before the window.
             value = math.inf
         case "settling_time":
-            value, unit = metrics.settling_time(t, signal, target, criterion.band or 0.0), "s"
+            value, unit = settling_time(t, signal, target, criterion.band or 0.0), "s"
         case "effort":
-            value, unit = metrics.effort(t, signal - target), f"{unit}.s".lstrip(".")
+            value, unit = effort(t, signal - target), f"{unit}.s".lstrip(".")
         case "peak":
-            value = metrics.peak(signal - target)
+            value = peak(signal - target)
         case _:
-            value = getattr(metrics, kind)(signal, target)
+            value = {"overshoot": overshoot, "rms_error": rms_error, "final_error": final_error}[kind](signal, target)
     return {
         "kind": kind,
         **criterion.model_dump(exclude_defaults=True, exclude={"max"}),
@@ -73,3 +76,43 @@ def sentence(outcome: dict[str, Any]) -> str:
     return (
         f"{verdict}: {outcome['kind'].replace('_', ' ')} of {outcome['of']}{window} is {value}, at most {limit} allowed"
     )
+
+
+def settling_time(t: Array, signal: Array, target: Array | float, band: float) -> float:
+    """Return the time [s] to the last sample outside `target ± band`.
+
+    The time is 0 if no sample is outside, and inf if the signal ends outside.
+    """
+    outside = np.flatnonzero(np.abs(signal - target) > band)
+    if outside.size == 0:
+        return 0.0
+    if outside[-1] == signal.size - 1:
+        return float("inf")
+    return float(t[outside[-1]] - t[0])
+
+
+def overshoot(signal: Array, target: Array | float) -> float:
+    """Return the largest excursion beyond the final target, in the direction from the first sample to the target."""
+    final = float(np.broadcast_to(target, signal.shape)[-1])
+    direction = np.sign(final - signal[0])
+    return max(0.0, float(np.max(direction * (signal - final)))) if direction else float(np.max(np.abs(signal - final)))
+
+
+def rms_error(signal: Array, target: Array | float) -> float:
+    """Return the root mean square of `signal - target`."""
+    return float(np.sqrt(np.mean((signal - target) ** 2)))
+
+
+def final_error(signal: Array, target: Array | float) -> float:
+    """Return the absolute error at the last sample."""
+    return float(np.abs(signal - target)[-1])
+
+
+def peak(signal: Array) -> float:
+    """Return the largest magnitude."""
+    return float(np.max(np.abs(signal)))
+
+
+def effort(t: Array, signal: Array) -> float:
+    """Return the time integral of the magnitude [unit s]. The signal is held between samples."""
+    return float(np.sum(np.abs(signal[:-1]) * np.diff(t)))

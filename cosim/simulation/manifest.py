@@ -4,49 +4,45 @@ from __future__ import annotations
 
 import platform
 import subprocess
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import refuse
+from cosim.base.messages import Note
 from cosim.base.text import counted
 from cosim.base.times import first_point
 from cosim.base.units import is_as_known
 from cosim.base.version import __version__
 from cosim.master.inbox import Change
-from cosim.scenario.pinned import key_of, sha256
 from cosim.scenario.scenario import FmuComponent, Scenario, resolve_defaults
-from cosim.scenario.scenario_file import ScenarioFile
-from cosim.simulation import messages
-from cosim.storage.folders import SCHEMA_VERSION
-from cosim.storage.started import COMMAND
+from cosim.scenario.scenario_file import ScenarioFile, key_of, sha256
+from cosim.storage.folders import COMMAND, SCHEMA_VERSION
 from cosim.system.system import System
 
 PACKAGES = ("FMPy", "pythonfmu", "numpy", "scipy", "filterpy", "control", "pydantic")
 
 
-def resolve_scenario(file: ScenarioFile, designed: Mapping[str, Mapping[str, Any]], system: System) -> Scenario:
+def resolve_scenario(file: ScenarioFile, system: System) -> Scenario:
     """Return the executed scenario for the manifest.
 
-    The scenario has designed values in place of `design`, absolute paths, and the hash of each file. It repeats the run
-    from its record, as fast as possible: without `pace` and `live`.
+    The scenario has absolute paths and the hash of each file. It repeats the run from its record, as fast as possible:
+    without `pace`.
     """
     components, changes = dict[str, Any](), dict[str, Any]()
     for name, component in file.scenario.components.items():
-        if isinstance(component, FmuComponent) and component.at:
-            changes = {"start": {**designed.get(name, {}), **component.start}, "sha256": system.distant[name]}
-        elif isinstance(component, FmuComponent):
+        if isinstance(component, FmuComponent):
             path = system.fmus[name][0]
-            changes = {"fmu": str(path), "start": {**designed.get(name, {}), **component.start}, "sha256": sha256(path)}
+            changes = {"fmu": str(path), "sha256": sha256(path)}
         elif component.block == "playback":
             path = file.resolve(component.file)
             changes = {"file": str(path), "sha256": sha256(path)}
         else:
             changes = {}
         components[name] = component.model_copy(update=changes)
-    return file.scenario.model_copy(update={"components": components, "design": None, "pace": None, "live": None})
+    return file.scenario.model_copy(update={"components": components, "pace": None})
 
 
 def check_pinned(file: ScenarioFile) -> None:
@@ -56,24 +52,22 @@ def check_pinned(file: ScenarioFile) -> None:
         key = key_of(component)
         pinned: str | None = getattr(component, "sha256", None)
         path = file.resolve(getattr(component, key, ""))
-        if pinned is not None and not getattr(component, "at", None) and path.is_file() and sha256(path) != pinned:
-            message = messages.FILE_OF_ANOTHER_RUN(path=path, kind="FMU" if key == "fmu" else "file")
+        if pinned is not None and path.is_file() and sha256(path) != pinned:
+            message = (
+                f"{path} is not the {'FMU' if key == 'fmu' else 'file'} of this run: its SHA-256 differs; put "
+                "that one back, or run the scenario"
+            )
             faults.append(file.fault(("components", name, key), message))
     refuse(faults)
 
 
-def manifest(
-    file: ScenarioFile,
-    designed: Mapping[str, Mapping[str, Any]],
-    system: System,
-    command: str = "",
-) -> dict[str, Any]:
+def manifest(file: ScenarioFile, system: System, command: str = "") -> dict[str, Any]:
     """Return the manifest of a run before its outcome, without `software_versions`.
 
     Args:
         command: Command that made the scenario, if it is not `cosim run`.
     """
-    scenario, recorded = resolve_scenario(file, designed, system), system.recorded
+    scenario, recorded = resolve_scenario(file, system), system.recorded
     return {
         "schema_version": SCHEMA_VERSION,
         "cosim_version": __version__,
@@ -81,8 +75,7 @@ def manifest(
         "status": "ok",
         "source": str(file.path.resolve()),
         "scenario": resolve_defaults(scenario),
-        "design": resolve_defaults(file.scenario).get("design"),
-        **_real_time(file.scenario),
+        **({"real_time": {"pace": file.scenario.pace}} if file.scenario.pace is not None else {}),
         "seed": scenario.seed,
         "order": system.names,
         "held": [transfer.name for transfer in system.held if not transfer.of],
@@ -116,13 +109,6 @@ def manifest(
     }
 
 
-def _real_time(scenario: Scenario) -> dict[str, Any]:
-    """Return the pace and the partners of a run as a record; a repetition uses neither."""
-    resolved = resolve_defaults(scenario)
-    settings = {key: resolved[key] for key in ("pace", "live") if key in resolved}
-    return {"real_time": settings} if settings else {}
-
-
 def add_changes(record: dict[str, Any], scenario: Scenario, changes: Sequence[Change]) -> None:
     """Add the changes that were made while a run went on to its manifest, as events at the same points.
 
@@ -146,7 +132,12 @@ def add_changes(record: dict[str, Any], scenario: Scenario, changes: Sequence[Ch
         at_point.append({"at": at, "set": dict(values)})
         events.append(at_point[-1])
     record["changes"] = made
-    record["warnings"].append(messages.CHANGED_WHILE_RUNNING(count=counted(len(made), "change")))
+    record["warnings"].append(
+        Note(
+            f"{counted(len(made), 'change')} made while it ran; the manifest holds them as events, so that it "
+            "repeats the run"
+        )
+    )
 
 
 def software_versions() -> dict[str, Any]:
@@ -154,27 +145,14 @@ def software_versions() -> dict[str, Any]:
 
     The call takes a while, because it starts git.
     """
-    return {
-        "versions": {"python": platform.python_version(), "platform": platform.platform(), **_versions()},
-        "git": _git(Path(__file__).resolve().parent.parent),
-    }
-
-
-def _versions() -> dict[str, str]:
-    versions = {}
+    versions = {"python": platform.python_version(), "platform": platform.platform()}
     for package in PACKAGES:
         with suppress(PackageNotFoundError):
             versions[package.lower()] = version(package)
-    return versions
-
-
-def _git(folder: Path) -> dict[str, Any] | None:
-    """Return the git revision of this package, if in a checkout."""
-    if not (folder / ".git").exists():
-        return None
-    try:
+    git, folder = None, Path(__file__).resolve().parent.parent
+    if (folder / ".git").exists():
         command = ["git", "-C", str(folder), "describe", "--always", "--abbrev=40", "--exclude=*", "--dirty"]
-        text = subprocess.check_output(command, stderr=subprocess.DEVNULL, text=True, timeout=10).strip()
-    except (OSError, subprocess.SubprocessError):
-        return None
-    return {"revision": text.removesuffix("-dirty"), "dirty": text.endswith("-dirty")}
+        with suppress(OSError, subprocess.SubprocessError):
+            text = subprocess.check_output(command, stderr=subprocess.DEVNULL, text=True, timeout=10).strip()
+            git = {"revision": text.removesuffix("-dirty"), "dirty": text.endswith("-dirty")}
+    return {"versions": versions, "git": git}

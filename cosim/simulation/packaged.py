@@ -5,27 +5,24 @@ from __future__ import annotations
 import json
 import math
 import shutil
-from collections.abc import Iterator, Sequence, Set
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from collections.abc import Sequence, Set
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from cosim.base.drafts import draft_of
 from cosim.base.errors import Fault, InputError
 from cosim.base.scratch import temporary_folder
-from cosim.coupling.algorithms import Jacobi
-from cosim.scenario.pinned import SYSTEM
-from cosim.scenario.scenario_file import ROUNDING, ScenarioFile
-from cosim.simulation import messages
+from cosim.blocks.coupling import Jacobi
+from cosim.scenario.scenario_file import ROUNDING, SYSTEM, ScenarioFile
 from cosim.ssp.elements import Element
 from cosim.ssp.flatten import read
 from cosim.ssp.levels import Flat
 from cosim.ssp.read import Reader
-from cosim.ssp.ssp_package import Package, open_package
+from cosim.ssp.ssp_package import open_package
 from cosim.ssp.structure import SspStructure
 from cosim.storage.files import check_writable, write_json
-from cosim.storage.folders import keep_earlier
+from cosim.storage.folders import remove_earlier
 from cosim.storage.kinds import SSP, kind_by_form
 from cosim.storage.yaml_nodes import Location
 from cosim.system.system import build_system
@@ -40,112 +37,72 @@ def is_ssp(path: Path) -> bool:
     return kind_by_form(path) == SSP
 
 
-@dataclass
-class SspPlaces:
-    """Places in an SSP of the parts of its scenario."""
+def lay_out(path: Path, folder: Path, overrides: Sequence[str] = ()) -> tuple[ScenarioFile, list[str]]:
+    """Write an SSP's scenario and FMUs to `folder`/system.
 
-    package: Package
-    whole: Element
-    elements: dict[Location, Element]
+    The files of an earlier run are removed. A faulty SSP raises InputError with all faults before anything is written.
 
-    def fault(self, location: Location, message: str, exit_code: int = 2) -> Fault:
-        """Return the fault of a part at its element of the SSP."""
-        parts = (location[:end] for end in range(len(location), 0, -1))
-        element = next((self.elements[part] for part in parts if part in self.elements), None)
-        if element is None:
-            return Fault(self.package.shown, 0, 0, message, exit_code)
-        return replace(element.fault(message), exit_code=exit_code)
-
-
-@dataclass(frozen=True)
-class PackagedScenario:
-    """A scenario made from a sound SSP.
-
-    Attributes:
-        files: Names beside the scenario → source files.
+    Returns:
+        The scenario file and warnings.
     """
-
-    scenario: dict[str, Any]
-    files: dict[str, Path]
-    places: SspPlaces
-    warnings: list[str]
-
-
-@contextmanager
-def open_scenario(path: Path, overrides: Sequence[str] = ()) -> Iterator[PackagedScenario]:
-    """Yield an SSP as a checked scenario; raise InputError with all faults."""
-    with open_package(path) as package, temporary_folder("ssp") as folder:
+    with open_package(path) as package, temporary_folder("ssp") as scratch:
         reader = Reader(package)
         structure, flat = read(reader)
-        files = _files(flat)
+        files: dict[str, Path] = {}  # by unique names
+        for fmu in dict.fromkeys(part.component.fmu for part in flat.parts):
+            name, number = fmu.name, 2
+            while name in files:
+                name, number = f"{fmu.stem}_{number}{fmu.suffix}", number + 1
+            files[name] = fmu
         slips = list(dict.fromkeys(package.slips))
         warnings = [*map(str, slips), *reader.warnings]
         keys = frozenset(override.partition("=")[0].strip() for override in overrides)
-        scenario, places = _scenario(package, structure, flat, files, (warnings, keys))
-        trial = folder / SCENARIO
+        scenario, places = _scenario(structure, flat, files, (warnings, keys))
+
+        def fault(location: Location, message: str, exit_code: int = 2) -> Fault:
+            """Return the fault of a part at its element of the SSP."""
+            parts = (location[:end] for end in range(len(location), 0, -1))
+            element = next((places[part] for part in parts if part in places), None)
+            if element is None:
+                return Fault(package.shown, 0, 0, message, exit_code)
+            return replace(element.fault(message), exit_code=exit_code)
+
+        trial = scratch / SCENARIO
         named = {name: {**c, "fmu": str(files[c["fmu"]])} for name, c in scenario["components"].items()}
         trial.write_text(json.dumps({**scenario, "components": named}), encoding="utf-8")
         faults = list(reader.faults)
         if named:
             try:
-                build_system(ScenarioFile(trial, overrides, places.fault))
+                build_system(ScenarioFile(trial, overrides, fault))
             except InputError as error:
                 faults += error.faults
         elif not faults:
-            faults.append(structure.system.element.fault(messages.NO_FMU_IN_SSP()))
+            faults.append(structure.system.element.fault("it has no FMU, so there is nothing to run"))
         if faults:
             faults += slips  # Slips may explain the faults.
-            raise InputError([_without_folder(fault, trial, package) for fault in faults])
-        yield PackagedScenario(scenario, files, places, warnings)
-
-
-def lay_out(path: Path, folder: Path, overrides: Sequence[str] = ()) -> tuple[ScenarioFile, list[str]]:
-    """Write an SSP's scenario and FMUs to `folder`/system.
-
-    The files of an earlier run move to `runs` in the folder. A faulty SSP raises InputError before anything is written.
-
-    Returns:
-        The scenario file and warnings.
-    """
-    with open_scenario(path, overrides) as packaged:
-        within = folder / FOLDER
-        inputs = [path, *packaged.files.values()]
-        check_writable(within, (SCENARIO, *packaged.files), inputs)
-        keep_earlier(folder, "cosim run", read=inputs)
-        for name, source in packaged.files.items():
+            if package.packed:  # its temporary folder
+                faults = [
+                    replace(f, message=f.message.replace(f"{package.folder}/", f"{package.shown}/")) for f in faults
+                ]
+            raise InputError([replace(f, file=package.shown) if f.file == trial else f for f in faults])
+        within, inputs = folder / FOLDER, [path, *files.values()]
+        check_writable(within, (SCENARIO, *files), inputs)
+        remove_earlier(folder, read=inputs)
+        for name, source in files.items():
             with draft_of(within / name) as draft:
                 shutil.copyfile(source, draft)
-        write_json(within / SCENARIO, packaged.scenario)
-        return ScenarioFile(within / SCENARIO, overrides, packaged.places.fault), packaged.warnings
-
-
-def _without_folder(fault: Fault, trial: Path, package: Package) -> Fault:
-    """Return a fault with the SSP in place of its temporary folder, in message and place."""
-    if package.packed:
-        fault = replace(fault, message=fault.message.replace(f"{package.folder}/", f"{package.shown}/"))
-    return replace(fault, file=package.shown) if fault.file == trial else fault
-
-
-def _files(flat: Flat) -> dict[str, Path]:
-    """Return the FMUs by unique file names."""
-    names: dict[str, Path] = {}
-    for fmu in dict.fromkeys(part.component.fmu for part in flat.parts):
-        name, number = fmu.name, 2
-        while name in names:
-            name, number = f"{fmu.stem}_{number}{fmu.suffix}", number + 1
-        names[name] = fmu
-    return names
+        write_json(within / SCENARIO, scenario)
+        return ScenarioFile(within / SCENARIO, overrides, fault), warnings
 
 
 def _scenario(
-    package: Package,
     structure: SspStructure,
     flat: Flat,
     files: dict[str, Path],
     notes: tuple[list[str], frozenset[str]],
-) -> tuple[dict[str, Any], SspPlaces]:
+) -> tuple[dict[str, Any], dict[Location, Element]]:
     """Return the scenario and the places of its parts."""
-    places = SspPlaces(package, structure.experiment, {})
+    places: dict[Location, Element] = {}
     name_of = {path: name for name, path in files.items()}
     components: dict[str, Any] = {}
     for part in flat.parts:
@@ -155,17 +112,17 @@ def _scenario(
         if part.start:
             entry["start"] = {variable: value for variable, (value, _) in part.start.items()}
         components[part.name] = entry
-        places.elements[("components", part.name)] = part.component.element
+        places[("components", part.name)] = part.component.element
         for variable, (_, element) in part.start.items():
-            places.elements[("components", part.name, "start", variable)] = element
+            places[("components", part.name, "start", variable)] = element
     connections = []
     for k, link in enumerate(flat.links):
         linear = {} if link.linear is None else {"factor": link.linear.factor, "offset": link.linear.offset}
         connections.append({"from": link.source, "to": link.target, **linear})
-        places.elements[("connections", k)] = link.element
+        places[("connections", k)] = link.element
     start, duration, step = _times(structure, flat, *notes)
     for key in ("start_time", "duration", "step"):
-        places.elements[(key,)] = structure.experiment
+        places[(key,)] = structure.experiment
     scenario = {
         "name": structure.name,
         "description": structure.description,
@@ -194,15 +151,15 @@ def _times(structure: SspStructure, flat: Flat, warnings: list[str], overrides: 
     if stop is None:
         stop = start + max(read_positive("stopTime"), default=STOP)
         if "duration" not in overrides:
-            warnings.append(messages.NO_STOP_TIME(time=stop - start))
+            warnings.append(f"the SSP names no stopTime: {stop - start:g} s are run; --set duration=… for others")
     duration = stop - start
     if step is None:
         step = min(read_positive("stepSize"), default=STEP)
         if "step" not in overrides:
-            warnings.append(messages.NO_STEP(step=step))
+            warnings.append(f"the SSP names no communication step: {step:g} s is taken; --set step=… for another")
     count = duration / step
     if abs(count - round(count)) > ROUNDING * max(1.0, count) or round(count) < 1:
         duration = math.ceil(count) * step if count < 1e15 else duration
         if overrides.isdisjoint({"duration", "step"}):
-            warnings.append(messages.LONGER_DURATION(time=duration, step=step))
+            warnings.append(f"{duration:g} s are run, the next whole number of steps of {step:g} s after stopTime")
     return start, duration, step

@@ -5,16 +5,14 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.base.arrays import Array
 from cosim.base.messages import printable
 from cosim.base.text import MISSING, counted, plain
-from cosim.simulation import messages
 from cosim.storage.results import Results
-from cosim.storage.table_source import as_text
+from cosim.storage.table import as_text
 
 if TYPE_CHECKING:
     import pandas
@@ -74,7 +72,7 @@ class Signals:
             from cosim.storage.yaml_file import did_you_mean
 
             hint = did_you_mean(name, self.results.columns)
-            raise KeyError(messages.UNKNOWN_SIGNAL(name=name, hint=hint))
+            raise KeyError(f'no signal "{name}"{hint}')
         return self.results[name]
 
     def to_pandas(self) -> pandas.DataFrame:
@@ -82,7 +80,7 @@ class Signals:
         try:
             import pandas
         except ImportError:
-            raise ImportError(messages.NO_PANDAS()) from None
+            raise ImportError("to_pandas needs pandas: pip install pandas") from None
         index = pandas.Index(self.time, name="time")
         frame = pandas.DataFrame(self.results.values, index=index, columns=list(self.results.columns))
         for name, column in self.results.exact.items():
@@ -115,36 +113,41 @@ class Signals:
     def __repr__(self) -> str:
         lines = [f"  {n} [{self.units.get(n) or '1'}] {' → '.join(self._ends(n))}" for n in self.names[:MAX_LINES]]
         more = [f"  … and {len(self.names) - MAX_LINES} more"] if len(self.names) > MAX_LINES else []
-        return "\n".join([self._heading(), *lines, *more])
+        return "\n".join([self._heading(), *lines, *more, *(f"  {line}" for line in self._sentences)])
 
     def _heading(self) -> str:
         end = f", {plain(float(self.time[0]))} … {plain(float(self.time[-1]))} s" if len(self) else ""
         return f"{self.title}: {counted(len(self.names), 'signal')}, {counted(len(self), 'row')}{end}"
 
     def _ends(self, name: str) -> tuple[str, str]:
-        values = self.results[name]
-        return (plain(float(values[0])), plain(float(values[-1]))) if len(values) else (MISSING, MISSING)
-
-    def _ends_of_text(self, name: str) -> tuple[str, str]:
-        values = self.results.exact[name]
-        ends = [as_text(values[k]) for k in (0, -1)] if len(values) else [MISSING, MISSING]
-        first, last = (text if len(text) <= LONGEST_TEXT else f"{text[:LONGEST_TEXT]}…" for text in ends)
+        """Return the first and the last value as texts."""
+        exact = self.results.exact.get(name)
+        values = self.results[name] if exact is None else exact
+        if not len(values):
+            return MISSING, MISSING
+        first, last = (plain(float(v)) if exact is None else as_text(v) for v in (values[0], values[-1]))
+        first, last = (text if len(text) <= LONGEST_TEXT else f"{text[:LONGEST_TEXT]}…" for text in (first, last))
         return first, last
 
     def _repr_html_(self) -> str:
+        from html import escape
+
         from cosim.report.cell.cell import heading, table
 
         texts = [*self.results.exact]
-        shown, more = self.names[: 2 * MAX_LINES], texts[:MAX_LINES]
+        shown = [*self.names[: 2 * MAX_LINES], *texts[:MAX_LINES]]
         rows = [(name, self.units.get(name, ""), *self._ends(name)) for name in shown]
-        rows += [(name, self.units.get(name, ""), *self._ends_of_text(name)) for name in more]
         listed = table(("signal", "unit", "first", "last"), rows, len(self.names) + len(texts) - len(rows))
         chart = self.chart().html
         signals = f"<details><summary>Signals</summary>{listed}</details>" if chart else listed
-        return heading(self._heading()) + self._html_more() + chart + signals
+        lines = "".join(f"<li>{escape(line)}</li>" for line in self._sentences)
+        more = f"<ul>{lines}</ul>" if lines else ""
+        return heading(self._heading()) + more + chart + signals
 
-    def _html_more(self) -> str:
-        return ""
+    @property
+    def _sentences(self) -> list[str]:
+        """Sentences on the outcome."""
+        return []
 
 
 @dataclass(frozen=True, repr=False)
@@ -174,20 +177,11 @@ class Run(Signals):
         page = None if self.folder is None else self.folder / "report.html"
         return page if page is not None and page.is_file() else None
 
-    @cached_property
+    @property
     def _sentences(self) -> list[str]:
         from cosim.simulation.criteria import sentence
 
         return [sentence(c) for c in self.criteria]
-
-    def __repr__(self) -> str:
-        return "\n".join([super().__repr__(), *(f"  {line}" for line in self._sentences)])
-
-    def _html_more(self) -> str:
-        from html import escape
-
-        lines = "".join(f"<li>{escape(line)}</li>" for line in self._sentences)
-        return f"<ul>{lines}</ul>" if lines else ""
 
 
 def run_of(results: Results, manifest: Mapping[str, Any], folder: Path | None) -> Run:
@@ -204,4 +198,4 @@ def read_run(path: Path) -> Run | Signals:
     ran = read_ran(path)
     for text in ran.warnings:
         warnings.warn(printable(text), stacklevel=2)
-    return run_of(ran.results, ran.manifest, path) if path.is_dir() else Signals(ran.name, ran.results)
+    return run_of(ran.results, ran.manifest, ran.path) if path.is_dir() else Signals(ran.name, ran.results)

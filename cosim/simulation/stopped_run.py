@@ -2,8 +2,8 @@
 
 results/NAME/checkpoint/run.json   manifest of the run before its outcome
                         state      last checkpoint
-                        rows       rows while the run lasts, then in results.csv; `beside` holds text and the like
-                        all-rows   all rows after the end, where `record` leaves some out of results.csv; `all-beside`
+                        rows       rows while the run lasts, and afterwards where `record` leaves some out of
+                                   results.csv; `beside` holds text and the like
 """
 
 from __future__ import annotations
@@ -14,59 +14,55 @@ import os
 import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import zip_longest
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from cosim.base.arrays import Array
 from cosim.base.drafts import remove_drafts
 from cosim.base.errors import InputError
-from cosim.base.messages import Message, code_of
+from cosim.base.messages import Note
 from cosim.base.scratch import lock_file
 from cosim.base.times import rounding, roundings
 from cosim.base.version import __version__
-from cosim.blocks.component import Signal
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.model_exchange import LONGEST, ModelExchange2
 from cosim.isolation.rows import read_exact, read_table
 from cosim.master.checkpoint import BESIDE, FORMAT, ROWS, STATE, Continuation, RowsHash
 from cosim.master.inbox import Change
 from cosim.master.remote import IN_USE, read_state
-from cosim.scenario.messages import STEP_NOT_A_DIVISOR
 from cosim.scenario.scenario import Scenario
 from cosim.scenario.scenario_file import ScenarioFile
-from cosim.simulation import messages
 from cosim.storage.files import write_json
-from cosim.storage.folders import content_of, manifest_in, prepare_folder
-from cosim.storage.record_types import MAPPING, TEXT, TEXTS, WHOLE, Kind, sound_part
+from cosim.storage.folders import content_of, new_run, newest_run
+from cosim.storage.record_types import fault_of, sound_part
 from cosim.storage.results import Results, read_results, rows_in
-from cosim.storage.state_file import BadState, sync, unpack, write_durable
+from cosim.storage.state_file import sync, unpack
 from cosim.system.system import System
+
+NOTHING_TO_RESUME = (
+    "no run is in it that could go on; `cosim run SCENARIO` begins one, `checkpoint: 60 s` keeps checkpoints"
+)
+DAMAGED_CHECKPOINT = "the checkpoint is damaged: {reason}; run the scenario again from its start"
+OTHER_VERSION = (
+    "its run is of cosim {version}, and this is {own}: the same bytes cannot be promised; go on with that "
+    "version, or run the scenario again from its start"
+)
+ROWS_OF_ANOTHER_RUN = (
+    "its rows are not those of the checkpoint: a file was changed or removed; put it back, or run the scenario "
+    "again from its start"
+)
+ALREADY_FINISHED = "its run is finished, at t = {time:g} s; --until T with a later time T extends it"
+STOPPED_BEFORE_ROWS = "its run was stopped before its first row or checkpoint; run the scenario again from its start"
 
 FOLDER, RUN, MANIFEST = "checkpoint", "run.json", "manifest.json"
 PATIENCE, PAUSE = 15.0, 0.05  # time [s] for the worker of a killed command to end, and between two looks
-ALL = "all-"  # prefix of the files of rows after the end of a run of which a part is recorded
-EXTRA = "files"  # key of run.json beside those of a manifest: name of the rows file, warnings of an SSP, codes of all
-EXTRA_KIND = Kind("a mapping", dict, keys={"rows": TEXT, "warnings": TEXTS, "codes": TEXTS})
-DOUBLE = Kind("a number", float)
-CHECKPOINT = Kind(
-    "a mapping",
-    dict,
-    keys={
-        "point": WHOLE,
-        "time": DOUBLE,
-        "elapsed": DOUBLE,
-        "components": MAPPING,
-        "links": Kind("a mapping", dict, Kind("a list", list)),
-        "changes": Kind("a list of changes", list, Kind("a list", list)),
-    },
-)
+EXTRA = "files"  # key of run.json beside those of a manifest: name of the rows file, warnings of an SSP, notes
+EXTRA_KIND = {"rows": str, "warnings": [str], "notes": [str]}
 
 
 @dataclass(frozen=True)
@@ -77,9 +73,9 @@ class StoppedRun:
         source: File of the record: checkpoint/run.json or manifest.json.
         record: Manifest.
         rows_file: Name of the file of the rows.
-        state: Content of the last checkpoint, if any.
+        state: File of the last checkpoint as bytes, if any.
+        checkpoint: Its content.
         lasted: Wall time [s] of the steps so far, if known.
-        is_finished: Whether the results are those of a finished run, which a longer run extends.
     """
 
     folder: Path
@@ -87,8 +83,8 @@ class StoppedRun:
     record: dict[str, Any]
     rows_file: str
     state: bytes | None
+    checkpoint: Mapping[str, Any]
     lasted: float
-    is_finished: bool = False
 
     def base(self, warnings: Sequence[str] | None) -> dict[str, Any]:
         """Return the manifest without timings and outcome.
@@ -98,9 +94,9 @@ class StoppedRun:
         """
         record = copy.deepcopy(self.record)
         record.pop("no_report", None)
-        codes = record.pop(EXTRA, {}).get("codes", ())
-        pairs = zip_longest(record.get("warnings", ()), codes, fillvalue="")
-        record["warnings"] = [Message(*pair) for pair in pairs] if warnings is None else [*warnings, *self.warnings]
+        notes = record.pop(EXTRA, {}).get("notes", ())
+        known = [Note(text) if text in notes else text for text in record.get("warnings", ())]
+        record["warnings"] = known if warnings is None else [*warnings, *self.warnings]
         return record | {"status": "ok", "loop": "", "timings": {}, "criteria": []}
 
     @property
@@ -112,17 +108,6 @@ class StoppedRun:
     def changes(self) -> Sequence[Change]:
         """Return the changes by observers so far."""
         return [Change(point, values) for point, values in self.checkpoint.get("changes", ())]
-
-    @property
-    def has_outcome(self) -> bool:
-        """Return whether the record has an outcome."""
-        return EXTRA not in self.record
-
-    @property
-    def checkpoint(self) -> Mapping[str, Any]:
-        """Return the content of the last checkpoint."""
-        checkpoint: Mapping[str, Any] = {} if self.state is None else unpack(self.state)
-        return checkpoint
 
     def solver_steps(self, system: System) -> dict[str, float]:
         """Return the longest steps [s] that solvers of model exchange had so far, where they depend on the end."""
@@ -145,12 +130,15 @@ class StoppedRun:
         overrides = [] if until is None else [f"duration={until - start!r}"]
         overrides += [f"components.{name}.solver_step={longest!r}" for name, longest in solver_steps.items()]
         file = ScenarioFile(self.source, overrides, option="--until")
-        if until is not None and any(fault.code == STEP_NOT_A_DIVISOR.code for fault in file.faults):
-            step = file.scenario.step
+        step = file.scenario.step
+        if until is not None and file.faults and (until - start) % step > 1e-9 * step:
             count = math.floor((until - start) / step)
             ends = [end for end in (start + count * step, start + (count + 1) * step) if end > self.reached]
             text = " or ".join(f"{end:.12g} s" for end in ends)
-            raise InputError.at(self.folder, messages.END_BETWEEN_STEPS(end=until, step=step, ends=text))
+            raise InputError.at(
+                self.folder,
+                f"--until {until:.12g} s is between two communication points, {step:g} s apart; give {text}",
+            )
         return file
 
     @cached_property
@@ -158,27 +146,12 @@ class StoppedRun:
         """Return the last communication point of the run so far."""
         return ScenarioFile(self.source).scenario.steps
 
-    def protect(self) -> Callable[[], None]:
-        """Return a function that brings the folder of checkpoints back to its present content."""
-        kept = self.folder / FOLDER
-        record, state = ((kept / name).read_bytes() if (kept / name).is_file() else None for name in (RUN, STATE))
-        new = [name for name in (ROWS, BESIDE, IN_USE) if not (kept / name).is_file()]
-
-        def bring_back() -> None:
-            for name, content in ((STATE, state), (RUN, record)):
-                if content is not None:
-                    write_durable(kept / name, content)
-            for name in new:
-                (kept / name).unlink(missing_ok=True)
-
-        return bring_back
-
     @cached_property
     def results(self) -> Results:
         """Return the results; raise InputError if there are none."""
         rows = rows_in(self.folder)
         if rows is None:
-            lost = messages.NOTHING_TO_RESUME() if self.state is None else messages.ROWS_OF_ANOTHER_RUN()
+            lost = NOTHING_TO_RESUME if self.state is None else ROWS_OF_ANOTHER_RUN
             raise InputError.at(self.folder, lost)
         return read_results(rows, {}, self.record.get("beside", ()))
 
@@ -192,7 +165,9 @@ class StoppedRun:
     def check_end(self, until: float | None) -> None:
         """Raise InputError if the end is not later."""
         if until is not None and not self.reached < until < math.inf:
-            raise InputError.at(self.folder, messages.END_NOT_LATER(time=self.reached, end=until))
+            raise InputError.at(
+                self.folder, f"--until {until:g} s is not after t = {self.reached:g} s, which the run has reached"
+            )
 
     def start(self, system: System, scenario: Scenario) -> Continuation | None:
         """Return rows and state to go on from; None if the run begins again, because its rows are recorded in part.
@@ -205,28 +180,27 @@ class StoppedRun:
         count = checkpoint["point"] + 1 if checkpoint else 0
         if (kept / ROWS).is_file():
             if not count:
-                raise InputError.at(kept, messages.STOPPED_BEFORE_ROWS())
-            start = Continuation(_kept_rows(kept / ROWS, count, width), read_exact(kept / BESIDE, count), self.state)
-        elif system.recording is not None and not (count and (kept / f"{ALL}{ROWS}").is_file()):
+                raise InputError.at(kept, STOPPED_BEFORE_ROWS)
+            if (kept / ROWS).stat().st_size < 8 * count * width:
+                raise InputError.at(kept / ROWS, ROWS_OF_ANOTHER_RUN)
+            values = read_table(kept / ROWS, count, width)
+            start = Continuation(values, read_exact(kept / BESIDE, count), self.state)
+        elif system.recording is not None:
             self._check_unfinished(scenario)
             return None
-        elif system.recording is not None:
-            rows, beside = (kept / f"{ALL}{name}" for name in (ROWS, BESIDE))
-            start = Continuation(_kept_rows(rows, count, width), read_exact(beside, count), self.state)
         else:
             start = self._from_results(system, scenario, count)
         if checkpoint and RowsHash().of(start.values, start.exact, start.count) != checkpoint["rows"]:
-            raise InputError.at(self.folder, messages.ROWS_OF_ANOTHER_RUN())
-        if start.count > scenario.steps and not (kept / ROWS).is_file():
-            reached = scenario.start_time + (start.count - 1) * scenario.step
-            raise InputError.at(self.folder, messages.ALREADY_FINISHED(time=reached))
+            raise InputError.at(self.folder, ROWS_OF_ANOTHER_RUN)
+        if start.count > scenario.steps and rows_in(self.folder) is not None:
+            self._check_unfinished(scenario)
         return start
 
     def _check_unfinished(self, scenario: Scenario) -> None:
         """Raise InputError if the recorded rows reach the end."""
         end = scenario.start_time + scenario.duration
         if len(self.results.time) and self.results.time[-1] >= end - rounding(end, scenario.step):
-            raise InputError.at(self.folder, messages.ALREADY_FINISHED(time=end))
+            raise InputError.at(self.folder, ALREADY_FINISHED.format(time=end))
 
     def _from_results(self, system: System, scenario: Scenario, count: int) -> Continuation:
         """Return the first rows of the results."""
@@ -236,90 +210,59 @@ class StoppedRun:
         complete = len(results.time) if on_grid.all() else int(np.argmin(on_grid))  # An FMU may end a run between.
         count = count or complete
         if not complete:
-            raise InputError.at(rows, messages.STOPPED_BEFORE_ROWS())
+            raise InputError.at(rows, STOPPED_BEFORE_ROWS)
         if results.columns != system.columns or complete < count:
-            raise InputError.at(rows, messages.ROWS_OF_ANOTHER_RUN())
-        columns = [[_exact(v, system.signals[n]) for v in results.exact[n][:count]] for n in system.beside]
+            raise InputError.at(rows, ROWS_OF_ANOTHER_RUN)
+        readers: dict[str, Callable[[str], Any]] = {"Binary": bytes.fromhex, "String": str}
+        columns = [
+            [readers.get(system.signals[name].kind, int)(str(value)) for value in results.exact[name][:count]]
+            for name in system.beside
+        ]
         return Continuation(np.ascontiguousarray(results.values[:count]), [*zip(*columns, strict=True)], self.state)
 
 
-def _exact(value: Any, signal: Signal) -> Any:
-    """Return an exact value from its text."""
-    if signal.kind == "Binary":
-        return bytes.fromhex(str(value))
-    return str(value) if signal.kind == "String" else int(value)
-
-
-def _record_of(folder: Path) -> tuple[Path, dict[str, Any]]:
-    """Return the record of the run in a folder, and its file.
-
-    Raises:
-        InputError: There is none, or it is damaged or of another version.
-    """
-    source = next((file for file in (folder / FOLDER / RUN, folder / MANIFEST) if file.is_file()), None)
-    record = {} if source is None else content_of(source)
-    if source is None or (source.name == MANIFEST and "scenario" not in record):
-        raise InputError.at(folder, messages.NOTHING_TO_RESUME())
-    sound, _ = sound_part(folder / MANIFEST, record)
-    wrong = [key for key in record if key not in sound or (key == EXTRA and EXTRA_KIND.fault(record[key], key))]
-    if wrong or "scenario" not in sound:
-        raise InputError.at(source, messages.DAMAGED_CHECKPOINT(reason=f"it has no {[*wrong, 'scenario'][0]}"))
-    if (version := record.get("cosim_version")) != __version__:
-        raise InputError.at(source, messages.OTHER_VERSION(version=version, own=__version__))
-    return source, record
-
-
-def open_stopped(path: Path) -> StoppedRun:
-    """Lock the folder of a run; return the run.
+def open_stopped(path: Path, stack: ExitStack) -> StoppedRun:
+    """Return the run in a folder, which no other command writes into until the stack is closed.
 
     Raises:
         InputError: The folder holds no run to go on with, or a checkpoint that is damaged or of another version.
     """
-    folder = path.parent if path.name == MANIFEST and path.is_file() else path
+    folder = path.parent if path.name == MANIFEST and path.is_file() else newest_run(path)
     if not folder.is_dir():
-        raise InputError.at(path, messages.NO_RUN_FOLDER())
-    prepare_folder(folder, keep=False)
+        raise InputError.at(
+            path, "not the folder of a run; --resume and --until take the folder of an earlier run, as results/NAME"
+        )
+    source = next((file for file in (folder / FOLDER / RUN, folder / MANIFEST) if file.is_file()), None)
+    record = {} if source is None else content_of(source)
+    if source is None or (source.name == MANIFEST and "scenario" not in record):
+        raise InputError.at(folder, NOTHING_TO_RESUME)
+    sound, _ = sound_part(folder / MANIFEST, record)
+    wrong = [key for key in record if key not in sound or (key == EXTRA and fault_of(record[key], EXTRA_KIND, key))]
+    if wrong or "scenario" not in sound:
+        raise InputError.at(source, DAMAGED_CHECKPOINT.format(reason=f"it has no {[*wrong, 'scenario'][0]}"))
+    if (version := record.get("cosim_version")) != __version__:
+        raise InputError.at(source, OTHER_VERSION.format(version=version, own=__version__))
+    stack.enter_context(new_run(folder, "", "cosim run", force=True))
     kept = folder / FOLDER
     wait_for_worker(kept)
     remove_drafts(kept, (STATE, BESIDE, RUN))
-    source, record = _record_of(folder)
-    simulated = record.get("timings", {}).get("simulate")
-    lasted = simulated if isinstance(simulated, float) else 0.0
+    lasted = record.get("timings", {}).get("simulate", 0.0)
+    checkpoint: dict[str, Any] = {}
     state = read_state(kept / STATE)
     if state is not None:
-        checkpoint = _unpack(kept / STATE, state)
-        lasted = float(checkpoint["elapsed"])
+        try:
+            checkpoint = unpack(state)
+            if checkpoint["format"] != FORMAT:
+                form = f"format {checkpoint['format']}"
+                raise InputError.at(kept / STATE, OTHER_VERSION.format(version=form, own=FORMAT))
+            lasted = float(checkpoint["elapsed"])
+        except (ValueError, LookupError, TypeError, RecursionError) as error:  # also BadState
+            raise InputError.at(kept / STATE, DAMAGED_CHECKPOINT.format(reason=str(error))) from None
     rows = rows_in(folder)
     rows_file = record.get(EXTRA, {}).get("rows", "results.csv" if rows is None else rows.name)
-    return StoppedRun(folder, source, record, rows_file, state, lasted, _is_finished(folder, record))
-
-
-def _is_finished(folder: Path, record: Mapping[str, Any]) -> bool:
-    """Return whether a folder has the results of a finished run that a record repeats or extends."""
-    manifest = manifest_in(folder)
-    if manifest.get("status") != "ok" or "scenario" not in manifest or rows_in(folder) is None:
-        return False
-    one, other = (copy.deepcopy(each["scenario"]) for each in (manifest, record))
-    for scenario in (one, other):
-        scenario.pop("duration", None)
-        for component in scenario.get("components", {}).values():
-            component.pop("solver_step", None)  # Only --until adds it.
-    return bool(one == other)
-
-
-def _unpack(path: Path, state: bytes) -> Mapping[str, Any]:
-    """Return a checkpoint; raise InputError if it is unusable."""
-    try:
-        checkpoint = unpack(state)
-        if checkpoint["format"] != FORMAT:
-            raise InputError.at(path, messages.OTHER_VERSION(version=f"format {checkpoint['format']}", own=FORMAT))
-        if fault := CHECKPOINT.fault({**dict.fromkeys(CHECKPOINT.keys), **checkpoint}, "checkpoint"):
-            raise BadState(f"{fault.name} is not {fault.wanted}")
-        if checkpoint["point"] < 0 or any(len(change) != 2 for change in checkpoint["changes"]):
-            raise BadState("it has no row to go on from")
-    except (BadState, ValueError, LookupError, TypeError, RecursionError) as error:
-        raise InputError.at(path, messages.DAMAGED_CHECKPOINT(reason=str(error))) from None
-    return dict(checkpoint)
+    return StoppedRun(
+        folder, source, record, rows_file, state, checkpoint, lasted if isinstance(lasted, float) else 0.0
+    )
 
 
 def wait_for_worker(kept: Path) -> None:
@@ -333,25 +276,13 @@ def wait_for_worker(kept: Path) -> None:
             os.close(lock)
             return
         time.sleep(PAUSE)
-    raise InputError.at(kept, messages.WORKER_STILL_ENDS())
+    raise InputError.at(kept, "a process of the killed run still writes into it; try again in a moment")
 
 
-def begin_keeping(folder: Path, record: Mapping[str, Any], rows_file: str, warnings: Sequence[str]) -> Path:
-    """Prepare and return the folder of checkpoints."""
-    kept = folder / FOLDER
-    wait_for_worker(kept)
-    kept.mkdir(exist_ok=True)
-    for name in (
-        STATE,
-        ROWS,
-        BESIDE,
-        f"{ALL}{ROWS}",
-        f"{ALL}{BESIDE}",
-        RUN,
-    ):  # A kill in between leaves no checkpoint with the rows of another run.
-        (kept / name).unlink(missing_ok=True)
-    remove_drafts(kept, (STATE, BESIDE, RUN))
-    return write_run(folder, record, rows_file, warnings)
+def remove_checkpoints(folder: Path) -> None:
+    """Remove the checkpoints of another run, once its worker has ended."""
+    wait_for_worker(folder / FOLDER)
+    shutil.rmtree(folder / FOLDER, ignore_errors=True)
 
 
 def write_run(folder: Path, record: Mapping[str, Any], rows_file: str, warnings: Sequence[str]) -> Path:
@@ -362,8 +293,8 @@ def write_run(folder: Path, record: Mapping[str, Any], rows_file: str, warnings:
     """
     kept = folder / FOLDER
     kept.mkdir(exist_ok=True)
-    codes = [code_of(warning) for warning in record["warnings"]]
-    write_json(kept / RUN, {**record, EXTRA: {"rows": rows_file, "warnings": list(warnings), "codes": codes}})
+    notes = [warning for warning in record["warnings"] if isinstance(warning, Note)]
+    write_json(kept / RUN, {**record, EXTRA: {"rows": rows_file, "warnings": list(warnings), "notes": notes}})
     sync(kept / RUN)
     sync(kept)
     return kept
@@ -374,28 +305,14 @@ def end_keeping(folder: Path, *, is_kept: bool, keeps_rows: bool = False) -> Non
 
     Args:
         is_kept: Whether the folder has checkpoints of this run, not of another one.
-        keeps_rows: Whether all rows are kept, because the results have a part of them.
+        keeps_rows: Whether the rows stay, because the results have a part of them.
     """
     kept = folder / FOLDER
     if not is_kept and kept.is_dir() and not kept.is_symlink():
         shutil.rmtree(kept, ignore_errors=True)
-    for name in (ROWS, BESIDE) if keeps_rows else ():
-        with suppress(OSError):
-            (kept / name).replace(kept / f"{ALL}{name}")
-    for name in (ROWS, BESIDE, IN_USE):
+    for name in (IN_USE,) if keeps_rows else (ROWS, BESIDE, IN_USE):
         with suppress(OSError):
             (kept / name).unlink(missing_ok=True)
-
-
-def keep_state(rows: Path, record: Mapping[str, Any], warnings: Sequence[str], state: bytes) -> None:
-    """Write a stopped run's checkpoint beside its rows."""
-    write_durable(write_run(rows.parent, record, rows.name, warnings) / STATE, state)
-
-
-def replayed_names(system: System, start: Continuation) -> Sequence[str]:
-    """Return the FMUs that are replayed."""
-    states = {} if start.state is None else unpack(start.state).get("components", {})
-    return [name for name in system.fmus if states.get(name) is None]
 
 
 def unsaved_names(system: System) -> Sequence[str]:
@@ -403,10 +320,3 @@ def unsaved_names(system: System) -> Sequence[str]:
     again = system.fmus if system.reruns else {}
     components = [stage.component for stage in system.stages]
     return [c.name for c in components if c.name in again or not getattr(c, "saves", False)]
-
-
-def _kept_rows(path: Path, rows: int, columns: int) -> Array:
-    """Return the first rows of a checkpoint; raise InputError if the file is shorter."""
-    if path.stat().st_size < 8 * rows * columns:
-        raise InputError.at(path, messages.ROWS_OF_ANOTHER_RUN())
-    return read_table(path, rows, columns)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tempfile
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -11,43 +10,24 @@ from typing import Any
 
 from cosim.base import errors
 from cosim.base.errors import Fault, FmuError, InputError, refuse
-from cosim.base.messages import code_of, with_severity
+from cosim.base.messages import CheckWarning, with_severity
 from cosim.base.scratch import temporary_folder
 from cosim.blocks.compiling import LIMIT, permission
 from cosim.blocks.description import takes_any_step
 from cosim.blocks.fmu import read_description
 from cosim.blocks.guard import validation
-from cosim.blocks.messages import HIDDEN_LIBRARY, HIDDEN_MODULE, OWN_PROCESS
-from cosim.coupling.messages import ASSUMED_WITHOUT_FEEDTHROUGH
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
-from cosim.master.live_values import check_hosts
-from cosim.master.remote import simulate_apart
-from cosim.scenario.controller_design import designed_apart, designed_values
+from cosim.master.remote import simulate_in
+from cosim.probing.misbehaviour import misbehaviour
 from cosim.scenario.scenario_file import ScenarioFile
-from cosim.simulation import messages
 from cosim.simulation.manifest import check_pinned
 from cosim.simulation.packaged import lay_out
 from cosim.simulation.undeclared import with_feedthrough
 from cosim.storage.artefact import Checking
-from cosim.system.messages import LOOP_BY_FEEDTHROUGH
-from cosim.system.real_time import real_time_of
 from cosim.system.recording import recording_notes
 from cosim.system.system import System, build_system
 
-SHOWN = {  # warnings of a system and of its first step that a check shows
-    template.code
-    for template in (
-        ASSUMED_WITHOUT_FEEDTHROUGH,
-        LOOP_BY_FEEDTHROUGH,
-        messages.LOOP_LEFT_OPEN,
-        messages.FOLLOWS_AT_START,
-        messages.NOT_MEASURED,
-        OWN_PROCESS,
-        HIDDEN_LIBRARY,
-        HIDDEN_MODULE,
-    )
-}
 MAX_CALL_TIME = 60.0  # allowed time [s] of a call during the trial of an FMU
 MOST_INNER_STEPS = 10_000  # of an FMU with a fixed internal step, so that the trial is short
 STEP, STEPS = 0.01, 500  # step [s] without a default experiment, and steps in an experiment without step size
@@ -57,8 +37,10 @@ def check_loaded_fmu(path: Path, checking: Checking) -> list[str]:
     """Return violations of FMI rules; raise InputError if the FMU cannot be run."""
     notes: list[str] = []
     refuse(check_fmu(path, checking.worker, notes))
+    if checking.worker is not None:
+        notes += [f"warning: {sentence}" for sentence in misbehaviour(path)]
     # FMPy's findings are about a readable FMU, as accepted by importing tools.
-    return notes + [messages.FMI_RULE(problem=problem).after("warning: ") for problem in validation(path)]
+    return notes + [f"warning: {problem}" for problem in validation(path)]
 
 
 def check_fmu(path: Path, worker: Worker | None = None, notes: list[str] | None = None) -> Sequence[Fault]:
@@ -67,7 +49,7 @@ def check_fmu(path: Path, worker: Worker | None = None, notes: list[str] | None 
     Mere violations of FMI rules are no faults.
     """
     if not path.is_file():
-        return [Fault(path, 0, 0, messages.NO_FMU())]
+        return [Fault(path, 0, 0, "no such file; give an FMU")]
     try:
         description = read_description(path)
     except FmuError as error:
@@ -102,7 +84,7 @@ def _experiment(description: Any) -> tuple[float, float]:
 
 
 def check_scenario(path: Path, checking: Checking) -> list[str]:
-    """Check a scenario or manifest; return design warnings.
+    """Check a scenario or manifest; return warnings.
 
     With a worker, the first step is tried too.
 
@@ -111,21 +93,14 @@ def check_scenario(path: Path, checking: Checking) -> list[str]:
     """
     file, worker = ScenarioFile(path), checking.worker
     check_pinned(file)
-    skipped: list[str] = []
     said: Sequence[str] = ()
-    try:
-        designed = designed_apart(file, worker) if worker is not None else designed_values(file)
-    except errors.NotExecuted as error:
-        designed = {}
-        skipped.append(messages.DESIGN_NOT_CHECKED(reason=error))
-    system = build_system(file, designed)
+    system = build_system(file)
     if worker is not None:
-        check_hosts(real_time_of(file))
-        system = with_feedthrough(file, designed, system, worker)
+        system = with_feedthrough(file, system, worker)
         faults, said = _run_once(file, system, path, worker)
         refuse(faults)
     notes = recording_notes(file.scenario, system.columns, system.recording)
-    return [*map(with_severity, (*file.warnings, *skipped, *_shown((*system.warnings, *said)), *notes))]
+    return [*map(with_severity, (*file.warnings, *_shown((*system.warnings, *said)), *notes))]
 
 
 def check_ssp(path: Path, checking: Checking) -> list[str]:
@@ -149,7 +124,7 @@ def check_ssp(path: Path, checking: Checking) -> list[str]:
 
 def _shown(texts: Iterable[str]) -> list[str]:
     """Return the warnings that a check shows: of loops, of processes and of hidden code."""
-    return [text for text in texts if code_of(text) in SHOWN]
+    return [text for text in texts if isinstance(text, CheckWarning)]
 
 
 def _run_once(file: ScenarioFile, system: System, path: Path, worker: Worker) -> tuple[Sequence[Fault], Sequence[str]]:
@@ -158,15 +133,17 @@ def _run_once(file: ScenarioFile, system: System, path: Path, worker: Worker) ->
     limits = file.scenario.limits or Limits(step=MAX_CALL_TIME, load=load_limit)
     worker.start()
     try:
-        stepped = simulate_apart(worker, system, 1, file.scenario.step, Path(tempfile.gettempdir()), limits)
+        stepped = simulate_in(worker, system, 1, file.scenario.step, limits)
     except FmuError as error:
         return [error.fault(path, path.resolve())], ()
     except errors.DiskFull as error:
-        return [Fault(path, 0, 0, messages.NO_SPACE_FOR_TRIAL.around(error.reason), FmuError.exit_code)], ()
+        return [
+            Fault(path, 0, 0, f"cannot be tried: {error.reason}; --no-load checks it without", FmuError.exit_code)
+        ], ()
     if (failure := stepped.failure) is None:
         return [], stepped.log
     if isinstance(failure, (errors.Interrupted, errors.Signalled)):
         raise failure
     code = failure.exit_code if isinstance(failure, errors.TimedOut) else FmuError.exit_code
     cure = "; --no-load checks it without" if isinstance(failure, (errors.Crashed, errors.TimedOut)) else ""
-    return [Fault(path, 0, 0, messages.FAILED_TRIAL.around(failure, cure=cure), code)], ()
+    return [Fault(path, 0, 0, f"does not run: {failure}{cure}", code)], ()

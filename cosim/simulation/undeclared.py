@@ -2,29 +2,24 @@
 
 from __future__ import annotations
 
-import tempfile
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from threading import Timer
 from typing import Any
 
 from cosim.base.errors import CosimError, InputError, Interrupted, Signalled, TimedOut
-from cosim.base.messages import code_of
+from cosim.base.messages import CheckWarning, Note
 from cosim.base.text import join_names
 from cosim.blocks.compiling import LIMIT, permission
+from cosim.blocks.coupling import Assumption
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
-from cosim.coupling.messages import ASSUMED_WITHOUT_FEEDTHROUGH
 from cosim.isolation.limits import LOADING, Limits
 from cosim.isolation.process import Worker
-from cosim.master.feedthrough import Feedthrough, Pair, measure_feedthrough, undeclared_inputs
-from cosim.master.remote import simulate_apart, simulate_here
+from cosim.master.beforehand import Feedthrough, Pair, examine, measure_feedthrough, undeclared_inputs
+from cosim.master.remote import simulate_in
 from cosim.scenario.scenario import Scenario
 from cosim.scenario.scenario_file import ScenarioFile
-from cosim.simulation import messages
-from cosim.system.components import Designed
 from cosim.system.schedule import Loop
 from cosim.system.system import System, build_system
 
@@ -36,7 +31,6 @@ SILENT = 2.0  # [s] before a note tells of the measurement
 
 def with_feedthrough(
     file: ScenarioFile,
-    designed: Designed,
     system: System,
     worker: Worker | None,
     tell: Callable[[str], None] = lambda text: None,
@@ -54,18 +48,33 @@ def with_feedthrough(
     if not undeclared:
         return _with_notes(system, [])
     limits, spent = _limits(file.scenario), [0.0]
-    with _with_note_if_long(tell, messages.MEASURING(components=join_names([*undeclared]), limit=limits.total)):
+    note = Note(
+        f"measuring which outputs of {join_names([*undeclared])} follow their inputs at once, which these FMUs "
+        f"do not declare: at most {limits.total:g} s"
+    )
+    timer = Timer(SILENT, tell, (note,))
+    timer.daemon = True
+    timer.start()
+    try:
         try:
-            measured = measure_feedthrough(system, file.scenario.step, worker, limits, spent)
+            measured = examine(measure_feedthrough, system, (1, file.scenario.step), worker, limits, spent=spent)
         except (Interrupted, Signalled):
             raise
         except CosimError as error:
             reason = str(error)
             if isinstance(error, TimedOut) and spent[0] > (limits.total or LONGEST):
-                reason = messages.MEASURED_TOO_LONG(limit=limits.total, component=error.component)
+                reason = Note(f"it takes longer than {limits.total:g} s in all, at last in {error.component}")
             measured = Feedthrough(failure=f": {reason}")
-        declared = _declared(measured, undeclared)
-        planned, failure = _planned(file, designed, system, worker, declared, spent) if declared else (system, "")
+        followed = {name: sorted({i for _, i in measured.pairs if i in inputs}) for name, inputs in undeclared.items()}
+        known = measured.inputs - {entry for _, entry in measured.at_start}
+        declared = {  # where all inputs are known or some of them followed
+            n: [i.partition(".")[2] for i in followed[n]]
+            for n, inputs in undeclared.items()
+            if followed[n] or inputs <= known
+        }
+        planned, failure = _planned(file, system, worker, declared, spent) if declared else (system, "")
+    finally:
+        timer.cancel()
     unknown = frozenset[str]().union(*undeclared.values()) - measured.inputs
     held = {transfer.name for transfer in planned.held}
     facts = measured, unknown & held, failure, held
@@ -80,30 +89,8 @@ def _limits(scenario: Scenario, spent: float = 0.0) -> Limits:
     return limits.model_copy(update={"total": max(min(limits.total or LONGEST, LONGEST) - spent, LEAST), "load": load})
 
 
-@contextmanager
-def _with_note_if_long(tell: Callable[[str], None], text: str) -> Iterator[None]:
-    """Show a note if a `with` block takes longer than SILENT seconds."""
-    timer = Timer(SILENT, tell, (text,))
-    timer.daemon = True
-    timer.start()
-    try:
-        yield
-    finally:
-        timer.cancel()
-
-
-def _declared(measured: Feedthrough, undeclared: Mapping[str, frozenset[str]]) -> dict[str, list[str]]:
-    """Return component → inputs with feedthrough, of components whose inputs are all known or some of them followed."""
-    followed = {name: sorted({i for _, i in measured.pairs if i in inputs}) for name, inputs in undeclared.items()}
-    known = measured.inputs - {entry for _, entry in measured.at_start}
-    return {
-        n: [i.partition(".")[2] for i in followed[n]] for n, each in undeclared.items() if followed[n] or each <= known
-    }
-
-
 def _planned(
     file: ScenarioFile,
-    designed: Designed,
     system: System,
     worker: Worker | None,
     declared: Mapping[str, Sequence[str]],
@@ -116,26 +103,19 @@ def _planned(
         components[name] = components[name].model_copy(update={"feedthrough": list(inputs)})
     file.scenario = scenario.model_copy(update={"components": components})
     try:
-        planned = build_system(file, designed)
-        failure = _first_step(scenario, planned, worker, spent[0]) if planned.loops != system.loops else ""
-    except InputError as error:
-        failure = error.faults[0].message
+        planned = build_system(file)
+        failure = ""
+        if planned.loops != system.loops:
+            error = simulate_in(worker, planned, 1, scenario.step, _limits(scenario, spent[0])).failure
+            if isinstance(error, (Interrupted, Signalled)):
+                raise error
+            failure = "" if error is None else str(error)
+    except InputError as fault:
+        failure = fault.faults[0].message
     if not failure:
         return planned, ""
     file.scenario = scenario
     return system, failure
-
-
-def _first_step(scenario: Scenario, system: System, worker: Worker | None, spent: float) -> str:
-    """Return why the first step of a system fails, "" if it succeeds."""
-    if worker is None:
-        failure = simulate_here(system, 1, scenario.step).failure
-    else:
-        place, limits = Path(tempfile.gettempdir()), _limits(scenario, spent)
-        failure = simulate_apart(worker, system, 1, scenario.step, place, limits).failure
-    if isinstance(failure, (Interrupted, Signalled)):
-        raise failure
-    return "" if failure is None else str(failure)
 
 
 def _note(
@@ -158,30 +138,46 @@ def _note(
         return name.partition(".")[0] in loop.members
 
     if failure and (pairs := [pair for pair in measured.pairs if is_part(pair[1])]):
-        return messages.LOOP_LEFT_OPEN(loop=loop.name, facts=_facts(pairs), reason=failure)
+        return (
+            f"{loop.name} is an algebraic loop that no FMU declares: measured before the run, {_facts(pairs)}. "
+            "It is left open, so that some inputs have the values of the step before, because solving it fails: "
+            f"{failure}"
+        )
     if pairs := [pair for pair in measured.at_start if is_part(pair[1]) and pair[1] in held]:
-        cure = messages.REPEATED_STEPS() if _has_repeatable_steps(system, loop) else messages.STATED_ORDER()
-        return messages.FOLLOWS_AT_START(loop=loop.name, facts=_facts(pairs), cure=cure)
+        members = [stage.component for stage in system.stages if stage.component.name in loop.members]
+        is_real = all(not any(t.beside) and not system.signals[t.name].is_whole for t in loop.transfers)
+        can_repeat = is_real and all(
+            isinstance(m, FmuBlock) and not isinstance(m, EventFmu) and m.instance.rolls_back for m in members
+        )
+        cure = (
+            Note("loops: {} solves it by repeated steps")
+            if can_repeat
+            else Note(
+                "an FMU that saves and restores its state, or one without direct feedthrough, would be a cure; "
+                "order: [...] states that it is open, without this warning"
+            )
+        )
+        return (
+            f"{loop.name} may be an algebraic loop that no FMU declares: in initialization {_facts(pairs)}, "
+            "later only with a step. It is left open, so that some inputs may have the values of the step "
+            f"before; {cure}"
+        )
     if names := sorted(filter(is_part, unknown)):
-        return messages.NOT_MEASURED(loop=loop.name, inputs=join_names(names), reason=measured.failure)
+        return (
+            f"{loop.name} may be an algebraic loop: whether outputs follow {join_names(names)} at once is not "
+            f"declared, nor measured{measured.failure}; cosim assumes that none does; feedthrough: [...] of the "
+            f"component names the inputs that an output follows, [] for none; loops: {{}} solves it; order: "
+            "[...] states the order instead"
+        )
     return ""
-
-
-def _has_repeatable_steps(system: System, loop: Loop) -> bool:
-    """Return whether a loop of real signals can be solved by steps that are taken back."""
-    members = [stage.component for stage in system.stages if stage.component.name in loop.members]
-    is_real = all(not any(t.beside) and not system.signals[t.name].is_whole for t in loop.transfers)
-    return is_real and all(
-        isinstance(m, FmuBlock) and not isinstance(m, EventFmu) and m.instance.rolls_back for m in members
-    )
 
 
 def _with_notes(system: System, opened: Sequence[Loop]) -> System:
     """Return a system with the loops that are left open, and their warnings in place of those of an assumption."""
     names = [loop.name for loop in opened]
     others = [loop for loop in system.opened if loop.name not in names]
-    warnings = [warning for warning in system.warnings if code_of(warning) != ASSUMED_WITHOUT_FEEDTHROUGH.code]
-    notes = [loop.left_open for loop in opened]
+    warnings = [warning for warning in system.warnings if not isinstance(warning, Assumption)]
+    notes = [CheckWarning(loop.left_open) for loop in opened]
     return replace(system, opened=(*opened, *others), assumed=False, warnings=(*warnings, *notes))
 
 

@@ -10,7 +10,6 @@ from xml.parsers import expat
 
 from cosim.base.errors import Fault
 from cosim.base.messages import with_prefix
-from cosim.ssp import messages
 from cosim.storage.archive import MOST_XML, BadArchive, check_xml
 
 NAMESPACES = {
@@ -60,7 +59,7 @@ class Element:
 def parse(file: Path, text: bytes) -> Element:
     """Return the root of a document; raise BadArchive if invalid or unsafe."""
     if len(text) > MOST_XML:
-        raise BadArchive(messages.TOO_LARGE(megabytes=MOST_XML / 1e6))
+        raise BadArchive(f"it has more than the {MOST_XML / 1e6:.0f} MB that are read; split it")
     check_xml(file.name, text, "SSP")
     prefixes: list[dict[str, str]] = [{}]
     document = Element(file, "", {}, 0, 0)

@@ -10,7 +10,6 @@ from itertools import chain, count
 from cosim.base.errors import FmuError, InputError
 from cosim.blocks.component import Signal
 from cosim.blocks.description import is_difference, read_description, unit_definition, unit_of
-from cosim.ssp import messages
 from cosim.ssp.elements import Element
 from cosim.ssp.levels import Flat, FmuPart, Level, SignalLink, direct_connections, levels
 from cosim.ssp.read import Reader
@@ -72,7 +71,7 @@ class _Flattener:
         for name, connector in component.connectors.items():
             if name not in variables and connector.kind in {"input", "output", "parameter"}:
                 hint = did_you_mean(name, variables)
-                self.reader.note(connector.element, messages.NO_SUCH_VARIABLE(fmu=component.fmu.name, hint=hint))
+                self.reader.note(connector.element, f"{component.fmu.name} has no such variable{hint}")
         return part
 
     def _name(self, path: tuple[str, ...]) -> str:
@@ -93,19 +92,19 @@ class _Flattener:
                 if (first := level.into[connection.end]) is not connection:
                     ends = (connection.end, first.start, connection.start)
                     target, one, other = (".".join(filter(None, end)) for end in ends)
-                    message = messages.SEVERAL_SOURCES(target=target, first=one, second=other)
+                    message = f"two sources for {target}: {one} and {other}; keep one"
                     self.reader.note(connection.element, message)
 
     def _check_end(self, level: Level, element: Element, side: str, name: str | None, connector: str) -> None:
         elements = level.system.elements
         if name is not None and name not in elements:
             hint = did_you_mean(name, elements)
-            self.reader.note(element, messages.UNKNOWN_ELEMENT(side=side, name=format_value(name), hint=hint))
+            self.reader.note(element, f"{side}Element {format_value(name)} is not in its system{hint}")
             return
         connectors = level.system.connectors if name is None else elements[name].connectors
         if connector not in connectors:
             owner, hint = name or "its system", did_you_mean(connector, connectors)
-            message = messages.UNKNOWN_CONNECTOR(side=side, owner=owner, name=format_value(connector), hint=hint)
+            message = f"{side}Connector: {owner} has no connector {format_value(connector)}{hint}"
             self.reader.note(element, message)
 
     def _links(self, level: Level) -> Iterator[SignalLink]:
@@ -185,7 +184,13 @@ class _Flattener:
         for target, linear in stages:
             unit = (1.0, 0.0) if linear.exact else signal.conversion(target)
             if unit is None:
-                self.reader.note(element, messages.UNIT_MISMATCH(source=signal.unit, target=target.unit))
+                self.reader.note(
+                    element,
+                    (
+                        f"unit mismatch: [{signal.unit}] to [{target.unit}]; where they are the same all the same, "
+                        'say so by suppressUnitConversion="true"'
+                    ),
+                )
                 return None
             factor *= unit[0] * linear.factor
             offset = offset * (unit[0] * linear.factor) + (unit[1] * linear.factor + linear.offset)
@@ -212,7 +217,9 @@ class _Flattener:
             for part, variable, hops in targets:
                 self._set_start(part, variable, parameter, hops)
             if not targets and parameter.name in level.system.connectors:
-                self.reader.warn(parameter.element, messages.PARAMETER_WITHOUT_FMU(name=format_value(parameter.name)))
+                self.reader.warn(
+                    parameter.element, f"parameter {format_value(parameter.name)} leads to no FMU, and is left out"
+                )
             elif not targets:
                 self._warn_of_name(parameter, chain(level.system.connectors, self._names(level)))
 
@@ -263,7 +270,7 @@ class _Flattener:
 
     def _warn_of_name(self, parameter: SspParameter, names: Iterable[str]) -> None:
         hint = did_you_mean(parameter.name, names)
-        message = messages.PARAMETER_WITHOUT_TARGET(name=format_value(parameter.name), hint=hint)
+        message = f"parameter {format_value(parameter.name)} is of nothing here, and is left out{hint}"
         self.reader.warn(parameter.element, message)
 
     def _names(self, level: Level) -> Iterator[str]:

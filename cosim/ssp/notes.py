@@ -7,7 +7,6 @@ from typing import TypeVar
 
 from cosim.base.errors import Fault, InputError
 from cosim.base.units import SI
-from cosim.ssp import messages
 from cosim.ssp.elements import Element
 from cosim.ssp.ssp_package import Package
 from cosim.ssp.structure import Definition, LinearTransformation, Units
@@ -44,7 +43,7 @@ class Notes:
         """Return the transformation of a connection or a mapping."""
         exact = element.get("suppressUnitConversion") in {"true", "1"}
         for other in filter(None, map(element.first, OTHER_TRANSFORMATIONS)):
-            self.note(other, messages.TRANSFORMATION_NOT_RUN())
+            self.note(other, "is not run here; ssc:LinearTransformation is, or let the FMU map the value")
         linear = element.first("ssc:LinearTransformation") or element.first("ssd:LinearTransformation")
         if linear is None:
             return LinearTransformation(exact=exact)
@@ -59,7 +58,7 @@ class Notes:
                 numbers = [self._number(base, n, 0.0) for n in SI]
                 numbers += [self._number(base, "factor", 1.0), self._number(base, "offset", 0.0)]
                 if numbers[-2] == 0.0:
-                    self.note(base, messages.ZERO_FACTOR())
+                    self.note(base, "factor 0 is that of no unit; give another")
                 else:
                     units[name] = tuple(numbers)
         return units
@@ -74,11 +73,11 @@ class Notes:
         except ValueError:
             value = math.nan
         if not math.isfinite(value):
-            self.note(element, messages.NOT_FINITE(name=name, value=format_value(text)))
+            self.note(element, f"{name} {format_value(text)}: it is a finite number")
             return default
         return value
 
     def _version(self, root: Element) -> None:
         version = root.get("version")
         if version not in VERSIONS:
-            self.note(root, messages.UNKNOWN_VERSION(version=format_value(version), versions=" and ".join(VERSIONS)))
+            self.note(root, f"version {format_value(version)} is not known here; {' and '.join(VERSIONS)} are")

@@ -6,11 +6,9 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
-from cosim.base.errors import InputError, refuse
-from cosim.ssp import messages
+from cosim.base.errors import InputError
 from cosim.ssp.elements import Element
 from cosim.ssp.notes import Notes
-from cosim.ssp.ssp_package import Package
 from cosim.ssp.structure import LinearTransformation, SspParameter
 from cosim.storage.yaml_file import did_you_mean, format_value
 
@@ -21,27 +19,6 @@ BOOLEANS = {"true": True, "1": True, "false": False, "0": False}
 TYPES = (*REALS, *WHOLE, "Boolean", "String", "Enumeration", "Binary")
 
 
-def read_parameter_file(package: Package, source: str) -> dict[str, Any]:
-    """Return the start values of an SSV file: numbers, with a unit as text such as "12 deg", and texts.
-
-    Args:
-        source: URI of the file, relative to the folder of the package.
-
-    Raises:
-        InputError: The file has faults.
-    """
-    file = package.resolve(source)
-    if isinstance(file, str):
-        raise InputError.at(package.shown, file)
-    reader = ParameterReader(package)
-    root = package.element(file)
-    if root.tag != "ssv:ParameterSet":
-        reader.note(root, messages.WRONG_ELEMENT(tag="ssv:ParameterSet"))
-    parameters = list(reader._set(root))
-    refuse(reader.faults)
-    return {p.name: f"{p.value!r} {p.unit}" if p.unit and isinstance(p.value, float) else p.value for p in parameters}
-
-
 class ParameterReader(Notes):
     """Reader of parameter bindings."""
 
@@ -49,7 +26,7 @@ class ParameterReader(Notes):
         """Yield an element's bound parameters under mapped names."""
         for binding in element.all("ssd:ParameterBindings", "ssd:ParameterBinding"):
             if (kind := binding.get("type") or SET) != SET:
-                self.note(binding, messages.BINDING_TYPE(type=format_value(kind), read=SET))
+                self.note(binding, f"type {format_value(kind)} is not read here; {SET} is")
                 continue
             holder = self._content(binding, "ssd:ParameterValues", "ssv:ParameterSet")
             if holder is None:
@@ -64,10 +41,10 @@ class ParameterReader(Notes):
         source, tag = element.get("source"), path[-1]
         if source is None:
             if (inline := element.first(*path)) is None:
-                self.note(element, messages.NO_CONTENT(tag=tag))
+                self.note(element, f"it has neither a source nor {tag} in it; add one")
             return inline
         if (base := element.get("sourceBase") or "SSD") != "SSD":
-            self.note(element, messages.SOURCE_BASE(base=format_value(base)))
+            self.note(element, f"sourceBase {format_value(base)} is not read here; take the file out of the FMU")
             return None
         file = self.package.resolve(source)
         if isinstance(file, str):
@@ -79,7 +56,7 @@ class ParameterReader(Notes):
             self.faults += error.faults
             return None
         if root.tag != tag:
-            self.note(root, messages.WRONG_ELEMENT(tag=tag))
+            self.note(root, f"it should be {tag}")
             return None
         self._version(root)
         return root
@@ -90,7 +67,7 @@ class ParameterReader(Notes):
             name = element.get("name")
             typed = next((c for c in element.children if c.tag.startswith("ssv:")), None)
             if not name or typed is None:
-                self.note(element, messages.NO_VALUE() if name else messages.NO_NAME())
+                self.note(element, "it has no value; add one such as ssv:Real" if name else "it has no name; add one")
             elif (value := self._value(typed)) is not None:
                 yield SspParameter(name, value, typed.get("unit"), units, element)
 
@@ -98,11 +75,11 @@ class ParameterReader(Notes):
         """Return a typed value; None after noting a fault."""
         kind, text = typed.tag.partition(":")[2], typed.get("value")
         if text is None and (entries := list(typed.all("ssv:Item")) or list(typed.all("ssv:Value"))):
-            self.note(typed, messages.ARRAY(count=len(entries)))
+            self.note(typed, f"{len(entries)} values; arrays are not read here, bind their elements by name")
         elif kind not in TYPES:
-            self.note(typed, messages.UNKNOWN_TYPE(hint=did_you_mean(kind, TYPES[:-1])))
+            self.note(typed, f"is no type of a value{did_you_mean(kind, TYPES[:-1])}")
         elif text is None:
-            self.note(typed, messages.MISSING_ATTRIBUTE(name="value"))
+            self.note(typed, "it has no value; add it")
         elif kind in REALS:
             return self._number(typed, "value", None)
         elif kind in WHOLE:
@@ -110,7 +87,7 @@ class ParameterReader(Notes):
         elif kind != "Boolean":
             return text
         elif text not in BOOLEANS:
-            self.note(typed, messages.NOT_BOOLEAN(value=format_value(text)))
+            self.note(typed, f"value {format_value(text)}: it is true or false")
         else:
             return BOOLEANS[text]
         return None
@@ -121,7 +98,7 @@ class ParameterReader(Notes):
         if value is None:
             return None
         if value != int(value):
-            self.note(typed, messages.NOT_WHOLE(value=format_value(text)))
+            self.note(typed, f"value {format_value(text)}: it is a whole number")
             return None
         return int(text) if text.strip().lstrip("+-").isdigit() else int(value)
 
@@ -136,13 +113,13 @@ class ParameterReader(Notes):
             if source == "" and target:  # a placeholder without source
                 continue
             if not source or not target:
-                self.note(entry, messages.MISSING_ATTRIBUTE(name="target" if source else "source"))
+                self.note(entry, f"it has no {'target' if source else 'source'}; add it")
                 continue
             if source not in by_name:
-                self.warn(entry, messages.UNKNOWN_SOURCE(name=format_value(source), hint=did_you_mean(source, by_name)))
+                self.warn(entry, f"the parameter set has no {format_value(source)}{did_you_mean(source, by_name)}")
             linear = self._linear(entry)
             for value in by_name.get(source, ()):
                 if linear != LinearTransformation(exact=linear.exact) and isinstance(value.value, (bool, str)):
-                    self.note(entry, messages.TRANSFORMED_TEXT(value=format_value(value.value)))
+                    self.note(entry, f"a linear transformation of {format_value(value.value)}; it takes numbers")
                 else:
                     yield replace(value, name=target, linear=linear)

@@ -6,11 +6,12 @@ from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path
 
-from cosim.ssp import messages
 from cosim.ssp.elements import Element
 from cosim.ssp.parameter_sets import ParameterReader
 from cosim.ssp.structure import Connector, SspComponent, SspConnection, SspStructure, SspSystem
 from cosim.storage.yaml_file import format_value
+
+SIGNAL_DICTIONARY = "signal dictionaries are not read here; connect outputs to inputs"
 
 FMU = "application/x-fmu-sharedlibrary"
 NESTED = "application/x-ssp-definition"
@@ -25,12 +26,12 @@ class Reader(ParameterReader):
         """Return the description; None after noting a fault."""
         root = self.package.element(self.package.structure)
         if root.tag != "ssd:SystemStructureDescription":
-            self.note(root, messages.WRONG_ELEMENT(tag="ssd:SystemStructureDescription"))
+            self.note(root, "it should be ssd:SystemStructureDescription")
             return None
         self._version(root)
         system = root.first("ssd:System")
         if system is None:
-            self.note(root, messages.MISSING_ELEMENT(tag="ssd:System"))
+            self.note(root, "it has no ssd:System; add one")
             return None
         experiment = root.first("ssd:DefaultExperiment")
         start, stop = self._times(experiment)
@@ -51,11 +52,11 @@ class Reader(ParameterReader):
         for child in listed.children if listed else ():
             if (inner := self._element(child)) is not None:
                 if inner.name in elements:
-                    self.note(child, messages.DOUBLED_ELEMENT())
+                    self.note(child, "another element has this name; rename one of them")
                 elements[inner.name] = inner
         connections = [self._connection(c) for c in element.all("ssd:Connections", "ssd:Connection")]
         if (dictionaries := element.first("ssd:SignalDictionaries")) is not None and dictionaries.children:
-            self.note(dictionaries, messages.SIGNAL_DICTIONARY())
+            self.note(dictionaries, SIGNAL_DICTIONARY)
         return SspSystem(
             element.get("name") or "",
             self._connectors(element),
@@ -67,11 +68,11 @@ class Reader(ParameterReader):
 
     def _element(self, child: Element) -> SspSystem | SspComponent | None:
         if child.tag == "ssd:SignalDictionaryReference":
-            self.note(child, messages.SIGNAL_DICTIONARY())
+            self.note(child, SIGNAL_DICTIONARY)
         elif child.tag not in {"ssd:Component", "ssd:System", "ssd:Annotations"}:
-            self.note(child, messages.NOT_AN_ELEMENT())
+            self.note(child, "is no element of a system; ssd:Component and ssd:System are")
         elif child.tag != "ssd:Annotations" and not child.get("name"):
-            self.note(child, messages.NO_NAME())
+            self.note(child, "it has no name; add one")
         elif child.tag == "ssd:System":
             return self._system(child)
         elif child.tag == "ssd:Component":
@@ -82,18 +83,20 @@ class Reader(ParameterReader):
         kind, source = element.get("type") or FMU, element.get("source")
         fmu: Path | str
         if kind == NESTED:
-            fmu = messages.COMPONENT_AN_SSP(type=format_value(kind))
+            fmu = f"type {format_value(kind)} is not read here; put its systems into this file"
         elif kind != FMU:
-            fmu = messages.COMPONENT_NOT_AN_FMU(type=format_value(kind), fmu=FMU)
+            fmu = f"type {format_value(kind)} is not read here; components are {FMU}"
         else:
-            fmu = self.package.resolve(source) if source else messages.NO_FMU_NAMED()
+            fmu = (
+                self.package.resolve(source) if source else "it has no source, so there is nothing to run; name its FMU"
+            )
         if isinstance(fmu, str):
             self.note(element, fmu)
             fmu = Path()
         interface = element.get("implementation") or "any"
         if interface not in INTERFACES:
             names = ", ".join(INTERFACES)
-            self.note(element, messages.INTERFACE_NOT_RUN(interface=format_value(interface), interfaces=names))
+            self.note(element, f"implementation {format_value(interface)} is not run here; {names} are")
         connectors, parameters = self._connectors(element), tuple(self._parameters(element))
         name = element.get("name") or ""
         return SspComponent(name, fmu, INTERFACES.get(interface), connectors, parameters, element)
@@ -103,10 +106,10 @@ class Reader(ParameterReader):
         for each in element.all("ssd:Connectors", "ssd:Connector"):
             name = each.get("name")
             if not name:
-                self.note(each, messages.NO_NAME())
+                self.note(each, "it has no name; add one")
                 continue
             if name in connectors:
-                self.note(each, messages.DOUBLED_CONNECTOR())
+                self.note(each, "another connector has this name; keep one of them")
             units = (child.get("unit") for child in each.children if child.tag.startswith("ssc:"))
             connectors[name] = Connector(name, each.get("kind") or "", next(filter(None, units), None), each)
         return connectors
@@ -114,7 +117,7 @@ class Reader(ParameterReader):
     def _connection(self, element: Element) -> SspConnection | None:
         start, end = (element.get(f"{side}Connector") for side in ("start", "end"))
         if not start or not end:
-            self.note(element, messages.MISSING_ATTRIBUTE(name="endConnector" if start else "startConnector"))
+            self.note(element, f"it has no {'endConnector' if start else 'startConnector'}; add it")
             return None
         # OMSimulator writes an empty name for the system itself.
         ends = (element.get("startElement") or None, start), (element.get("endElement") or None, end)
@@ -128,7 +131,7 @@ class Reader(ParameterReader):
             if attribute and element.get(attribute) is not None:
                 step = self._number(element, attribute, None)
                 if step is not None and step <= 0.0:
-                    self.note(element, messages.STEP_NOT_POSITIVE(name=attribute, step=step))
+                    self.note(element, f"{attribute} {step:g} s: a communication step is more than 0 s")
                     return None
                 return step
         return None
@@ -139,7 +142,9 @@ class Reader(ParameterReader):
             return None, None
         start, stop = (self._number(experiment, name, None) for name in ("startTime", "stopTime"))
         if stop is not None and stop <= (start or 0.0):
-            self.note(experiment, messages.STOP_BEFORE_START(stop=stop, start=start or 0.0))
+            self.note(
+                experiment, f"stopTime {stop:g} s is not after startTime {start or 0.0:g} s; give a later stopTime"
+            )
             return start, None
         return start, stop
 

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import Fault
-from cosim.ssp import messages
 from cosim.ssp.elements import NAMESPACES
 
 SCHEMAS = {
@@ -33,7 +32,7 @@ def slips(label: Path, text: bytes) -> list[Fault]:
     try:
         root = etree.fromstring(text, etree.XMLParser(resolve_entities=False, no_network=True))
     except etree.XMLSyntaxError as error:
-        return [Fault(label, error.lineno or 0, 1, messages.XML_VIOLATION(reason=error.msg))]
+        return [Fault(label, error.lineno or 0, 1, f"breaks the rules of XML: {error.msg}")]
     name = SCHEMAS.get(etree.QName(root).localname)
     if name is None or root.get("version") != "1.0":
         return []
@@ -44,5 +43,5 @@ def slips(label: Path, text: bytes) -> list[Fault]:
         reason = slip.message
         for uri, prefix in NAMESPACES.items():
             reason = reason.replace(f"{{{uri}}}", f"{prefix}:")
-        faults.append(Fault(label, slip.line, 1, messages.SCHEMA_VIOLATION(reason=reason)))
+        faults.append(Fault(label, slip.line, 1, f"breaks the schema of SSP: {reason}"))
     return faults

@@ -10,7 +10,6 @@ from urllib.parse import unquote, urlsplit
 
 from cosim.base.errors import Fault, InputError
 from cosim.base.scratch import temporary_folder
-from cosim.ssp import messages
 from cosim.ssp.elements import Element, parse
 from cosim.ssp.schema import slips
 from cosim.storage.archive import SSP, STRUCTURE, BadArchive, unpack
@@ -46,14 +45,14 @@ class Package:
         try:
             uri = urlsplit(source)
             if uri.scheme not in {"", "file"} or uri.netloc:
-                return messages.NOT_IN_PACKAGE(name=name)
+                return f'"{name}" is not in the package; put the file into resources/ and name it so'
             within = self.folder.resolve()
             path = (within / unquote(uri.path)).resolve()
             if self.packed and not path.is_relative_to(within):
-                return messages.OUTSIDE_PACKAGE(name=name)
-            return path if path.is_file() else messages.NO_SUCH_FILE(name=name, hint=self._hint(path))
+                return f'"{name}" leads out of the package; put the file into resources/ and name it so'
+            return path if path.is_file() else f'no file "{name}" in it{self._hint(path)}'
         except (OSError, ValueError):  # an impossible file name
-            return messages.INVALID_FILE_NAME(name=name)
+            return f'"{name}" is no name of a file'
 
     def _hint(self, path: Path) -> str:
         """Return a suggestion with the same name in different case."""
@@ -73,7 +72,7 @@ class Package:
         except BadArchive as error:
             raise InputError.at(label, str(error)) from None
         except OSError as error:
-            raise InputError.at(label, messages.UNREADABLE(reason=error.strerror)) from None
+            raise InputError.at(label, f"cannot be read: {error.strerror}") from None
         self.slips.extend(slips(label, text))
         return root
 
@@ -90,7 +89,7 @@ def open_package(path: Path) -> Iterator[Package]:
         try:
             unpack(path, folder, SSP)
         except BadArchive as error:
-            raise InputError.at(path, messages.NOT_AN_SSP.around(error)) from None
+            raise InputError.at(path, f"is no SSP: {error}") from None
         except OSError as error:
-            raise InputError.at(path, messages.NOT_UNPACKED(reason=error.strerror)) from None
+            raise InputError.at(path, f"cannot be unpacked: {error.strerror}") from None
         yield Package(path, folder, folder / STRUCTURE, packed=True)

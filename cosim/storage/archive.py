@@ -23,7 +23,6 @@ from typing import BinaryIO, TypeVar
 from xml.parsers import expat
 
 from cosim.base.drafts import is_full
-from cosim.storage import messages
 
 DESCRIPTION = "modelDescription.xml"
 STRUCTURE = "SystemStructure.ssd"
@@ -104,7 +103,7 @@ def unpack(path: Path, folder: Path, kind: Contents = FMU) -> None:
 def check_identifier(identifier: str | None) -> None:
     """Raise BadArchive if the name of a library could lead out of its folder."""
     if identifier is None or not re.fullmatch(r"[^/\\\x00-\x1f:]+", identifier) or identifier in {".", ".."}:
-        raise BadArchive(messages.BAD_IDENTIFIER(name=str(identifier)[:SHOWN]))
+        raise BadArchive(f'its modelIdentifier "{str(identifier)[:SHOWN]}" is no name of a file')
 
 
 def _read(path: Path, take: Callable[[zipfile.ZipFile], Value], kind: Contents = FMU) -> Value:
@@ -113,7 +112,7 @@ def _read(path: Path, take: Callable[[zipfile.ZipFile], Value], kind: Contents =
         try:
             archive = zipfile.ZipFile(stream)
         except DAMAGES:
-            raise BadArchive(messages.NO_ZIP_ARCHIVE()) from None
+            raise BadArchive("it is not a zip archive") from None
         with archive:
             members = archive.infolist()
             for member in members:
@@ -121,7 +120,7 @@ def _read(path: Path, take: Callable[[zipfile.ZipFile], Value], kind: Contents =
             _check_sizes(members, kind)
             names = {m.filename for m in members}
             if kind.needed not in names:
-                raise BadArchive(messages.NO_MEMBER(name=kind.needed))
+                raise BadArchive(f"it has no {kind.needed}")
             try:
                 for name in filter(kind.parses, names):
                     text = archive.read(name)
@@ -135,7 +134,7 @@ def _read(path: Path, take: Callable[[zipfile.ZipFile], Value], kind: Contents =
                 if is_full(error):
                     raise
                 reason = str(error) if isinstance(error, zipfile.BadZipFile) else "it cannot be unpacked"
-                raise BadArchive(messages.DAMAGED_ARCHIVE(reason=reason)) from None
+                raise BadArchive(f"its archive is damaged: {reason}") from None
 
 
 def _check_directory(stream: BinaryIO, size: int) -> None:
@@ -144,16 +143,16 @@ def _check_directory(stream: BinaryIO, size: int) -> None:
     tail = stream.read()
     end = tail.rfind(END)
     if end < 0 or len(tail) - end < END_SIZE:
-        raise BadArchive(messages.NO_ZIP_ARCHIVE())
+        raise BadArchive("it is not a zip archive")
     count, directory = struct.unpack_from("<HI", tail, end + 10)
     if end >= 20 and tail[end - 20 : end - 16] == b"PK\x06\x07":  # the 64-bit directory takes precedence
         (offset,) = struct.unpack_from("<Q", tail, end - 12)
         if offset > size - 56:
-            raise BadArchive(messages.NO_ZIP_ARCHIVE())
+            raise BadArchive("it is not a zip archive")
         stream.seek(offset)
         count, directory = struct.unpack_from("<QQ", stream.read(56), 32)
     if count > MOST_FILES or directory > 2 * DIRECTORY * MOST_FILES:
-        raise BadArchive(messages.MANY_MEMBERS(limit=MOST_FILES))
+        raise BadArchive(f"it holds more than {MOST_FILES} files")
     stream.seek(0)
 
 
@@ -161,15 +160,15 @@ def _check_member(member: zipfile.ZipInfo) -> None:
     """Check the name, type and compression of a file."""
     path, name = member.filename.replace("\\", "/"), member.filename[:SHOWN]
     if path.startswith("/") or re.match("[A-Za-z]:", path) or ".." in path.split("/"):
-        raise BadArchive(messages.MEMBER_OUTSIDE(name=name))
+        raise BadArchive(f'"{name}" in it would be written outside its folder')
     if "\\" in member.orig_filename:
-        raise BadArchive(messages.BACKSLASH_IN_MEMBER(name=name))
+        raise BadArchive(f'"{name}" in it has a backslash; separate folders by /')
     if stat.S_ISLNK(member.external_attr >> 16):
-        raise BadArchive(messages.LINK_AS_MEMBER(name=name))
+        raise BadArchive(f'"{name}" in it is a link; pack the file it leads to')
     if member.flag_bits & 1:
-        raise BadArchive(messages.ENCRYPTED_MEMBER(name=name))
+        raise BadArchive(f'"{name}" in it is encrypted; pack it without a password')
     if member.compress_type not in PACKED_BY:
-        raise BadArchive(messages.UNKNOWN_COMPRESSION(name=name))
+        raise BadArchive(f'"{name}" in it is compressed by an unsupported method; use deflate')
 
 
 def _check_sizes(members: Sequence[zipfile.ZipInfo], kind: Contents) -> None:
@@ -181,15 +180,18 @@ def _check_sizes(members: Sequence[zipfile.ZipInfo], kind: Contents) -> None:
     if unpacked > MOST_UNPACKED:
         ratio = unpacked / max(1, packed)
         hint = f", {ratio:.0f} times its size: a zip bomb?" if ratio > BOMB_RATIO else ""
-        raise BadArchive(messages.LARGE_ARCHIVE(size=unpacked / 1e6, limit=MOST_UNPACKED / 1e6, hint=hint))
+        raise BadArchive(
+            f"it would unpack to {unpacked / 1e6:.0f} MB, more than the {MOST_UNPACKED / 1e6:.0f} MB that are "
+            f"unpacked{hint}"
+        )
     for member, following in pairwise(sorted(members, key=lambda m: m.header_offset)):
         if following.header_offset < member.header_offset + LOCAL_HEADER + member.compress_size:
             names = member.filename[:SHOWN], following.filename[:SHOWN]
-            raise BadArchive(messages.SHARED_BYTES(first=names[0], second=names[1]))
+            raise BadArchive(f'"{names[0]}" and "{names[1]}" in it share bytes: a zip bomb?')
     for member in members:
         if kind.parses(member.filename) and member.file_size > MOST_XML:
             size, limit = member.file_size / 1e6, MOST_XML / 1e6
-            raise BadArchive(messages.LARGE_MEMBER(name=member.filename, size=size, limit=limit))
+            raise BadArchive(f"its {member.filename} has {size:.0f} MB, more than the {limit:.0f} MB that are read")
 
 
 def check_xml(name: str, text: bytes, standard: str) -> None:
@@ -200,15 +202,18 @@ def check_xml(name: str, text: bytes, standard: str) -> None:
     depth = count = 0
 
     def refuse(*_: object) -> None:
-        raise BadArchive(messages.DOCTYPE(name=name, standard=standard))
+        raise BadArchive(f"its {name} has a DOCTYPE, which {standard} knows nothing of; take it out")
 
     def start(_: str, attributes: list[str]) -> None:
         nonlocal depth, count
         depth, count = depth + 1, count + 1
         if depth > DEEPEST:
-            raise BadArchive(messages.DEEP_XML(name=name, limit=DEEPEST))
+            raise BadArchive(f"its {name} is nested too deep; at most {DEEPEST} levels are read")
         if count > MOST_ELEMENTS or len(attributes) > 2 * MOST_ATTRIBUTES:
-            raise BadArchive(messages.LARGE_XML(name=name, elements=MOST_ELEMENTS, attributes=MOST_ATTRIBUTES))
+            raise BadArchive(
+                f"its {name} has more than the {MOST_ELEMENTS} elements with {MOST_ATTRIBUTES} attributes each "
+                "that are read"
+            )
 
     def end(_: str) -> None:
         nonlocal depth
@@ -222,8 +227,8 @@ def check_xml(name: str, text: bytes, standard: str) -> None:
         parser.Parse(text, True)
     except expat.ExpatError as error:
         reason = expat.ErrorString(error.code)
-        raise BadArchive(messages.BAD_XML(name=name, line=error.lineno, reason=reason)) from None
+        raise BadArchive(f"its {name} is not XML (line {error.lineno}): {reason}") from None
     except BadArchive:
         raise
     except (LookupError, ValueError):
-        raise BadArchive(messages.UNKNOWN_ENCODING(name=name)) from None
+        raise BadArchive(f"its {name} is in an unknown encoding; write it in UTF-8") from None

@@ -1,8 +1,8 @@
 """Kinds of files and folders, each declared once by the room that reads or writes it.
 
 Declarations are `ARTEFACTS` of a room's module `artefacts`, or part of an installed package's `Verb`. They determine
-the kind of a file, its reading command, the owner of a folder, the actions of `cosim check`, `cosim schema` and
-`cosim.read`, and the files moved as an earlier run.
+the kind of a file, its reading command, the verb of a folder, the actions of `cosim check`, `cosim schema` and
+`cosim.read`, and the files that `--force` replaces.
 """
 
 from __future__ import annotations
@@ -19,6 +19,12 @@ from cosim.base.registry import added_verbs, attempt
 
 ROOMS = Path(__file__).resolve().parent.parent
 DECLARATIONS = "artefacts"  # module of a room
+# Names of the kinds of files, for declarations and messages
+LOG, FMU, SSP, SCENARIO = "a log", "an FMU", "an SSP", "a scenario"
+MANIFEST, STUDY, MODEL, ANSWER = "a manifest", "a study", "a model file", "an answer of `cosim refine`"
+FIT_STUDY = "a study of a fit"
+CODE, SWEEP, RESULTS, TABLE = "a model's Python file", "a sweep", "the rows of a run", "a table of runs"
+TEXT, BINARY = "a text", "a binary file"
 
 
 @dataclass(frozen=True)
@@ -55,11 +61,9 @@ class Artefact:
         marks: Files that only this verb writes into a folder, the most specific first.
         unfinished: Files of results that were stopped before their first mark.
         files: Names or patterns of further files written by the verb.
-        drawn: Patterns of files written after the marks, in folders that may hold older files of the user.
         tables: Names, without ending, of row files in any format.
         folder: Noun phrase for the folder.
         folder_step: Advice for the folder; {file} is its path.
-        sources: Keys of the first mark that name its source files.
         schema: Place, `module:name`, of the pydantic model of its keys; `schema_name` and `title` belong to the schema.
         check: Place of a function of (path, Checking) that returns notes and raises InputError with faults.
         reader: Place of a function of (folder) that returns the result of `cosim.read`, None for an incomplete folder.
@@ -79,11 +83,9 @@ class Artefact:
     marks: tuple[str, ...] = ()
     unfinished: tuple[str, ...] = ()
     files: tuple[str, ...] = ()
-    drawn: tuple[str, ...] = ()
     tables: tuple[str, ...] = ()
     folder: str = ""
     folder_step: str = ""
-    sources: tuple[str, ...] = ()
     schema: str = ""
     schema_name: str = ""
     title: str = ""
@@ -99,7 +101,7 @@ class Artefact:
     @property
     def folders(self) -> set[str]:
         """Return the folders within results that the verb writes into."""
-        return {name.partition("/")[0] for name in (*self.files, *self.drawn) if "/" in name}
+        return {name.partition("/")[0] for name in self.files if "/" in name}
 
     def is_left_in(self, folder: Path, *, unfinished: bool = False) -> bool:
         """Return whether a folder contains results of the verb, or also results that were stopped."""

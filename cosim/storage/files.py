@@ -11,19 +11,17 @@ import signal
 import stat
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
 from typing import Any, TextIO
 
-from cosim.base.drafts import draft_of, remove_drafts
+from cosim.base.drafts import draft_of
 from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.scratch import ScratchFolder, scratch
-from cosim.storage import messages
-from cosim.storage.folder_lock import take_folder
+from cosim.base.settings import FilePath as FilePath
 
-FilePath = str | os.PathLike[str]
 NOT_BLANK = "give a name, or . for the current folder"
 STOPPING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 MOST_HOLES, SMALL = 1000, 1 << 26  # size over stored bytes, more than any file system compresses; [bytes] always read
@@ -94,20 +92,16 @@ def check_text(names: Iterable[str]) -> None:
         except UnicodeEncodeError:
             try:
                 os.fsencode(name).decode()
-                message = messages.LOCALE_WITHOUT_NAME()
+                message = "cannot be read in the locale of this shell; set PYTHONUTF8=1, or LC_ALL=C.UTF-8"
             except UnicodeDecodeError:
-                message = messages.NO_UTF8_NAME()
+                message = "is not UTF-8 text; give the file or folder another name"
             faults.append(Fault(Path(name), 0, 0, message))
     refuse(faults)
 
 
 @contextmanager
-def delay_stops(receive: Callable[[], None] | None = None) -> Iterator[None]:
-    """Delay stop signals to the end of the block.
-
-    Args:
-        receive: Function called at each signal, and first for one that the verb holds back.
-    """
+def delay_stops() -> Iterator[None]:
+    """Delay stop signals to the end of the block."""
     if threading.current_thread() is not threading.main_thread():  # Only the main thread receives signals.
         yield
         return
@@ -115,13 +109,9 @@ def delay_stops(receive: Callable[[], None] | None = None) -> Iterator[None]:
 
     def delay(number: int, frame: FrameType | None) -> None:
         signals.append(number)
-        if receive is not None:
-            receive()
 
     handlers = {number: signal.signal(number, delay) for number in STOPPING}
     try:
-        if receive is not None and _stops and _stops[-1].signals:
-            receive()
         yield
     finally:
         for number, handler in handlers.items():
@@ -208,7 +198,7 @@ def scratch_folder(beside: Path, prefix: str) -> Iterator[Path]:
 def named_path(out: FilePath) -> Path:
     """Return the path given as --out; raise InputError if blank, which would mean the current folder."""
     if not os.fspath(out).strip():
-        raise InputError.at(Path("--out"), messages.BLANK_FOLDER(cure=NOT_BLANK))
+        raise InputError.at(Path("--out"), f"is blank; {NOT_BLANK}")
     return Path(out)
 
 
@@ -219,26 +209,14 @@ def path_from_here(path: FilePath) -> Path:
 
 
 def check_folder(folder: Path) -> None:
-    """Raise InputError if a file or another command blocks a folder."""
-    take_folder(folder)
-    try:
-        file = next((p for p in (folder, *folder.parents) if p.exists() and not p.is_dir()), None)
-    except OSError:  # The maker of the folder reports a name that is too long.
-        return
-    if file is not None:
-        raise InputError.at(folder, messages.FILE_IN_PLACE_OF_FOLDER(file=file))
-
-
-def _is_of_other_user(path: Path) -> bool:
-    """Return whether only another user may replace a file, as in the folder for temporary files."""
-    if not hasattr(os, "geteuid") or not os.path.lexists(path):
-        return False
-    owner, folder = path.lstat().st_uid, path.parent.stat()
-    return bool(folder.st_mode & stat.S_ISVTX) and os.geteuid() not in (0, owner, folder.st_uid)
+    """Raise InputError if a file stands in place of a folder."""
+    with suppress(OSError):  # The maker of the folder reports a name that is too long.
+        if file := next((p for p in (folder, *folder.parents) if p.exists() and not p.is_dir()), None):
+            raise InputError.at(folder, f"cannot be the folder for results: {file} is a file; give a folder as --out")
 
 
 def check_writable(folder: Path, names: Sequence[str], read: Iterable[Path] = ()) -> None:
-    """Lock a folder for writing; remove abandoned drafts.
+    """Make a folder for files.
 
     Args:
         read: Input files, not to be overwritten.
@@ -246,19 +224,24 @@ def check_writable(folder: Path, names: Sequence[str], read: Iterable[Path] = ()
     Raises:
         InputError: A file cannot be written.
     """
-    if take_folder(folder):
-        remove_drafts(folder, names)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         check_folder(folder)
-        raise InputError.at(folder, messages.IMPOSSIBLE_FOLDER(reason=error.strerror)) from None
+        raise InputError.at(
+            folder, f"cannot be the folder for results: {error.strerror}; give another folder as --out"
+        ) from None
     paths = [folder / name for name in names]
-    faults = [Fault(path, 0, 0, messages.FOLDER_IN_PLACE_OF_FILE()) for path in paths if path.is_dir()]
-    faults += [Fault(path, 0, 0, messages.FILE_OF_OTHER_USER()) for path in paths if _is_of_other_user(path)]
+    faults = [
+        Fault(path, 0, 0, "is a folder; a file is to be written there; give another folder as --out")
+        for path in paths
+        if path.is_dir()
+    ]
     for source in dict.fromkeys(read):
         if source.is_file() and any(path.is_file() and source.samefile(path) for path in paths):
-            faults.append(Fault(source, 0, 0, messages.INPUT_IN_FOLDER()))
+            faults.append(
+                Fault(source, 0, 0, "is read, and results would be written over it; give another folder as --out")
+            )
     if not os.access(folder, os.W_OK):
-        faults.append(Fault(folder, 0, 0, messages.READ_ONLY_FOLDER()))
+        faults.append(Fault(folder, 0, 0, "cannot be written; give another folder as --out"))
     refuse(faults)

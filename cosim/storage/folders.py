@@ -1,54 +1,53 @@
-"""Results folders of commands: default names, owners and earlier runs."""
+"""Folders of results: every run is written once, to results/NAME/0001, 0002 and so on, or to a folder of the user.
+
+A folder that a command writes into has a file STARTED until the command ends, with its process. After `kill -9` the
+file remains, so that the folder is listed as interrupted.
+"""
 
 from __future__ import annotations
 
-import mmap
+import json
 import os
+import platform
 import re
-import shutil
-import stat
+import subprocess
+import sys
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import suppress
-from pathlib import Path, PurePosixPath
+from contextlib import contextmanager, suppress
+from itertools import count
+from pathlib import Path
 from typing import Any
 
-from cosim.base.drafts import draft_of, remove_drafts
-from cosim.base.errors import Fault, InputError, refuse
-from cosim.base.scratch import is_own
+from cosim.base.errors import InputError
+from cosim.base.messages import Note
+from cosim.base.scratch import temporary_folder
 from cosim.base.version import __version__
-from cosim.storage import messages
-from cosim.storage.artefact import Artefact, artefacts
-from cosim.storage.files import delay_stops, open_regular, parse_json, write_text
-from cosim.storage.folder_lock import take_folder
+from cosim.storage.artefact import artefacts
+from cosim.storage.files import FilePath, check_writable, delay_stops, named_path, open_regular, parse_json, write_json
 from cosim.storage.record_types import sound_part
-from cosim.storage.started import COMMAND, KILLED, START, STARTED, STATUS, bring_killed, is_killed, write_start
 
 RESULTS = Path("results")
-EARLIER = "runs"  # folder of earlier runs inside a results folder, 0001 and so on
-MOVING, LIST = ".moving", ".files"  # inside EARLIER: a run being moved, and the list of its files
-LAST = ".last"  # inside EARLIER: the highest number ever given; no later run has the number of a removed one
-UPWARDS = re.compile(r"^([\w ]+: \"?)(?=\.\./)", re.MULTILINE)  # a YAML key whose value is a relative path upwards
+RUN_NUMBER = re.compile(r"\d{4,15}")  # name of the folder of a run
+STARTED = "started.json"
+COMMAND, STATUS = "command", "status"  # keys of each record
+RUNNING, INTERRUPTED = "running", "interrupted"
+ELSEWHERE = "running or interrupted"  # on another machine, whose processes are unknown here
 REPLAY = "replay.json"  # stored with the rows of a replay
 SCHEMA_VERSION = 1  # of manifest.json, replay.json and sweep.json
 MOST_BYTES = 200_000_000  # size of a JSON or YAML file [bytes]
-MOST_LISTED, LONGEST_NAME = 10_000_000, 255  # size of the list of a move [bytes], length of a name
-MOST_DIGITS = 15  # of the number of an earlier run
 
 
-def folder_named(name: str, of: str = "") -> Path:
-    """Return results/NAME or results/NAME-OF, safe for shells."""
-    safe = re.sub(r"\s+", "-", re.sub(r"[^\w.\-\s]+", "_", name).strip(" .")) or "run"
-    return RESULTS / (safe[: 100 - len(of)] + (f"-{of}" if of else ""))
+# -- names ----------------------------------------------------------------------------------------
 
 
-def folder_of_file(path: Path, of: str = "") -> Path:
-    """Return results/NAME for the name of a file.
+def name_of_file(path: Path, of: str = "") -> str:
+    """Return the name of results for a file.
 
-    Files with a general name, e.g. results.csv, take the name of their folder.
+    Files with a general name, e.g. results.csv, take the name of their folder, or of the runs that it is one of.
     """
     if path.stem in {"results", "refine"} and path.resolve().parent.name:
-        return folder_named(path.resolve().parent.name, of or "replayed")
-    return folder_named(path.stem, of)
+        return f"{run_name(path.resolve().parent).split('/')[0]}-{of or 'replayed'}"
+    return f"{path.stem}-{of}" if of else path.stem
 
 
 def name_of(model: str) -> str:
@@ -63,12 +62,181 @@ def name_of(model: str) -> str:
     path = Path(file)
     if not path.is_dir() and path.name not in {"refine.json", "model.yaml"}:
         return path.stem
-    return (path if path.is_dir() else path.parent).resolve().name or "model"
+    return run_name(path if path.is_dir() else path.parent).split("/")[0] or "model"
+
+
+# -- writing --------------------------------------------------------------------------------------
+
+
+@contextmanager
+def new_run(
+    out: FilePath | None, name: str, verb: str, *, force: bool = False, goes_on: bool = False
+) -> Iterator[Path]:
+    """Yield the folder that a command writes into: a new number in results/NAME, or `out`.
+
+    A folder that is empty at the end is removed. Within the folder of an outer command nothing happens.
+
+    Args:
+        verb: Such as `cosim run`.
+        force: Whether `out` may have files.
+        goes_on: Whether `out` may have files, but for results of other verbs.
+
+    Raises:
+        InputError: `out` is not empty, cannot be written, or another command writes into it.
+    """
+    with delay_stops():
+        folder = new_number(runs_named(name)) if out is None else named_path(out)
+        content = content_of(folder / STARTED)
+        is_inner = _is_alive(content) and content["pid"] == os.getpid()
+        if not is_inner:
+            new = [path for path in (folder, *folder.parents) if not path.is_dir()]
+            _take(folder, verb, force=force, goes_on=goes_on)
+            new += [folder, *folder.parents][:3] if out is None else []
+    try:
+        yield folder
+    finally:
+        if not is_inner:
+            with delay_stops(), suppress(OSError):
+                (folder / STARTED).unlink(missing_ok=True)
+                for path in dict.fromkeys(new):
+                    path.rmdir()
+
+
+def runs_named(name: str) -> Path:
+    """Return results/NAME, safe for shells."""
+    safe = re.sub(r"\s+", "-", re.sub(r"[^\w.\-\s]+", "_", name).strip(" .")) or "run"
+    return RESULTS / safe[:100]
+
+
+def new_number(runs: Path) -> Path:
+    """Make and return the folder 0001, or the next number: the system makes each folder once only."""
+    try:
+        runs.mkdir(parents=True, exist_ok=True)
+        numbers = [int(path.name) for path in runs.iterdir() if RUN_NUMBER.fullmatch(path.name)]
+        for number in count(max(numbers, default=0) + 1):
+            with suppress(FileExistsError):
+                (folder := runs / f"{number:04d}").mkdir()
+                return folder
+    except FileNotFoundError:  # Another command just removed the empty folder.
+        return new_number(runs)
+    except OSError as error:
+        raise InputError.at(runs, f"cannot be the folder for results: {error.strerror}") from None
+    raise AssertionError
+
+
+def _take(folder: Path, verb: str, *, force: bool, goes_on: bool) -> None:
+    """Make a folder and its STARTED."""
+    if state_of(folder) == RUNNING:
+        raise InputError.at(folder, "another command is writing into this folder; name another one as --out")
+    check_writable(folder, ())
+    names = [path.name for path in folder.iterdir() if not path.name.startswith(".")]
+    others = [a for a in artefacts() if a.verb not in {"", verb} and a.is_left_in(folder, unfinished=True)]
+    if names and not (force or (goes_on and not others)):
+        raise InputError.at(folder, "is not empty; name another folder as --out, or add --force")
+    try:
+        (folder / STARTED).unlink(missing_ok=True)  # of an interrupted command
+        about = {"pid": os.getpid(), "begun": _beginning(os.getpid()), "host": platform.node()}
+        about |= {"schema_version": SCHEMA_VERSION, "cosim_version": __version__, COMMAND: verb, STATUS: INTERRUPTED}
+        with (folder / STARTED).open("x", encoding="utf-8") as stream:
+            json.dump(about, stream)
+    except FileExistsError:
+        raise InputError.at(folder, "another command is writing into this folder") from None
+
+
+def describe_run(folder: Path, record: Mapping[str, Any]) -> None:
+    """Add a record to STARTED, so that an interrupted run can be repeated from it."""
+    if about := content_of(folder / STARTED):
+        with suppress(OSError):  # The command goes on without it.
+            write_json(folder / STARTED, {**record, **about})
+
+
+def remove_earlier(folder: Path, *, read: Iterable[Path] = ()) -> None:
+    """Remove results from a folder that is written again, but not files of the user.
+
+    The files are those declared by verbs whose marks are in the folder.
+
+    Args:
+        read: Input files, and folders of them, which stay.
+    """
+    from cosim.storage.table import suffixes  # numpy, which `cosim list` does not need
+
+    inputs = {path.resolve() for path in read}
+    for artefact in artefacts():
+        if not artefact.verb or not artefact.is_left_in(folder, unfinished=True):
+            continue
+        tables = [f"{stem}{suffix}" for stem in artefact.tables for suffix in suffixes()]
+        for pattern in (*artefact.marks, *artefact.unfinished, *artefact.files, *tables):
+            for path in [*folder.glob(pattern)]:
+                if path.is_file() and inputs.isdisjoint((path.resolve(), path.parent.resolve())):
+                    path.unlink()
+
+
+# -- state ----------------------------------------------------------------------------------------
+
+
+def state_of(folder: Path) -> str:
+    """Return RUNNING, INTERRUPTED or ELSEWHERE for a folder whose command has not ended, else ""."""
+    if not (folder / STARTED).is_file():
+        return ""
+    content = content_of(folder / STARTED)
+    if content.get("host", platform.node()) != platform.node():
+        return ELSEWHERE
+    return RUNNING if _is_alive(content) else INTERRUPTED
+
+
+def _is_alive(content: Mapping[str, Any]) -> bool:
+    """Return whether the process of a STARTED exists. Systems give its number again, but with another beginning."""
+    pid = content.get("pid")
+    return isinstance(pid, int) and content.get("host") == platform.node() and content["begun"] == _beginning(pid)
+
+
+def _beginning(pid: int) -> str | None:
+    """Return the time when a process began as the system gives it; None without such a process."""
+    if sys.platform == "linux":
+        try:
+            return Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[19]
+        except (OSError, IndexError):
+            return None
+    command = ["ps", "-o", "lstart=", "-p", str(pid)]
+    if os.name == "nt":
+        command = ["powershell", "-NoProfile", "-Command", f"(Get-Process -Id {pid}).StartTime.Ticks"]
+    try:
+        return subprocess.run(command, capture_output=True, text=True, timeout=10, check=True).stdout.strip()
+    except (OSError, subprocess.SubprocessError):
+        return None
+
+
+# -- reading --------------------------------------------------------------------------------------
+
+
+def newest_run(folder: Path) -> Path:
+    """Return the newest of the numbered runs in a folder, or the folder itself if it has none."""
+    try:
+        numbers = [path for path in folder.iterdir() if RUN_NUMBER.fullmatch(path.name) and path.is_dir()]
+    except OSError:
+        return folder
+    return max(numbers, key=lambda path: int(path.name), default=folder)
+
+
+def run_name(folder: Path) -> str:
+    """Return the name of a run's folder: `tank/0001` for a numbered one."""
+    *_, before, name = ("", *folder.resolve().parts)
+    return f"{before}/{name}" if RUN_NUMBER.fullmatch(name) else name
+
+
+def has_results(folder: Path) -> bool:
+    """Return whether a folder has results or rows."""
+    if any(a.is_left_in(folder, unfinished=True) for a in artefacts() if a.verb) or (folder / STARTED).is_file():
+        return True
+    return any(folder.glob("results.*"))
 
 
 def manifest_in(folder: Path) -> dict[str, Any]:
-    """Return the sound part of the manifest in a folder."""
-    return sound_part(folder / "manifest.json", content_of(folder / "manifest.json"))[0]
+    """Return the sound part of the manifest in a folder, or of the record of an interrupted run."""
+    file = folder / "manifest.json"
+    if not file.is_file() and "scenario" in (content := content_of(folder / STARTED)):
+        return sound_part(file, content)[0]
+    return sound_part(file, content_of(file))[0]
 
 
 def warnings_on(folder: Path) -> tuple[str, ...]:
@@ -78,7 +246,9 @@ def warnings_on(folder: Path) -> tuple[str, ...]:
         return ()
     content = content_of(file)
     record, wrong = sound_part(file, content)
-    return (*other_version(file, record), *wrong) if content else (messages.DAMAGED_MANIFEST(file=file),)
+    if not content:
+        return (f"{file} is damaged: units, texts, inputs and criteria of its run are not known; run it again",)
+    return (*other_version(file, record), *wrong)
 
 
 def other_version(file: Path, record: Mapping[str, Any]) -> tuple[str, ...]:
@@ -86,8 +256,10 @@ def other_version(file: Path, record: Mapping[str, Any]) -> tuple[str, ...]:
     schema, by = record.get("schema_version", SCHEMA_VERSION), version_of(record)
     if schema != SCHEMA_VERSION:
         by = by or "of an unknown version"
-        return (messages.LATER_RECORD(file=file, found=schema, by=by, known=SCHEMA_VERSION),)
-    return (messages.OTHER_VERSION(file=file, found=by, own=__version__),) if by not in {"", __version__} else ()
+        text = f"{file} has the schema version {schema}, written by cosim {by}; {SCHEMA_VERSION} is known here: keys "
+        return (f"{text}that are new or changed are not read, use that version of cosim",)
+    is_own = by in {"", __version__}
+    return () if is_own else (Note(f"{file} was written by cosim {by}, and this is {__version__}"),)
 
 
 def version_of(record: Mapping[str, Any]) -> str:
@@ -99,26 +271,21 @@ def version_of(record: Mapping[str, Any]) -> str:
 def content_of(path: Path) -> dict[str, Any]:
     """Return a file's JSON mapping, empty if unreadable or with a number that no double holds."""
     try:
-        content = parse_json(_plain_bytes(path))
+        stream = open_regular(path)  # faster than a file of Python, which `cosim list` notices
+        try:
+            size = os.fstat(stream).st_size
+            content = parse_json(os.read(stream, size) if size <= MOST_BYTES else b"")
+        finally:
+            os.close(stream)
     except (OSError, ValueError, RecursionError):
         return {}
     return content if isinstance(content, dict) else {}
 
 
-def _plain_bytes(path: Path) -> bytes:
-    """Return the bytes of a regular file, none if large."""
-    stream = open_regular(path)  # faster than a file of Python, which `cosim list` notices
-    try:
-        size = os.fstat(stream).st_size
-        return os.read(stream, size) if size <= MOST_BYTES else b""
-    finally:
-        os.close(stream)
-
-
 def status_in(folder: Path) -> str:
     """Return an incomplete command's status as a phrase, else ""."""
-    status = (manifest_in(folder) or replay_record(folder) or content_of(folder / START)).get("status", "ok")
-    return "" if status == "ok" else f" (status: {status})"
+    status = (manifest_in(folder) or replay_record(folder) or content_of(folder / STARTED)).get(STATUS, "ok")
+    return "" if status == "ok" else f" (status: {state_of(folder) or status})"
 
 
 def replay_record(folder: Path) -> dict[str, Any]:
@@ -129,320 +296,12 @@ def replay_record(folder: Path) -> dict[str, Any]:
     return sound_part(folder / REPLAY, content_of(folder / REPLAY))[0]
 
 
-def record_of(rows: Path) -> dict[str, Any]:
-    """Return the record of rows, empty for foreign tables."""
-    return (manifest_in(rows.parent) or replay_record(rows.parent)) if rows.stem == "results" else {}
-
-
-def check_run_folder(folder: Path, name: str = "", *, ssp: Path | None = None, force: bool = False) -> None:
-    """Lock a folder; raise InputError for another owner."""
-    prepare_folder(folder)
-    if force or not folder.is_dir():
+@contextmanager
+def results_in(out: FilePath | None, verb: str, *, force: bool = False) -> Iterator[Path]:
+    """Yield the folder `out`, which must be empty without `force`, or a temporary folder."""
+    if out is not None:
+        with new_run(out, "", verb, force=force) as folder:
+            yield folder
         return
-    manifest = manifest_in(folder)
-    scenario, archive = manifest.get("scenario"), manifest.get("ssp")
-    owner = scenario.get("name") if isinstance(scenario, dict) else None
-    if ssp is not None and isinstance(archive, dict) and archive.get("path") == str(ssp.resolve()):
-        return
-    if owner is not None and (ssp is not None or owner != name):
-        raise InputError.at(folder, messages.FOLDER_OF_OTHER_SCENARIO(name=owner))
-    check_overwritable(folder, "cosim run")
-
-
-def check_overwritable(folder: Path, by: str, *sources: str, force: bool = False) -> None:
-    """Lock a results folder; refuse results of another origin.
-
-    Raises:
-        InputError: The folder belongs to another command, or to other sources.
-    """
-    prepare_folder(folder)
-    if force or not folder.is_dir():
-        return
-    for artefact in sorted(artefacts(), key=lambda a: a.verb == by):  # other commands first
-        if not artefact.verb or not artefact.is_left_in(folder):
-            continue
-        if artefact.verb != by:
-            raise InputError.at(folder, messages.FOLDER_OF_OTHER_COMMAND(command=artefact.verb))
-        content = content_of(folder / artefact.marks[0])
-        earlier = [_source_text(content.get(key)) for key in artefact.sources]
-        if sources and any(earlier) and not all(map(_is_same, earlier, sources)):
-            names = " and ".join(filter(None, earlier))
-            raise InputError.at(folder, messages.FOLDER_OF_OTHER_SOURCES(command=by, sources=names))
-
-
-def _source_text(value: Any) -> str:
-    """Return one or several sources as text."""
-    return ", ".join(map(str, value)) if isinstance(value, list) else str(value or "")
-
-
-def _is_same(one: str, other: str) -> bool:
-    """Return whether two names mean one file or model."""
-    try:
-        return one == other or Path(one).resolve() == Path(other).resolve()
-    except (OSError, ValueError):
-        return False
-
-
-# -- earlier runs -------------------------------------------------------------------------------------
-
-
-def prepare_folder(folder: Path, *, keep: bool = True) -> None:
-    """Lock a results folder; finish an interrupted move.
-
-    Args:
-        keep: Whether files of an earlier run will move to `runs` in the folder.
-
-    Raises:
-        InputError: `keep` is impossible, or a link would lead files out of the folder.
-    """
-    refuse_links(folder)
-    take_folder(folder)
-    _finish_move(folder)
-    earlier = folder / EARLIER
-    if not keep or not os.path.lexists(earlier):
-        return  # The new folder only needs write access to its parent.
-    if not earlier.is_dir():
-        raise InputError.at(earlier, messages.FILE_FOR_EARLIER_RUNS())
-    if not os.access(earlier, os.W_OK | os.X_OK) or earlier.stat().st_dev != folder.stat().st_dev:
-        raise InputError.at(earlier, messages.READ_ONLY_EARLIER_RUNS())
-
-
-def refuse_links(folder: Path) -> None:
-    """Raise InputError for links in or to a folder."""
-    inner = {EARLIER, STARTED, *(part for a in artefacts() for part in a.folders)}
-    links = [folder / name for name in sorted(inner) if (folder / name).is_symlink()]
-    faults = [Fault(link, 0, 0, messages.LINK_IN_FOLDER()) for link in links]
-    if hasattr(os, "geteuid"):
-        path = folder.absolute()
-        planted = [p for p in (path, *path.parents) if p.is_symlink() and p.lstat().st_uid not in (os.geteuid(), 0)]
-        faults += [Fault(link, 0, 0, messages.LINK_OF_OTHER_USER()) for link in planted]
-    refuse(faults)
-
-
-def keep_earlier(folder: Path, verb: str, also: Iterable[str] = (), *, read: Iterable[Path] = ()) -> Path | None:
-    """Move an earlier run's files to the next of runs/0001, 0002.
-
-    The files are those declared by the verb, `also`, and those of verbs whose marks are in the folder; user files stay.
-    The next verb to lock the folder finishes an interrupted move. The record of a killed command is a run of its own.
-
-    Args:
-        read: Input files of the verb, and folders of them, which stay where they are.
-
-    Returns:
-        The new folder; None without files to move.
-    """
-    _bring_killed(folder, verb, also, read)
-    return _keep(folder, verb, also, read)
-
-
-def begin(folder: Path, verb: str, record: str, content: Mapping[str, Any], *, read: Iterable[Path] = ()) -> None:
-    """Write the record by which a killed command is listed.
-
-    Earlier results stay where they are. But if a command was killed after them, its record is now the newest.
-
-    Args:
-        record: Name of the record: manifest.json, replay.json or started.json.
-        read: Input files of the verb, which stay where they are.
-    """
-    with suppress(OSError):
-        _bring_killed(folder, verb, (), read)
-    write_start(folder, record, content)
-
-
-def begin_unrecorded(folder: Path, verb: str, read: Iterable[Path]) -> None:
-    """Begin a command without a record before its end."""
-    about = {"schema_version": SCHEMA_VERSION, "cosim_version": __version__, COMMAND: verb, STATUS: KILLED}
-    begin(folder, verb, START, about, read=read)
-
-
-def _bring_killed(folder: Path, verb: str, also: Iterable[str], read: Iterable[Path]) -> None:
-    """Make a killed command's record the newest results."""
-    if not is_killed(folder):
-        return
-    with delay_stops():
-        if has_results(folder):
-            _keep(folder, verb, also, read)
-        bring_killed(folder)
-
-
-def has_results(folder: Path) -> bool:
-    """Return whether a folder has results or rows."""
-    if any(a.is_left_in(folder, unfinished=True) for a in artefacts() if a.verb) or (folder / START).is_file():
-        return True
-    return any(folder.glob("results.*"))
-
-
-def _keep(folder: Path, verb: str, also: Iterable[str], read: Iterable[Path]) -> Path | None:
-    inputs, moving = {path.resolve() for path in read}, folder / EARLIER / MOVING
-    paths = [p for p in _files_of(folder, verb, also) if inputs.isdisjoint((p.resolve(), p.parent.resolve()))]
-    if not paths:
-        return None
-    with delay_stops():
-        moving.mkdir(0o700, parents=True, exist_ok=True)
-        write_text(moving / LIST, "\n".join(path.relative_to(folder).as_posix() for path in paths))
-        return _finish_move(folder)
-
-
-def _files_of(folder: Path, verb: str, also: Iterable[str]) -> list[Path]:
-    """Return an earlier run's files in a folder."""
-    declared = [a for a in artefacts() if a.verb and (a.verb == verb or a.is_left_in(folder))]
-    paths = (path for artefact in declared for path in _files_by(artefact, folder))
-    more = (path for pattern in also for path in sorted(folder.glob(pattern)))
-    every = dict.fromkeys((*paths, *more, folder / START))
-    return [p for p in every if p.is_file() and not p.name.startswith(".")]  # a lock is no result
-
-
-def _files_by(artefact: Artefact, folder: Path) -> Iterator[Path]:
-    """Yield the files of a verb in a folder. Without results of the verb, a folder within is the user's."""
-    from cosim.storage.table_source import suffixes  # numpy, which `cosim list` does not need
-
-    is_there = artefact.is_left_in(folder, unfinished=True)
-    names = [*artefact.files, *(f"{stem}{suffix}" for stem in artefact.tables for suffix in suffixes())]
-    for pattern in names:
-        if is_there or "/" not in pattern:
-            yield from sorted(folder.glob(pattern))
-    times = [(folder / mark).stat().st_mtime for mark in artefact.marks if (folder / mark).is_file()]
-    for path in (path for pattern in artefact.drawn for path in sorted(folder.glob(pattern))):
-        if times and path.stat().st_mtime >= min(times):
-            yield path
-
-
-def _finish_move(folder: Path) -> Path | None:
-    """Finish a move listed in `runs`; return its folder.
-
-    Raises:
-        InputError: Another user can have written the list, or the list names files outside the folder.
-    """
-    moving = folder / EARLIER / MOVING
-    if not os.path.lexists(moving):
-        return None
-    if not is_own(moving, stat.S_ISDIR) or (os.name == "posix" and moving.stat().st_mode & 0o022):
-        raise InputError.at(moving, messages.OPEN_MOVE())
-    if is_own(moving / LIST, stat.S_ISREG):
-        names = _listed_names(folder, moving)
-        for name in names:
-            _move(folder / name, moving / name)
-        remove_drafts(moving, names)
-        (moving / LIST).unlink()
-    remove_drafts(moving, (LIST,))
-    if not any(moving.iterdir()):
-        moving.rmdir()
-        return None
-    place = moving.parent / f"{_following(moving.parent):04d}"
-    write_text(moving.parent / LAST, f"{int(place.name)}\n")
-    moving.rename(place)
-    place.chmod(stat.S_IMODE(place.parent.stat().st_mode))
-    return place
-
-
-def rows_of_killed(folder: Path, stem: str) -> Path | None:
-    """Give the rows that a killed command was writing as CSV a name, without a last line that is cut.
-
-    The caller must hold the folder's lock, as after `prepare_folder`.
-
-    Returns:
-        The file, which is among the earlier runs if the folder has such a file; None without rows.
-    """
-    name, found = f"{stem}.csv", None
-    for draft in drafts_of_killed(folder, name):
-        with draft.open("rb+") as stream, suppress(ValueError):
-            size = os.fstat(stream.fileno()).st_size
-            content = mmap.mmap(stream.fileno(), 0)
-            end = content.rfind(b"\n") + 1
-            has_rows = 0 <= content.find(b"\n") + 1 < end
-            content.close()
-            if end < size:
-                stream.truncate(end)
-            if has_rows:
-                place = folder if not os.path.lexists(folder / name) else new_earlier(folder)
-                found = draft.replace(place / name)
-    return found
-
-
-def drafts_of_killed(folder: Path, start: str) -> list[Path]:
-    """Return killed commands' drafts of names with this beginning."""
-    if not take_folder(folder):
-        return []
-    return [p for p in sorted(folder.glob(f".{start}.*")) if p.suffix[1:].isdecimal() and is_own(p, stat.S_ISREG)]
-
-
-def new_earlier(folder: Path) -> Path:
-    """Return a new, empty folder among earlier runs."""
-    earlier = folder / EARLIER
-    earlier.mkdir(exist_ok=True)
-    place = earlier / f"{_following(earlier):04d}"
-    write_text(earlier / LAST, f"{int(place.name)}\n")
-    place.mkdir()
-    return place
-
-
-def _following(earlier: Path) -> int:
-    """Return the number of the next earlier run."""
-    return next_number(earlier, [path.name for path in earlier.iterdir()])
-
-
-def next_number(earlier: Path, there: Iterable[str]) -> int:
-    """Return a number that no earlier run has or had.
-
-    Args:
-        there: Names in the folder.
-    """
-    last = ""
-    with suppress(OSError, ValueError):  # no file, as written by a version without it
-        if stat.S_ISREG((earlier / LAST).lstat().st_mode):
-            last = (earlier / LAST).read_text(encoding="ascii")[: MOST_DIGITS + 1].strip()
-    return max((int(name) for name in (last, *there) if name.isdecimal() and len(name) <= MOST_DIGITS), default=0) + 1
-
-
-def note_last_number(earlier: Path) -> None:
-    """Note the highest number before runs are removed."""
-    if earlier.is_dir() and not (earlier / LAST).is_file():
-        write_text(earlier / LAST, f"{_following(earlier) - 1}\n")
-
-
-def _is_inside(folder: Path, name: str) -> bool:
-    """Return whether a relative path leads to a visible file in a folder, through no link and not into earlier runs."""
-    path = PurePosixPath(name)
-    if path.is_absolute() or not path.parts or path.parts[0] == EARLIER:
-        return False
-    if any(part.startswith(".") or len(part) > LONGEST_NAME for part in path.parts):
-        return False
-    return not any((folder / parent).is_symlink() for parent in path.parents if parent.parts)
-
-
-def _listed_names(folder: Path, moving: Path) -> list[str]:
-    """Return the names of an interrupted move.
-
-    Raises:
-        InputError: The list is damaged, or a name leads outside the folder or through a link.
-    """
-    path = moving / LIST
-    try:
-        with path.open("rb") as stream:
-            names = stream.read(MOST_LISTED).decode("utf-8").splitlines()
-    except (OSError, ValueError):
-        raise InputError.at(path, messages.DAMAGED_LIST(folder=moving)) from None
-    if outside := [name for name in names if not _is_inside(folder, name)]:
-        raise InputError.at(path, messages.NAME_OUTSIDE(name=outside[0][:80], results=folder, folder=moving))
-    folders = dict.fromkeys(moving / parent for name in names for parent in PurePosixPath(name).parents[:-1])
-    if links := [place for place in folders if place.is_symlink()]:
-        raise InputError.at(links[0], messages.LINK_IN_EARLIER_RUNS(folder=moving))
-    return names
-
-
-def _move(path: Path, place: Path) -> None:
-    """Move a file and adapt upward paths in YAML files; an already moved file is skipped."""
-    if not path.is_file():
-        return
-    place.parent.mkdir(parents=True, exist_ok=True)
-    if path.suffix == ".yaml" and not path.is_symlink() and path.stat().st_size <= MOST_BYTES:
-        text = path.read_text(encoding="utf-8", errors="surrogateescape")
-        if UPWARDS.search(text):
-            with draft_of(place) as draft:
-                draft.write_text(UPWARDS.sub(r"\1../../", text), encoding="utf-8", errors="surrogateescape")
-                shutil.copymode(path, draft)
-            path.unlink()
-            return
-    path.replace(place)
-    with suppress(OSError):  # fails in a folder with further files
-        path.parent.rmdir()
+    with temporary_folder("run") as scratch:
+        yield scratch

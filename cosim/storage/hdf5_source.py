@@ -11,9 +11,7 @@ import numpy as np
 from cosim.base.drafts import draft_of
 from cosim.base.errors import Fault, InputError
 from cosim.base.extras import optional
-from cosim.storage import messages
-from cosim.storage.table_columns import split_heading
-from cosim.storage.table_source import Frame, Source, SourceColumn, as_text, time_among, whole_numbers
+from cosim.storage.table import Column, Source, Table, as_text, split_heading, time_among, whole_numbers
 
 MAGIC = b"\x89HDF\r\n\x1a\n"
 MOST_DEFLATED, FILLED = 1032, 1 << 26  # size over stored bytes that deflate can reach; [bytes] that may be no values
@@ -28,10 +26,10 @@ class Hdf5(Source):
     magic = MAGIC
     writes = True
 
-    def frame(self, path: Path, names: Container[str] = (), text: Collection[str] = ()) -> Frame:
+    def read(self, path: Path, names: Container[str] = (), text: Collection[str] = ()) -> Table:
         """Read every dataset as long as `time`, in the order in which they were written."""
         h5py = optional("h5py", lambda message: Fault(path, 0, 0, message))
-        columns: list[SourceColumn] = []
+        columns: list[Column] = []
         order: dict[str, int] = {}
 
         def add(place: str, item: Any) -> None:
@@ -43,27 +41,27 @@ class Hdf5(Source):
             if name is None:
                 name, unit = split_heading(place.replace("/", "."), names)
             order[str(name)] = int(item.attrs.get("column", len(order)))
-            columns.append(SourceColumn(str(name), str(unit or ""), _values(item)))
+            columns.append(Column(str(name), str(unit or ""), _values(item)))
 
         try:
             with h5py.File(path, "r") as file:
                 file.visititems(add)
         except (OSError, RuntimeError, ValueError, KeyError) as error:
             reason = str(error).strip().partition("\n")[0][:200]
-            raise InputError.at(path, messages.BAD_TABLE(format="HDF5", reason=reason)) from None
+            raise InputError.at(path, f"is no HDF5 file that can be read: {reason}; write it again") from None
         if (found := time_among(c.name for c in columns)) is None:
-            return Frame()
+            return Table()
         time = next(c for c in columns if c.name == found)
         rows = len(time.values)
         columns.sort(key=lambda c: order[c.name])
         others = [c for c in columns if c is not time and len(c.values) == rows]
-        return Frame([SourceColumn("time", time.unit or "s", time.values), *others], range(1, rows + 1))
+        return Table([Column("time", time.unit or "s", time.values), *others])
 
     def check_writable(self) -> None:
         """Raise InputError if h5py is not installed."""
         optional("h5py", "--format hdf5")
 
-    def write(self, path: Path, columns: Sequence[SourceColumn]) -> None:
+    def write(self, path: Path, columns: Sequence[Column]) -> None:
         """Write a dataset per column; dots of a name separate groups.
 
         The file is made in memory, because the HDF5 library ends the process if a disk is full.
@@ -71,7 +69,10 @@ class Hdf5(Source):
         h5py = optional("h5py", "--format hdf5")
         with h5py.File(path.name, "w", driver="core", backing_store=False) as file:
             for number, column in enumerate(columns):
-                place = column.name if column.name == "time" else _place(column.name)
+                component, _, variable = column.name.partition(".")
+                place = f"{component}/{variable.replace('/', '|') or 'value'}"  # a group for a component
+                if column.name == "time":
+                    place = "time"
                 if place in file or place.startswith("time/"):  # beside the dataset of the time no group has its name
                     place = f"signal {number}"
                 values: Any = column.values
@@ -87,12 +88,6 @@ class Hdf5(Source):
 
 
 HDF5 = Hdf5()
-
-
-def _place(name: str) -> str:
-    """Return the path of a signal: a group for its component."""
-    component, _, variable = name.partition(".")
-    return f"{component}/{variable.replace('/', '|') or 'value'}"
 
 
 def _values(item: Any) -> Any:

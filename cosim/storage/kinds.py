@@ -5,63 +5,64 @@ from __future__ import annotations
 import re
 import shlex
 import zipfile
-from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
 from cosim.base.errors import InputError
-from cosim.storage import messages
-from cosim.storage.artefact import Artefact, artefacts, folder_kind, kind_by_keys, kind_where, of_kind
+from cosim.storage.artefact import (
+    ANSWER,
+    BINARY,
+    CODE,
+    FIT_STUDY,
+    FMU,
+    LOG,
+    MANIFEST,
+    MODEL,
+    RESULTS,
+    SCENARIO,
+    SSP,
+    STUDY,
+    SWEEP,
+    TABLE,
+    TEXT,
+    Artefact,
+    artefacts,
+    folder_kind,
+    kind_by_keys,
+    kind_where,
+    of_kind,
+)
 from cosim.storage.files import open_bytes
-from cosim.storage.kind_names import (
-    ANSWER as ANSWER,
-)
-from cosim.storage.kind_names import (
-    BINARY as BINARY,
-)
-from cosim.storage.kind_names import (
-    CODE as CODE,
-)
-from cosim.storage.kind_names import (
-    FIT_STUDY as FIT_STUDY,
-)
-from cosim.storage.kind_names import (
-    FMU as FMU,
-)
-from cosim.storage.kind_names import (
-    LOG as LOG,
-)
-from cosim.storage.kind_names import (
-    MANIFEST as MANIFEST,
-)
-from cosim.storage.kind_names import (
-    MODEL as MODEL,
-)
-from cosim.storage.kind_names import (
-    RESULTS as RESULTS,
-)
-from cosim.storage.kind_names import (
-    SCENARIO as SCENARIO,
-)
-from cosim.storage.kind_names import (
-    SSP as SSP,
-)
-from cosim.storage.kind_names import (
-    STUDY as STUDY,
-)
-from cosim.storage.kind_names import (
-    SWEEP as SWEEP,
-)
-from cosim.storage.kind_names import (
-    TABLE as TABLE,
-)
-from cosim.storage.kind_names import (
-    TEXT as TEXT,
-)
-from cosim.storage.table_source import sources, suffixes
+from cosim.storage.table import sources, suffixes
 from cosim.storage.yaml_file import YamlFile
+
+__all__ = [
+    "ANSWER",
+    "BINARY",
+    "CODE",
+    "FIT_STUDY",
+    "FMU",
+    "LOG",
+    "MANIFEST",
+    "MODEL",
+    "RESULTS",
+    "SCENARIO",
+    "SSP",
+    "STUDY",
+    "SWEEP",
+    "TABLE",
+    "TEXT",
+    "UNREAD",
+    "check_form",
+    "check_given",
+    "kind_by_form",
+    "kind_of",
+    "next_step",
+    "refuse_folder",
+    "refuse_other",
+    "refuse_unreadable",
+    "shell_path",
+]
 
 WRITTEN = {".yaml", ".yml", ".json"}  # endings of files identified by their keys
 PROSE = {".md", ".rst", ".mmd", ".tex", ".c", ".h", ".toml", ".sh"}
@@ -74,86 +75,46 @@ HEAD = 1024  # examined bytes
 UNREAD = "no command reads it; `cosim --help` lists what each takes"
 
 
-@dataclass(frozen=True)
-class Form:
-    """A file by its path and first bytes, empty if unreadable."""
-
-    path: Path
-    head: bytes
-
-    @property
-    def ending(self) -> str:
-        """Return the suffix in lower case."""
-        return self.path.suffix.lower()
-
-    @property
-    def text(self) -> str:
-        """Return the first bytes as text."""
-        return self.head.decode("utf-8", errors="replace").lstrip("\ufeff")
-
-    @cached_property
-    def members(self) -> Sequence[str]:
-        """Return the names in an archive.
-
-        The result is empty for a damaged archive, or if the ending determines the kind.
-        """
-        if not self.head.startswith(b"PK") or self.ending in {".fmu", ".ssp"}:
-            return ()
-        try:
-            with zipfile.ZipFile(self.path) as archive:
-                return archive.namelist()
-        except (OSError, ValueError, zipfile.BadZipFile, NotImplementedError):
-            return ()
-
-    def is_of(self, a: Artefact) -> bool:
-        """Return whether the file's form matches a kind."""
-        text = "" if self.ending in WRITTEN else self.text.lstrip("\ufeff \t\r\n")
-        begins = bool(a.heads and self.head.startswith(a.heads)) or bool(text and a.text and re.match(a.text, text))
-        return begins or bool(a.member and any(a.member == "*" or n.startswith(a.member) for n in self.members))
-
-
 def kind_by_form(path: Path) -> str | None:
     """Return the kind of a file by first bytes or ending; None if only its keys can decide."""
-    head = b""
+    head, ending = b"", path.suffix.lower()
     with suppress(OSError, ValueError), open_bytes(path) as stream:
         head = stream.read(HEAD)
-    form = Form(path, head)
-    return (
-        kind_where(form.is_of)
-        or kind_where(lambda a: a.beside and _is_named(path, a.beside))
-        or _table(form)
-        or kind_where(lambda a: form.ending in a.endings)
-        or _other_kind(form)
-    )
+    text = head.decode("utf-8", errors="replace").lstrip("\ufeff")
+    begin = "" if ending in WRITTEN else text.lstrip("\ufeff \t\r\n")
+    members: list[str] = []
+    if head.startswith(b"PK") and ending not in {".fmu", ".ssp"}:
+        with suppress(OSError, ValueError, zipfile.BadZipFile, NotImplementedError), zipfile.ZipFile(path) as archive:
+            members = archive.namelist()
 
+    def is_of(a: Artefact) -> bool:
+        begins = bool(a.heads and head.startswith(a.heads)) or bool(begin and a.text and re.match(a.text, begin))
+        return begins or bool(a.member and any(a.member == "*" or n.startswith(a.member) for n in members))
 
-def _table(form: Form) -> str | None:
-    """Return a table file's kind; None if undecided."""
-    if any(source.magic and form.head.startswith(source.magic) for source in sources()):
+    def is_beside(a: Artefact) -> bool:
+        if not a.beside:
+            return False
+        name, other = a.beside  # For rows in formats other than CSV, only the suffix differs.
+        is_rows = name.endswith(".csv") and path.stem == Path(name).stem and path.suffix in suffixes()
+        return (path.name == name or is_rows) and (path.parent / other).is_file()
+
+    if (kind := kind_where(is_of) or kind_where(is_beside)) is not None:
+        return kind
+    if any(source.magic and head.startswith(source.magic) for source in sources()):
         return LOG  # Later checks examine its columns.
-    if form.ending != ".csv":
-        return LOG if form.ending in suffixes() else None
-    if _is_binary(form.head):
+    if ending == ".csv":
+        if _is_binary(head):
+            return BINARY
+        if _has_keys(text):
+            return _by_keys(path) or LOG
+    elif ending in suffixes():
+        return LOG
+    if (kind := kind_where(lambda a: ending in a.endings)) is not None:
+        return kind
+    if b"\0" in head and ending not in WRITTEN and not head.startswith(UTF_16):
         return BINARY
-    return (_by_keys(form.path) or LOG) if _has_keys(form.text) else None
-
-
-def _other_kind(form: Form) -> str | None:
-    """Return an undeclared file's kind; None if undecided."""
-    if b"\0" in form.head and form.ending not in WRITTEN and not form.head.startswith(UTF_16):
-        return BINARY
-    is_text = form.ending in PROSE or (form.ending in COLUMNS and not _is_tabular(form.text))
-    return TEXT if form.head and is_text else None
-
-
-def _is_named(path: Path, beside: tuple[str, str]) -> bool:
-    """Return whether a file has a given name, and its folder contains a given second file.
-
-    For rows in formats other than CSV, only the suffix differs.
-    """
-    name, other = beside
-    rows = name.endswith(".csv") and path.stem == Path(name).stem and path.suffix in suffixes()
-    return (path.name == name or rows) and (path.parent / other).is_file()
+    is_text = ending in PROSE or (ending in COLUMNS and not _is_tabular(text))
+    return TEXT if head and is_text else None
 
 
 def _is_tabular(text: str) -> bool:
@@ -204,8 +165,7 @@ def refuse_other(path: Path, kind: str | None, *wanted: str) -> None:
         return
     artefact = of_kind(kind)
     if {kind, artefact.taken_as if artefact is not None else kind}.isdisjoint(wanted):
-        step = next_step(kind, path)
-        raise InputError.at(path, messages.OTHER_KIND(kind=kind, wanted=" or ".join(wanted), step=step))
+        raise InputError.at(path, f"is {kind}, not {' or '.join(wanted)}: {next_step(kind, path)}")
 
 
 def refuse_unreadable(path: Path, *wanted: str) -> None:
@@ -214,15 +174,18 @@ def refuse_unreadable(path: Path, *wanted: str) -> None:
     try:
         if path.is_dir():
             refuse_folder(path, kinds)
-            raise InputError.at(path, messages.FOLDER_FOR_FILE(wanted=kinds, files=_likely_files(path, kinds)))
+            endings = {ending for a in artefacts() if a.kind in kinds for ending in a.endings} or {".yaml", ".yml"}
+            names = sorted(p.name for p in path.iterdir() if p.suffix.lower() in endings and p.is_file())
+            some = f"{', '.join(names[:3])}{', …' if names[3:] else ''}" or "none by its ending"
+            raise InputError.at(path, f"is a folder, not {kinds}; in it: {some}")
         if not path.exists():
-            raise InputError.at(path, messages.MISSING_FILE(wanted=kinds))
+            raise InputError.at(path, f"no such file; give {kinds}")
         if not path.is_file():  # A pipe would block.
-            raise InputError.at(path, messages.NO_FILE())
+            raise InputError.at(path, "is no file")
         if not path.stat().st_size:
-            raise InputError.at(path, messages.EMPTY_FILE(wanted=kinds))
+            raise InputError.at(path, f"is empty; give {kinds}")
     except (OSError, ValueError):  # a name too long, a loop of links, or a folder without access
-        raise InputError.at(path, messages.MISSING_OR_UNREADABLE_FILE(wanted=kinds)) from None
+        raise InputError.at(path, f"no such file, or none that can be read; give {kinds}") from None
 
 
 def check_form(path: Path, *wanted: str) -> None:
@@ -247,11 +210,4 @@ def refuse_folder(path: Path, kinds: str) -> None:
     artefact = folder_kind(path)
     if artefact is not None and artefact.folder not in kinds:
         step = artefact.folder_step.format(file=shell_path(path))
-        raise InputError.at(path, messages.OTHER_KIND(kind=artefact.folder, wanted=kinds, step=step))
-
-
-def _likely_files(path: Path, kinds: str) -> str:
-    """Return the files of a folder that may be of the wanted kinds."""
-    endings = {ending for a in artefacts() if a.kind in kinds for ending in a.endings} or {".yaml", ".yml"}
-    names = sorted(p.name for p in path.iterdir() if p.suffix.lower() in endings and p.is_file())
-    return f"{', '.join(names[:3])}{', …' if names[3:] else ''}" or "none by its ending"
+        raise InputError.at(path, f"is {artefact.folder}, not {kinds}: {step}")

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import csv
-import errno
-import io
-import os
 import re
 from array import array
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -17,16 +13,25 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.drafts import draft_of, is_full
-from cosim.storage import messages
-from cosim.storage.csv_source import CSV, ENDED_CSV, cell_text, write_table
-from cosim.storage.table import is_there
-from cosim.storage.table_columns import MOST_TIME, Faults, is_time, note_distant, note_wrong_first, time_scale
-from cosim.storage.table_source import Frame, Source, SourceColumn, as_text, source_named, source_of, suffixes
+from cosim.base.drafts import is_full
+from cosim.storage.table import (
+    Column,
+    Faults,
+    Table,
+    Use,
+    as_text,
+    is_there,
+    is_time,
+    note_wrong_first,
+    numbers_of,
+    source_named,
+    source_of,
+    suffixes,
+    time_scale,
+)
 
-CHUNK = 1000  # rows
 EXACT = 2**53  # integers below this size are doubles
-FEWER = 0.7  # share of the rows to try next on a full disk, for formats written as a whole
+FEWER = 0.7  # share of the rows to try next on a full disk
 
 
 @dataclass(frozen=True)
@@ -86,82 +91,28 @@ class Results:
     def _places(self) -> Mapping[str, int]:
         return {name: k for k, name in enumerate(self.columns)}
 
-    def write(self, path: Path, go_on: Callable[[int], bool] | None = None) -> None:
-        """Write time and all columns in the format of the suffix.
-
-        Args:
-            go_on: Function that returns whether CSV goes on after so many rows.
-        """
-        if path.suffix == ".csv":
-            self.write_csv(path, go_on)
-        else:
-            source_named(path.suffix).write(path, self._source_columns(len(self.time)))
-
-    def _source_columns(self, rows: int) -> list[SourceColumn]:
-        """Return the first rows as columns, with time first."""
-        columns = [SourceColumn("time", "s", self.time[:rows])]
+    def write(self, path: Path) -> None:
+        """Write time and all columns in the format of the suffix."""
+        columns = [Column("time", "s", self.time)]
         for k, name in enumerate(self.columns):
-            values = np.ascontiguousarray(self.values[:rows, k])
+            values = self.values[:, k]
             unit = self.units.get(name, "")
-            columns.append(SourceColumn(name, unit, values.astype(np.int64) if name in self.whole else values))
-        return columns + [SourceColumn(n, self.units.get(n, ""), list(v[:rows])) for n, v in self.exact.items()]
-
-    def write_csv(self, path: Path, go_on: Callable[[int], bool] | None = None) -> None:
-        """Write CSV with exactly reproducible numbers, to the row after which `go_on` returns False."""
-        header = ("time", *self.columns, *self.exact)
-        if self.exact or self.whole:
-            write_table(path, header, self._typed_rows(go_on), cell_text)
-        else:
-            write_table(path, header, self._rows(go_on))
+            columns.append(Column(name, unit, values.astype(np.int64) if name in self.whole else values))
+        columns += [Column(name, self.units.get(name, ""), list(values)) for name, values in self.exact.items()]
+        source_named(path.suffix).write(path, columns)
 
     def write_what_fits(self, path: Path) -> int:
-        """Write the rows that fit on the disk and return their number; raise OSError if none fits."""
-        if path.suffix != ".csv":
-            return self._write_whole_that_fits(path)
-        with draft_of(path) as draft, draft.open("wb", buffering=0) as stream:
-            text = io.StringIO()
-            csv.writer(text, lineterminator="\n").writerow(("time", *self.columns, *self.exact))
-            header = text.getvalue().encode()
-            if stream.write(header) < len(header):
-                raise OSError(errno.ENOSPC, "no room for a header")
-            for number, row in enumerate(self._typed_rows()):
-                line, before = (",".join(map(cell_text, row)) + "\n").encode(), stream.tell()
-                try:
-                    whole = stream.write(line) == len(line)
-                except OSError:
-                    whole = False
-                if not whole:
-                    stream.truncate(before)
-                    return number
-        return len(self.time)
-
-    def _write_whole_that_fits(self, path: Path) -> int:
-        """Write a format without partial files with as many first rows as fit on the disk; return their number."""
+        """Write as many first rows as fit on the disk and return their number; raise OSError if none fits."""
         count = len(self.time)
         while True:
+            exact = {name: values[:count] for name, values in self.exact.items()}
             try:
-                source_named(path.suffix).write(path, self._source_columns(count))
+                replace(self, time=self.time[:count], values=self.values[:count], exact=exact).write(path)
                 return count
             except OSError as error:
                 if not (count and is_full(error)):
                     raise
                 count = int(FEWER * count)
-
-    def _rows(self, go_on: Callable[[int], bool] | None = None) -> Iterator[tuple[float, ...]]:
-        for first in range(0, len(self.time), CHUNK):  # Python floats need four times the memory.
-            if first and go_on is not None and not go_on(first):
-                return
-            part = slice(first, first + CHUNK)
-            for t, row in zip(self.time[part].tolist(), self.values[part].tolist(), strict=True):
-                yield t, *row
-
-    def _typed_rows(self, go_on: Callable[[int], bool] | None = None) -> Iterator[tuple[Any, ...]]:
-        whole = [k for k, name in enumerate(self.columns, 1) if name in self.whole]
-        for number, row in enumerate(self._rows(go_on)):
-            typed: list[Any] = list(row)
-            for k in whole:
-                typed[k] = int(row[k])
-            yield *typed, *(column[number] for column in self.exact.values())
 
 
 INTEGER = re.compile(r"0|-?[1-9]\d{0,19}")
@@ -187,12 +138,7 @@ def is_rounded(values: Any) -> bool:
 
 
 def read_results(
-    path: Path,
-    units: Mapping[str, str] | None = None,
-    text: Collection[str] = (),
-    *,
-    ended: bool = False,
-    words: Collection[str] = (),
+    path: Path, units: Mapping[str, str] | None = None, text: Collection[str] = (), *, words: Collection[str] = ()
 ) -> Results:
     """Return written results, or any table with time first.
 
@@ -202,20 +148,28 @@ def read_results(
         units: Units of columns without unit in the header.
         text: Columns of text; other columns are classified by their cells.
         words: Columns of `text` that are no integers, also if they look like it.
-        ended: Leave out the last line of a text without a line end; see `is_cut_in_line`.
 
     Raises:
-        InputError: The file has faults; it lists all of them.
+        InputError: The file has faults.
     """
-    faults, units = Faults(path), units or {}
-    frame = _source_of(path, ended).frame(path, units, text) if is_there(faults) else Frame()
+    faults, units, table = Faults(path), units or {}, Table()
+    if is_there(faults):
+        table = source_of(path).read(path, units, text)
+    faults.items += table.faults
     faults.raise_any()
-    time = _time_of(frame, faults)
+    first = table.columns[0] if table.columns else Column("")
+    time: Array | None = None
+    if is_time(first.name):
+        use = Use("time", time_scale(faults, table.header, first.unit), role="the time")
+        time = numbers_of(replace(first, name="time", cell=1), use, table, faults, jumps=True)
+    else:
+        place = next((cell for cell, column in enumerate(table.columns, 1) if is_time(column.name)), 0)
+        note_wrong_first(faults, table.header, first.name, place)
     numbers: dict[str, Array] = {}
     exact, whole = dict[str, list[Any]](), set[str]()
-    for cell, column in enumerate(frame.columns[1:], 2):
+    for cell, column in enumerate(table.columns[1:], 2):
         if column.fault:
-            faults.note(0, cell, messages.COLUMN_WITHOUT_NUMBERS(column=column.name, reason=column.fault))
+            faults.note(0, cell, f"column {column.name} {column.fault}")
         elif not column.numeric:
             exact[column.name] = list(column.values)
         else:
@@ -226,81 +180,12 @@ def read_results(
             numbers[column.name] = values.astype(np.float64)
             whole |= {column.name} if values.dtype.kind == "i" else set()
     faults.raise_any()
+    assert time is not None  # else there was a fault
     values = np.column_stack(list(numbers.values())) if numbers else np.empty((time.size, 0))
-    own_units = {c.name: c.unit for c in frame.columns[1:] if c.unit}
+    own_units = {c.name: c.unit for c in table.columns[1:] if c.unit}
     own_units |= {name: unit for name, unit in units.items() if name in numbers or name in exact}
-    words = frozenset(exact) & {*words, *_texts_in(frame)}
+    words = frozenset(exact) & {*words, *(c.name for c in table.columns[1:] if c.is_text)}
     return Results(time, tuple(numbers), values, own_units, exact, frozenset(whole), words=words)
-
-
-def _texts_in(frame: Frame) -> set[str]:
-    return {column.name for column in frame.columns[1:] if column.is_text}
-
-
-def _source_of(path: Path, ended: bool) -> Source:
-    source = source_of(path)
-    return ENDED_CSV if ended and source is CSV else source
-
-
-def _time_of(frame: Frame, faults: Faults) -> Array:
-    """Return the first column in seconds, checked for order.
-
-    Equal times are allowed, because some tools write several rows per event.
-    """
-    first = frame.columns[0] if frame.columns else SourceColumn("", "")
-    lines = frame.row_lines
-    line = 1 if len(lines) and lines[0] > 1 else 0  # line of the header
-    if not is_time(first.name):
-        place = next((cell for cell, column in enumerate(frame.columns, 1) if is_time(column.name)), 0)
-        note_wrong_first(faults, line, first.name, place)
-        return np.empty(0)
-    scale = time_scale(faults, line, first.unit)
-    if not first.numeric:
-        if len(lines):
-            reason = messages.COLUMN_WITHOUT_NUMBERS(column="time", reason=first.fault)
-            faults.note(lines[0], 1, reason if first.fault else messages.TIME_WITHOUT_NUMBER())
-        return np.empty(0)
-    time = np.asarray(first.values, dtype=np.float64) * scale
-    for row in np.flatnonzero(~np.isfinite(time)).tolist():
-        faults.note_cell(lines[row], 1, "rows without a time", messages.ROW_WITHOUT_TIME())
-    for row in np.flatnonzero(np.abs(time) > MOST_TIME).tolist():
-        note_distant(faults, lines[row], float(time[row]))
-    time = np.clip(time, -MOST_TIME, MOST_TIME)
-    for row in (np.flatnonzero(np.diff(time) < 0.0) + 1).tolist():
-        message = messages.UNSORTED_TIME(time=time[row], earlier=time[row - 1])
-        faults.note_cell(lines[row], 1, "times that go back", message)
-    return time
-
-
-def is_cut_in_line(path: Path, record: Mapping[str, Any]) -> bool:
-    """Return whether rows that a record describes end within a line: cosim ends each line, other tools may not."""
-    return bool(record) and not _has_last_end(path)
-
-
-def _has_last_end(path: Path) -> bool:
-    """Return whether the last line of a text has an end; True for other formats and empty files."""
-    if path.suffix != ".csv" or not path.is_file() or not path.stat().st_size:
-        return True
-    with path.open("rb") as stream:
-        stream.seek(-1, os.SEEK_END)
-        return stream.read(1) in b"\r\n"
-
-
-def cut_rows(path: Path, rows: int, record: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return a warning if the rows that were read are not those that the record says, or end within a line.
-
-    Args:
-        rows: Number of rows that were read, without a last line that `is_cut_in_line`.
-    """
-    announced = record.get("rows")
-    if not _has_last_end(path):
-        if not record:
-            return (messages.CUT_LINE(file=path),)
-        of = f" of the {announced}" if isinstance(announced, int) else ""
-        return (messages.CUT_IN_LINE(file=path, rows=rows, of=of),)
-    if isinstance(announced, int) and announced != rows:
-        return (messages.OTHER_ROWS(file=path, rows=rows, announced=announced),)
-    return ()
 
 
 def rows_name(stem: str, format_: str) -> str:
@@ -313,10 +198,3 @@ def rows_name(stem: str, format_: str) -> str:
 def rows_in(folder: Path, stem: str = "results") -> Path | None:
     """Return a folder's rows file, in any format."""
     return next((path for suffix in suffixes() if (path := folder / f"{stem}{suffix}").is_file()), None)
-
-
-def remove_rows(folder: Path, stem: str, besides: str = "") -> None:
-    """Remove the rows files of an earlier command, except one name."""
-    for suffix in suffixes():
-        if f"{stem}{suffix}" != besides:
-            (folder / f"{stem}{suffix}").unlink(missing_ok=True)

@@ -1,22 +1,410 @@
-"""Reading of tables of numbers in any format, with or without time, with the place of every fault."""
+"""Tables of signals with time and units in any format: reading, conversion, and the place of every fault.
+
+A format is a subclass of `Source` with an object registered in the group `cosim.sources`; see docs/extending.md.
+"""
 
 from __future__ import annotations
 
+import functools
+import math
 import re
-from collections.abc import Collection, Container, Mapping, Sequence
+import shlex
+import sys
+from collections.abc import Callable, Collection, Container, Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cosim.base.arrays import Array
-from cosim.base.errors import InputError
-from cosim.storage import messages
-from cosim.storage.csv_source import write_table
-from cosim.storage.table_columns import Choose, Column, Faults, Heading, Table, TableRequest, time_scale
-from cosim.storage.table_source import source_of
+from cosim.base.arrays import Array, Rows
+from cosim.base.errors import Fault, InputError, refuse
+from cosim.base.registry import SOURCES, load, names, resolve
+from cosim.base.units import alternatives, factor
+from cosim.storage.files import open_bytes
+from cosim.storage.yaml_file import did_you_mean
 
-WHOLE = re.compile(r"[-+]?\d+")
+OWN = {
+    "csv": "cosim.storage.csv_source:CSV",
+    "parquet": "cosim.storage.parquet_source:PARQUET",
+    "mat": "cosim.storage.mat_source:MAT",
+    "hdf5": "cosim.storage.hdf5_source:HDF5",
+}
+HEAD = 64  # bytes examined to detect a format
+SHOWN_FAULTS = 5  # faults of cells that are shown for a file; the rest are counted
+MOST_TIME = math.sqrt(sys.float_info.max)  # [s] largest time whose square a double holds
+FLOAT_RESOLUTION_S = 1e-6  # spacing of doubles from which equal times are due to their size
+INDEX = re.compile(r"\S\[[\d,\s]+\]$")  # end of a name like p.e[1]; a unit follows a blank or is not numeric
+DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
+
+
+@dataclass(frozen=True)
+class Column:
+    """A signal of a table.
+
+    Attributes:
+        unit: Unit, "" if absent.
+        values: Numbers, NaN if missing, whole numbers as integers; or a list of other values.
+        fault: Reason for missing numbers, e.g. "holds timestamps; write seconds", or "".
+        is_text: Whether the file says that values are text or binary data, also if they look like numbers.
+        cell: Number of the column in the file, from 1; set by `read_table`.
+    """
+
+    name: str
+    unit: str = ""
+    values: Array | Sequence[Any] = ()
+    fault: str = ""
+    is_text: bool = False
+    cell: int = 0
+
+    @property
+    def numeric(self) -> bool:
+        """Return whether the column holds numbers."""
+        return isinstance(self.values, np.ndarray) and not self.fault
+
+    @property
+    def holds_words(self) -> bool:
+        """Return whether the column holds text or another type: no number, and not only decimal commas."""
+        if self.numeric or self.fault:
+            return bool(self.fault)
+        cells = [str(value) for value in self.values]
+        numbers = [number_of(cell) for cell in cells]
+        is_word = (n is None and not DECIMAL_COMMA.fullmatch(c.strip()) for n, c in zip(numbers, cells, strict=True))
+        return any(is_word) and all(number is None or math.isnan(number) for number in numbers)
+
+
+@dataclass(frozen=True)
+class Table:
+    """Signals of a file, by default time first.
+
+    Attributes:
+        lines: Line of each row; empty in formats without lines.
+        header: Line of the header; 0 in formats without lines.
+        faults: Faults after which rows are missing.
+        first: Name of the first column in the file, and `spoiled`: names of columns with a cell without a finite
+            number that were left out; set by `read_table`.
+    """
+
+    columns: Sequence[Column] = ()
+    lines: Sequence[int] = ()
+    header: int = 0
+    faults: Sequence[Fault] = ()
+    first: str = ""
+    spoiled: Sequence[str] = ()
+
+    @property
+    def rows(self) -> int:
+        """Return the number of rows."""
+        return len(self.lines) or max((len(column.values) for column in self.columns), default=0)
+
+    @property
+    def row_lines(self) -> Sequence[int]:
+        """Return the line of each row, or its number."""
+        return self.lines or range(1, self.rows + 1)
+
+    @cached_property
+    def by_name(self) -> Mapping[str, Column]:
+        """Return name → column."""
+        return {column.name: column for column in self.columns}
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.by_name
+
+    def __getitem__(self, name: str) -> Array:
+        return np.asarray(self.by_name[name].values, dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Use:
+    """How a caller uses a column.
+
+    Attributes:
+        name: Name of the signal.
+        factor: Factor on the numbers of the column, `offset` is added after it.
+        role: Description, "the time" or "an input", of a column without gaps; "" allows empty cells as NaN.
+        spare: Whether a cell without a finite number leaves the column out.
+    """
+
+    name: str
+    factor: float = 1.0
+    offset: float = 0.0
+    role: str = ""
+    spare: bool = False
+
+    @property
+    def cure(self) -> str:
+        """Return the remedy for a cell without a finite number."""
+        return "write a number or leave the row out" if self.role else "leave the cell empty where there is no value"
+
+
+class Source:
+    """A table format.
+
+    Attributes:
+        name: Name in messages.
+        suffixes: Lower-case suffixes with the dot.
+        magic: First bytes of every file, b"" if undefined.
+        writes: Whether results can be written in the format.
+    """
+
+    name = ""
+    suffixes: tuple[str, ...] = ()
+    magic = b""
+    writes = False
+
+    def read(self, path: Path, names: Container[str] = (), text: Collection[str] = ()) -> Table:
+        """Read all columns.
+
+        Args:
+            names: Known names, whose brackets are not units.
+            text: Columns of text, even with numeric content.
+
+        Raises:
+            InputError: The file cannot be read.
+        """
+        raise NotImplementedError
+
+    def write(self, path: Path, columns: Sequence[Column]) -> None:
+        """Write columns, time first, completely or not at all."""
+        raise NotImplementedError
+
+    def check_writable(self) -> None:
+        """Raise InputError if a library for writing is missing."""
+
+    def column_names(self, path: Path) -> list[str]:
+        """Return the column names, none if unreadable."""
+        try:
+            return [column.name for column in self.read(path).columns]
+        except InputError:
+            return []
+
+
+class Faults:
+    """Faults of a file: all faults of its header, and the first ones of its cells.
+
+    Attributes:
+        header: Line of the header.
+        faulty: Numbers of the columns with faulty cells.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.header = path, 0
+        self.items: list[Fault] = []
+        self.faulty: set[int] = set()
+        self._cells: list[Fault] = []
+        self._count = 0
+
+    def note(self, line: int, cell: int, message: str) -> None:
+        """Note a fault; line and cell count from 1, 0 means the file."""
+        self.items.append(Fault(self.path, line, cell, message))
+
+    def note_cells(self, rows: Rows, lines: Sequence[int], cell: int, message: Callable[[int], str]) -> None:
+        """Note faulty cells of a column.
+
+        Args:
+            message: Function from a row to its message.
+        """
+        if len(rows):
+            self.faulty.add(cell)
+        self._count += len(rows)
+        self._cells += [Fault(self.path, lines[row], cell, message(row)) for row in rows[:SHOWN_FAULTS].tolist()]
+
+    def raise_any(self) -> None:
+        """Raise InputError if any fault was noted."""
+        shown = sorted(self._cells, key=lambda fault: (fault.line, fault.column))[:SHOWN_FAULTS]
+        more = self._count - len(shown)
+        rest = [Fault(self.path, 0, 0, f"{more} more cells have faults; correct the first ones")] if more else []
+        refuse([*self.items, *shown, *rest])
+
+
+# -- reading --------------------------------------------------------------------------------------
+
+
+def read_table(
+    faults: Faults,
+    choose: Callable[[Column], Use | None],
+    description: str,
+    *,
+    names: Container[str] = (),
+    times: Collection[str] = (),
+    jumps: bool = False,
+) -> Table | None:
+    """Return the columns that a caller wants, as numbers in the wanted units, and note all faults.
+
+    Args:
+        choose: Function from a column to its use; None skips the column, perhaps with a fault.
+        description: Description of the columns after time, for messages on empty files.
+        names: Known names, whose brackets are not units.
+        times: Alternative names of the first column.
+        jumps: Whether equal times are allowed, which are a jump.
+
+    Returns:
+        None if the file has no header that can be read.
+    """
+    if not is_there(faults):
+        return None
+    try:
+        table = source_of(faults.path).read(faults.path, names)
+    except InputError as error:
+        faults.items += error.faults
+        return None
+    except OSError as error:
+        faults.note(0, 0, f"cannot be read: {error.strerror}")
+        return None
+    faults.header = table.header
+    faults.items += table.faults
+    if not table.columns:
+        if not table.faults:
+            wanted = f"time, then {description}"
+            faults.note(0, 0, f"has no columns; the first line of a CSV names them: {wanted}")
+        return None
+    uses = _chosen(table, choose, faults, times=times)
+    if "time" not in uses:
+        return None
+    columns, spoiled = list[Column](), list[str]()
+    for use, column in uses.values():
+        values = numbers_of(column, use, table, faults, jumps=jumps)
+        if values is None:
+            spoiled.append(use.name)
+        else:
+            columns.append(replace(column, name=use.name, values=values))
+    return replace(table, columns=columns, lines=table.row_lines, first=table.columns[0].name, spoiled=spoiled)
+
+
+def _chosen(
+    table: Table, choose: Callable[[Column], Use | None], faults: Faults, *, times: Collection[str]
+) -> dict[str, tuple[Use, Column]]:
+    """Return name → use and column of the columns that a caller wants."""
+    first = table.columns[0].name
+    all_times = [cell for cell, column in enumerate(table.columns, 1) if is_time(column.name)]
+    uses: dict[str, tuple[Use, Column]] = {}
+    for cell, column in enumerate(table.columns, 1):
+        column = replace(column, cell=cell)
+        if cell == 1:
+            if is_time(first) or first in times:
+                column = replace(column, name="time")
+            else:
+                note_wrong_first(faults, table.header, first, next(iter(all_times), 0))
+                uses["time"] = Use("time", spare=True), column  # Reading continues with the remaining columns.
+                continue
+        elif 1 not in all_times and cell in all_times and first not in times:
+            continue  # The first column, which is not the time, stands for it from here on.
+        if column.name in uses:
+            before = uses[column.name][1].cell
+            faults.note(table.header, cell, f'column "{column.name}" stands twice, first as column {before}; keep one')
+        elif (use := choose(column)) is not None and use.name in uses:
+            before = uses[use.name][1].cell
+            message = f'column "{column.name}" is {use.name}, as column {before} is; keep one'
+            faults.note(table.header, cell, message)
+        elif use is not None:
+            uses[use.name] = use, column
+    return uses
+
+
+def numbers_of(column: Column, use: Use, table: Table, faults: Faults, *, jumps: bool = False) -> Array | None:
+    """Return a column's numbers in the wanted unit, and note its faulty cells; None for a spoiled spare column.
+
+    Times beyond `MOST_TIME`, or that do not increase, are faults too; equal times are allowed if they are `jumps`.
+    """
+    lines, cell = table.row_lines, column.cell
+    wrong = np.zeros(len(lines), bool)
+    values = np.full(len(lines), np.nan)
+    is_fake_time = use.name == "time" and use.spare
+    if column.numeric:
+        values[:] = column.values
+    elif column.fault or not table.header:  # Only the cells of a text have places.
+        if not use.spare:
+            faults.faulty.add(cell)
+            faults.note(table.header, cell, f"column {use.name} {column.fault or 'holds text; write numbers'}")
+        return values if is_fake_time or not use.spare else None
+    else:
+        for row, text in enumerate(column.values):
+            number = number_of(text)
+            wrong[row], values[row] = number is None, np.nan if number is None else number
+    if use.spare and not is_fake_time:
+        return use.factor * values if np.isfinite(values).all() else None
+    if not use.spare:
+        infinite, missing = np.isinf(values), np.isnan(values) & ~wrong
+        faults.note_cells(
+            np.flatnonzero(wrong), lines, cell, lambda row: _wrong_cell(str(column.values[row]).strip()[:30], use)
+        )
+        faults.note_cells(
+            np.flatnonzero(infinite),
+            lines,
+            cell,
+            lambda row: f'"{values[row]:g}" in column {use.name} is not finite; {use.cure}',
+        )
+        if use.role:
+            known = f"{use.role} is known at every row, so fill the cell or leave the row out"
+            faults.note_cells(
+                np.flatnonzero(missing), lines, cell, lambda row: f"{use.name} has no value here; {known}"
+            )
+        values[infinite] = np.nan
+    scaled: Array = values * use.factor
+    if use.name == "time" and not use.spare:
+        return _checked_times(scaled, lines, faults, jumps=jumps)
+    return scaled + use.offset if use.offset else scaled  # Without offset, a negative zero keeps its sign.
+
+
+def number_of(text: str) -> float | None:
+    """Return the number of a cell, NaN of a blank one; None without a number."""
+    if not text or text.isspace():
+        return math.nan
+    try:
+        return None if "_" in text else float(text)  # Python reads over an underscore.
+    except ValueError:
+        return None
+
+
+def _wrong_cell(cell: str, use: Use) -> str:
+    if DECIMAL_COMMA.fullmatch(cell):
+        return f'"{cell}" in column {use.name} has a decimal comma: write a point'
+    return f'"{cell}" in column {use.name} is no number; {use.cure}'
+
+
+def _checked_times(time: Array, lines: Sequence[int], faults: Faults, *, jumps: bool) -> Array:
+    """Note times that are too large or do not increase; return times clipped to `MOST_TIME`."""
+    cure = "too large to count differences of times; write seconds, or leave the row out"
+    faults.note_cells(
+        np.flatnonzero(np.abs(time) > MOST_TIME), lines, 1, lambda row: f"time is {time[row]:g} s, {cure}"
+    )
+    time = np.clip(time, -MOST_TIME, MOST_TIME)
+    rows = np.flatnonzero(np.isfinite(time))
+    steps = np.diff(time[rows])
+    late = np.flatnonzero(steps < 0.0 if jumps else steps <= 0.0) + 1
+    before = dict(zip(rows[late].tolist(), time[rows[late - 1]].tolist(), strict=True))
+
+    def message(row: int) -> str:
+        spacing = math.ulp(time[row])
+        if time[row] == before[row] and spacing > FLOAT_RESOLUTION_S:
+            return (
+                f"time {time[row]:g} s does not increase: numbers of this size are {spacing:.2g} s apart in double "
+                "precision, so the times of rows cannot be told apart; subtract the first time from all times before "
+                "they are written"
+            )
+        cure = "sort the rows, keep one of each"
+        return f"time {time[row]:g} s does not increase, {before[row]:g} s stands before it; {cure}"
+
+    faults.note_cells(rows[late], lines, 1, message)
+    return time
+
+
+def note_wrong_first(faults: Faults, line: int, name: str, time: int = 0) -> None:
+    """Note a first column that is not time.
+
+    Args:
+        time: Number of the column of the time, 0 if there is none.
+    """
+    if time:
+        hint = f"; time is column {time}: move it to the front"
+    elif number_of(name) is not None and name:
+        hint = "; the file has no header: write the names of the columns into the first line"
+    else:
+        rename = f"; rename it, or say it by --column {shlex.quote(f'{name}=time')} where a command has that option"
+        hint = did_you_mean(name, ["time"]) or rename
+    faults.note(line, 1, f'the first column is "{name}"; it must be "time" [s]{hint}')
 
 
 def read_columns(path: Path, names: Collection[str] = (), text: Collection[str] = ()) -> Table:
@@ -28,82 +416,26 @@ def read_columns(path: Path, names: Collection[str] = (), text: Collection[str] 
         text: Columns to leave out, because they hold text.
 
     Raises:
-        InputError: The file has faults; it lists all of them.
+        InputError: The file has faults.
     """
     faults = Faults(path)
 
-    def choose(heading: Heading) -> Column | None:
-        if heading.name == "time":
-            return Column(heading, time_scale(faults, heading.line, heading.unit), "the time")
-        if not heading.name:
-            faults.note(heading.line, heading.cell, messages.NAMELESS_COLUMN())
+    def choose(column: Column) -> Use | None:
+        if column.name == "time":
+            return Use("time", time_scale(faults, faults.header, column.unit), role="the time")
+        if not column.name:
+            faults.note(faults.header, column.cell, "the column has no name; name it in the header")
+        if not column.name or column.name in text:
             return None
-        if heading.name in text:
-            return None
-        spare = bool(names) and heading.name not in names
-        return Column(heading, role="" if spare else "a column played back", spare=spare)
+        spare = bool(names) and column.name not in names
+        return Use(column.name, role="" if spare else "a column played back", spare=spare)
 
-    table = read_table(faults, choose, "signals", "leave out columns or rows", names=names, jumps=True)
-    if table.whole and not table.rows and not faults.counts:
-        faults.note(table.header + 1, 1, messages.NO_ROW())
+    table = read_table(faults, choose, "signals", names=names, jumps=True)
+    if table is not None and not table.rows and not table.faults:
+        faults.note(table.header + 1, 1, "holds no row; at least one follows the header")
     faults.raise_any()
-    for name in table.spoiled:
-        del table.columns[name], table.values[name]
+    assert table is not None
     return table
-
-
-def read_exactly(path: Path, columns: Collection[str], names: Collection[str] = ()) -> dict[str, Sequence[Any]]:
-    """Return columns of a sound table as text, or as integers if the format stores them as such.
-
-    Args:
-        columns: Names of the columns; the result has those that the file has.
-        names: Known names, whose brackets are not units.
-    """
-    frame = source_of(path).frame(path, names, columns)
-    return {
-        column.name: column.values.tolist() if isinstance(column.values, np.ndarray) else column.values
-        for column in frame.columns[1:]
-        if column.name in columns and not column.fault
-    }
-
-
-def whole_numbers_in(values: Sequence[Any]) -> list[int] | None:
-    """Return the exact whole numbers of cells, as text or numbers; None if a cell is none."""
-    try:
-        return [_whole_number(value) for value in values]
-    except ValueError:
-        return None
-
-
-def _whole_number(value: Any) -> int:
-    """Return an exact whole number; raise ValueError for anything else."""
-    if isinstance(value, int) or (isinstance(value, str) and WHOLE.fullmatch(value.strip())):
-        return int(value)
-    if not (number := float(value)).is_integer():
-        raise ValueError
-    return int(number)
-
-
-def read_table(
-    faults: Faults,
-    choose: Choose,
-    holds: str,
-    shorter: str,
-    *,
-    timed: bool = True,
-    names: Container[str] = (),
-    times: Collection[str] = (),
-    jumps: bool = False,
-) -> Table:
-    """Read a file as far as possible and note its faults. Further arguments are those of `TableRequest`."""
-    if not is_there(faults):
-        return Table()
-    try:
-        source = source_of(faults.path)
-    except InputError as error:
-        faults.items += error.faults
-        return Table()
-    return source.table(faults, TableRequest(choose, holds, shorter, timed, names, times, jumps))
 
 
 def is_there(faults: Faults) -> bool:
@@ -112,11 +444,9 @@ def is_there(faults: Faults) -> bool:
     try:
         if path.is_file():
             return True
-        faults.note(0, 0, messages.NO_FILE() if path.exists() else messages.NO_SUCH_FILE())
+        faults.note(0, 0, "is no file" if path.exists() else "no such file")
     except OSError as error:
-        faults.note(0, 0, messages.UNREADABLE_FILE(reason=error.strerror))
-    except ValueError:  # an impossible file name
-        faults.note(0, 0, messages.NO_SUCH_FILE())
+        faults.note(0, 0, f"cannot be read: {error.strerror}")
     return False
 
 
@@ -129,8 +459,98 @@ def read_header(path: Path) -> list[str]:
         return []
 
 
-def write_columns(path: Path, time: Array, columns: Mapping[str, Array], units: Mapping[str, str]) -> None:
-    """Write time and columns `name [unit]` as CSV with nine digits."""
-    header = ["time", *(f"{name} [{units[name]}]" for name in columns)]
-    rows = zip(time.tolist(), *(c.tolist() for c in columns.values()), strict=True)
-    write_table(path, header, rows, "{:.9g}".format)
+# -- names, units and values ----------------------------------------------------------------------
+
+
+def is_time(name: str) -> bool:
+    """Return whether a name means time, in any case."""
+    return name.casefold() == "time"
+
+
+def time_among(names: Iterable[str]) -> str | None:
+    """Return the name of the time: `time` in any case, else `t`; `T` is rather a temperature."""
+    given = [*names]
+    return next((name for name in given if name.lower() == "time"), "t" if "t" in given else None)
+
+
+def time_scale(faults: Faults, line: int, unit: str) -> float:
+    """Return the factor from the unit of time to seconds, and note an unknown unit."""
+    scale = factor(unit, "s")
+    if scale is None:
+        faults.note(line, 1, f'"{unit}" is no unit of time; known here: {", ".join(alternatives("s"))}')
+    return 1.0 if scale is None else scale
+
+
+def split_heading(text: str, names: Container[str] = ()) -> tuple[str, str]:
+    """Return name and unit of a header cell `name [unit]`.
+
+    Brackets of a known name or an index belong to the name. The unit is "" if absent.
+    """
+    whole = text.strip()
+    name, bracket, unit = whole.rpartition("[")
+    name, unit = name.strip(), unit.removesuffix("]").strip()
+    if not bracket or whole in names or "]" in unit:
+        return whole, ""
+    return (whole, "") if INDEX.search(whole) and name not in names else (name, unit)
+
+
+def whole_numbers(values: Array) -> Array:
+    """Return integers with a sign, or without one if one is beyond 63 bits."""
+    is_beyond = values.dtype.kind == "u" and bool(np.any(values > np.iinfo(np.int64).max))
+    return values.astype(np.uint64 if is_beyond else np.int64)
+
+
+def as_text(value: Any) -> str:
+    """Return a value that is no double as text, binary data as hexadecimal digits."""
+    return value.hex() if isinstance(value, bytes) else str(value)
+
+
+# -- formats --------------------------------------------------------------------------------------
+
+
+@functools.cache
+def sources() -> tuple[Source, ...]:
+    """Return the formats, installed packages last."""
+    own = [resolve(place) for place in OWN.values()]
+    added = (load(SOURCES, name) for name in names(SOURCES))
+    return (*own, *(source for source in added if isinstance(source, Source)))
+
+
+def suffixes() -> tuple[str, ...]:
+    """Return the suffixes of table files, `.csv` first."""
+    return tuple(suffix for source in sources() for suffix in source.suffixes)
+
+
+def source_of(path: Path) -> Source:
+    """Return the format of a file by first bytes or suffix.
+
+    Text with any other suffix is CSV.
+
+    Raises:
+        InputError: The format is unknown.
+    """
+    head = b""
+    with suppress(OSError, ValueError), open_bytes(path) as stream:
+        head = stream.read(HEAD)
+    by_suffix = [s for s in sources() if path.suffix.lower() in s.suffixes][:1]
+    if by_head := [s for s in (*by_suffix, *sources()) if s.magic and head.startswith(s.magic)]:
+        return by_head[0]
+    if not by_suffix and b"\0" in head:
+        raise InputError.at(path, f"has none of the formats that are read: {_formats(sources())}")
+    return (by_suffix or sources())[0]
+
+
+def source_named(name: str) -> Source:
+    """Return the named format for results; raise InputError if unknown or read-only."""
+    word = name.lower().removeprefix(".")
+    formats = _formats(source for source in sources() if source.writes)
+    for source in sources():
+        if word == source.name.lower() or f".{word}" in source.suffixes:
+            if source.writes:
+                return source
+            raise InputError.at(Path("--format"), f"{source.name} is read, not written; written are {formats}")
+    raise InputError.at(Path("--format"), f'no format "{name}"; known here: {formats}')
+
+
+def _formats(formats: Iterable[Source]) -> str:
+    return ", ".join(f"{source.name} ({', '.join(source.suffixes)})" for source in formats)

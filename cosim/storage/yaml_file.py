@@ -25,11 +25,10 @@ from pydantic_core.core_schema import (
 )
 
 from cosim.base.errors import Fault, InputError
-from cosim.base.messages import Message, code_of, with_prefix
 from cosim.base.suggestions import closest as closest
 from cosim.base.suggestions import did_you_mean as did_you_mean
 from cosim.base.units import allowed_quantity, has_unit, read_quantity
-from cosim.storage import messages
+from cosim.storage.files import open_bytes
 from cosim.storage.yaml_nodes import Location, NotYaml, document_of
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
@@ -56,7 +55,20 @@ class InUnit:
         return no_info_before_validator_function(self.number, handler(source))
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        return {**handler(schema), "type": ["number", "string"]}
+        number = handler(schema)
+        if "anyOf" in number:
+            return {**number, "anyOf": [*number["anyOf"], {"type": "string"}]}
+        return {**number, "type": ["number", "string"]}
+
+
+class UnitOfKey(InUnit):
+    """A number in the unit of its key's signal; text with a unit waits for `YamlFile.in_units`."""
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        def number(value: Any, inner: ValidatorFunctionWrapHandler) -> Any:
+            return value if isinstance(value, str) and has_unit(value) else inner(value)
+
+        return no_info_wrap_validator_function(number, handler(source))
 
 
 Seconds = Annotated[Number, InUnit("s")]
@@ -69,25 +81,7 @@ PositiveAmount = Annotated[Positive, NUMBER_OR_TEXT]
 NotNegativeAmount = Annotated[NotNegative, NUMBER_OR_TEXT]
 
 
-class UnitOfKey:
-    """A number in the unit of its key's signal; text with a unit waits for `YamlFile.in_units`."""
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        return no_info_wrap_validator_function(self.number, handler(source))
-
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        number = handler(schema)
-        if "anyOf" in number:
-            return {**number, "anyOf": [*number["anyOf"], {"type": "string"}]}
-        return {**number, "type": ["number", "string"]}
-
-    @staticmethod
-    def number(value: Any, inner: ValidatorFunctionWrapHandler) -> Any:
-        """Return text with a unit unchanged, a number validated."""
-        return value if isinstance(value, str) and has_unit(value) else inner(value)
-
-
-UNIT_OF_KEY = UnitOfKey()
+UNIT_OF_KEY = UnitOfKey("")
 Share = InUnit("1")  # a number, or text such as `5 %`
 
 MOST_BYTES = 8_000_000  # size of a file [bytes]
@@ -114,7 +108,7 @@ class YamlFile:
         self.root: Any = self._document.data
         self._within: Location = ()
         if not isinstance(self.root, dict):
-            raise InputError([Fault(path, 1, 1, messages.NO_MAPPING())])
+            raise InputError([Fault(path, 1, 1, "is not a mapping of keys to values")])
 
     def enter(self, key: str) -> None:
         """Use the part under a key as the document."""
@@ -130,9 +124,11 @@ class YamlFile:
 
     def fault(self, location: Location, message: str, *, key: bool = False, exit_code: int = 2) -> Fault:
         """Return a fault at the place where a value was set: an option, the source of a generated file, or the file."""
-        if (option := self._override_of(location)) is not None:
-            text = with_prefix(f"{option}: ", message) if option else message
-            return Fault(self.path, 0, 0, text, exit_code)
+        is_missing = location_in(self.root, location, "") != location
+        for at, option in reversed(self.overrides.items()):
+            # For a missing part, options that set something inside it count too.
+            if location[: len(at)] == at or (is_missing and at[: len(location)] == location):
+                return Fault(self.path, 0, 0, f"{option}: {message}" if option else message, exit_code)
         if self.origin is not None:
             return self.origin((*self._within, *location), message, exit_code)
         return Fault(self.path, *self.place(location, key), message, exit_code)
@@ -161,25 +157,6 @@ class YamlFile:
                 faults.append(self.fault((*at, name), wrong_value(name, value, str(error))))
         return numbers, faults
 
-    def _override_of(self, location: Location) -> str | None:
-        """Return the last command-line option that sets a part of the document or its parent.
-
-        For a missing part, options that set something inside it count too.
-        """
-        for at, option in reversed(self.overrides.items()):
-            if location[: len(at)] == at or (at[: len(location)] == location and not self._holds(location)):
-                return option
-        return None
-
-    def _holds(self, location: Location) -> bool:
-        data = self.root
-        for step in location:
-            try:
-                data = data[step]
-            except (KeyError, IndexError, TypeError):
-                return False
-        return True
-
     def validate(self, model: type[M], data: Any = None, at: Location = ()) -> M:
         """Return the data at a location as a pydantic model; raise InputError with all faults."""
         data = self.root if data is None else data
@@ -188,11 +165,13 @@ class YamlFile:
         except ValidationError as error:
             raise InputError(self._faults(model, error, data, at)) from None
 
-    def partly(self, model: type[M], first: str) -> tuple[M | None, list[Fault]]:
+    def partly(self, model: type[M], first: str) -> tuple[M, list[Fault]]:
         """Return the document as a model without its faulty parts, and the faults.
 
-        The model is None if a faulty part is essential or a faulty key at the top may affect the rest. An unknown
-        top-level key does not affect the rest, unless it resembles the key `first`, which the others need.
+        An unknown top-level key does not affect the rest, unless it resembles the key `first`, which the others need.
+
+        Raises:
+            InputError: A faulty part is essential, or a faulty key at the top may affect the rest.
         """
         data = copy.deepcopy(self.root)
         try:
@@ -203,63 +182,67 @@ class YamlFile:
         for place, kind in places:
             is_alien = kind == "extra_forbidden" and bool(place) and closest(str(place[0]), model.model_fields) != first
             if len(place) < 2 and not is_alien:
-                return None, faults
+                raise InputError(faults)
         for place, _ in places:
-            _leave_out(data, place)
+            part = data
+            for depth, step in enumerate(place, 1):
+                if depth == len(place) or not isinstance(part.get(step), dict):
+                    part.pop(step, None)  # A list is removed whole to keep its indices.
+                    break
+                part = part[step]
         try:
             return model.model_validate(data), faults
         except ValidationError:
-            return None, faults
+            raise InputError(faults) from None
 
     def _faults(self, model: type[BaseModel], error: ValidationError, data: Any, at: Location = ()) -> list[Fault]:
         errors = _errors_of_branches(error.errors(include_url=False), data)
         faults = [self._pydantic_fault(model, e, data, at) for e in errors[:MOST_FAULTS]]
         if len(errors) > MOST_FAULTS:
-            message = messages.MANY_FAULTS(count=len(errors), limit=MOST_FAULTS)
-            faults.append(Fault(self.path, 0, 0, message))
+            faults.append(Fault(self.path, 0, 0, f"{len(errors)} faults in all; the first {MOST_FAULTS} are shown"))
         return faults
 
-    def _pydantic_fault(self, model: type[BaseModel], error: Any, data: Any, at: Location = ()) -> Fault:
+    def _pydantic_fault(self, model: type[BaseModel], error: Any, data: Any, at: Location) -> Fault:
         kind = error["type"]
         within = location_in(data, error["loc"], kind)
         location = (*at, *within)
-        name = ".".join(short(part) for part in location)
+        name = ".".join(map(short, location))
         if kind == "extra_forbidden":
+            key = str(location[-1])
+            if cure := REMOVED_KEYS.get(key):
+                return self.fault(location, f'"{short(key)}" is no longer supported. {cure}', key=True)
             keys, takers = _allowed_keys(model, error["loc"])
-            hint = takers or did_you_mean(str(location[-1]), keys)
-            message = messages.UNKNOWN_KEY(key=short(location[-1]), hint=hint, keys=", ".join(keys))
+            message = f'unknown key "{short(key)}"{takers or did_you_mean(key, keys)} (known here: {", ".join(keys)})'
             return self.fault(location, message, key=True)
         if kind == "missing":
-            return self.fault(location[:-1], messages.MISSING_KEY(name=name))
-        reasons = dict.fromkeys(_reason(e) for e in (error, *error.get("else", ())))
-        reason = next(iter(reasons)) if len(reasons) == 1 else ", or ".join(reasons)
+            return self.fault(location[:-1], f'"{name}" is missing; add it')
+        reason = ", or ".join(dict.fromkeys(map(_reason, (error, *error.get("else", ())))))
         message = wrong_value(name or "it", error.get("input"), reason)
         return self.fault(location, message, key="[key]" in error["loc"][len(within) :])
 
 
-def wrong_value(name: str, value: Any, reason: str) -> Message:
-    """Return the message on a value; a reason with a code of its own keeps its code."""
-    if isinstance(reason, Message) and reason.code:
-        return reason.after(f"{name} is {format_value(value)}: ")
-    return messages.WRONG_VALUE(
-        name=name, value=format_value(value), reason=reason.replace(", or it should be ", " or ")
-    )
+def wrong_value(name: str, value: Any, reason: str) -> str:
+    """Return the message on a value."""
+    return f"{name} is {format_value(value)}: {reason.replace(', or it should be ', ' or ')}"
 
 
 def _text(path: Path) -> str:
     """Return a file's text; raise InputError if unreadable."""
     try:
-        if not path.is_file():
-            raise InputError.at(path, messages.NO_FILE() if path.exists() else messages.NO_SUCH_FILE())
-        if (size := path.stat().st_size) > MOST_BYTES:
-            raise InputError.at(path, messages.LARGE_FILE(size=size / 1e6, limit=MOST_BYTES / 1e6))
-        return path.read_text(encoding="utf-8")
+        with open_bytes(path) as stream:
+            content = stream.read(MOST_BYTES + 1)
+        if len(content) > MOST_BYTES:
+            limit = f"the {MOST_BYTES / 1e6:.0f} MB that are read; make it shorter"
+            raise InputError.at(path, f"has {path.stat().st_size / 1e6:.0f} MB, more than {limit}")
+        return content.decode()
     except UnicodeDecodeError:
-        raise InputError.at(path, messages.NO_UTF8_FILE()) from None
+        raise InputError.at(path, "is not UTF-8 text; save it as UTF-8") from None
+    except FileNotFoundError:
+        raise InputError.at(path, "no such file") from None
     except OSError as error:
-        raise InputError.at(path, messages.UNREADABLE_FILE(reason=error.strerror)) from None
+        raise InputError.at(path, f"cannot be read: {error.strerror}") from None
     except ValueError:  # an impossible file name
-        raise InputError.at(Path(format_value(str(path))), messages.NO_SUCH_FILE()) from None
+        raise InputError.at(Path(format_value(str(path))), "no such file") from None
 
 
 def format_value(value: Any) -> str:
@@ -291,7 +274,7 @@ def short(text: object) -> str:
 def _reason(error: Any) -> str:
     """Return pydantic's message without Python terms."""
     kind, context = error["type"], error.get("ctx") or {}
-    if code_of(context.get("error")):
+    if kind == "value_error":
         return str(context["error"])
     if kind.startswith("bool"):
         return "it is on or off"
@@ -307,6 +290,13 @@ def _reason(error: Any) -> str:
     return reason[:1].lower() + reason[1:]
 
 
+REMOVED_KEYS: dict[str, str] = {  # key of earlier versions → what to use instead
+    "at": "Run FMUs on this machine; `cosim sweep --dask` spreads runs over many machines.",
+    "live": "Exchange values with a function of Python: cosim.run(..., inputs={...}); examples/live shows one.",
+    "carry_logs": "Remove it, and pass the validation logs on beside the FMU.",
+    "delivery": "A refined FMU holds the original and the terms: leave the key out.",
+    "design": "Design the controller beforehand: cosim build --model MODEL --design FILE.",
+}
 _WORDS = {
     **dict.fromkeys(("dict_type", "model_type", "model_attributes_type"), "it should be a mapping of keys to values"),
     **dict.fromkeys(("list_type", "tuple_type"), "it should be a list"),
@@ -339,8 +329,6 @@ def _errors_of_branches(errors: Sequence[Any], data: Any) -> list[Any]:
 
 
 _PATTERNS = {  # part of a pattern in use → form of its texts
-    ":[1-9]": "host:port, such as 192.168.0.7:5600",
-    "[^#+": "a topic without # and +",
     "\\.": "component.variable, the component's name of letters, digits and _ that begins with no digit",
     "": "a name of letters, digits and _ that begins with no digit",
 }
@@ -366,64 +354,38 @@ def location_in(data: Any, places: Sequence[str | int], kind: str) -> Location:
     return tuple(location)
 
 
-def _leave_out(data: Any, location: Location) -> None:
-    """Remove a part of plain data; lists are removed whole to keep indices."""
-    for step in location[:-1]:
-        if not isinstance(data, dict):
-            return
-        if not isinstance(data.get(step), dict):
-            data.pop(step, None)
-            return
-        data = data[step]
-    data.pop(location[-1], None)
-
-
 def _allowed_keys(model: type[BaseModel], places: Sequence[str | int]) -> tuple[list[str], str]:
     """Return allowed keys, and a hint on other branches that take the key."""
     annotation: Any = model
-    branches: dict[str, Any] = {}
-    tag = ""
-    for step in places[:-1]:
-        if step in (alternatives := _branches(annotation)):
-            tag, branches = str(step), alternatives
-            annotation = branches[tag]
+    branches: dict[str, Any] = {}  # of the union that the last step chooses from: tag → type
+    *steps, key = places
+    for step in steps:
+        while get_origin(annotation) is Annotated:
+            annotation = get_args(annotation)[0]
+        branches = {
+            mark.tag: branch
+            for branch in get_args(annotation)
+            for mark in getattr(branch, "__metadata__", ())
+            if isinstance(mark, Tag)
+        }
+        if step in branches:
+            annotation = branches[str(step)]
             continue
-        inner = _without_metadata(annotation)
-        field = getattr(inner, "model_fields", {}).get(step)
-        annotation = field.annotation if field is not None else (get_args(inner) or (inner,))[-1]
         branches = {}
-    takers = [name.strip("«»") for name, branch in branches.items() if places[-1] in _keys(branch)]
-    hint = f": {' and '.join(takers)} {'take' if takers[1:] else 'takes'} it, {tag.strip('«»')} does not"
-    return _keys(annotation), hint if takers else ""
+        field = getattr(annotation, "model_fields", {}).get(step)
+        annotation = field.annotation if field is not None else (get_args(annotation) or (annotation,))[-1]
+    takers = [name.strip("«»") for name, branch in branches.items() if key in _keys(branch)]
+    if not takers:
+        return _keys(annotation), ""
+    verb = "take" if takers[1:] else "takes"
+    return _keys(annotation), f": {' and '.join(takers)} {verb} it, {str(steps[-1]).strip('«»')} does not"
 
 
 def _keys(annotation: Any) -> list[str]:
-    fields = getattr(_inner_model(annotation), "model_fields", {})
-    return [f.alias or name for name, f in fields.items()]
-
-
-def _without_metadata(annotation: Any) -> Any:
-    """Return an annotation without metadata."""
-    return _without_metadata(get_args(annotation)[0]) if get_origin(annotation) is Annotated else annotation
-
-
-def _branches(annotation: Any) -> dict[str, Any]:
-    """Return the members of a tagged union: tag → type."""
-    return {
-        mark.tag: branch
-        for branch in get_args(_without_metadata(annotation))
-        for mark in getattr(branch, "__metadata__", ())
-        if isinstance(mark, Tag)
-    }
-
-
-def _inner_model(annotation: Any) -> type[BaseModel] | None:
+    """Return the keys of the first model in an annotation."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
-    for inner in getattr(annotation, "__args__", ()):
-        if model := _inner_model(inner):
-            return model
-    return None
+        return [f.alias or name for name, f in annotation.model_fields.items()]
+    return next(filter(None, map(_keys, getattr(annotation, "__args__", ()))), [])
 
 
 class Part(BaseModel):

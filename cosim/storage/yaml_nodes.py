@@ -1,5 +1,7 @@
 """YAML and JSON text as plain data with places; oversized, deep or unsupported content is rejected.
 
+Nodes come from ruamel.yaml, whose messages are used, or for long texts from the faster libyaml if present.
+
 Supported are mappings with text keys, lists, text, numbers, true, false and null, and anchors, aliases and merge keys
 with limited expansion.
 """
@@ -7,102 +9,134 @@ with limited expansion.
 from __future__ import annotations
 
 import json
+import re
+from contextlib import suppress
 from functools import cached_property, lru_cache
-from typing import Any
+from importlib import import_module
+from typing import Any, ClassVar
 
-from cosim.storage import messages
-from cosim.storage.yaml_parsers import DEEPEST, NotYaml, nodes, number, whole_number
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+from ruamel.yaml.nodes import ScalarNode
 
-__all__ = ["Document", "Location", "NotYaml", "Place", "document_of"]
-
-MOST_YAML, MOST_JSON = 800_000, 8_000_000  # text lengths [characters] readable within seconds
+DEEPEST = 60  # levels of nesting
+LONG = 20_000  # text length from which loading another parser pays off
+# Directives, tabs, byte order marks and Unicode line ends, on which the parsers disagree.
+APART = re.compile("^%|[\\t\\x85\\u2028\\u2029\\ufeff]", re.MULTILINE)
+MOST_YAML = 800_000  # text length [characters] readable within seconds
 MOST_MARKS = 100_000  # commas, colons and lines of YAML, which determine the reading time
 MOST_PARTS = 400_000  # keys and values after expanding aliases
-MERGE = "<<"
+MERGE, TAG = "<<", "tag:yaml.org,2002:"
+TOO_DEEP = f"is nested too deep; at most {DEEPEST} levels are read"
 SCALARS = {"null", "bool", "int", "float", "str", "timestamp", "merge", "value"}  # tags
 Location = tuple[str | int, ...]
 Place = tuple[int, int]
 UNKNOWN: Place = (0, 0)
 
 
-@lru_cache(maxsize=2)  # A file is examined for its kind first, and then read.
-def document_of(text: str) -> Document:
-    """Return the document of a text; its shared data are read-only."""
-    return Document(text)
+class NotYaml(Exception):
+    """Invalid or unsupported YAML text, with line and column from 1."""
+
+    def __init__(self, line: int, column: int, message: str) -> None:
+        super().__init__(message)
+        self.line, self.column = line, column
+
+
+def _compose(text: str) -> Any:
+    """Return the root node of a YAML text, None if empty; raise NotYaml if invalid.
+
+    A node has id (scalar, sequence, mapping), tag, value and start_mark; a scalar has a style, empty if plain.
+    """
+    if len(text) >= LONG and not APART.search(text) and (parser := _libyaml()) is not None:
+        with suppress(Exception):  # ruamel.yaml explains errors better than libyaml.
+            return parser(text).get_single_node()
+    try:
+        return YAML(typ="safe", pure=True).compose(text)
+    except RecursionError:
+        raise NotYaml(1, 1, TOO_DEEP) from None
+    except (YAMLError, ValueError, IndexError, TypeError, AttributeError, AssertionError, OverflowError) as error:
+        mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
+        problem = getattr(error, "problem", None) or ""
+        if not problem or problem.startswith("but "):
+            problem = f"{getattr(error, 'context', None) or ''} {problem}".strip()
+        if not problem and isinstance(error, YAMLError):  # others come from mistakes of ruamel.yaml's scanner
+            problem = str(error).partition("\n")[0]
+        message = f"is not YAML: {' '.join(problem.split())[:200] or 'it cannot be understood'}"
+        raise NotYaml(mark.line + 1 if mark else 1, mark.column + 1 if mark else 1, message) from None
+
+
+@lru_cache(maxsize=1)
+def _libyaml() -> Any:
+    """Return PyYAML's C parser with ruamel.yaml's scalar types, None if absent."""
+    try:
+        loader: Any = import_module("yaml").CLoader
+    except (ImportError, AttributeError):
+        return None
+
+    class Parser(loader):  # type: ignore[misc]
+        """Parser that counts the nesting, which would overflow the stack in libyaml."""
+
+        yaml_implicit_resolvers: ClassVar[Any] = {
+            first: [(str(tag), pattern) for tag, pattern in kinds]
+            for first, kinds in YAML(typ="safe", pure=True).resolver.versioned_resolver.items()
+        }
+        depth = 0
+
+        def descend_resolver(self, *_: Any) -> None:
+            self.depth += 1
+            if self.depth > 2 * DEEPEST:
+                raise RecursionError
+
+        def ascend_resolver(self) -> None:
+            self.depth -= 1
+
+    return Parser
 
 
 class Document:
     """Plain data with the place of each part."""
 
     def __init__(self, text: str) -> None:
-        self._text = text
-        self._pairs: dict[int, dict[str, tuple[Any, Any]]] = {}
-        self._parts, self._is_json = 0, False
-        self.data = self._read()
-
-    def _read(self) -> Any:
-        if self._text.lstrip("\ufeff \t\r\n")[:1] in {"{", "["} and len(self._text) <= MOST_JSON:
-            try:
-                data = json.loads(self._text, object_pairs_hook=_unique_keys, parse_constant=_no_constant)
-                if "\\u" in self._text:
-                    json.dumps(data, ensure_ascii=False).encode()  # rejects unpaired surrogates
-            except (ValueError, RecursionError):
-                pass  # YAML in braces, or a fault whose place only YAML reading finds
-            else:
-                self._is_json = True
-                return data
-        if _is_large(self._text):
-            size, limit, json_limit = len(self._text) / 1e6, MOST_YAML / 1e6, MOST_JSON / 1e6
-            raise NotYaml(1, 1, messages.LARGE_YAML(size=size, limit=limit, keys=MOST_MARKS, json_limit=json_limit))
-        return None if self._root is None else self._value(self._root, 0)
+        self._text, self._parts = text, 0
+        self._is_large = len(text) > MOST_YAML or sum(map(text.count, ",:\n")) > MOST_MARKS
+        self._is_json = True
+        try:
+            self.data = json.loads(text, object_pairs_hook=_unique_keys, parse_constant=_no_constant)
+            if "\\u" in text:
+                json.dumps(self.data, ensure_ascii=False).encode()  # rejects unpaired surrogates
+            return
+        except (ValueError, RecursionError):  # YAML, or a fault whose place only YAML reading finds
+            self._is_json = False
+        if self._is_large:
+            raise NotYaml(
+                1,
+                1,
+                f"has {len(text) / 1e6:.1f} MB of YAML, of which at most {MOST_YAML / 1e6:g} MB and about {MOST_MARKS} "
+                "keys and values are read; write it as JSON, which may have 8 MB, or make it shorter",
+            )
+        self.data = None if self._root is None else self._value(self._root, 0)
 
     @cached_property
     def _root(self) -> Any:
-        """Return the text's root node, None if empty."""
-        return nodes(self._text)
-
-    def pairs(self, node: Any) -> dict[str, tuple[Any, Any]]:
-        """Return key → (key node, value node), with merged keys."""
-        if id(node) not in self._pairs:
-            self._pairs[id(node)] = self._pairs_of(node, 0)
-        return self._pairs[id(node)]
-
-    def _pairs_of(self, node: Any, depth: int) -> dict[str, tuple[Any, Any]]:
-        own: dict[str, tuple[Any, Any]] = {}
-        merged: dict[str, tuple[Any, Any]] = {}
-        if depth > DEEPEST:
-            raise _fault(node, messages.CIRCULAR_MERGE())
-        for key, value in node.value:
-            if key.id != "scalar":
-                raise _fault(key, messages.KEY_WITHOUT_TEXT())
-            if key.value == MERGE and not key.style:
-                for other in value.value if value.id == "sequence" else [value]:
-                    if other.id != "mapping":
-                        raise _fault(value, messages.MERGE_WITHOUT_MAPPING())
-                    merged = {**self._pairs_of(other, depth + 1), **merged}
-            elif (name := _text_of(key)) in own:
-                raise _fault(key, messages.DUPLICATE_KEY(key=name[:60]))
-            else:
-                own[name] = key, value
-        return {**merged, **own} if merged else own
+        return _compose(self._text)
 
     def place(self, location: Location, key: bool = False) -> Place:
         """Return line and column of the nearest part at a location.
 
-        The result is UNKNOWN for invalid text and for JSON too large to search.
+        The result is UNKNOWN for JSON that is too large to search or no YAML.
 
         Args:
             key: Whether to return the place of the key instead of the value.
         """
-        if self._is_json and _is_large(self._text):
+        if self._is_json and self._is_large:
             return UNKNOWN
         try:
             node, place = self._root, (1, 1)
         except NotYaml:
             return UNKNOWN
-        for depth, step in enumerate(location):
-            is_last = depth == len(location) - 1
-            if node.id == "mapping" and step in (pairs := self.pairs(node)):
+        for depth, step in enumerate(location, 1):
+            is_last = depth == len(location)
+            if node.id == "mapping" and step in (pairs := _pairs(node)):
                 at, node = pairs[str(step)]
                 # A missing key is reported at the key of its parent.
                 place = _place_of(at if (key and is_last) or (not is_last and node.id != "scalar") else node)
@@ -117,37 +151,64 @@ class Document:
         """Return the plain data of a YAML node; raise a fault if the file is too large or nested too deeply."""
         self._parts += 1
         if self._parts > MOST_PARTS:
-            raise _fault(node, messages.MANY_PARTS(limit=MOST_PARTS))
+            raise _fault(
+                node, f"has more than {MOST_PARTS} values when its aliases are expanded; use fewer values or aliases"
+            )
         if depth > DEEPEST:
-            raise _fault(node, messages.DEEP_FILE(limit=DEEPEST))
-        kind = str(node.tag).removeprefix("tag:yaml.org,2002:")
+            raise _fault(node, TOO_DEEP)
+        kind = str(node.tag).removeprefix(TAG)
         if node.id == "mapping" and kind in {"map", "None"}:
-            return {key: self._value(value, depth + 1) for key, (_, value) in self.pairs(node).items()}
+            return {key: self._value(value, depth + 1) for key, (_, value) in _pairs(node).items()}
         if node.id == "sequence" and kind in {"seq", "None"}:
             return [self._value(value, depth + 1) for value in node.value]
-        if node.id == "scalar" and kind in SCALARS:
-            return _scalar(node, kind)
-        raise _fault(node, messages.UNKNOWN_TAG(tag=str(node.tag).replace("tag:yaml.org,2002:", "!!")[:60]))
-
-
-def _scalar(node: Any, kind: str) -> Any:
-    """Return the value of a scalar node."""
-    text = _text_of(node)
-    match kind:
-        case "null":
+        if node.id != "scalar" or kind not in SCALARS:
+            tag = str(node.tag).replace(TAG, "!!")[:60]
+            raise _fault(node, f'the tag "{tag}" means nothing here; leave it out')
+        text = _text_of(node)
+        if kind == "null":
             return None
-        case "bool":
+        if kind == "bool":
             return text.lower() == "true"
-        case "int" | "float":
-            try:
-                return whole_number(node) if kind == "int" else number(node)
-            except (ValueError, IndexError):
-                raise _fault(node, messages.BAD_NUMBER(text=text[:30])) from None
-    return text
+        if kind not in {"int", "float"}:
+            return text
+        try:
+            return getattr(_constructor(), f"construct_yaml_{kind}")(ScalarNode(node.tag, node.value))
+        except (ValueError, IndexError):
+            raise _fault(node, f'"{text[:30]}" is no number') from None
 
 
-def _is_large(text: str) -> bool:
-    return len(text) > MOST_YAML or sum(map(text.count, ",:\n")) > MOST_MARKS
+document_of = lru_cache(maxsize=2)(Document)  # A file is examined for its kind first, and then read.
+
+
+@lru_cache(maxsize=1)
+def _constructor() -> Any:
+    return YAML(typ="safe", pure=True).constructor
+
+
+def _pairs(node: Any) -> dict[str, tuple[Any, Any]]:
+    """Return key → (key node, value node) of a mapping with its merged keys, which replace the node's value."""
+    entries = node.value
+    if isinstance(entries, dict):
+        return entries
+    node.value = None
+    if entries is None:
+        raise _fault(node, "merges itself; take the merge out")
+    own: dict[str, tuple[Any, Any]] = {}
+    merged: dict[str, tuple[Any, Any]] = {}
+    for key, value in entries:
+        if key.id != "scalar":
+            raise _fault(key, "a key is text, no list and no mapping")
+        if key.value == MERGE and not key.style:
+            for other in value.value if value.id == "sequence" else [value]:
+                if other.id != "mapping":
+                    raise _fault(value, "only a mapping, or a list of mappings, can be merged")
+                merged = {**_pairs(other), **merged}
+        elif (name := _text_of(key)) in own:
+            raise _fault(key, f'duplicate key "{name[:60]}"; keep one')
+        else:
+            own[name] = key, value
+    node.value = pairs = {**merged, **own}
+    return pairs
 
 
 def _place_of(node: Any) -> Place:
@@ -160,7 +221,9 @@ def _text_of(node: Any) -> str:
     try:
         return text.encode("utf-16", "surrogatepass").decode("utf-16")
     except UnicodeDecodeError:
-        raise _fault(node, messages.HALF_CHARACTER()) from None
+        raise _fault(
+            node, "contains half a character (one half of a surrogate pair); write the whole character"
+        ) from None
 
 
 def _fault(node: Any, message: str) -> NotYaml:

@@ -15,7 +15,7 @@ from cosim.logs.log import Log
 from cosim.model.model import Effect, Model, overrides
 from cosim.residuals.drive import Drive
 from cosim.residuals.remote_drive import DriveApart
-from cosim.residuals.windows import Replay, row_by_row, windows
+from cosim.residuals.windows import Replay, windows
 from cosim.subject.interface import Replayer, Start, Workplace
 
 
@@ -40,9 +40,6 @@ class FmuReplayer(Replayer):
         worker, limits = self.place.worker, self.place.limits
         remote = worker and DriveApart(worker, log, self.fmu, interpolated=data.interpolated, limits=limits)
         with remote or Drive(log, self.fmu, interpolated=data.interpolated) as drive:
-            if log.table:
-                yield row_by_row(drive, self.parameters)
-                return
             for horizon, begins in starts.items():
                 numbers = {k: {**self.parameters, **start_values(self.model, start)} for k, start in begins.items()}
                 memories = {k: delayed_commands(self.model, values, log, data, k) for k in begins}

@@ -24,9 +24,7 @@ from cosim.isolation.process import Worker
 from cosim.kernel.backend import kernel
 from cosim.kernel.kernel import DISTURBANCE, START, Begin, Data, Kernel, simulate_all
 from cosim.kernel.library_kernel import NO_LIMITS, LibraryOf
-from cosim.kernel.messages import NO_CONSTANTS
 from cosim.loading.file import LoadedModel
-from cosim.loading.refined import SSPS
 from cosim.logs.log import Log
 from cosim.model.quantities import parameters_of
 from cosim.model.traits import Traits
@@ -34,13 +32,10 @@ from cosim.probing.fmu_structure import StartValue, Structure
 from cosim.residuals.remote_drive import MODULES, DriveApart
 from cosim.residuals.starts import StartParameter, start_parameters
 from cosim.residuals.windows import Replay
-from cosim.subject import messages
 from cosim.subject.candidates import Candidate
-from cosim.subject.effect_ssp import EffectSsp, NotInSsp
 from cosim.subject.interface import Predict, Replayer, Start, Workplace
 from cosim.subject.model_subject import FILES, ModelSubject
 from cosim.subject.probed_model import ProbedModel
-from cosim.subject.ssp_replayer import SspReplayer
 from cosim.subject.start_state import start_state
 from cosim.terms.alike import experiments_for
 from cosim.terms.fmu_model import FmuModel, fmu_model
@@ -48,7 +43,6 @@ from cosim.terms.language import Force, with_place
 from cosim.terms.term_printing import term_code
 from cosim.wrapping.wrap import CannotWrap, wrap
 
-Delivery = Literal["fmu", "ssp"]
 SUBSTEPS = 8  # steps of co-simulation between rows, for forces that follow the outputs
 WAYS = {
     "model-exchange": "model exchange: a filter over the states of the FMU",
@@ -66,18 +60,12 @@ class FmuSubject(ModelSubject):
     Attributes:
         structure: Structure of the FMU along the logs.
         limits: Limits of a pass of the filter over a log.
-        delivery: `ssp` for an original that must not be repackaged: an SSP with the terms beside it.
-        ssp: SSP of the original and the terms, once built.
     """
 
     probed = True
 
-    def __init__(
-        self, loaded: LoadedModel, structure: Structure, limits: Limits = NO_LIMITS, delivery: Delivery = "fmu"
-    ) -> None:
+    def __init__(self, loaded: LoadedModel, structure: Structure, limits: Limits = NO_LIMITS) -> None:
         super().__init__(loaded)
-        self.delivery: Delivery = delivery
-        self.ssp: Path | None = None
         self.structure, self.limits = structure, limits
         self.is_stepped = structure.way == "co-simulation"
         self.untried = NO_ACCESS if self.is_stepped else ""
@@ -141,7 +129,13 @@ class FmuSubject(ModelSubject):
             InputError: Parameters as constant states, which a library cannot have, or no compiler.
         """
         if constant:
-            raise InputError.at(self.structure.fmu, NO_CONSTANTS(names=", ".join(constant)))
+            raise InputError.at(
+                self.structure.fmu,
+                (
+                    f"{', '.join(constant)} cannot be estimated per log: the library of an FMU takes parameters "
+                    "before its initialization only; leave out per_log"
+                ),
+            )
         return kernel(self.model, measured, unnamed, fmu=self._library_of(self.structure.fmu, self._description))
 
     def _library_of(self, fmu: Path, description: Any) -> LibraryOf:
@@ -185,15 +179,11 @@ class FmuSubject(ModelSubject):
 
     def refined(self, claims: Mapping[str, float]) -> FmuSubject:
         """Return the subject with claimed values."""
-        return FmuSubject(super().refined(claims).loaded, self.structure, self.limits, self.delivery)
+        return FmuSubject(super().refined(claims).loaded, self.structure, self.limits)
 
     def replayer(self, place: Workplace) -> Replayer:
-        """Return a replayer of the delivered FMU or SSP, or of the model if neither can stand for it."""
-        if not self._can_begin_anywhere and self.delivery == "fmu":
-            return LibraryReplayer(self, self.kernel([q.name for q in self.outputs]), "own")
-        delivered = self._delivered(place.folder)
-        if self.ssp is not None and self.is_stepped:
-            return SspReplayer(self.structure, self.ssp, place)
+        """Return a replayer of the delivered FMU, or of the model if the FMU cannot be built."""
+        delivered = self._delivered(place.folder) if self._can_begin_anywhere else None
         if delivered is None:
             return LibraryReplayer(self, self.kernel([q.name for q in self.outputs]), "own")
         return LibraryReplayer(self, self._kernel_of(delivered), "native")
@@ -210,20 +200,14 @@ class FmuSubject(ModelSubject):
         return self.is_stepped or not any(e.memory or e.delay for e in self.model.awake)
 
     def _delivered(self, folder: Path) -> Path | None:
-        """Return the FMU with the terms, built once; None if it cannot be built, with the reason in `undelivered`.
-
-        An SSP takes its place in `ssp` if the study wants one, or if the FMU cannot be built.
-        """
-        if self.ssp is not None or self.undelivered:
-            return None
-        if self.delivery == "ssp":
-            self._build_ssp(folder, "")
+        """Return the FMU with the terms, built once; None if it cannot be built, with the reason in `undelivered`."""
+        if self.undelivered:
             return None
         if self.fmu is None or not self.fmu.is_file():
             try:
                 self._wrap(folder / f"replayed{len([*folder.glob('replayed*.fmu')])}.fmu")
             except (CannotWrap, NoCompiler, CompilerFailed) as error:
-                self._build_ssp(folder, str(error))
+                self.undelivered = f"There is no refined FMU: {error}"
                 return None
         return self.fmu
 
@@ -244,22 +228,6 @@ class FmuSubject(ModelSubject):
         wrapped = wrap(self.structure.fmu, code, kept, path, substep=substep)
         self.fmu, self.missing_platforms = path, tuple(wrapped.left_out)
 
-    def _build_ssp(self, folder: Path, reason: str) -> None:
-        """Build the SSP of the original and the terms.
-
-        Args:
-            reason: Why there is no FMU; "" if the study wants none.
-        """
-        path = folder / f"replayed{len([*folder.glob('replayed*.ssp')])}.ssp"
-        parts = EffectSsp(self.loaded, self.structure, self._description)
-        try:
-            self.ssp = parts.write(path)
-        except NotInSsp as error:
-            why = reason or messages.SSP_WANTED()
-            self.undelivered = messages.NOTHING_DELIVERED(reason=why.rstrip("."), cure=error)
-        else:
-            self.undelivered = messages.SSP_INSTEAD(reason=reason.rstrip(".")) if reason else ""
-
     def _kernel_of(self, fmu: Path) -> Kernel:
         """Return the kernel of a delivered FMU, which holds terms and values itself."""
         model = self.model
@@ -271,19 +239,17 @@ class FmuSubject(ModelSubject):
         return kernel(plain, [q.name for q in self.outputs], fmu=of_fmu)
 
     def write(self, scratch: Path, folder: Path, name: str) -> Sequence[Path]:
-        """Write plant.fmu or nearest.fmu: the original with the terms and values; or plant.ssp or nearest.ssp."""
+        """Write plant.fmu or nearest.fmu: the original with the terms and values."""
         fmu = self._delivered(scratch)
-        if self.ssp is not None:
-            return (Path(copyfile(self.ssp, scratch / SSPS[name == "nearest"])),)
         return () if fmu is None else (Path(copyfile(fmu, scratch / FILES[name][1])),)
 
     def main_file(self, name: Literal["refined", "nearest"]) -> str:
-        """Return the name of the FMU or SSP, the only file."""
-        return FILES[name][1] if self.ssp is None else SSPS[name == "nearest"]
+        """Return the name of the FMU, the only file."""
+        return FILES[name][1]
 
     def use(self, folder: Path, name: Literal["refined", "nearest"] = "refined") -> list[str]:
-        """Return a command line that simulates the delivered FMU or SSP."""
-        return ["cosim", "simulate" if self.ssp is None else "run", str(folder / self.main_file(name))]
+        """Return a command line that simulates the delivered FMU."""
+        return ["cosim", "simulate", str(folder / self.main_file(name))]
 
 
 @dataclass

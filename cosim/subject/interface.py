@@ -15,7 +15,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, runtime_checkable
 
 from cosim.base.arrays import Array, Rows
 from cosim.isolation.limits import Limits
@@ -75,7 +75,7 @@ class Replayer(Protocol):
         """Yield the replayed outputs for each horizon [s], in the order of `starts`.
 
         A run begins at each row of `starts[horizon]`, numbered as in `log`, and ends at the next start. Start rows are
-        not predicted. A table (`log.table`) has one replay, each row from its own inputs.
+        not predicted.
 
         Args:
             data: Log in equal steps with the commands before a start.
@@ -86,6 +86,7 @@ class Replayer(Protocol):
         """
 
 
+@runtime_checkable
 class Subject(Protocol):
     """An object that can be refined.
 
@@ -106,7 +107,6 @@ class Subject(Protocol):
         drawn_against: Candidate → signals for plots.
         inestimable: Parameters that a filter cannot estimate, such as a delay of commands.
         probed: True for an FMU, whose terms are those of a general catalogue.
-        static: True without states; a log is a table without time.
         source: Origin, for the provenance.
         undelivered: Reason why `write` writes nothing although it should.
         missing_platforms: Platforms of an FMU that the delivered FMU lacks.
@@ -133,7 +133,6 @@ class Subject(Protocol):
     drawn_against: Mapping[str, tuple[str, ...]] = {}
     inestimable: frozenset[str] = frozenset()
     probed: bool = False
-    static: bool = False
     source: str = "an object of Python"
     undelivered: str = ""
     missing_platforms: Sequence[str] = ()
@@ -198,7 +197,7 @@ class Subject(Protocol):
     @property
     def traits(self) -> Traits:
         """Return further signal properties for the checks of logs."""
-        return Traits(static=self.static)
+        return Traits()
 
     def start_of_log(self, readings: Mapping[str, float]) -> Mapping[str, float]:
         """Return the start value of each state in a log.

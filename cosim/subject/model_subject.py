@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
@@ -10,7 +9,6 @@ from pathlib import Path
 from shutil import copyfile
 from typing import Any, Literal
 
-from cosim.base.registry import entry_of
 from cosim.fmi.fmu_build import build
 from cosim.kernel.backend import kernel
 from cosim.kernel.kernel import Kernel
@@ -18,7 +16,6 @@ from cosim.kernel.nameless import Known, bases
 from cosim.kernel.settling import settling
 from cosim.loading.build_native import class_fmu
 from cosim.loading.file import LoadedModel, write_model
-from cosim.loading.own_experiment import carry_experiment
 from cosim.loading.own_run import predicted_outputs, shown_states
 from cosim.loading.refined import NEAREST, REFINED
 from cosim.logs.log import Log
@@ -50,7 +47,7 @@ class ModelSubject(Subject):
         self.fmu: Path | None = None
         self.title, self.source = model.title, loaded.source
         self.inputs, self.outputs, self.states = model.inputs, model.outputs, model.states
-        self.horizon, self.rate, self.static = model.horizon, model.rate, model.static
+        self.horizon, self.rate = model.horizon, model.rate
         self.parameters, self.calibrated, self.sensors = model.parameters, model.calibrated, model.sensors
         own = {p.name for p in model.parameters}
         self.candidate_parameters = {n: p for n, p in model.declared.items() if n not in own}
@@ -175,14 +172,11 @@ class ModelSubject(Subject):
             copyfile(self.fmu, fmu)
         else:
             self.fmu = build(self.loaded.recipe(), fmu)
-        return yaml, carry_experiment(fmu, self.model)
+        return yaml, fmu
 
     def use(self, folder: Path, name: Literal["refined", "nearest"] = "refined") -> list[str]:
-        """Return a command line for the FMU, with design of a controller if the model has a designer."""
-        model, fmu = (folder / file for file in FILES[name])
-        command = ["cosim", "run", "scenario.yaml", "--set", f"components.plant.fmu={fmu}"]
-        entry = entry_of(type(self.model))
-        return [*command, "--set", f"design={json.dumps({'model': str(model)})}"] if entry and entry.design else command
+        """Return a command line for the FMU."""
+        return ["cosim", "run", "scenario.yaml", "--set", f"components.plant.fmu={folder / FILES[name][1]}"]
 
 
 def neutral_values(model: Model) -> dict[str, float]:

@@ -171,10 +171,6 @@ class ProbedModel:
 
     # -- model --------------------------------------------------------------------------------------
 
-    def _moved_inputs(self) -> tuple[str, ...]:
-        """Return the names of the inputs that change within the logs."""
-        return tuple(with_place(name) for name, width in self.ranges.items() if width)
-
     def model(self) -> FmuModel:
         """Return the model with every term at every place."""
         s = self.structure
@@ -195,7 +191,9 @@ class ProbedModel:
             sensors=tuple(e for q in signals[2] for e in self._sensors(q)),
             forced=tuple(q.name for k, q in enumerate(signals[0]) if self.is_stepped or k not in self._rates()),
             calibrated=tuple(p.name for p in parameters),
-            suspect=dict.fromkeys((p.name for p in parameters), self._moved_inputs()),
+            suspect=dict.fromkeys(
+                (p.name for p in parameters), tuple(with_place(name) for name, width in self.ranges.items() if width)
+            ),
             horizon=math.inf if self.is_stepped else self._horizon(),
             shown=self._shown(),
             stepped=self.is_stepped,

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from cosim.storage.artefact import Artefact
-from cosim.storage.kind_names import SWEEP, TABLE
+from cosim.storage.artefact import SWEEP, TABLE, Artefact
 
 ARTEFACTS = (
     Artefact(
@@ -26,7 +25,7 @@ ARTEFACTS = (
         files=("sweep.json", "sweep.parquet", "runs.sqlite", "report.html"),
         folder="the folder of a sweep",
         folder_step="`cosim.read` reads it in Python",
-        reader="cosim.sweeps.sweep_table:read_runs",
+        reader="cosim.sweeps.store:read_runs",
     ),
     Artefact(
         TABLE,
@@ -35,7 +34,7 @@ ARTEFACTS = (
     ),
     Artefact(
         "a database",
-        "`cosim sweep SWEEP.yaml` goes on with one that it left, named with its --out",
+        "`cosim sweep SWEEP.yaml --resume` goes on with one that it left, named with its --out",
         heads=(b"SQLite format 3\0",),
     ),
 )

@@ -4,30 +4,27 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from cosim.base.errors import Fault, InputError, refuse
-from cosim.base.messages import Message, with_prefix
+from cosim.base.messages import with_prefix
 from cosim.base.units import split_quantity
 from cosim.blocks.description import unit_of
 from cosim.blocks.fmu import FmuBlock
-from cosim.scenario.controller_design import designed_values
 from cosim.scenario.scenario import Scenario, resolve_defaults
 from cosim.scenario.scenario_file import ScenarioFile, keys_of
 from cosim.scenario.start_values import Misfit, convert_quantity, convert_value, settable
-from cosim.scenario.start_values import kind_of as kind_of_variable
 from cosim.storage.yaml_file import YamlFile, did_you_mean, short
-from cosim.sweeps import messages
 from cosim.sweeps.sampling import MOST_RUNS, Factor, are_numbers, distribution, drawn_rows, saltelli_base
 from cosim.sweeps.sweep_file import SweepFile, Varied
 from cosim.system.system import System, build_system
 
 FIXED = ("duration", "start_time", "criteria", "name", "description", "limits")  # keys common to all runs
-FILES = ("fmu", "file", "model")  # last keys of paths to file names
+FILES = ("fmu", "file")  # last keys of paths to file names
 NOT_REAL = ("Boolean", "String", "Enumeration", "Integer")  # types of FMI without distributions
 MAX_TESTED_VALUES = 50  # values of a path tested before any run
 Location = tuple[str | int, ...]
@@ -47,45 +44,50 @@ class Factors:
         self, yaml: YamlFile, file: SweepFile, scenario: ScenarioFile, system: System, overrides: tuple[str, ...]
     ) -> None:
         self.yaml, self.file, self.scenario, self.system, self.overrides = yaml, file, scenario, system, overrides
-        self.components = {s.component.name: s.component for s in system.stages}
+        self.blocks = {s.component.name: s.component for s in system.stages if isinstance(s.component, FmuBlock)}
         self.faults: list[Fault] = []
         self.warnings: list[str] = []
-        self._check_size()
-
-    def _check_size(self) -> None:
-        """Check the number of runs before allocating anything."""
-        vary, runs = self.file.vary, self.file.runs
-        listed = {name: size for name, v in vary.items() if (size := _size(v)) is not None}
-        counted = sum(v.each is not None for v in vary.values())
-        sampled = len(vary) - len(listed) - counted
-        count = math.prod(listed.values()) * drawn_rows(sampled, counted > 0, runs, self.file.sampling)
-        if count > MOST_RUNS:
+        sizes = {
+            name: len(v.values) if v.values is not None else v.grid.count if v.grid is not None else v.count
+            for name, v in file.vary.items()
+        }
+        listed = {name: size for name, size in sizes.items() if size is not None}
+        seeds = sum(v.each is not None for v in file.vary.values())
+        sampled = len(sizes) - len(listed) - seeds
+        count = math.prod(listed.values()) * drawn_rows(sampled, seeds > 0, file.runs, file.sampling)
+        if count > MOST_RUNS:  # before anything is allocated
             largest = max(listed, key=lambda n: listed[n], default="")
-            in_list = bool(listed) and (not sampled or listed[largest] > runs)
+            in_list = bool(listed) and (not sampled or listed[largest] > file.runs)
             where: Location = ("vary", largest) if in_list else ("runs",)
-            message = messages.TOO_MANY_RUNS(runs=count, limit=MOST_RUNS)
-            raise InputError([self.yaml.fault(where, message, key=in_list)])
-        if self.file.sampling != "saltelli":
-            return
-        if listed or not sampled:
-            self._note(("sampling",), messages.SALTELLI_WITH_LISTED_VALUES())
-        elif not saltelli_base(runs, sampled):
-            least = sampled + 2
-            self._note(("runs",), messages.TOO_FEW_RUNS_FOR_SALTELLI(runs=runs, factors=sampled, least=least))
+            text = f"{count:.3g} runs are more than the {MOST_RUNS:,} that a sweep may have; give fewer values or runs"
+            raise InputError([yaml.fault(where, text, key=in_list)])
+        if file.sampling == "saltelli" and (listed or not sampled):
+            text = (
+                "saltelli takes only distributions, no listed values; vary by distributions, or choose another sampling"
+            )
+            self._note(("sampling",), text)
+        elif file.sampling == "saltelli" and not saltelli_base(file.runs, sampled):
+            least = f"with {sampled} distributions saltelli needs {sampled + 2} runs at least"
+            self._note(("runs",), f"{file.runs} runs are too few: {least}")
 
-    def _note(self, where: Location, message: str, *, key: bool = False) -> None:
-        self.faults.append(self.yaml.fault(where, message, key=key))
+    def _note(self, where: Location, text: str, *, key: bool = False, exit_code: int = 2) -> None:
+        self.faults.append(self.yaml.fault(where, text, key=key, exit_code=exit_code))
 
     def factor(self, name: str, varied: Varied) -> Factor | None:
         """Return a factor; note faults and return None if invalid."""
         before = len(self.faults)
+        first, _, variable = name.partition(".")
         if name == "seed":
-            return self._seed(varied)
-        if varied.way in {"count", "each"}:
-            self._note(("vary", name, varied.way), messages.WAY_FOR_SEEDS(way=varied.way))
-            return None
-        is_variable = name.partition(".")[0] in self.scenario.scenario.components
-        factor = self._of_variable(name, varied) if is_variable else self._of_path(name, varied)
+            factor = self._seed(varied)
+        elif varied.way in {"count", "each"}:
+            self._note(
+                ("vary", name, varied.way), f"{varied.way} is for `seed` only; give values, a grid or a distribution"
+            )
+            factor = None
+        elif first in self.scenario.scenario.components:
+            factor = self._of_variable(name, varied, first, variable)
+        else:
+            factor = self._of_path(name, varied)
         return None if len(self.faults) > before else factor
 
     def _seed(self, varied: Varied) -> Factor | None:
@@ -95,68 +97,50 @@ class Factors:
         if varied.count is not None:
             return Factor("seed", values=list(range(first, first + varied.count)))
         if values is None or any(isinstance(v, bool) or not isinstance(v, int) or v < 0 for v in values):
-            self._note(("vary", "seed"), messages.SEEDS_NOT_WHOLE())
+            text = "seeds are whole numbers that are not negative: values: [1, 2], count: 20 or each: 1"
+            self._note(("vary", "seed"), text)
             return None
         return Factor("seed", values=values)
 
-    def _settable_variable(self, name: str, block: Any) -> Any:
-        """Return the FMU variable of a factor, or a message on why the factor cannot be varied."""
-        component, _, variable_name = name.partition(".")
-        if not isinstance(block, FmuBlock):
-            return messages.NO_START_VALUES(component=component)
-        variables = {v.name: v for v in block.description.modelVariables}
+    def _of_variable(self, name: str, varied: Varied, component: str, variable_name: str) -> Factor | None:
+        block = self.blocks.get(component)
+        variables = {} if block is None else {v.name: v for v in block.description.modelVariables}
         variable = variables.get(variable_name)
-        if variable is None:
-            hint = did_you_mean(variable_name, [v.name for v in variables.values() if settable(v)])
-            return messages.UNKNOWN_VARIABLE(component=component, name=short(variable_name), hint=hint)
-        if not settable(variable):
-            return messages.NO_START_VALUE(name=name, kind=kind_of_variable(variable))
-        if variable.shape:
-            return messages.ARRAY_VARIABLE()
+        if block is None or variable is None or not settable(variable) or variable.shape:
+            text = "takes no number here; vary a path of the scenario, such as components.NAME.…, by values"
+            faults, _ = self._test_variant(f"components.{component}.start.{variable_name}=0")  # says why
+            self._note(("vary", name), faults[0].message if faults else f"{name} {text}", key=True)
+            return None
         if variable_name in block.connected:
-            return messages.CONNECTED_INPUT()
-        return variable
-
-    def _of_variable(self, name: str, varied: Varied) -> Factor | None:
-        component, _, variable_name = name.partition(".")
-        block: Any = self.components.get(component)
-        variable = self._settable_variable(name, block)
-        if isinstance(variable, Message):
-            self._note(("vary", name), variable, key=True)
+            self._note(("vary", name), "is an input that is connected; vary what feeds it", key=True)
             return None
 
         def value(where: Location, entry: Any) -> Any:
-            if where != STANDARD_DEVIATION:
-                number = convert_value(block.description, variable, entry)
-            elif isinstance(entry, str):  # The bounds and the unit's offset do not apply to a standard deviation.
-                number = convert_quantity(block.description, variable, entry, difference=True)
-            else:
-                number = entry
+            number = entry
+            try:
+                if where != STANDARD_DEVIATION:
+                    number = convert_value(block.description, variable, entry)
+                elif isinstance(entry, str):  # The bounds and the unit's offset do not apply to a standard deviation.
+                    number = convert_quantity(block.description, variable, entry, difference=True)
+            except ValueError as error:
+                number = Misfit(str(error))
             if isinstance(number, Misfit):
-                message = messages.VALUE_NOT_ALLOWED(name=name, value=repr(entry), reason=number.reason)
-                self._note(("vary", name, *where), message)
+                self._note(("vary", name, *where), f"{name} is {entry!r}; {number.reason}")
                 return None
             return number
 
-        factor = self._make_factor(name, varied, value, unit_of(variable) or "", is_real=variable.type not in NOT_REAL)
-        design = self.scenario.scenario.design
-        if factor is not None and design is not None and design.component == component:
-            # The value may contradict the design.
-            paths = [f"components.{component}.start.{variable_name}"]
-            if isinstance(getattr(design, variable_name, None), str):  # a name, by which the design is judged
-                paths.append(f"design.{variable_name}")
-            self._test_values(factor, varied, *paths)
-        return factor
+        return self._make_factor(name, varied, value, unit_of(variable) or "", is_real=variable.type not in NOT_REAL)
 
     def _of_path(self, name: str, varied: Varied) -> Factor | None:
         first = name.partition(".")[0]
         keys = [field.alias or name for name, field in Scenario.model_fields.items()]
         if first not in keys:
             hint = did_you_mean(first, [*keys, *self.scenario.scenario.components])
-            self._note(("vary", name), messages.UNKNOWN_FACTOR(name=short(first), hint=hint), key=True)
+            text = f'no component and no key of the scenario is "{short(first)}"{hint}'
+            self._note(("vary", name), text, key=True)
             return None
         if first in FIXED:
-            self._note(("vary", name), messages.SAME_FOR_ALL_RUNS(key=first), key=True)
+            self._note(("vary", name), f"{first} is one for all runs; give it by `set`", key=True)
             return None
 
         def value(where: Location, entry: Any) -> Any:
@@ -175,8 +159,21 @@ class Factors:
             return number
 
         factor = self._make_factor(name, varied, value)
-        if factor is not None:
-            self._test_values(factor, varied, name)
+        if factor is None:
+            return None
+        values = factor.values
+        if values is None:
+            values = factor.drawn(np.array([0.01, 0.5, 0.99])).tolist() if factor.drawn else []
+        warnings: list[str] = []
+        for k, v in enumerate(values[:MAX_TESTED_VALUES]):
+            where: Location = ("vary", name, "values", k) if varied.values is not None else ("vary", name)
+            faults, texts = self._test_variant(f"{name}={json.dumps(v)}")
+            for fault in faults:
+                self._note(where, fault.message, exit_code=fault.exit_code)
+            warnings += [text for text in texts if text not in {*self.scenario.warnings, *self.system.warnings}]
+        if warnings:
+            line = self.yaml.place(("vary", name), key=True)[0]
+            self.warnings.append(with_prefix(f"{self.yaml.path}:{line}: ", warnings[0]))
         return factor
 
     def _variant(self, *overrides: str) -> ScenarioFile:
@@ -195,29 +192,14 @@ class Factors:
         except (KeyError, IndexError, TypeError):
             number = None
         if not are_numbers([number]):
-            raise ValueError(messages.NOT_A_NUMBER(name=name, value=repr(text)))
+            raise ValueError(f"{name} is {text!r}; it is a number")
         return float(number)
-
-    def _test_values(self, factor: Factor, varied: Varied, *paths: str) -> None:
-        """Check the scenario with some values of a factor; note faults, and the first warning."""
-        values = factor.values
-        if values is None:
-            values = factor.drawn(np.array([0.01, 0.5, 0.99])).tolist() if factor.drawn else []
-        warnings: list[str] = []
-        for k, v in enumerate(values[:MAX_TESTED_VALUES]):
-            where: Location = ("vary", factor.name, "values", k) if varied.values is not None else ("vary", factor.name)
-            faults, texts = self._test_variant(*(f"{path}={json.dumps(v)}" for path in paths))
-            self.faults += [self.yaml.fault(where, f.message, exit_code=f.exit_code) for f in faults]
-            warnings += texts
-        if new := [t for t in warnings if t not in {*self.scenario.warnings, *self.system.warnings}]:
-            line = self.yaml.place(("vary", factor.name), key=True)[0]
-            self.warnings.append(with_prefix(f"{self.yaml.path}:{line}: ", new[0]))
 
     def _test_variant(self, *overrides: str) -> tuple[Sequence[Fault], list[str]]:
         """Return the faults and warnings of a variant of the scenario."""
         try:
             file = self._variant(*overrides)
-            system = build_system(file, designed_values(file))
+            system = build_system(file)
         except InputError as error:
             return error.faults, []
         return (), [*file.warnings, *system.warnings]
@@ -238,7 +220,7 @@ class Factors:
             numbers = [value((way, k), v) for k, v in enumerate(entries)]
         within = [value(("within", k), v) for k, v in enumerate(varied.within or ())]
         if not is_real or any(isinstance(v, (bool, str)) for v in (*numbers, *within)):
-            self._note(("vary", name, way), messages.NOT_REAL(name=name))
+            self._note(("vary", name, way), f"{name} is no real number; give its values as a list, values: […]")
         if not are_numbers([*numbers, *within]):
             return None
         try:
@@ -252,31 +234,57 @@ class Factors:
         for k, signal in enumerate(self.file.signals):
             if signal not in self.system.columns:
                 hint = did_you_mean(signal, self.system.columns)
-                yield self.yaml.fault(("signals", k), messages.UNKNOWN_SIGNAL(name=short(signal), hint=hint))
+                yield self.yaml.fault(("signals", k), f'no signal "{short(signal)}"{hint}')
 
     def drawn_faults(self, factors: Sequence[Factor], columns: Mapping[str, list[Any]]) -> Iterator[Fault]:
         """Yield faults of each factor's extreme drawn values."""
         for name in (f.name for f in factors if f.drawn is not None):
             way = self.file.vary[name].way
             cure = "cut it by within: [low, high]" if way == "normal" else "move its ends"
+            component, _, variable = name.partition(".")
+            path = f"components.{component}.start.{variable}" if component in self.blocks else name
             for value in (min(columns[name]), max(columns[name])):
-                for reason, exit_code in self._faults_of_value(name, value):
-                    message = messages.DRAWN_VALUE_NOT_ALLOWED(name=name, value=value, reason=reason, cure=cure)
-                    yield self.yaml.fault(("vary", name, way), message, exit_code=exit_code)
-
-    def _faults_of_value(self, name: str, value: float) -> list[tuple[str, int]]:
-        """Return the reasons against a value of a factor, with exit codes."""
-        component, _, variable_name = name.partition(".")
-        block = self.components.get(component)
-        if not isinstance(block, FmuBlock):
-            return [(f.message, f.exit_code) for f in self._test_variant(f"{name}={json.dumps(value)}")[0]]
-        variable = next(v for v in block.description.modelVariables if v.name == variable_name)
-        number = convert_value(block.description, variable, value)
-        return [(number.reason, 2)] if isinstance(number, Misfit) else []
+                for fault in self._test_variant(f"{path}={json.dumps(value)}")[0]:
+                    text = f"{name} would be {value:g}: {fault.message}; {cure}"
+                    yield self.yaml.fault(("vary", name, way), text, exit_code=fault.exit_code)
 
 
-def _size(varied: Varied) -> int | None:
-    """Return the number of listed values, or None."""
-    if varied.values is not None:
-        return len(varied.values)
-    return varied.grid.count if varied.grid is not None else varied.count
+def overlap_faults(yaml: YamlFile, file: SweepFile, components: Collection[str]) -> Iterator[Fault]:
+    """Yield a fault for each entry of `vary` and `set` that another entry overrides.
+
+    In a run, start values override paths, and `vary` overrides `set`. A path includes everything below it. Setting a
+    whole and varying a part of it is allowed.
+    """
+    places: dict[tuple[str, str], tuple[str, ...]] = {}  # entry → its place in the scenario
+    for section, names in (("set", file.set), ("vary", file.vary)):
+        for name in names:
+            component, _, variable = name.partition(".")
+            if section == "vary" and component in components:
+                places[section, name] = ("components", component, "start", variable)
+            else:
+                keys = keys_of(name.strip())
+                places[section, name] = tuple(str(int(k)) if k.isascii() and k.isdigit() else k for k in keys)
+    order, at = [*places], dict[tuple[str, ...], list[tuple[str, str]]]()
+    for entry, place in places.items():
+        at.setdefault(place, []).append(entry)
+    reported = set()
+    for inner, place in places.items():
+        for whole in (entry for length in range(1, len(place) + 1) for entry in at.get(place[:length], ())):
+            first, second = sorted((inner, whole), key=order.index)
+            ways = inner[0], whole[0]
+            if ways == ("vary", "set") or first == second or (first, second) in reported:
+                continue
+            if ways == ("set", "set") and whole != second:
+                continue  # the whole before its part
+            if ways == ("set", "vary") and whole[1] == "seed" and file.vary["seed"].count is not None:
+                continue  # Counted seeds start from the seed in `set`.
+            reported.add((first, second))
+            entry, other = (first, second) if ways == ("set", "vary") else (second, first)
+            line = yaml.place(other, key=True)[0]
+            cure = {
+                ("set", "vary"): "the varied value replaces this one; remove this one",
+                ("vary", "vary"): "vary one of them",
+                ("set", "set"): "set the whole first and its part after it",
+            }[ways]
+            text = f'{entry[1]} and "{other[1]}" of line {line} both give {".".join(place)}; {cure}'
+            yield yaml.fault(entry, text, key=True)

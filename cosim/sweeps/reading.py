@@ -13,9 +13,10 @@ from cosim.base.errors import InputError, refuse
 from cosim.base.messages import with_severity
 from cosim.base.version import __version__
 from cosim.blocks.fmu import FmuBlock
+from cosim.isolation.limits import Limits
 from cosim.isolation.process import Worker
+from cosim.isolation.watch import fmi_calls
 from cosim.master.remote import MODULES
-from cosim.scenario.controller_design import designed_values
 from cosim.scenario.scenario import Scenario, resolve_defaults
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.simulation.manifest import resolve_scenario
@@ -23,15 +24,12 @@ from cosim.simulation.undeclared import with_feedthrough
 from cosim.storage.artefact import Checking
 from cosim.storage.kinds import SWEEP, check_given
 from cosim.storage.yaml_file import YamlFile, short
-from cosim.sweeps import messages
-from cosim.sweeps.factors import Factors, resolve_file_name
-from cosim.sweeps.overlaps import overlap_faults
-from cosim.sweeps.run_chunks import Job, RunRequest, WatchSettings
+from cosim.sweeps.factors import FILES, Factors, overlap_faults, resolve_file_name
+from cosim.sweeps.runs import Job, RunRequest
 from cosim.sweeps.sampling import Factor, columns_of
 from cosim.sweeps.sweep_file import SweepFile
 from cosim.system.system import System, build_system
 
-MIN_STEPS_TO_COMPILE = 300_000  # total steps that justify a second or two; a step on arrays takes about 5 µs
 MAX_DEFAULT_SIGNALS = 8  # recorded by default
 
 
@@ -65,6 +63,18 @@ class Sweep:
         content = [__version__, self.resolved, self.job.signals, self.job.samples, self.columns]
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
+    @property
+    def component_files(self) -> dict[str, str]:
+        """Return the file of each component by its path in the scenario, such as `components.plant.fmu`."""
+        components = self.resolved["components"].items()
+        return {f"components.{name}.{key}": c[key] for name, c in components for key in FILES if c.get(key)}
+
+    @property
+    def files(self) -> list[Path]:
+        """Return the files of all runs, also those that vary."""
+        varied = [v for name, values in self.columns.items() if name.rpartition(".")[2] in FILES for v in values]
+        return [*map(Path, dict.fromkeys([*self.component_files.values(), *varied]))]
+
     def request_run(self, run: int) -> RunRequest:
         """Return the request for a run."""
         overrides, starts, seed = [], dict[str, dict[str, Any]](), None
@@ -93,52 +103,52 @@ def read_sweep(path: Path, *, loads: bool = False) -> Sweep:
     check_given(path, SWEEP)
     yaml = YamlFile(path)
     file, faults = yaml.partly(SweepFile, "vary")
-    if file is None:
-        raise InputError(faults)
     scenario_path = path.parent / file.scenario
     if not scenario_path.is_file():
-        raise InputError([*faults, yaml.fault(("scenario",), messages.NO_SCENARIO(name=short(file.scenario)))])
+        raise InputError([*faults, yaml.fault(("scenario",), f"no such scenario: {short(file.scenario)}")])
     overrides = tuple(f"{name}={json.dumps(resolve_file_name(path, name, value))}" for name, value in file.set.items())
     try:
         scenario_file = ScenarioFile(scenario_path, overrides, option="")
-        designed = designed_values(scenario_file)
-        system = build_system(scenario_file, designed)
+        system = build_system(scenario_file)
     except InputError as error:
         for f in error.faults:  # Faults with places in the scenario file keep them.
             is_placed = f.line and f.file != path
             faults.append(f if is_placed else yaml.fault(("set",), f.message, exit_code=f.exit_code))
         raise InputError(faults) from None
+    scenario = scenario_file.scenario
     if loads and system.assumed:
         with Worker(*MODULES) as worker:
-            system = with_feedthrough(scenario_file, designed, system, worker)
-        overrides += _measured(scenario_file.scenario)
-    scenario, design = scenario_file.scenario, scenario_file.scenario.design
+            system = with_feedthrough(scenario_file, system, worker)
+        scenario = scenario_file.scenario  # with the measured inputs
+        measured = {name: getattr(component, "feedthrough", None) for name, component in scenario.components.items()}
+        overrides += tuple(
+            f"components.{name}.feedthrough={json.dumps(inputs)}"
+            for name, inputs in measured.items()
+            if inputs is not None
+        )
     reading = Factors(yaml, file, scenario_file, system, overrides)
     factors = [factor for name, varied in file.vary.items() if (factor := reading.factor(name, varied)) is not None]
-    faults += [*reading.faults, *reading.signal_faults()]
-    faults += overlap_faults(yaml, file, scenario.components, None if design is None else design.component)
-    refuse(faults)
+    refuse([*faults, *reading.faults, *reading.signal_faults(), *overlap_faults(yaml, file, scenario.components)])
     columns = columns_of(factors, file.runs, file.sampling, file.seed)
     refuse(reading.drawn_faults(factors, columns))
-    signals = tuple(file.signals) or _default_signals(scenario, system)
-    compiled = len(next(iter(columns.values()))) * scenario.steps >= MIN_STEPS_TO_COMPILE
-    watched = WatchSettings.of(system, scenario.step)
-    job = Job(scenario_path.resolve(), overrides, signals, file.samples, compiled=compiled, watched=watched)
-    content = resolve_defaults(resolve_scenario(scenario_file, designed, system))
+    blocks = [stage.component for stage in system.stages]
+    signals = file.signals or list(dict.fromkeys(criterion.of for _, _, criterion in scenario.goals))
+    if not signals:
+        outputs = [f"{b.name}.{o.name}" for b in blocks if isinstance(b, FmuBlock) for o in b.outputs]
+        signals = (outputs or [*system.columns])[:MAX_DEFAULT_SIGNALS]
+    job = Job(
+        scenario_path.resolve(),
+        overrides,
+        tuple(signals),
+        file.samples,
+        len(scenario.goals),
+        scenario.limits or Limits(),
+        tuple(block.name for block in blocks),
+        tuple(tuple(fmi_calls(getattr(block, "description", None))) for block in blocks),
+        system.start,
+        scenario.step,
+        8 * len(system.columns),
+    )
+    content = resolve_defaults(resolve_scenario(scenario_file, system))
     warnings = (*scenario_file.warnings, *system.warnings, *reading.warnings)
     return Sweep(yaml, file, scenario, system, tuple(factors), columns, job, content, warnings)
-
-
-def _measured(scenario: Scenario) -> tuple[str, ...]:
-    """Return the measured inputs with direct feedthrough as overrides."""
-    inputs = {name: getattr(component, "feedthrough", None) for name, component in scenario.components.items()}
-    return tuple(f"components.{n}.feedthrough={json.dumps(each)}" for n, each in inputs.items() if each is not None)
-
-
-def _default_signals(scenario: Scenario, system: System) -> tuple[str, ...]:
-    """Return the signals of the criteria, else outputs of FMUs, else any signals."""
-    if scenario.goals:
-        return tuple(dict.fromkeys(criterion.of for _, _, criterion in scenario.goals))
-    blocks = [s.component for s in system.stages if isinstance(s.component, FmuBlock)]
-    outputs = tuple(f"{block.name}.{o.name}" for block in blocks for o in block.outputs)
-    return (outputs or system.columns)[:MAX_DEFAULT_SIGNALS]

@@ -11,18 +11,16 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.text import append_unit, counted, display, percent, plain, written
 from cosim.base.version import __version__
-from cosim.report.drawing import Charts
+from cosim.report.charts import Charts, Plot
 from cosim.report.html_tables import Badge
 from cosim.report.panels import Band, Panel, Trace
-from cosim.report.svg import TICKS_UP, Plot, make_axis
 from cosim.report.template import render
 from cosim.storage.kinds import shell_path
-from cosim.sweeps import messages
 from cosim.sweeps.run_statistics import MIN_RUNS, Sensitivity, quantiles, sensitivity
 from cosim.sweeps.sampling import are_numbers
 from cosim.sweeps.store import TABLE, read_table, signal_of
 from cosim.sweeps.sweep_file import Grid
-from cosim.sweeps.sweep_result import Swept, hardest, headline, repeat_command, way_of, way_sentence
+from cosim.sweeps.sweep_result import Swept, hardest, headline, repeat_command
 
 TEMPLATE = Path(__file__).with_name("templates") / "sweep.html.j2"
 MOST_BANDS = 16
@@ -38,87 +36,68 @@ WIDE = 0.2  # half-width of a sensitivity's interval; the page asks for more run
 def page(swept: Swept) -> str:
     """Return the self-contained HTML page of a sweep."""
     table, _ = read_table(swept.folder / TABLE)
-    record, charts = swept.record, Charts()
-    names = swept.sweep.job.signals[:MOST_BANDS]
-    drawing = charts.over(np.array(record["times"], float), 5 * len(names))
-    failed, runs = record["failed"], record["runs"]
-    indices = _sensitivities(swept, table)
-    failures = Badge(f"{failed} aborted", "bad") if failed else Badge("all completed")
-    badges = [Badge(counted(runs, "run")), Badge(way_of(record)), failures]
-    return render(
-        TEMPLATE,
-        {
-            "name": record["name"],
-            "description": swept.sweep.file.description,
-            "outcome": headline(record),
-            "badges": badges,
-            "warnings": _warnings(swept, indices),
-            **_criteria_context(swept, table),
-            "scatters": _scatters(swept, table, indices, charts),
-            "factors": _factors(swept),
-            "plots": drawing.plots([_band(name, signal_of(table, name, MOST_RUNS), record) for name in names]),
-            "data": charts.data(),  # after all drawings
-            **_sensitivity_tables(record, indices),
-            "failures": record["failures"],
-            "more_failures": max(0, failed - len(record["failures"])),
-            "way": way_sentence(record),
-            "check": swept.check,
-            "sampling_note": _sampling_note(swept),
-            "repeat": f"cosim sweep {shell_path(swept.sweep.yaml.path)}",
-            "version": __version__,
-        },
-    )
-
-
-def _criteria_context(swept: Swept, table: Any) -> Mapping[str, Any]:
-    """Return criteria, values and the worst runs."""
-    record = swept.record
-    if not record["criteria"]:
-        return {"tone": "plain", "worst": [], "hardest_name": "", "criteria": [], "values": []}
-    worst, name = _worst(swept, table), hardest(record)["name"]
-    equal = bool(worst) and worst[-1]["value"] == NEVER  # none of the listed runs is worse than another
-    return {
-        "worst_words": f"{'Runs that never meet' if equal else 'Runs farthest from the limit of'} {name}",
-        "worst_note": "The first of the runs that never settle." if equal else "Farthest from its limit first.",
-        "tone": "good" if record.get("met_all") == record["runs"] else "bad",
-        "worst": worst,
-        "hardest_name": name,
-        "criteria": [_criterion(c) for c in record["criteria"]],
-        "values": [_spread(c, _values_of(table, c["name"])) for c in record["criteria"]],
+    record, charts, study = swept.record, Charts(), swept.sweep
+    names = study.job.signals[:MOST_BANDS]
+    drawing = charts.over(np.array(record["times"], float))
+    failed, completed = record["failed"], record["runs"] - record["failed"]
+    values = {c["name"]: np.array(table.column(c["name"]).to_pylist(), float) for c in record["criteria"]}
+    indices = _sensitivities(swept, table, values)
+    # Criteria that every completed run meets are left out of the sensitivities. Without others, the signals come first.
+    missed = {c["name"] for c in record["criteria"] if c["met"] != c["of"]}
+    first = [s for s in indices if s.outcome in missed]
+    others = [s for s in indices if s.outcome not in values]
+    context = {
+        "name": record["name"],
+        "description": study.file.description,
+        "outcome": headline(record),
+        "badges": [
+            Badge(counted(record["runs"], "run")),
+            Badge(f"{failed} aborted", "bad") if failed else Badge("all completed"),
+        ],
+        "warnings": [*record["warnings"], *_limits_of_conclusions(completed, indices)],
+        "tone": "plain",
+        "criteria": [],
+        "worst": [],
+        "scatters": _scatters(swept, table, values, indices, charts),
+        "factors": [_factor(swept, k) for k in range(len(study.factors))],
+        "plots": drawing.plots([_band(name, signal_of(table, name, MOST_RUNS), record) for name in names]),
+        "data": charts.data(),  # after all drawings
+        "always_met": [s.outcome for s in indices if s.outcome in values.keys() - missed],
+        "unranked": sorted(missed - {s.outcome for s in first}) if first else [],
+        "sensitivities": [_indices(s) for s in first or others],
+        "more_sensitivities": [_indices(s) for s in others] if first else [],
+        "failures": record["failures"],
+        "more_failures": max(0, failed - len(record["failures"])),
+        "sampling_note": _sampling_note(swept),
+        "repeat": f"cosim sweep {shell_path(study.yaml.path)}",
+        "version": __version__,
     }
-
-
-def _sensitivity_tables(record: Mapping[str, Any], indices: Sequence[Sensitivity]) -> Mapping[str, Any]:
-    """Return the sensitivities of criteria that runs fail, then of signals.
-
-    Criteria that every run meets are left out. Without criteria to show, the signals come first.
-    """
-    failed, met = (_names_of(record, met=met) for met in (False, True))
-    others = [s for s in indices if s.outcome not in failed | met]
-    first = [s for s in indices if s.outcome in failed]
-    return {
-        "always_met": [s.outcome for s in indices if s.outcome in met],
-        "unranked": sorted(failed - {s.outcome for s in first}) if first else [],
-        "sensitivities": [_table(s) for s in first or others],
-        "more_sensitivities": [_table(s) for s in others] if first else [],
-    }
-
-
-def _names_of(record: Mapping[str, Any], *, met: bool) -> set[str]:
-    """Return the criteria that every completed run meets, or the other ones."""
-    return {c["name"] for c in record["criteria"] if (c["met"] == c["of"]) == met}
+    if record["criteria"]:
+        worst, name = _worst(swept, table, values), hardest(record)["name"]
+        equal = bool(worst) and worst[-1]["value"] == NEVER  # none of the listed runs is worse than another
+        context |= {
+            "worst": worst,
+            "worst_words": f"{'Runs that never meet' if equal else 'Runs farthest from the limit of'} {name}",
+            "worst_note": "The first of the runs that never settle." if equal else "Farthest from its limit first.",
+            "hardest_name": name,
+            "tone": "good" if record["met_all"] == record["runs"] else "bad",
+            "criteria": [_criterion(c) for c in record["criteria"]],
+            "values": [_spread(c, values[c["name"]]) for c in record["criteria"]],
+        }
+    return render(TEMPLATE, context)
 
 
 def _criterion(c: Mapping[str, Any]) -> Mapping[str, Any]:
     unit, factor = display(c["unit"])
     low, high = c["ci95"]
+    share = c["met"] / c["of"] if c["of"] else 0.0
     return {
         "name": c["name"],
         "max": append_unit(plain(c["max"] * factor, None), unit),
         "met": f"{c['met']} of {c['of']}",
-        "share": percent(c["met"] / c["of"]) if c["of"] else "–",
+        "share": percent(share) if c["of"] else "–",
         "interval": f"{percent(low)} … {percent(high)}",
-        "bar": _bar(c["met"] / c["of"] if c["of"] else 0.0, low, high),
+        "bar": _bar(share, low, high),
     }
 
 
@@ -128,23 +107,16 @@ def _bar(value: float, low: float, high: float) -> Mapping[str, float]:
     return {"value": value, "low": low, "width": round(high - low, 2)}
 
 
-def _warnings(swept: Swept, indices: Sequence[Sensitivity]) -> list[str]:
-    """Return the limits of the conclusions from these runs."""
-    completed = swept.record["runs"] - swept.record["failed"]
-    texts = list(swept.record["warnings"])
+def _limits_of_conclusions(completed: int, indices: Sequence[Sensitivity]) -> list[str]:
+    texts = []
     if completed < MIN_RUNS:
-        texts.append(messages.TOO_FEW_RUNS(completed=completed, least=MIN_RUNS))
-    widest = max((half for s in indices for _, half in (*s.first, *s.total)), default=0.0)
-    if widest > WIDE:
-        widths = {s.outcome: max(half for _, half in (*s.first, *s.total)) for s in indices}
-        texts.append(messages.WIDE_INTERVALS(outcome=max(widths, key=lambda n: widths[n]), width=plain(widest, 2)))
-    if swept.check.code.startswith("W-"):
-        texts.append(swept.check)
+        texts.append(f"Too few runs for sensitivities: {completed} completed, {MIN_RUNS} are needed.")
+    widths = {s.outcome: max(half for _, half in (*s.first, *s.total)) for s in indices}
+    widest = max(widths, key=lambda n: widths[n], default="")
+    if widths and widths[widest] > WIDE:
+        reach = f"intervals of its indices reach ±{plain(widths[widest], 2)}"
+        texts.append(f"Too few runs to rank the factors of {widest}: {reach}. Take more runs.")
     return texts
-
-
-def _values_of(table: Any, name: str) -> Array:
-    return np.array(table.column(name).to_pylist(), float)
 
 
 def _sampling_note(swept: Swept) -> str:
@@ -157,92 +129,86 @@ def _sampling_note(swept: Swept) -> str:
     return f"{text}." if text else ""
 
 
-def _worst(swept: Swept, table: Any) -> list[Mapping[str, Any]]:
+def _worst(swept: Swept, table: Any, values: Mapping[str, Array]) -> list[Mapping[str, Any]]:
     """Return the worst runs by the hardest criterion."""
     criterion = hardest(swept.record)
-    values, runs = _values_of(table, criterion["name"]), np.array(table.column("run").to_pylist(), int)
+    reached, runs = values[criterion["name"]], np.array(table.column("run").to_pylist(), int)
     completed = np.array([status == "ok" for status in table.column("status").to_pylist()])
-    far = np.where(np.isfinite(values), values, np.inf)
+    far = np.where(np.isfinite(reached), reached, np.inf)
     failing = np.flatnonzero(completed & (far > criterion["max"]))
     unit, factor = display(criterion["unit"])
-    names = [f.name for f in swept.sweep.factors]
+
+    def cell(value: Any) -> str:
+        return f"{value:.4g}" if isinstance(value, float) else str(value)
+
     return [
         {
-            "run": int(runs[k]),
-            "value": append_unit(plain(float(values[k]) * factor, 3), unit) if np.isfinite(values[k]) else NEVER,
-            "factors": ", ".join(f"{n} = {_short(swept.sweep.columns[n][runs[k]])}" for n in names),
-            "command": repeat_command(swept.sweep, int(runs[k])),
+            "run": run,
+            "value": append_unit(plain(float(reached[k]) * factor, 3), unit) if np.isfinite(reached[k]) else NEVER,
+            "factors": ", ".join(f"{name} = {cell(column[run])}" for name, column in swept.sweep.columns.items()),
+            "command": repeat_command(swept.sweep, run),
         }
         for k in failing[np.argsort(-far[failing], kind="stable")][:MOST_LISTED]
+        for run in [int(runs[k])]
     ]
 
 
-def _short(value: Any) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-def _scatters(swept: Swept, table: Any, indices: Sequence[Sensitivity], charts: Charts) -> list[tuple[Plot, str]]:
+def _scatters(
+    swept: Swept, table: Any, values: Mapping[str, Array], indices: Sequence[Sensitivity], charts: Charts
+) -> list[Plot]:
     """Draw criteria over their most important factors, criteria that every run meets only if there are no others."""
     ranked = {s.outcome: s.factors for s in indices}
-    numbers = [f.name for f in swept.sweep.factors if f.name != "seed" and are_numbers(swept.sweep.columns[f.name])]
-    failed, criteria = _names_of(swept.record, met=False), swept.record["criteria"]
-    drawable = [c for c in criteria if c["name"] in failed] or criteria
-    first = sorted(drawable, key=lambda c: c["met"])[:MOST_SCATTERED]
-    pairs = [(c, name) for c in first for name in ranked.get(c["name"], tuple(numbers))[:2]]
-    drawn = (_scatter(swept, table, c, name, charts) for c, name in pairs)
-    return [plot for plot in drawn if plot is not None]
-
-
-def _scatter(swept: Swept, table: Any, c: Mapping[str, Any], name: str, charts: Charts) -> tuple[Plot, str] | None:
-    """Draw a criterion over a varying factor.
-
-    Returns the plot and the label of its axis, None for a constant factor or fewer than two values.
-    """
-    values, runs = _values_of(table, c["name"]), np.array(table.column("run").to_pylist(), int)
-    good = np.flatnonzero(np.isfinite(values))
-    good = good[:: max(1, -(-good.size // MOST_POINTS))]
-    unit, factor = display(c["unit"])
-    x_unit, scale = display(next(f.unit for f in swept.sweep.factors if f.name == name))
-    x = np.array([swept.sweep.columns[name][run] for run in runs[good]], float) * scale
-    if x.size < 2 or np.ptp(x) == 0.0:
-        return None
-    order, y, limit = np.argsort(x, kind="stable"), values[good] * factor, c["max"] * factor
-    low, high = min(float(y.min()), limit), max(float(y.max()), limit)
-    room, edge = 0.06 * (high - low) or 1.0, 0.04 * float(np.ptp(x))
-    axes = make_axis(float(x.min()) - edge, float(x.max()) + edge, 6), make_axis(low - room, high + room, TICKS_UP)
-    trace = Trace(c["name"], y[order], "s0 dots", x=x[order])
-    panel = Panel(f"{c['name']} over {name}", unit or "1", [trace], None, (limit,), "limit")
-    also = {"run": runs[good][order].astype(float)}
-    return charts.points(panel, axes, (name, x_unit or "1"), also), f"{name} [{x_unit or '1'}]"
+    units = {factor.name: factor.unit for factor in swept.sweep.factors}
+    columns = {name: column for name, column in swept.sweep.columns.items() if name != "seed" and are_numbers(column)}
+    criteria = swept.record["criteria"]
+    drawable = [c for c in criteria if c["met"] != c["of"]] or criteria
+    runs, plots = np.array(table.column("run").to_pylist(), int), []
+    for c in sorted(drawable, key=lambda c: c["met"])[:MOST_SCATTERED]:
+        good = np.flatnonzero(np.isfinite(values[c["name"]]))
+        good = good[:: max(1, -(-good.size // MOST_POINTS))]
+        unit, factor = display(c["unit"])
+        for name in ranked.get(c["name"], tuple(columns))[:2]:
+            x_unit, scale = display(units[name])
+            x = np.array([columns[name][run] for run in runs[good]], float) * scale
+            if x.size < 2 or np.ptp(x) == 0.0:
+                continue
+            order, y, limit = np.argsort(x, kind="stable"), values[c["name"]][good] * factor, c["max"] * factor
+            low, high = min(float(y.min()), limit), max(float(y.max()), limit)
+            room, edge = 0.06 * (high - low) or 1.0, 0.04 * float(np.ptp(x))
+            ends = float(x.min()) - edge, float(x.max()) + edge
+            trace = Trace(c["name"], y[order], "s0 dots", x=x[order])
+            panel = Panel(f"{c['name']} over {name}", unit or "1", [trace], None, (limit,), "limit")
+            also = {"run": runs[good][order].astype(float)}
+            plots.append(charts.points(panel, ends, (name, x_unit or "1"), also, reach=(low - room, high + room)))
+    return plots
 
 
 def _spread(c: Mapping[str, Any], values: Array) -> Mapping[str, Any]:
     unit, factor = display(c["unit"])
     good = values[np.isfinite(values)]
-    values = quantiles(good) if good.size else np.full(5, np.nan)
     never = c["of"] - good.size
     return {
         "name": c["name"],
-        "quantiles": [append_unit(plain(float(v) * factor, 3), unit) for v in values],
+        "quantiles": [
+            append_unit(plain(float(v) * factor, 3), unit)
+            for v in (quantiles(good) if good.size else np.full(5, np.nan))
+        ],
         "never": str(never) if never else "–",
     }
 
 
-def _factors(swept: Swept) -> list[Mapping[str, str]]:
-    rows: list[Mapping[str, str]] = []
-    for factor in swept.sweep.factors:
-        varied, values = swept.sweep.file.vary[factor.name], swept.sweep.columns[factor.name]
-        entries: Any = getattr(varied, varied.way)
-        if isinstance(entries, Grid):
-            text = ", ".join(f"{key} {value}" for key, value in entries.model_dump(by_alias=True).items())
-        elif isinstance(entries, list | tuple):
-            text = ", ".join(map(str, entries[:8])) + (", …" if len(entries) > 8 else "")
-        else:
-            text = str(entries)
-        way, different = varied.way.replace("_", " "), counted(len(set(map(str, values))), "value")
-        row = {"name": factor.name, "unit": written(factor.unit), "way": way, "values": text, "different": different}
-        rows.append(row)
-    return rows
+def _factor(swept: Swept, k: int) -> Mapping[str, str]:
+    factor = swept.sweep.factors[k]
+    varied, values = swept.sweep.file.vary[factor.name], swept.sweep.columns[factor.name]
+    entries: Any = getattr(varied, varied.way)
+    if isinstance(entries, Grid):
+        text = ", ".join(f"{key} {value}" for key, value in entries.model_dump(by_alias=True).items())
+    elif isinstance(entries, list | tuple):
+        text = ", ".join(map(str, entries[:8])) + (", …" if len(entries) > 8 else "")
+    else:
+        text = str(entries)
+    way, different = varied.way.replace("_", " "), counted(len(set(map(str, values))), "value")
+    return {"name": factor.name, "unit": written(factor.unit), "way": way, "values": text, "different": different}
 
 
 def _band(name: str, values: Array, record: Mapping[str, Any]) -> Panel:
@@ -254,10 +220,10 @@ def _band(name: str, values: Array, record: Mapping[str, Any]) -> Panel:
     return Panel(name, unit or "1", traces, Band("5 … 95 % of the runs", q[0], q[4]))
 
 
-def _sensitivities(swept: Swept, table: Any) -> list[Sensitivity]:
+def _sensitivities(swept: Swept, table: Any, values: Mapping[str, Array]) -> list[Sensitivity]:
     """Return the sensitivities of criteria and final signals."""
     factors = {n: v for n, v in swept.sweep.columns.items() if n != "seed"}
-    outcomes: dict[str, Array] = {c["name"]: _values_of(table, c["name"]) for c in swept.record["criteria"]}
+    outcomes = dict(values)
     for name in swept.sweep.job.signals[:MOST_BANDS]:
         last = [np.nan if row is None else row[-1] for row in table.column(name).to_pylist()]
         outcomes[f"{name} at the end"] = np.array(last)
@@ -266,14 +232,13 @@ def _sensitivities(swept: Swept, table: Any) -> list[Sensitivity]:
     return [s for s in indices if s is not None]
 
 
-def _table(s: Sensitivity) -> Mapping[str, Any]:
-    others = [_pair(p) for p in s.total] or [plain(v, 2) for v in s.pawn]
+def _indices(s: Sensitivity) -> Mapping[str, Any]:
+    def pair(value: float, half: float) -> str:
+        return f"{plain(value, 2)} ± {plain(half, 1)}"
+
+    others = [pair(*p) for p in s.total] or [plain(v, 2) for v in s.pawn]
     rows = [
-        {"name": name, "first": _pair(first), "other": other, "bar": _bar(first[0], first[0] - first[1], sum(first))}
+        {"name": name, "first": pair(*first), "other": other, "bar": _bar(first[0], first[0] - first[1], sum(first))}
         for name, first, other in zip(s.factors, s.first, others, strict=True)
     ]
     return {"outcome": s.outcome, "rows": rows, "total": bool(s.total), "chance": plain(s.chance, 2)}
-
-
-def _pair(pair: tuple[float, float]) -> str:
-    return f"{plain(pair[0], 2)} ± {plain(pair[1], 1)}"

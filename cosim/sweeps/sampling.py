@@ -16,7 +16,6 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.extras import optional
-from cosim.sweeps import messages
 
 MOST_RUNS = 1_000_000
 Sampling = Literal["latin-hypercube", "sobol", "random", "saltelli"]
@@ -48,28 +47,33 @@ def distribution(way: str, numbers: Sequence[float], within: Sequence[float] | N
     if way == "normal":
         mean, deviation = numbers
         if not deviation > 0:
-            raise ValueError(messages.STANDARD_DEVIATION_NOT_POSITIVE(value=deviation))
+            raise ValueError(f"a standard deviation of {deviation:g} is not allowed; give one above 0")
         if not within:
             return lambda u: norm.ppf(u, mean, deviation)
         low, high = within
-        if not low < high:
-            raise ValueError(messages.EMPTY_RANGE(low=low, high=high))
+        _check_range(low, high)
         a, b = (low - mean) / deviation, (high - mean) / deviation
         if norm.cdf(b) - norm.cdf(a) < 1e-9:
-            raise ValueError(messages.RANGE_OUTSIDE_DISTRIBUTION(low=low, high=high))
+            raise ValueError(f"within {low:g} … {high:g} there is nothing of the distribution; move its ends")
         return lambda u: truncnorm.ppf(u, a, b, mean, deviation)
     low, high = numbers[0], numbers[-1]
-    if not low < high:
-        raise ValueError(messages.EMPTY_RANGE(low=low, high=high))
+    _check_range(low, high)
     if way == "uniform":
         return lambda u: low + (high - low) * u
     if way == "triangular":
         if not low <= numbers[1] <= high:
-            raise ValueError(messages.MODE_OUTSIDE_RANGE(value=numbers[1], low=low, high=high))
+            text = f"the most likely value, {numbers[1]:g}, is not between {low:g} and {high:g}"
+            raise ValueError(f"{text}; write low, most likely, high")
         return lambda u: triang.ppf(u, (numbers[1] - low) / (high - low), low, high - low)
     if low <= 0:
-        raise ValueError(messages.NO_LOGARITHM(value=low))
+        raise ValueError(f"{low:g} has no logarithm; give ends above 0")
     return lambda u: np.exp(math.log(low) + (math.log(high) - math.log(low)) * u)
+
+
+def _check_range(low: float, high: float) -> None:
+    if not low < high:
+        text = "write the lower end first, the higher one second"
+        raise ValueError(f"between {low:g} and {high:g} there is nothing; {text}")
 
 
 def drawn_rows(sampled: int, counted: bool, runs: int, sampling: Sampling) -> int:

@@ -9,7 +9,8 @@ import os
 import sqlite3
 import stat
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -19,53 +20,49 @@ from cosim.base.arrays import Array
 from cosim.base.drafts import draft_of
 from cosim.base.errors import InputError
 from cosim.base.extras import optional
-from cosim.base.messages import Message, code_of
+from cosim.base.text import counted
 from cosim.storage.files import open_bytes
-from cosim.sweeps import messages
-from cosim.sweeps.run_chunks import RunResult
+from cosim.storage.folders import content_of
+from cosim.sweeps.runs import RunResult
 
 if TYPE_CHECKING:
+    import pandas
     import pyarrow
 
-DATABASE, TABLE = "runs.sqlite", "sweep.parquet"
+DATABASE, TABLE, RECORD = "runs.sqlite", "sweep.parquet", "sweep.json"
 TABLE_USE = "the table of a sweep"
 GROUP = 4096  # runs per write
-RUNS, CHECKS = "made", "checked"
-COLUMNS = "run INTEGER PRIMARY KEY, status TEXT, through TEXT, figures BLOB, met BLOB, signals BLOB, rows INTEGER"
+COLUMNS = "run INTEGER PRIMARY KEY, status TEXT, met BLOB, signals INTEGER, numbers BLOB"
 
 
 class Database:
     """Database of finished runs, consistent even after a kill; a context manager."""
 
-    def __init__(self, folder: Path, key: str) -> None:
-        self.path = folder / DATABASE
-        if os.path.lexists(self.path) and not stat.S_ISREG(self.path.lstat().st_mode):
-            raise InputError.at(self.path, messages.DATABASE_NOT_A_FILE())
+    def __init__(self, path: Path, key: str) -> None:
+        self.path = path
+        if os.path.lexists(path) and not stat.S_ISREG(path.lstat().st_mode):
+            raise InputError.at(path, "is no file of a sweep; move it away, or give another --out")
         try:
-            self._base = sqlite3.connect(self.path)
+            self._base = sqlite3.connect(path)
             self._base.execute("PRAGMA synchronous = NORMAL")
             with self._transaction():
-                for table in (RUNS, CHECKS):
-                    self._base.execute(f"CREATE TABLE IF NOT EXISTS {table} ({COLUMNS})")
-                self._base.execute("CREATE TABLE IF NOT EXISTS sweep (key TEXT, content TEXT)")
-            stored = self.get("key")
+                self._base.execute(f"CREATE TABLE IF NOT EXISTS made ({COLUMNS})")
+                self._base.execute("CREATE TABLE IF NOT EXISTS sweep (key TEXT)")
+                stored = self._base.execute("SELECT key FROM sweep").fetchone()
+                if stored is None:
+                    self._base.execute("INSERT INTO sweep VALUES (?)", (key,))
         except sqlite3.Error as error:
-            raise InputError.at(self.path, messages.DAMAGED_DATABASE(reason=str(error))) from None
-        if stored not in {None, key}:
+            raise InputError.at(path, f"is no database of a sweep: {error}; --force begins anew") from None
+        if stored not in {None, (key,)}:
             self._base.close()
-            raise InputError.at(self.path, messages.RUNS_OF_ANOTHER_SWEEP())
-        self.put("key", key)
+            cure = "give another folder as --out, or begin anew by --force"
+            raise InputError.at(path, f"holds the runs of another sweep, or of one with other FMUs; {cure}")
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
         self._base.close()
-
-    def get(self, name: str) -> str | None:
-        """Return the text stored under a name, if any."""
-        row = self._base.execute("SELECT content FROM sweep WHERE key = ?", (name,)).fetchone()
-        return None if row is None else str(row[0])
 
     @contextmanager
     def _transaction(self) -> Iterator[None]:
@@ -78,39 +75,31 @@ class Database:
                 raise
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.path)) from None
 
-    def put(self, name: str, content: str) -> None:
-        """Store a text under a name."""
+    def add(self, run: RunResult) -> None:
+        """Store a run; one that is there is replaced."""
+        numbers = np.concatenate([run.values, run.signals.ravel()]).astype(float).tobytes()
+        row = (run.run, run.status, bytes(run.met), len(run.signals), numbers)
         with self._transaction():
-            self._base.execute("DELETE FROM sweep WHERE key = ?", (name,))
-            self._base.execute("INSERT INTO sweep VALUES (?, ?)", (name, content))
+            self._base.execute("INSERT OR REPLACE INTO made VALUES (?, ?, ?, ?, ?)", row)
 
-    def add(self, runs: Iterable[RunResult], table: str = RUNS) -> None:
-        """Store runs, all or none."""
-        rows = []
-        for m in runs:
-            blobs = (np.array(m.values).tobytes(), np.array(m.met, bool).tobytes(), m.signals.tobytes())
-            status = f"{m.status}\t{code_of(m.status)}"  # a status has no tab
-            rows.append((m.run, status, m.through, *blobs, len(m.signals)))
-        with self._transaction():
-            self._base.executemany(f"INSERT INTO {table} VALUES (?, ?, ?, ?, ?, ?, ?)", rows)
-
-    def numbers(self, table: str = RUNS) -> set[int]:
+    def numbers(self) -> set[int]:
         """Return the numbers of the stored runs."""
-        return {run for (run,) in self._base.execute(f"SELECT run FROM {table}")}
+        return {run for (run,) in self._base.execute("SELECT run FROM made")}
 
-    def runs(self, table: str = RUNS) -> Iterator[RunResult]:
+    def runs(self) -> Iterator[RunResult]:
         """Yield the results of all runs in order, without loading them into memory at once."""
-        rows = self._base.execute(f"SELECT * FROM {table} ORDER BY run")
-        for run, stored, through, figures, met, signals, count in rows:
-            shaped = np.frombuffer(signals).reshape(count, -1) if count else np.empty((0, 0))
-            values, goals = tuple(np.frombuffer(figures).tolist()), tuple(np.frombuffer(met, bool).tolist())
-            status, _, code = stored.partition("\t")
-            yield RunResult(run, Message(status, code), values, goals, shaped, through)
+        for run, status, met, signals, stored in self._base.execute("SELECT * FROM made ORDER BY run"):
+            values, rows = np.split(np.frombuffer(stored), [len(met)])
+            shaped = rows.reshape(signals, -1) if signals else np.empty((0, 0))
+            yield RunResult(run, status, tuple(values.tolist()), tuple(map(bool, met)), shaped)
 
     def remove(self) -> None:
-        """Close and delete the database."""
+        """Close and delete the database, and the folder of a part."""
         self._base.close()
         self.path.unlink(missing_ok=True)
+        with suppress(OSError):  # the folder of the sweep
+            self.path.parent.rmdir()
+            self.path.parent.parent.rmdir()
 
 
 def write_table(
@@ -137,7 +126,7 @@ def write_table(
 
     def row(m: RunResult) -> dict[str, Any]:
         cells: dict[str, Any] = {"run": m.run, **{name: values[m.run] for name, values in design.items()}}
-        cells |= {"status": m.status, "through": m.through}
+        cells |= {"status": m.status, "through": "fmus"}
         if m.status == "ok":
             for name, value, is_met in zip(criteria, m.values, m.met, strict=True):
                 cells |= {name: None if np.isnan(value) else value, f"{name} met": is_met}
@@ -182,3 +171,36 @@ def signal_of(table: pyarrow.Table, name: str, most: int | None = None) -> Array
     if most is not None and len(column) > most:
         column = column.take(np.linspace(0, len(column) - 1, most).astype(int))
     return np.array(column.to_pylist(), dtype=float) if len(column) else np.empty((0, 0))
+
+
+@dataclass(frozen=True, repr=False)
+class Runs:
+    """The runs of a sweep.
+
+    Attributes:
+        record: Content of sweep.json.
+        folder: Folder with sweep.parquet.
+    """
+
+    record: Mapping[str, Any]
+    folder: Path
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """Return one row per run: varied values, criteria, signals; raise ImportError without pandas."""
+        try:
+            import pandas  # noqa: F401
+        except ImportError:
+            raise ImportError("to_pandas needs pandas: pip install pandas") from None
+        frame: pandas.DataFrame = read_table(self.folder / TABLE)[0].to_pandas()
+        return frame
+
+    def __repr__(self) -> str:
+        runs = counted(int(self.record.get("runs") or 0), "run")
+        return f"{self.record.get('name', 'sweep')}: {runs} in {self.folder}"
+
+
+def read_runs(folder: Path) -> Runs | None:
+    """Return a completed sweep's runs in a folder."""
+    if not all((folder / name).is_file() for name in (RECORD, TABLE)):
+        return None
+    return Runs(content_of(folder / RECORD), folder)

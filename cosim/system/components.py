@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -15,28 +15,22 @@ from cosim.blocks.description import read_description, state_names, ways
 from cosim.blocks.fixes import COUNT, Fixes, Sensor
 from cosim.blocks.fmi_types import element_names, kinds_of
 from cosim.blocks.fmu import FmuBlock, matches
-from cosim.blocks.remote_fmu import Distant, RemoteFmu, find_distant
 from cosim.blocks.sources import SourceBlock, playback, reference
-from cosim.blocks.wire import LinkError
-from cosim.scenario.diagnosis import Diagnosis
 from cosim.scenario.scenario import FixComponent, FmuComponent, PlaybackComponent, ReferenceComponent, Scenario
-from cosim.scenario.scenario_file import ScenarioFile
+from cosim.scenario.scenario_file import Diagnosis, ScenarioFile
 from cosim.scenario.start_values import Misfit, convert_value, kind_of, settable, with_elements
 from cosim.storage.kinds import shell_path
 from cosim.storage.yaml_file import did_you_mean
-from cosim.system import messages
 from cosim.system.event_blocks import event_block
 
-Designed = Mapping[str, Mapping[str, float]]  # component → start values
 
-
-def build_components(file: ScenarioFile, designed: Designed, diagnosis: Diagnosis) -> dict[str, Component]:
+def build_components(file: ScenarioFile, diagnosis: Diagnosis) -> dict[str, Component]:
     """Return the sound components by name, in file order."""
     components: dict[str, Component] = {}
     read = cache(read_description)  # Several components may use the same FMU.
     for name, component in file.scenario.components.items():
         try:
-            block = _component(file, name, component, designed.get(name, {}), read, diagnosis)
+            block = _component(file, name, component, read, diagnosis)
         except InputError as error:
             diagnosis.faults += error.faults
         except FmuError as error:
@@ -51,7 +45,6 @@ def _component(
     file: ScenarioFile,
     name: str,
     component: FmuComponent | ReferenceComponent | PlaybackComponent | FixComponent,
-    designed: Mapping[str, float],
     read: Callable[[Path], Any],
     diagnosis: Diagnosis,
 ) -> Component | None:
@@ -63,7 +56,7 @@ def _component(
         return playback(name, file.resolve(component.file), names, exact, step=file.scenario.step, linear=linear)
     if isinstance(component, FixComponent):
         return _fixes(file.scenario, name, component, diagnosis)
-    return _fmu(file, name, component, designed, read, diagnosis)
+    return _fmu(file, name, component, read, diagnosis)
 
 
 def _exact(file: ScenarioFile, name: str, read: Callable[[Path], Any]) -> dict[str, str]:
@@ -73,7 +66,7 @@ def _exact(file: ScenarioFile, name: str, read: Callable[[Path], Any]) -> dict[s
         owner, _, column = connection.source.partition(".")
         target, _, variable = connection.target.partition(".")
         fmu = file.scenario.components.get(target)
-        if owner != name or not isinstance(fmu, FmuComponent) or fmu.at is not None:
+        if owner != name or not isinstance(fmu, FmuComponent):
             continue
         with suppress(FmuError, InputError, OSError):  # Another check reports this FMU.
             description = read(file.resolve(fmu.fmu))
@@ -106,12 +99,16 @@ def _fixes(scenario: Scenario, name: str, component: FixComponent, diagnosis: Di
     sensor = Sensor(component.rate, component.latency, component.dropout, signals)
     collisions = [n for n in signals if n in sensor.outputs()]
     for signal in collisions:
-        template = messages.COUNT_NAME_TAKEN if signal == COUNT else messages.FIX_NAME_TAKEN
-        diagnosis.note(("components", name, "signals", signal), template(name=signal))
+        other = "the output that counts the fixes" if signal == COUNT else "an output with the fixes of another signal"
+        message = f'"{signal}" is already the name of {other}; give the signal another name'
+        diagnosis.note(("components", name, "signals", signal), message)
     fastest = 1.0 / scenario.step
     too_fast = component.rate > fastest * (1.0 + 1e-9)
     if too_fast:
-        message = messages.FIX_RATE_TOO_HIGH(rate=component.rate, fastest=fastest)
+        message = (
+            f"rate is {component.rate:g} Hz, communication points come at {fastest:g} Hz; use at most "
+            f"{fastest:g} Hz, or a shorter step"
+        )
         diagnosis.note(("components", name, "rate"), message)
     return None if too_fast or collisions else Fixes(name, sensor, scenario.step, scenario.seed)
 
@@ -120,24 +117,18 @@ def _fmu(
     file: ScenarioFile,
     name: str,
     component: FmuComponent,
-    designed: Mapping[str, float],
     read: Callable[[Path], Any],
     diagnosis: Diagnosis,
 ) -> FmuBlock | None:
-    distant = None
-    if component.at is not None:
-        distant = _find_distant(name, component, component.at, diagnosis)
-        if distant is None:
-            return None
-    path = file.resolve(component.fmu) if distant is None else distant.path
+    path = file.resolve(component.fmu)
     if not path.is_file():
-        diagnosis.note(("components", name, "fmu"), messages.NO_FMU(path=path, cure=_cure(file, path)))
+        diagnosis.note(("components", name, "fmu"), f"no such FMU: {path}{_cure(file, path)}")
         return None
     description = read(path)
-    start = _start_values(name, description, {**designed, **component.start}, diagnosis)
+    start = _start_values(name, description, component.start, diagnosis)
     connected = frozenset(_variables_of(name, [connection.target for connection in file.scenario.connections]))
     if component.interface not in (None, *ways(description)):
-        message = messages.INTERFACE_NOT_OFFERED(fmu=path.name, interfaces=" and ".join(ways(description)))
+        message = f"{path.name} offers {' and '.join(ways(description))} only"
         diagnosis.note(("components", name, "interface"), message)
         return None
     _check_feedthrough(name, component, description, diagnosis)
@@ -145,11 +136,6 @@ def _fmu(
     make = event_block(file, name, component, path, read, diagnosis)
     if make is None:
         return None
-    if distant is not None:
-        if make is not FmuBlock or (component.interface or ways(description)[0]) != "co-simulation":
-            diagnosis.note(("components", name, "at"), messages.NOT_REMOTE(fmu=component.fmu))
-            return None
-        make = partial(RemoteFmu, distant=distant)
     return make(
         name,
         path,
@@ -175,7 +161,8 @@ def _check_feedthrough(name: str, component: FmuComponent, description: Any, dia
         if entry not in names:
             hint = did_you_mean(entry, [v.name for v in inputs])
             diagnosis.note(
-                ("components", name, "feedthrough", k), messages.NO_INPUT(component=name, name=entry, hint=hint)
+                ("components", name, "feedthrough", k),
+                f'{name} has no input "{entry}"{hint}; feedthrough: names inputs',
             )
 
 
@@ -189,17 +176,6 @@ def _cure(file: ScenarioFile, path: Path) -> str:
     is_built = is_model(BASE) and path.name in model_entry().built
     cure = f'; "cosim build --out {shell_path(path.parent)}" makes it' if is_built else ""
     return cure if file.manifest is None else f"{cure}; put it there, or {path.name} beside {file.path.name}"
-
-
-def _find_distant(name: str, component: FmuComponent, at: str, diagnosis: Diagnosis) -> Distant | None:
-    """Return the FMU of a server; note a fault if there is none."""
-    try:
-        return find_distant(at, component.fmu, component.sha256)
-    except LinkError as error:
-        diagnosis.note(("components", name, error.key), error.message, exit_code=error.exit_code)
-    except InputError as error:  # A library is missing.
-        diagnosis.note(("components", name, "at"), error.faults[0].message)
-    return None
 
 
 def _recorded_names(patterns: Sequence[str], name: str, description: Any) -> frozenset[str]:
@@ -225,14 +201,14 @@ def _start_values(component: str, description: Any, stated: Mapping[str, Any], d
         variable = variables.get(name)
         if variable is None:
             hint = did_you_mean(name, [v.name for v in variables.values() if settable(v)])
-            message = messages.NO_VARIABLE(component=component, name=name, hint=hint)
+            message = f'{component} has no variable "{name}"{hint}'
         elif not settable(variable):
-            message = messages.NOT_SETTABLE(name=f"{component}.{name}", kind=kind_of(variable))
+            message = f"{f'{component}.{name}'} is {kind_of(variable)}; it takes no start value"
         else:
             converted = convert_value(description, variable, value)
             if not isinstance(converted, Misfit):
                 values[name] = converted
                 continue
-            message = messages.VALUE_MISFIT(name=f"{component}.{name}", value=value, reason=converted.reason)
+            message = f"{f'{component}.{name}'} is {value!r}; {converted.reason}"
         diagnosis.note(("components", component, "start", name), message)
     return values

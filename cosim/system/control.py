@@ -11,10 +11,9 @@ from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.sources import SourceBlock
 from cosim.fmi.sampled import sampled_by
-from cosim.scenario.diagnosis import Diagnosis
 from cosim.scenario.scenario import Bond, FixComponent, Scenario, StepControl
+from cosim.scenario.scenario_file import Diagnosis
 from cosim.storage.yaml_file import did_you_mean
-from cosim.system import messages
 from cosim.system.wiring import Components, RowLayout, Transfer
 
 
@@ -59,16 +58,40 @@ def control_of(
 ) -> Control | None:
     """Return the step control, None for equal steps."""
     settings = scenario.control
-    _check_event_mode(scenario, components, diagnosis)
+    if not {scenario.extrapolate, scenario.interpolate} <= {None, "hold"}:
+        for name, component in components.items():
+            if isinstance(component, EventFmu):
+                diagnosis.note(
+                    ("components", name),
+                    (
+                        f"{name} runs in event mode, with which inputs are held during a step; leave extrapolate "
+                        "and interpolate out, or set event_mode: false"
+                    ),
+                )
     if settings is None:
         return None
-    at_rows = frozenset(name for name, c in components.items() if _steps_at_rows(scenario, name))
+    stated = {name: scenario.components[name] for name in components}
+    at_rows = frozenset(n for n, c in stated.items() if isinstance(c, FixComponent) or getattr(c, "step", None))
     controlled = {name: c for name, c in components.items() if name not in at_rows}
-    _check_step_lengths(controlled, diagnosis)
+    for name, component in controlled.items():
+        if not isinstance(component, FmuBlock) or component.changes_by_events or isinstance(component, EventFmu):
+            continue
+        if not takes_any_step(component.description) or sampled_by(component.path) is not None:
+            diagnosis.note(
+                ("components", name),
+                (
+                    f"{name} takes steps of one length only, so that they cannot be controlled; give it a "
+                    f"step of its own (components.{name}.step)"
+                ),
+            )
     obstacle = next(_obstacles(controlled), "")
     if settings.estimator == "halving" and obstacle:
-        diagnosis.note(("step", "estimator"), messages.NO_HALVING(reason=obstacle))
-    nominal = tuple(_nominal(components, column) for column in layout.columns)
+        diagnosis.note(
+            ("step", "estimator"),
+            f"estimator: halving is not possible: {obstacle}; leave estimator out, or set residual",
+        )
+    owned = [(components[name], variable) for name, _, variable in (c.partition(".") for c in layout.columns)]
+    nominal = tuple(c.nominal(variable) if isinstance(c, FmuBlock) else 1.0 for c, variable in owned)
     bonds = _bonds(settings, layout, transfers, nominal, diagnosis)
     estimator = settings.estimator or ("energy" if bonds else "residual" if obstacle else "halving")
     outputs = tuple(k for k, column in enumerate(layout.columns) if _is_real_output(column, controlled))
@@ -79,30 +102,6 @@ def control_of(
 def courses_of(scenario: Scenario, components: Components) -> tuple[int, int]:
     """Return the degrees of extrapolation and interpolation; with event mode, inputs are held."""
     return (0, 0) if any(isinstance(c, EventFmu) for c in components.values()) else scenario.courses
-
-
-def _check_event_mode(scenario: Scenario, components: Components, diagnosis: Diagnosis) -> None:
-    """Note FMUs in event mode beside courses of inputs."""
-    if {scenario.extrapolate, scenario.interpolate} <= {None, "hold"}:
-        return
-    for name, component in components.items():
-        if isinstance(component, EventFmu):
-            diagnosis.note(("components", name), messages.COURSES_AND_EVENT_MODE(component=name))
-
-
-def _steps_at_rows(scenario: Scenario, name: str) -> bool:
-    """Return whether a component steps only at rows."""
-    component = scenario.components[name]
-    return isinstance(component, FixComponent) or getattr(component, "step", None) is not None
-
-
-def _check_step_lengths(components: Mapping[str, Component], diagnosis: Diagnosis) -> None:
-    """Note a fault for each FMU whose communication step is fixed."""
-    for name, component in components.items():
-        if not isinstance(component, FmuBlock) or component.changes_by_events or isinstance(component, EventFmu):
-            continue
-        if not takes_any_step(component.description) or sampled_by(component.path) is not None:
-            diagnosis.note(("components", name), messages.NO_OTHER_STEPS(component=name))
 
 
 def _obstacles(components: Mapping[str, Component]) -> Iterator[str]:
@@ -123,12 +122,6 @@ def _is_real_output(column: str, components: Mapping[str, Component]) -> bool:
     if not isinstance(component, FmuBlock):
         return False
     return any(s.name == variable and not (s.local or s.is_whole) for s in component.outputs)
-
-
-def _nominal(components: Components, column: str) -> float:
-    name, _, variable = column.partition(".")
-    component = components[name]
-    return component.nominal(variable) if isinstance(component, FmuBlock) else 1.0
 
 
 def _bonds(
@@ -159,14 +152,16 @@ def _ends(
     where = ("step", "bonds", k, side)
     if output not in by_source:
         hint = did_you_mean(output, by_source)
-        diagnosis.note(where, messages.NO_OUTPUT_OF_BOND(signal=output, hint=hint))
+        diagnosis.note(where, f'no connected output "{output}"{hint}')
         return None
     owner = other.partition(".")[0]
     for transfer in by_source[output]:
         if transfer.name.partition(".")[0] == owner:
             if (transfer.factor, transfer.offset) != (1.0, 0.0):
-                diagnosis.note(where, messages.BOND_CONVERTS(signal=output, target=transfer.name))
+                diagnosis.note(
+                    where, f"{output} is converted on its way to {transfer.name}; a bond needs one unit on both sides"
+                )
                 return None
             return transfer.source, transfer.target
-    diagnosis.note(where, messages.BOND_ONE_SIDED(signal=output, owner=owner))
+    diagnosis.note(where, f"{output} is connected to no input of {owner}, the other side of the bond")
     return None

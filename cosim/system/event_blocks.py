@@ -18,13 +18,13 @@ from cosim.blocks.model_exchange import ModelExchange2
 from cosim.blocks.scheduled import ScheduledFmu
 from cosim.blocks.sources import SourceBlock
 from cosim.fmi.sampled import sampled_by
-from cosim.scenario.diagnosis import Diagnosis
 from cosim.scenario.scenario import ClockTiming, FmuComponent
-from cosim.scenario.scenario_file import ScenarioFile
+from cosim.scenario.scenario_file import Diagnosis, ScenarioFile
 from cosim.scenario.start_values import Misfit
 from cosim.storage.yaml_file import did_you_mean
-from cosim.system import messages
 from cosim.system.schedule import Loop, Schedule, Stage
+
+REALS = ("Real", "Float64", "Float32")
 
 
 def event_block(
@@ -39,9 +39,22 @@ def event_block(
     description = read(path)
     way = component.interface or ways(description)[0]
     clocks = read_clocks(path, description)
-    uses = way == "scheduled-execution" or _uses_events(component, description, way, clocks)
+    wanted = bool(clocks) if component.event_mode is None else component.event_mode
+    uses = way == "scheduled-execution" or (wanted and has_event_mode(description, way))
     if not uses:
-        return FmuBlock if _is_without_events(name, component, clocks, _reason(description, way), diagnosis) else None
+        if component.event_mode:
+            reason = "its FMU declares none (hasEventMode)"
+            if not description.fmiVersion.startswith("3") or way != "co-simulation":
+                version = f"FMI {description.fmiVersion} for {way}"
+                reason = f"it is run as {version}; event mode is part of FMI 3.0 for co-simulation"
+            diagnosis.note(("components", name, "event_mode"), f"{name} has no event mode: {reason}")
+            return None
+        if component.clocks:
+            message = f"{name} has no clocks; leave out clocks:"
+            if clocks:
+                message = f"{name} ticks no clocks without event mode; leave out event_mode: false"
+            diagnosis.note(("components", name, "clocks"), message)
+        return FmuBlock
     timings = _timings(file, name, component, clocks, diagnosis)
     kind = ScheduledFmu if way == "scheduled-execution" else EventFmu
     return partial(kind, timings=timings, jumping=_jumping(file, name, read))
@@ -60,29 +73,6 @@ def has_event_mode(description: Any, way: Way) -> bool:
     return way == "co-simulation" and bool(getattr(description.coSimulation, "hasEventMode", False))
 
 
-def _is_without_events(
-    name: str, component: FmuComponent, clocks: Mapping[str, Clock], reason: str, diagnosis: Diagnosis
-) -> bool:
-    """Return whether an FMU runs without event mode."""
-    if component.event_mode:
-        diagnosis.note(("components", name, "event_mode"), messages.NO_EVENT_MODE(component=name, reason=reason))
-    elif component.clocks and clocks:
-        diagnosis.note(("components", name, "clocks"), messages.CLOCK_WITHOUT_EVENT_MODE(component=name))
-    elif component.clocks:
-        diagnosis.note(("components", name, "clocks"), messages.NO_CLOCKS(component=name))
-    return not component.event_mode
-
-
-def _uses_events(component: FmuComponent, description: Any, way: Way, clocks: Mapping[str, Clock]) -> bool:
-    return has_event_mode(description, way) and (bool(clocks) if component.event_mode is None else component.event_mode)
-
-
-def _reason(description: Any, way: Way) -> str:
-    if not description.fmiVersion.startswith("3") or way != "co-simulation":
-        return f"it is run as FMI {description.fmiVersion} for {way}; event mode is part of FMI 3.0 for co-simulation"
-    return "its FMU declares none (hasEventMode)"
-
-
 def _timings(
     file: ScenarioFile, name: str, component: FmuComponent, clocks: Mapping[str, Clock], diagnosis: Diagnosis
 ) -> dict[str, Timing]:
@@ -93,9 +83,9 @@ def _timings(
         clock, full_name = clocks.get(clock_name), f"{name}.{clock_name}"
         if clock is None or clock.causality != "input":
             hint = did_you_mean(clock_name, [c.name for c in clocks.values() if c.causality == "input"])
-            message = messages.NO_CLOCK(component=name, name=clock_name, hint=hint)
+            message = f'{name} has no input clock "{clock_name}"{hint}'
         elif full_name in connected:
-            message = messages.CLOCK_TWICE(name=full_name)
+            message = f"{full_name} has times in the scenario and a connection; keep one"
         elif (objection := _objection(clock, full_name, timing, file.scenario.start_time)) is not None:
             message = objection
         else:
@@ -108,13 +98,13 @@ def _timings(
 def _objection(clock: Clock, name: str, timing: ClockTiming, start: float) -> Any:
     """Return the fault of a clock's times, or None."""
     if clock.kind == "constant" or (clock.is_time_based and clock.interval is None):
-        return messages.CLOCK_TIME_OF_FMU(name=name, kind=clock.kind)
+        return f"{name} is a {clock.kind} clock, whose FMU gives its times; leave out its times in the scenario"
     if clock.kind in PERIODIC and (timing.at or timing.shift is not None):
-        return messages.CLOCK_WITHOUT_SHIFT(name=name, kind=clock.kind)
+        return f"{name} is a {clock.kind} clock: give its interval only; only triggered clocks have shift: and at:"
     if bool(timing.at) == (timing.interval is not None):
-        return messages.CLOCK_NEEDS_ONE(name=name)
+        return f"{name} needs either interval: or at:"
     if timing.at != sorted(set(timing.at)) or (timing.at and timing.at[0] < start):
-        return messages.CLOCK_TIMES_UNORDERED(name=name)
+        return f"the times of {name} are not in order, from the start of the run on"
     return None
 
 
@@ -124,22 +114,17 @@ def _jumping(file: ScenarioFile, name: str, read: Callable[[Path], Any]) -> froz
     for connection in file.scenario.connections:
         owner, _, variable = connection.target.partition(".")
         source, _, output = connection.source.partition(".")
-        if owner == name and _jumps(file, source, output, read):
+        if owner != name:
+            continue
+        component = file.scenario.components.get(source)
+        if not isinstance(component, FmuComponent) or component.step is not None:
             jumping.add(variable)
+        elif (path := file.resolve(component.fmu)).is_file():
+            names = output, output.partition("[")[0]
+            ends = [v for v in read(path).modelVariables if v.name in names]
+            if any(v.variability not in (None, "continuous") or v.type not in REALS for v in ends):
+                jumping.add(variable)
     return frozenset(jumping)
-
-
-def _jumps(file: ScenarioFile, source: str, output: str, read: Callable[[Path], Any]) -> bool:
-    component = file.scenario.components.get(source)
-    if not isinstance(component, FmuComponent) or component.step is not None:
-        return True
-    path = file.resolve(component.fmu)
-    if not path.is_file():
-        return False
-    variables = (v for v in read(path).modelVariables if v.name in (output, output.partition("[")[0]))
-    return any(
-        v.variability not in (None, "continuous") or v.type not in ("Real", "Float64", "Float32") for v in variables
-    )
 
 
 def is_exchange(component: Component) -> bool:
@@ -170,22 +155,14 @@ def clock_interval(block: FmuBlock | None, target: str, value: Any) -> Any:
     if clock is None:
         return None
     if clock.kind != "tunable" or clock.interval is None:
-        return Misfit(messages.CLOCK_NOT_TUNABLE(name=target))
+        return Misfit(
+            f"{target} is a clock whose interval cannot be set; a tunable clock with intervalDecimal takes one"
+        )
     with suppress(ValueError):
         value = read_quantity(value, "s") if isinstance(value, str) else value
     if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:
-        return Misfit(messages.NO_INTERVAL(name=target, value=value))
+        return Misfit(f"{target} is {value!r}; give the interval of the clock, a time above 0 s")
     return float(value)
-
-
-def _reason_for_points(stage: Stage, loops: Mapping[str, str], apart: Collection[str]) -> str:
-    """Return why a component gets events at the end of its step only, "" if it gets them at once."""
-    name = stage.component.name
-    if name in loops:
-        return f"is part of the algebraic loop {loops[name]}"
-    if not takes_part_of_step(stage):
-        return "takes only steps of one length"
-    return "uses model exchange in a process of its own" if name in apart and is_exchange(stage.component) else ""
 
 
 def check_events(plan: Schedule, apart: Collection[str], diagnosis: Diagnosis, connected: Collection[str]) -> None:
@@ -200,8 +177,19 @@ def check_events(plan: Schedule, apart: Collection[str], diagnosis: Diagnosis, c
         return
     loops = {name: loop.name for loop in plan.loops for name in loop.members}
     for stage in plan.stages:
-        if reason := _reason_for_points(stage, loops, apart):
-            diagnosis.warnings.append(messages.EVENTS_AT_POINTS(component=stage.component.name, reason=reason))
+        name, reason = stage.component.name, ""
+        if name in loops:
+            reason = f"is part of the algebraic loop {loops[name]}"
+        elif not takes_part_of_step(stage):
+            reason = "takes only steps of one length"
+        elif name in apart and is_exchange(stage.component):
+            reason = "uses model exchange in a process of its own"
+        if reason:
+            diagnosis.warnings.append(f"{name} {reason}: an event within a step reaches it at the end of the step")
     clocks = (f"{fmu.name}.{signal.name}" for fmu in events for signal in fmu.inputs if signal.kind == "Clock")
     if idle := [name for name in clocks if name not in connected]:
-        diagnosis.warnings.append(messages.CLOCK_NEVER_TICKS(names=", ".join(idle)))
+        diagnosis.warnings.append(
+            "{names}: never ticks; connect it to an output clock, or give its times under clocks:".format(
+                names=", ".join(idle)
+            )
+        )

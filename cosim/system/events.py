@@ -10,12 +10,10 @@ from cosim.base.times import first_point
 from cosim.blocks.description import enumeration_items, unit_of
 from cosim.blocks.fmi_types import input_aliases
 from cosim.blocks.fmu import FmuBlock
-from cosim.scenario.diagnosis import Diagnosis
 from cosim.scenario.scenario import FmuComponent
-from cosim.scenario.scenario_file import ScenarioFile
+from cosim.scenario.scenario_file import Diagnosis, ScenarioFile
 from cosim.scenario.start_values import Misfit, bounds_of, convert_value
 from cosim.storage.yaml_file import did_you_mean
-from cosim.system import messages
 from cosim.system.event_blocks import clock_interval
 
 Events = Mapping[int, Mapping[str, Mapping[str, Any]]]  # communication point → component → variable → value
@@ -36,7 +34,7 @@ def changes_of(file: ScenarioFile, blocks: Mapping[str, FmuBlock], diagnosis: Di
         point = first_point(event.at, scenario.start_time, scenario.step)
         if not 0 <= point <= scenario.steps:
             end = scenario.start_time + scenario.duration
-            message = messages.EVENT_OUTSIDE_RUN(time=event.at, start=scenario.start_time, end=end)
+            message = f"{event.at:g} s is not within {scenario.start_time:g} … {end:g} s"
             diagnosis.note(("events", k, "at"), message)
             continue
         for target, written in event.set.items():
@@ -48,7 +46,7 @@ def changes_of(file: ScenarioFile, blocks: Mapping[str, FmuBlock], diagnosis: Di
             if isinstance(value, Misfit):
                 diagnosis.note(("events", k, "set", target), value.reason)
             elif (first := values.setdefault((event.at, target), value)) != value:
-                message = messages.TWO_VALUES(time=event.at, first=first, second=value)
+                message = f"two values at {event.at:g} s: {first!r} and {value!r}; keep one"
                 diagnosis.note(("events", k, "set", target), message)
             else:
                 changes.setdefault(point, {}).setdefault(name, {})[variable] = value
@@ -103,7 +101,7 @@ class Targets:
             return variable
         value = convert_value(self._descriptions[target.partition(".")[0]], variable, written)
         if isinstance(value, Misfit):
-            return Misfit(messages.VALUE_MISFIT(name=target, value=written, reason=value.reason))
+            return Misfit(f"{target} is {written!r}; {value.reason}")
         return value
 
     def objection(self, target: str) -> str:
@@ -116,17 +114,21 @@ class Targets:
         name, _, variable_name = target.partition(".")
         description = self._descriptions.get(name)
         if description is None:
-            return Misfit(messages.NO_FMU_OF_NAME(name=name, hint=did_you_mean(name, self._descriptions)))
+            return Misfit(f'no FMU "{name}" among the components{did_you_mean(name, self._descriptions)}')
         variables = self._variables[name]
         variable = variables.get(variable_name)
         if variable is None:
             hint = did_you_mean(variable_name, [n for n, v in variables.items() if _is_changeable(v)])
-            return Misfit(messages.NO_VARIABLE(component=name, name=variable_name, hint=hint))
+            return Misfit(f'{name} has no variable "{variable_name}"{hint}')
         if not _is_changeable(variable):
             kind = {"variability": variable.variability, "causality": variable.causality}
-            return Misfit(messages.NOT_CHANGEABLE(name=target, **kind))
+            return Misfit(
+                "{name} is a {variability} {causality}; inputs and tunable parameters change while it runs".format(
+                    name=target, **kind
+                )
+            )
         if self._is_connected(target):
-            return Misfit(messages.SET_AND_CONNECTED(name=target))
+            return Misfit(f"{target} is connected, which decides its value; use faults: for what disturbs a connection")
         return variable
 
     def variables(self, starts: Mapping[str, Mapping[str, Any]]) -> list[Variable]:

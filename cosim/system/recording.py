@@ -11,17 +11,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cosim.base.arrays import Array, Rows
-from cosim.base.messages import Message
+from cosim.base.messages import Note
 from cosim.base.registry import page_for
 from cosim.base.text import join_names
 from cosim.blocks.component import Component
 from cosim.blocks.description import matches
 from cosim.blocks.fmu import FmuBlock
-from cosim.scenario.diagnosis import Diagnosis
 from cosim.scenario.scenario import Recording, Scenario
+from cosim.scenario.scenario_file import Diagnosis
 from cosim.storage.results import Results
 from cosim.storage.yaml_file import did_you_mean
-from cosim.system import messages
 from cosim.system.wiring import RowLayout
 
 
@@ -75,19 +74,27 @@ def recorded_part(
     return RecordedPart(columns, beside, max(1, steps))
 
 
-def recording_notes(scenario: Scenario, columns: Sequence[str], part: RecordedPart | None) -> list[Message]:
+def recording_notes(scenario: Scenario, columns: Sequence[str], part: RecordedPart | None) -> list[str]:
     """Return notes on charts that a report cannot draw, because signals are not recorded."""
     if part is None or len(part.columns) == len(columns):
         return []
     recorded = {columns[k] for k in part.columns}
     ends = [(c.source, c.target) for c in scenario.connections]
     lost = [f"{s} → {t}" for s, t in ends if {s, t} <= set(columns) and not {s, t} <= recorded]
-    notes = []
+    notes: list[str] = []
     if lost:
         fields = {"count": len(recorded), "total": len(columns), "names": join_names(lost)}
-        notes.append(messages.CHARTS_LEFT_OUT(**fields))
+        notes.append(
+            Note(
+                "{count} of {total} signals are recorded; the report has no chart of the connections {names}".format(
+                    **fields
+                )
+            )
+        )
     if page_for(_variables(columns)) is not None and page_for(_variables(recorded)) is None:
-        notes.append(messages.PAGE_LEFT_OUT())
+        notes.append(
+            Note("signals of the report's own sections on a component are not recorded; it shows the others only")
+        )
     return notes
 
 
@@ -118,16 +125,16 @@ def _recordable(name: str, component: FmuBlock) -> tuple[list[str], list[str]]:
     return variables, times
 
 
-def _objection(
-    pattern: str, scenario: Scenario, components: Mapping[str, Component], layout: RowLayout
-) -> Message | None:
+def _objection(pattern: str, scenario: Scenario, components: Mapping[str, Component], layout: RowLayout) -> str | None:
     """Return the objection to a pattern that matches no signal, with near names."""
     name, is_pattern = pattern.partition(".")[0], "*" in pattern.partition(".")[0]
     columns = (*layout.columns, *layout.beside)
     if any(_is_meant(pattern, column) for column in columns):
         return None
     if not is_pattern and name not in scenario.components:
-        return messages.RECORD_WITHOUT_COMPONENT(name=name, hint=did_you_mean(name, scenario.components))
+        return (
+            f'no component "{name}"{did_you_mean(name, scenario.components)}; write component.* or component.variable'
+        )
     # It may be a signal of a component that is faulty itself.
     if not ({*scenario.components} if is_pattern else {name}) <= {*components}:
         return None
@@ -135,7 +142,9 @@ def _objection(
     if isinstance(component := components.get(name), FmuBlock):
         variables, times = _recordable(name, component)
         if pattern in times:
-            return messages.RECORD_TIME(pattern=pattern)
+            return f"{pattern} is the time, the first column of every result; leave it out"
         others += variables
     near = did_you_mean(pattern.replace("*", ""), others)
-    return messages.RECORD_WITHOUT_SIGNAL(pattern=pattern, hint=near or f"; there are {join_names(others) or 'none'}")
+    return 'no signal matches "{pattern}"{hint}'.format(
+        pattern=pattern, hint=near or f"; there are {join_names(others) or 'none'}"
+    )

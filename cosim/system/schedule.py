@@ -6,22 +6,18 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from cosim.base.messages import Message, code_of, join
+from cosim.base.messages import CheckNote, Note
 from cosim.base.text import join_names
 from cosim.base.times import steps_in
 from cosim.blocks.component import Component, Signal
+from cosim.blocks.coupling import DEFAULT, WITHOUT_ORDER, AlgebraicLoop, Algorithm, Assumption, Edge, Plan, algorithms
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fixes import Fixes
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.sources import SourceBlock
-from cosim.coupling.algorithms import DEFAULT, WITHOUT_ORDER, Algorithm, algorithms
-from cosim.coupling.messages import ASSUMED_WITHOUT_FEEDTHROUGH
-from cosim.coupling.order import AlgebraicLoop, Plan
-from cosim.coupling.strong_components import Edge
-from cosim.scenario.diagnosis import Diagnosis, Place
-from cosim.scenario.scenario import Connection, Scenario
+from cosim.scenario.scenario import Scenario
+from cosim.scenario.scenario_file import Diagnosis, Place
 from cosim.storage.yaml_file import did_you_mean
-from cosim.system import messages
 from cosim.system.wiring import Components, Transfer
 
 FEEDTHROUGH = "feedthrough"  # key of a component
@@ -164,50 +160,85 @@ class _Graph:
         Args:
             key: What leaves them open.
         """
-        note = messages.NO_LOOP_AT_START if key == FEEDTHROUGH and not assumptions else messages.LEFT_OPEN
         plan = DEFAULT.plan_with_loops(self.components, self.edges, None, undeclared=True)
         for loop in self.sort_transfers(plan)[-1]:
             if loop.members not in solved:
                 fault = next((fault for _, fault in self.faults(loop)), None)
-                cure = join("; ", assumptions) or self._cure(loop, key, fault)
-                yield replace(loop, left_open=note(loop=loop.name, by=key, cure=cure))
+                cure = "; ".join(assumptions) or self._cure(loop, key, fault)
+                if key == FEEDTHROUGH and not assumptions:
+                    sentence: str = Note(
+                        f"{loop.name} is no algebraic loop at the start, as measured or stated by feedthrough: [...]; "
+                        f"if outputs follow inputs at once later, {cure}"
+                    )
+                else:
+                    sentence = (
+                        f"{loop.name} may be an algebraic loop, which {key} leaves open, so that some inputs have the "
+                        f"values of the step before; {cure}"
+                    )
+                yield replace(loop, left_open=sentence)
 
-    def _cure(self, loop: Loop, key: str, fault: Message | None) -> Message:
+    def _cure(self, loop: Loop, key: str, fault: str | None) -> str:
         """Return how a loop that a key leaves open is solved.
 
         Args:
             fault: Why it cannot be solved.
         """
         if fault is not None:
-            return messages.LOOPS_REFUSED(key=key, fault=fault)
+            return Note(f"loops: {{}} without {key} is refused: {fault}")
         fmus = [c for c in map(self.components.get, loop.members) if isinstance(c, FmuBlock)]
         names = [fmu.name for fmu in fmus if not (fmu.changes_by_events or fmu.instance.rolls_back)]
         if names:
-            return messages.LOOPS_NEED_STATES(key=key, names=join_names(names))
-        return messages.LOOPS_SOLVES(key=key)
+            return Note(
+                f"loops: {{}} without {key} solves it, if it has a solution and outputs of "
+                f"{join_names(names)}, which cannot save a state, follow inputs without a step"
+            )
+        return Note(f"loops: {{}} without {key} solves it, if it has a solution")
 
-    def faults(self, loop: Loop) -> Iterator[tuple[Place, Message]]:
+    def faults(self, loop: Loop) -> Iterator[tuple[Place, str]]:
         """Yield faults of a loop that cannot be solved, with their places."""
         has_events = any(isinstance(component, EventFmu) for component in self.components.values())
         for name in loop.members:
             component = self.components[name]
             if isinstance(component, EventFmu):
-                yield ("components", name), messages.EVENT_MODE_IN_LOOP(component=name, loop=loop.name)
+                yield (
+                    ("components", name),
+                    (
+                        f"{name} is part of the algebraic loop {loop.name} and runs in event mode, in which it "
+                        "cannot be solved; set event_mode: false, or state the order of the components (order: "
+                        "[...]), which leaves it open"
+                    ),
+                )
             elif has_events and getattr(component, "changes_by_events", False):
-                yield ("components", name), messages.EXCHANGE_IN_LOOP(component=name, loop=loop.name)
+                yield (
+                    ("components", name),
+                    (
+                        f"{name} is part of the algebraic loop {loop.name} and uses model exchange, beside an FMU "
+                        "in event mode; choose interface: co-simulation, or state the order of the components "
+                        "(order: [...]), which leaves it open"
+                    ),
+                )
             if self.every[name] > 1:
-                yield ("components", name, "step"), messages.OWN_STEP_IN_LOOP(component=name, loop=loop.name)
+                yield (
+                    ("components", name, "step"),
+                    (
+                        f"{name} has a step of its own, and is part of the algebraic loop {loop.name}; leave its "
+                        "step out"
+                    ),
+                )
         for transfer in loop.transfers:
-            signal = self._target_of(transfer)
-            if any(transfer.beside) or (signal is not None and signal.is_whole):
-                kind = signal.kind if signal is not None else ""
-                yield ("connections",), messages.LOOP_OF_NO_REALS(signal=transfer.name, type=kind)
-
-    def _target_of(self, transfer: Transfer) -> Signal | None:
-        """Return the input that a transfer writes; None for a variable that is no input."""
-        name, _, variable = transfer.name.partition(".")
-        signals = (*self.components[name].inputs, *self.components[name].exact_inputs)
-        return next((signal for signal in signals if signal.name == variable), None)
+            name, _, variable = transfer.name.partition(".")
+            signals = (*self.components[name].inputs, *self.components[name].exact_inputs)
+            signal = next((signal for signal in signals if signal.name == variable), Signal(variable))
+            if any(transfer.beside) or signal.is_whole:
+                kind = signal.kind
+                yield (
+                    ("connections",),
+                    (
+                        f"{transfer.name} is part of an algebraic loop and {kind}; only real signals are solved. "
+                        "State the order of the components (order: [...]), so that it has the value of the last "
+                        "step"
+                    ),
+                )
 
 
 def schedule(
@@ -225,7 +256,12 @@ def schedule(
         interpolates: Whether inputs follow polynomials between values at the start and the end of a step.
     """
     every = {name: _every(scenario, name, diagnosis) for name in components}
-    wired = [(_edge(c), ends) for c, ends in zip(scenario.connections, transfers, strict=True) if not ends[0].is_clock]
+    wired: list[tuple[Edge, Sequence[Transfer]]] = []
+    for connection, ends in zip(scenario.connections, transfers, strict=True):
+        if not ends[0].is_clock:
+            source, _, output = connection.source.partition(".")
+            target, _, variable = connection.target.partition(".")
+            wired.append(((source, target, variable, output), ends))
     graph = _Graph(components, every, wired, interpolates)
     algorithm = algorithms()[scenario.algorithm]
     order = scenario.order if algorithm.sequential else None
@@ -237,13 +273,23 @@ def schedule(
     for loop in loops:
         for place, fault in graph.faults(loop):
             diagnosis.note(place, fault)
-    assumptions = [note for note in plan.notes if code_of(note) == ASSUMED_WITHOUT_FEEDTHROUGH.code]
+    assumptions = [note for note in plan.notes if isinstance(note, Assumption)]
     opened: tuple[Loop, ...] = ()
     if scenario.loops is None:
         key = FEEDTHROUGH if algorithm.solves_loops else f"algorithm: {algorithm.name}"
         opened = tuple(graph.left_open(plan.loops, key if order is None else "order", assumptions))
-        diagnosis.warnings += _loop_notes(loops, components)
-    return Schedule(stages, held, _clock_wires(transfers), loops, opened, bool(assumptions), graph.known)
+        stated = {f"{n}.{i}" for n, c in components.items() for i in getattr(c, "feedthrough", None) or ()}
+        for loop in loops:
+            if names := [t.name for t in loop.transfers if stated & {t.name, t.name.rpartition("[")[0]}]:
+                diagnosis.warnings.append(
+                    CheckNote(
+                        f"{loop.name} is an algebraic loop that no FMU declares: outputs follow "
+                        f"{join_names(names)} at once, as measured before the run or stated by feedthrough: "
+                        "[...]. It is solved at each communication point; order: [...] leaves it open"
+                    )
+                )
+    clock_wires = tuple((t.origin, t.name) for ends in transfers for t in ends if t.is_clock)
+    return Schedule(stages, held, clock_wires, loops, opened, bool(assumptions), graph.known)
 
 
 def _plan(
@@ -256,28 +302,19 @@ def _plan(
         plan = algorithm.plan_with_loops(graph.components, graph.edges, order, undeclared=scenario.loops is not None)
     except AlgebraicLoop as loop:
         names = {"names": ", ".join(sorted(set(loop.cycle))), "cycle": " → ".join(loop.cycle)}
-        message = messages.ALGEBRAIC_LOOP(algorithm=algorithm.name, other=WITHOUT_ORDER.name, **names)
+        message = (
+            "algebraic loop under {algorithm}: {cycle}; each needs the other's value of the same "
+            "time. State their order (order: [{names}]) or algorithm: {other}"
+        ).format(algorithm=algorithm.name, other=WITHOUT_ORDER.name, **names)
         diagnosis.note(("connections",), message)
         return None
     if sorted(plan.order) != sorted(graph.components):
-        message = messages.PLAN_INCOMPLETE(algorithm=algorithm.name, order=", ".join(plan.order))
+        message = "{algorithm} steps {order}; it must step each component once".format(
+            algorithm=algorithm.name, order=", ".join(plan.order)
+        )
         diagnosis.note(("algorithm",), message)
         return None
     return plan
-
-
-def _loop_notes(loops: Sequence[Loop], components: Components) -> list[str]:
-    """Return a note for each loop that is solved because of stated or measured feedthrough."""
-    stated = {f"{n}.{i}" for n, c in components.items() for i in getattr(c, "feedthrough", None) or ()}
-    inputs = {
-        loop.name: [t.name for t in loop.transfers if stated & {t.name, t.name.rpartition("[")[0]}] for loop in loops
-    }
-    return [messages.LOOP_BY_FEEDTHROUGH(loop=n, inputs=join_names(names)) for n, names in inputs.items() if names]
-
-
-def _clock_wires(transfers: Sequence[Sequence[Transfer]]) -> tuple[tuple[str, str], ...]:
-    """Return the connected clocks: output, input."""
-    return tuple((transfer.origin, transfer.name) for ends in transfers for transfer in ends if transfer.is_clock)
 
 
 def _keys_agree(
@@ -289,9 +326,15 @@ def _keys_agree(
     if scenario.loops is None or (algorithm.solves_loops and order is None):
         return True
     if algorithm.solves_loops:
-        diagnosis.note(("order",), messages.ORDER_AND_LOOPS())
+        diagnosis.note(
+            ("order",),
+            ("order states which values are of the last step, loops solves for all of the same time; leave one out"),
+        )
     else:
-        diagnosis.note(("loops",), messages.NO_LOOPS(algorithm=algorithm.name, other=DEFAULT.name))
+        diagnosis.note(
+            ("loops",),
+            (f"{algorithm.name} solves no algebraic loops; leave loops out, or set algorithm: {DEFAULT.name}"),
+        )
     return False
 
 
@@ -306,21 +349,21 @@ def _every(scenario: Scenario, name: str, diagnosis: Diagnosis) -> int:
     count = steps_in(step, scenario.step)
     every = max(1, round(count))
     if round(count) < 1 or abs(count - every) > 1e-9 * count:
-        message = messages.STEP_NOT_A_MULTIPLE(step=step, base=scenario.step, cure=every * scenario.step)
+        message = (
+            f"step is {step:g} s, that of the scenario {scenario.step:g} s; use a whole multiple, "
+            f"{every * scenario.step:g} s for one"
+        )
         diagnosis.note(("components", name, "step"), message)
     elif every > scenario.steps:
-        message = messages.STEP_LONGER_THAN_RUN(step=step, duration=scenario.duration)
+        message = f"step is {step:g} s, the run {scenario.duration:g} s: it would never step"
         diagnosis.note(("components", name, "step"), message)
     elif rest := scenario.steps % every:
-        message = messages.LAST_STEP_INCOMPLETE(component=name, step=step, rest=rest * scenario.step)
+        message = (
+            f"{name}: step is {step:g} s; its last {rest * scenario.step:g} s of the run make no "
+            "whole step: it stands still there"
+        )
         diagnosis.warnings.append(message)
     return every
-
-
-def _edge(connection: Connection) -> Edge:
-    target, _, variable = connection.target.partition(".")
-    source, _, output = connection.source.partition(".")
-    return source, target, variable, output
 
 
 def _names_all(order: Sequence[str], components: Components, diagnosis: Diagnosis) -> bool:
@@ -329,7 +372,12 @@ def _names_all(order: Sequence[str], components: Components, diagnosis: Diagnosi
     unknown = [name for name in order if name not in components]
     twice = len(set(order)) != len(order)
     for name in unknown:
-        diagnosis.note(("order",), messages.UNKNOWN_COMPONENT(name=name, hint=did_you_mean(name, components)))
+        diagnosis.note(("order",), f'no component "{name}"{did_you_mean(name, components)}')
     if missing or twice:
-        diagnosis.note(("order",), messages.ORDER_INCOMPLETE(missing=", ".join(missing) or "none"))
+        diagnosis.note(
+            ("order",),
+            "order names every component with inputs once; missing: {missing}".format(
+                missing=", ".join(missing) or "none"
+            ),
+        )
     return not (unknown or missing or twice)

@@ -5,8 +5,9 @@ All checks that need model descriptions are made here, and all faults are report
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -15,24 +16,23 @@ from cosim.blocks.component import Component, Signal
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fixes import Fixes
 from cosim.blocks.fmu import FmuBlock
-from cosim.blocks.remote_fmu import RemoteFmu
 from cosim.blocks.shared_code import separate
 from cosim.blocks.sources import Recorded, SourceBlock
 from cosim.fmi.sampled import sampled_by
-from cosim.scenario.diagnosis import Diagnosis, Place
-from cosim.scenario.scenario import FmuComponent, LoopSettings, Scenario
-from cosim.scenario.scenario_file import ScenarioFile
+from cosim.scenario.scenario import LoopSettings, Scenario
+from cosim.scenario.scenario_file import Diagnosis, Place, ScenarioFile
 from cosim.storage.yaml_file import did_you_mean
-from cosim.system import messages
-from cosim.system.components import Designed, build_components
+from cosim.system.components import build_components
 from cosim.system.control import Control, control_of, courses_of
 from cosim.system.event_blocks import check_events
-from cosim.system.events import Events, Targets, changes_of
-from cosim.system.feasible import check_feasible
-from cosim.system.real_time import RealTime, check_live
+from cosim.system.events import Events, changes_of
 from cosim.system.recording import RecordedPart, recorded_part
 from cosim.system.schedule import Loop, Schedule, Stage, schedule
 from cosim.system.wiring import Transfer, alias_transfers, connect, connection_warnings, lay_out
+
+ROUNDING = 1e-6  # fraction of a step, the tolerance of sampled FMUs
+MOST_RESULTS = 8e9  # size of results [bytes]
+BYTES = 8  # size of a number [bytes]
 
 
 @dataclass(frozen=True)
@@ -51,8 +51,7 @@ class System:
         clock_wires: Connected clocks, output and input, as `component.clock`.
         loops: Algebraic loops to solve at each communication point.
         solving: Settings of their solution, None for the default.
-        real_time: What ties its steps to the clock, set by runs that it is to tie.
-        distant: SHA-256 of each FMU on another machine.
+        pace: Simulated seconds per second, set by runs that keep to the clock; None for as fast as possible.
         recording: Recorded part of the rows, None for all of them.
         opened: As in `Schedule`; `assumed` too.
     """
@@ -75,8 +74,7 @@ class System:
     courses: tuple[int, int] = (0, 0)
     loops: tuple[Loop, ...] = ()
     solving: LoopSettings | None = None
-    real_time: RealTime | None = None
-    distant: Mapping[str, str] = field(default_factory=dict)
+    pace: float | None = None
     recording: RecordedPart | None = None
     opened: tuple[Loop, ...] = ()
     assumed: bool = False
@@ -123,23 +121,16 @@ class System:
         return frozenset((*(self.columns[k] for k in part.columns), *(self.beside[k] for k in part.beside)))
 
 
-def build_system(file: ScenarioFile, start_values: Designed | None = None) -> System:
-    """Return the system of a scenario.
-
-    Args:
-        start_values: Values by component, overridden by the scenario's own.
-
-    Raises:
-        InputError: Every fault of the scenario.
-    """
+def build_system(file: ScenarioFile) -> System:
+    """Return the system of a scenario; raise InputError with every fault."""
     scenario, diagnosis = file.scenario, Diagnosis(file)
-    components = build_components(file, start_values or {}, diagnosis)
+    components = build_components(file, diagnosis)
     is_whole = len(components) == len(scenario.components) and not file.broken
     layout = lay_out(components)
     transfers = connect(file, components, layout, diagnosis)
     of_aliases = alias_transfers(components, layout, transfers, diagnosis)
-    _check_design(file, diagnosis)
-    check_feasible(components.values(), diagnosis)
+    _check_size(sum(len(c.inputs) + len(c.outputs) for c in components.values()), diagnosis)
+    _check_sampling(components.values(), diagnosis)
     recording = recorded_part(scenario, components, layout, diagnosis)
     if is_whole:
         _check_criteria(scenario, layout.columns, recording, diagnosis)
@@ -148,14 +139,11 @@ def build_system(file: ScenarioFile, start_values: Designed | None = None) -> Sy
     way = {"interpolates": courses[1] > 0}
     plan = schedule(scenario, components, transfers, diagnosis, **way) if is_connected else Schedule()
     blocks = {name: c for name, c in components.items() if isinstance(c, FmuBlock)}
-    here = [(name, block.path) for name, block in blocks.items() if not isinstance(block, RemoteFmu)]
-    separated, notes = separate(here, scenario.isolated)
+    separated, notes = separate([(name, block.path) for name, block in blocks.items()], scenario.isolated)
     check_events(plan, scenario.isolated | separated, diagnosis, scenario.targets)
     control = control_of(scenario, components, layout, list(chain.from_iterable(transfers)), diagnosis)
     events = changes_of(file, blocks, diagnosis)
     _check_record(file, components, diagnosis)
-    targets = Targets({name: block.description for name, block in blocks.items()}, scenario.targets)
-    check_live(file, targets, layout.columns, layout.beside, diagnosis)
     diagnosis.raise_any()
     of_blocks = chain.from_iterable(block.warnings for block in blocks.values())
     warnings = *diagnosis.warnings, *connection_warnings(file, components), *of_blocks, *notes
@@ -177,7 +165,6 @@ def build_system(file: ScenarioFile, start_values: Designed | None = None) -> Sy
         solving=scenario.loops,
         control=control,
         courses=courses,
-        distant={name: c.distant.sha256 for name, c in blocks.items() if isinstance(c, RemoteFmu)},
         recording=recording,
         opened=plan.opened,
         assumed=plan.assumed,
@@ -193,22 +180,15 @@ def _check_record(file: ScenarioFile, components: Mapping[str, Component], diagn
         component = components.get(name)
         if "*" not in name and name not in file.scenario.components:
             hint = did_you_mean(name, file.scenario.components)
-            diagnosis.note(("record", k), messages.RECORD_WITHOUT_COMPONENT(name=name, hint=hint))
+            diagnosis.note(("record", k), f'no component "{name}"{hint}; write component.* or component.variable')
         elif isinstance(component, FmuBlock) and not component.names_any(pattern):
             hint = did_you_mean(pattern, [f"{name}.{v.name}" for v in component.description.modelVariables])
-            diagnosis.note(("record", k), messages.RECORD_WITHOUT_VARIABLE(pattern=pattern, hint=hint))
+            diagnosis.note(("record", k), f'no variable "{pattern}"{hint}')
     for name, component in components.items():
         if not (component.inputs or component.outputs or component.exact_inputs or component.exact_outputs):
-            diagnosis.warnings.append(messages.NOTHING_RECORDED(name=name))
-
-
-def _check_design(file: ScenarioFile, diagnosis: Diagnosis) -> None:
-    """Note a fault if the designed component is not an FMU."""
-    design = file.scenario.design
-    if design is None or design.component in file.broken:
-        return
-    if not isinstance(file.scenario.components.get(design.component), FmuComponent):
-        diagnosis.note(("design", "component"), messages.DESIGN_WITHOUT_FMU(name=design.component))
+            diagnosis.warnings.append(
+                f"{name} has no inputs and outputs, so nothing of it is recorded; record: [{name}.*] does so"
+            )
 
 
 def _check_criteria(
@@ -221,6 +201,52 @@ def _check_criteria(
         for key, signal in (("of", criterion.of), ("to", criterion.to)):
             if isinstance(signal, str) and signal not in columns:
                 hint = did_you_mean(signal, columns)
-                diagnosis.note((*where, key), messages.UNKNOWN_SIGNAL(name=signal, hint=hint))
+                diagnosis.note((*where, key), f'no signal "{signal}"{hint}')
             elif isinstance(signal, str) and signal not in recorded:
-                diagnosis.note((*where, key), messages.NOT_RECORDED(name=signal))
+                diagnosis.note(
+                    (*where, key), f"{signal} is not recorded, and the criterion needs it; add it to record: signals"
+                )
+
+
+def _check_size(signals: int, diagnosis: Diagnosis) -> None:
+    scenario = diagnosis.file.scenario
+    rows = scenario.duration / scenario.step + 1.0
+    size = rows * signals * BYTES
+    if size > MOST_RESULTS:
+        sizes = {"gigabytes": size / 1e9, "limit": MOST_RESULTS / 1e9}
+        diagnosis.note(
+            ("duration",),
+            (
+                "leaves {rows:.3g} rows of {signals} signals, {gigabytes:.3g} GB, more than {limit:g} "
+                "GB; run shorter or in longer steps"
+            ).format(rows=rows, signals=signals, **sizes),
+        )
+
+
+def _check_sampling(components: Iterable[Any], diagnosis: Diagnosis) -> None:
+    file, scenario = diagnosis.file, diagnosis.file.scenario
+    place = file.fault(("step",), "")
+    if file.stands_in or any((f.line, f.column) == (place.line, place.column) for f in file.faults):
+        return  # The step is faulty itself.
+    parameter_of = cache(sampled_by)  # Several components may use the same FMU.
+    for block in components:
+        parameter = parameter_of(block.path) if isinstance(block, FmuBlock) else None
+        if parameter is None:
+            continue
+        declared = next((v.start for v in block.description.modelVariables if v.name == parameter), None)
+        try:
+            sample = float(block.start_values.get(parameter, declared))
+        except (TypeError, ValueError):
+            continue
+        own_step = getattr(scenario.components[block.name], "step", None)
+        step = scenario.step if own_step is None else float(own_step)
+        if abs(step - sample) > ROUNDING * sample:
+            where = ("step",) if own_step is None else ("components", block.name, "step")
+            names = {"component": block.name, "parameter": parameter}
+            diagnosis.note(
+                where,
+                (
+                    "step is {step:g} s; {component} is sampled at {sample:g} s ({parameter}): set "
+                    "components.{component}.start.{parameter}, or step: {sample:g}"
+                ).format(step=step, sample=sample, **names),
+            )

@@ -13,12 +13,10 @@ from cosim.base.messages import with_prefix
 from cosim.base.times import whole_steps
 from cosim.base.units import UnitAssumption, assume_si
 from cosim.blocks.component import Component, Signal
-from cosim.blocks.faults import Addition, LinkFunction, Scaling, fault_function, points
+from cosim.blocks.faults import Addition, LinkFunction, Scaling, fault_function, gaussian, points, stream
 from cosim.blocks.fmi_types import input_aliases, is_compatible, negative
 from cosim.blocks.fmu import FmuBlock
-from cosim.blocks.noise import gaussian, stream
 from cosim.blocks.stepping import ConvertedLink, LinkKind, link
-from cosim.scenario.diagnosis import Diagnosis, Place
 from cosim.scenario.scenario import (
     Connection,
     Disturbance,
@@ -28,10 +26,9 @@ from cosim.scenario.scenario import (
     PlaybackComponent,
     ReferenceComponent,
 )
-from cosim.scenario.scenario_file import ScenarioFile
+from cosim.scenario.scenario_file import Diagnosis, Place, ScenarioFile
 from cosim.scenario.start_values import Misfit
 from cosim.storage.yaml_file import did_you_mean
-from cosim.system import messages
 
 Components = Mapping[str, Component]
 MOST_NAMED = 20  # signals in a message
@@ -94,7 +91,7 @@ class Transfer:
     def check_item(self, value: Any, t: float) -> None:
         """Raise SimulationError if a value is no item of the target enumeration."""
         if self.items is not None and value not in self.items.values():
-            message = messages.NOT_AN_ITEM(value=value, origin=self.origin, items=_numbers(self.items))
+            message = f"{value:g}, which comes from {self.origin}, is none of its items: {_numbers(self.items)}"
             raise SimulationError(self.name, t, message)
 
     def samples(self, seed: int, count: int) -> array[float] | None:
@@ -196,7 +193,10 @@ def alias_transfers(
                     found[full] = replace(transfer, target=place, name=full, beside=sides, of=transfer.name, sign=sign)
                 elif full in fed and fed[full][1] < k and (is_negative or fed[full][0].origin != transfer.origin):
                     ends = {"target": transfer.name, "source": transfer.origin, "other": full}
-                    message = messages.SOURCES_OF_ALIASES(**ends, first=fed[full][0].origin)
+                    message = (
+                        "{target} and {other} are one variable of the FMU with two sources: {source} and "
+                        "{first}; keep one"
+                    ).format(**ends, first=fed[full][0].origin)
                     diagnosis.note(("connections", k, "to"), message)
     return tuple(found.values())
 
@@ -219,14 +219,25 @@ def _objection(connection: Connection, source: Signal, target: Signal) -> str:
     """Return the objection to a connection, or ""."""
     ends = {"source": connection.source, "target": connection.target}
     if not is_compatible(source.kind, target.kind):
-        return messages.TYPE_MISMATCH(**ends, source_type=source.kind or "a number", target_type=target.kind)
+        return "types do not agree: {source} is {source_type}, {target} is {target_type}".format(
+            **ends, source_type=source.kind or "a number", target_type=target.kind
+        )
     if source.declared and source.declared == target.declared and source.items != target.items:
         items = {"source_items": _numbers(source.items), "target_items": _numbers(target.items)}
-        return messages.ITEM_MISMATCH(**ends, **items, name=source.declared)
+        return (
+            "enumerations of one name, {name}, with other items: {source} has {source_items}, {target} has "
+            "{target_items}"
+        ).format(**ends, **items, name=source.declared)
     if connection.conversion is None and source.conversion(target) is None:
         if source.unit == target.unit:
-            return messages.UNIT_DEFINITION_MISMATCH(**ends, unit=source.unit)
-        return messages.UNIT_MISMATCH(**ends, source_unit=source.unit, target_unit=target.unit)
+            return (
+                "unit mismatch: {source} and {target} are both in [{unit}], which their FMUs define with "
+                "different dimensions; where they are the same all the same, say so by factor: 1"
+            ).format(**ends, unit=source.unit)
+        return (
+            "unit mismatch: {source} [{source_unit}] to {target} [{target_unit}]; where they are the same all "
+            "the same, say so by factor: 1"
+        ).format(**ends, source_unit=source.unit, target_unit=target.unit)
     return ""
 
 
@@ -248,7 +259,9 @@ class _Wiring:
             return ()
         if len(sources) != len(targets):
             ends = {"source": connection.source, "target": connection.target}
-            message = messages.SIZE_MISMATCH(**ends, count=len(sources), target_count=len(targets))
+            message = "{source} to {target}: {count} values do not go to {target_count}".format(
+                **ends, count=len(sources), target_count=len(targets)
+            )
             self.diagnosis.note(("connections", k), message)
             return ()
         transfers = []
@@ -276,7 +289,9 @@ class _Wiring:
         changes += ["noise or factor"] if noise or (factor, offset) != (1.0, 0.0) else []
         if changes and (from_beside or to_beside):
             fields = {"changes": " or ".join(changes), "type": source.kind or target.kind}
-            message = messages.UNCHANGEABLE_TYPE(source=connection.source, target=connection.target, **fields)
+            message = "{source} to {target}: no {changes} on {type}".format(
+                source=connection.source, target=connection.target, **fields
+            )
             return Misfit(message)
         sides = from_beside, to_beside
         return Transfer(at, to, name, noise, factor, offset, faults, sides, target.items, origin)
@@ -286,7 +301,9 @@ class _Wiring:
         origin = f"{connection.source.partition('.')[0]}.{source.name}"
         name = f"{connection.target.partition('.')[0]}.{target.name}"
         if connection.noise or connection.conversion is not None or name in self._faults:
-            return Misfit(messages.CLOCK_CHANGED(source=connection.source, target=connection.target))
+            return Misfit(
+                f"{connection.source} to {connection.target}: no factor, offset, noise or fault acts on a clock"
+            )
         return Transfer(self.layout.place[origin][1], self.layout.place[name][1], name, origin=origin, is_clock=True)
 
     def _conversion(self, connection: Connection, source: Signal, target: Signal) -> tuple[float, float]:
@@ -304,7 +321,7 @@ class _Wiring:
         name, _, variable = text.partition(".")
         if name not in self.file.scenario.components and name not in self.file.broken:
             hint = did_you_mean(name, self.file.scenario.components)
-            self.diagnosis.note(where, messages.UNKNOWN_COMPONENT(name=name, hint=hint))
+            self.diagnosis.note(where, f'no component "{name}"{hint}')
             return []
         component = self.components.get(name)
         if component is None or name in self.file.broken:  # Another check reports this component.
@@ -314,12 +331,14 @@ class _Wiring:
             return signals[variable]
         other = "inputs" if side == "outputs" else "outputs"
         if variable in self._signals(component, other):
-            message = messages.WRONG_END(signal=text, side=other, component=name)
+            message = f"{text} is one of the {other} of {name}; an output goes to an input"
         elif any(s.local and s.name == variable for s in _signals(component, side)):
-            message = messages.ONLY_RECORDED(signal=text, component=name)
+            message = f"{text} is recorded, but no output of {name}; an output goes to an input"
         else:
             names = {"hint": did_you_mean(variable, signals), "names": _some(signals)}
-            message = messages.UNKNOWN_END(component=name, side=side[:-1], name=variable, **names)
+            message = '{component} has no {side} "{name}"{hint} (its {side}s: {names})'.format(
+                component=name, side=side[:-1], name=variable, **names
+            )
         self.diagnosis.note(where, message)
         return []
 
@@ -357,20 +376,26 @@ def _check_faults(file: ScenarioFile, diagnosis: Diagnosis) -> None:
     for k, fault in zip(file.places["faults"], scenario.faults, strict=True):
         if fault.on not in targets and fault.on.partition("[")[0] not in targets:
             hint = did_you_mean(fault.on, targets) or f" (connected: {_some(targets)})"
-            diagnosis.note(("faults", k, "on"), messages.FAULT_NOT_ON_CONNECTION(target=fault.on, hint=hint))
+            diagnosis.note(("faults", k, "on"), f"no connection to {fault.on}{hint}")
         if getattr(scenario.components.get(fault.on.partition(".")[0]), "step", None) is not None:
-            diagnosis.note(("faults", k, "on"), messages.FAULT_ON_OWN_STEP(target=fault.on))
+            diagnosis.note(
+                ("faults", k, "on"),
+                (
+                    f"{fault.on} is of a component with a step of its own; faults act on components that step with "
+                    "the scenario"
+                ),
+            )
         key = needs.get(fault.kind)
         if key is not None and getattr(fault, key) is None:
-            diagnosis.note(("faults", k), messages.FAULT_WITHOUT_KEY(kind=fault.kind, key=key))
+            diagnosis.note(("faults", k), f"{fault.kind} needs {key}; add it")
         rounded = 0.0 if fault.delay is None else whole_steps(fault.delay, scenario.step) * scenario.step
         if fault.delay is not None and abs(rounded - fault.delay) > 1e-9 * rounded:
-            message = messages.DELAY_ROUNDED(delay=fault.delay, target=fault.on, rounded=rounded)
+            message = f"a delay of {fault.delay:g} s on {fault.on} is no whole number of steps: it is {rounded:g} s"
             diagnosis.warnings.append(message)
         first, last = points(fault.begin, fault.end, scenario.start_time, scenario.step, scenario.steps + 1)
         if not max(0, first) <= min(last, scenario.steps):
             end = scenario.start_time + scenario.duration
-            diagnosis.note(("faults", k), messages.FAULT_OUTSIDE_RUN(start=scenario.start_time, end=end))
+            diagnosis.note(("faults", k), f"acts at no communication point of {scenario.start_time:g} … {end:g} s")
 
 
 def _check_sources(file: ScenarioFile, diagnosis: Diagnosis) -> None:
@@ -378,7 +403,7 @@ def _check_sources(file: ScenarioFile, diagnosis: Diagnosis) -> None:
     sources: dict[str, str] = {}
     for k, connection in zip(file.places["connections"], file.scenario.connections, strict=True):
         if (target := connection.target) in sources:
-            message = messages.SEVERAL_SOURCES(target=target, first=sources[target], second=connection.source)
+            message = f"two sources for {target}: {sources[target]} and {connection.source}; keep one"
             diagnosis.note(("connections", k, "to"), message)
         sources.setdefault(target, connection.source)
 
@@ -387,7 +412,6 @@ def connection_warnings(file: ScenarioFile, components: Components) -> Iterator[
     """Yield a warning for each component with unconnected inputs that have no value in the scenario."""
     driven = file.scenario.targets
     driven |= {target for event in file.scenario.events for target in event.set}
-    driven |= set() if file.scenario.live is None else {*file.scenario.live.inputs}
     for name, component in components.items():
         declared = file.scenario.components[name]
         start = {*declared.start} if isinstance(declared, FmuComponent) else set[str]()
@@ -401,6 +425,7 @@ def connection_warnings(file: ScenarioFile, components: Components) -> Iterator[
             and start.isdisjoint({s.name, s.array})
         ]
         is_sensor = isinstance(declared, FixComponent)
-        template = messages.FIXES_NOT_CONNECTED if is_sensor else messages.INPUTS_NOT_CONNECTED
-        if free:
-            yield template(names=_some(free))
+        if free and is_sensor:
+            yield f"inputs not connected, so their fixes are 0: {_some(free)}"
+        elif free:
+            yield f"not connected, at the start value of the FMU: {_some(free)}"

@@ -1,16 +1,14 @@
-"""Terms of an FMU as C code for the wrapper, and as a Python module for FMUs beside the original."""
+"""Terms of an FMU as C code for the wrapper."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
-from cosim.model.model import Model
 from cosim.model.namespaces import SymbolNamespace
-from cosim.model.quantities import Parameter
 from cosim.model.symbolic.functions import Body
-from cosim.model.symbolic.languages import C, Language, Python
+from cosim.model.symbolic.languages import C
 from cosim.model.symbolic.tracing_guard import number_guard
 from cosim.terms.code import Hook, TermCode
 from cosim.terms.fmu_model import FmuModel
@@ -19,24 +17,14 @@ from cosim.terms.language import Force
 STEP = "h"  # last parameter of the functions: length of the substep
 
 
-class PrintedTerms(NamedTuple):
-    """Terms as functions of a language.
+def term_code(model: FmuModel, names: Collection[str], states: Sequence[str]) -> TermCode:
+    """Return the C code of some terms of the catalogue, for the variables of the FMU.
 
-    Attributes:
-        parameters: Declarations in the order of p.
-        memory: Number of values in the memory.
-        delay: Name of the parameter that delays all inputs, or "".
+    The FMU's own parameters have the values of the model.
+
+    Args:
+        states: The FMU's variables in place of the model's states.
     """
-
-    source: str
-    parameters: tuple[Parameter, ...]
-    hooks: tuple[Hook, ...]
-    memory: int
-    delay: str
-
-
-def print_terms(model: FmuModel, names: Collection[str], language: Language) -> PrintedTerms:
-    """Return some terms of the catalogue as functions; the FMU's own parameters have the values of the model."""
     import sympy
 
     body = Body.of(model, effects=names)
@@ -48,63 +36,20 @@ def print_terms(model: FmuModel, names: Collection[str], language: Language) -> 
         return e.xreplace({s: sympy.Float(getattr(model, base[s])) for s in e.free_symbols & base.keys()})
 
     texts = [
-        language.function(name, words, [*map(with_values, e)], places, stages)
+        C().function(name, words, [*map(with_values, e)], places, stages)
         for name, (words, e, stages) in functions.items()
     ]
-    delay = next((f"{e.name}.{e.delay}" for e in body.symbols.model.awake if e.delay), "")
-    parameters = tuple(replace(model.declared[n], name=n) for n in own)
-    return PrintedTerms("\n".join(texts), parameters, tuple(functions), len(body.shaping.remembered), delay)
-
-
-def term_code(model: FmuModel, names: Collection[str], states: Sequence[str]) -> TermCode:
-    """Return the C code of some terms of the catalogue, for the variables of the FMU.
-
-    Args:
-        states: The FMU's variables in place of the model's states.
-    """
-    printed = print_terms(model, names, C())
     turned = any(e.name in names and issubclass(e, Force) and e.place.direction is not None for e in model.catalogue)
     return TermCode(
-        printed.source,
-        printed.parameters,
+        "\n".join(texts),
+        tuple(replace(model.declared[n], name=n) for n in own),
         tuple(model.variables[q.name] for q in model.inputs),
         tuple(states),
-        memory=printed.memory,
-        hooks=printed.hooks,
-        delay=printed.delay,
+        memory=len(body.shaping.remembered),
+        hooks=tuple(functions),
+        delay=next((f"{e.name}.{e.delay}" for e in body.symbols.model.awake if e.delay), ""),
         directions=model.directions if turned else (),
     )
-
-
-def print_readings(model: Model, values: Mapping[str, float]) -> tuple[str, dict[int, int], dict[int, int]]:
-    """Return sensor errors as a Python function `readings(t, y, p, out)`, with their lags and latencies.
-
-    Args:
-        values: Parameter of each sensor error, in the order of p.
-
-    Returns:
-        Text, output index → parameter index of each lag, and the same of each latency.
-    """
-    import sympy
-
-    names, order = [q.name for q in model.outputs], [*values]
-    symbols = {name: sympy.Symbol(f"y:{name}", real=True) for name in names}
-    time, outputs, parameters = sympy.Symbol("t", real=True), dict(symbols), list[Any]()
-    lags, latencies = dict[int, int](), dict[int, int]()
-    for kind in model.sensors:
-        if (name := f"{kind.name}.value") not in values:
-            continue
-        if kind.depends_on_past():
-            times = latencies if kind.late else lags
-            times |= {names.index(n): order.index(name) for n in kind.affected()}
-            continue
-        parameter = sympy.Symbol(f"p:{name}", real=True)
-        parameters.append((parameter, f"p[{order.index(name)}]"))
-        with number_guard(smooth=True):
-            outputs |= kind(value=parameter).readings(SymbolNamespace(), time, outputs)
-    places = {time: "t", **{s: f"y[{k}]" for k, s in enumerate(symbols.values())}, **dict(parameters)}
-    results = [sympy.sympify(outputs[name]) for name in names]
-    return Python().function("readings", "t y p", results, places), lags, latencies
 
 
 def _places(body: Body, parameters: Sequence[Any]) -> dict[Any, str]:

@@ -11,11 +11,9 @@ from typing import TYPE_CHECKING
 
 from cosim.base.registry import VERBS as ADDED
 from cosim.base.registry import ExtensionWarning, Verb, added_verbs, names
-from cosim.verbs import messages
 
 if TYPE_CHECKING:  # signatures of the functions, for type checkers
     from cosim.authoring.export import export_ssp as export_ssp
-    from cosim.estimators.workflow import consistency as consistency
     from cosim.experiment.excite import excite as excite
     from cosim.linearization.workflow import linearize as linearize
     from cosim.loading.build import build as build
@@ -42,7 +40,6 @@ VERBS = {  # in the order of `cosim -h`
     "run": _verb("run", SIMULATE, "cosim.verbs.run_verb:run"),
     "simulate": _verb("simulate", SIMULATE, "cosim.verbs.simulate_verb:simulate"),
     "init": _verb("init", SIMULATE),
-    "serve": _verb("serve", SIMULATE),
     "sweep": _verb("sweep", SIMULATE, "cosim.sweeps.workflow:sweep"),
     "compare": _verb("compare", INSPECT, "cosim.verbs.compare_verb:compare"),
     "check": _verb("check", INSPECT, "cosim.verbs.check_verb:check"),
@@ -54,7 +51,6 @@ VERBS = {  # in the order of `cosim -h`
     "view": _verb("view", INSPECT),
     "gc": _verb("gc", INSPECT),
     "linearize": _verb("linearize", INSPECT, "cosim.linearization.workflow:linearize"),
-    "consistency": _verb("consistency", INSPECT, "cosim.estimators.workflow:consistency"),
     "replay": _verb("replay", MEASURED, "cosim.verbs.replay_verb:replay"),
     "fit": _verb("fit", MEASURED, "cosim.verbs.fit_verb:fit"),
     "refine": _verb("refine", MEASURED, "cosim.verbs.refine_verb:refine"),
@@ -74,6 +70,10 @@ def verbs(only: str = "") -> Iterator[tuple[str, Verb]]:
     yield from [(only, VERBS[only])] if only else VERBS.items()
     for name in names(ADDED):
         if name in VERBS:
-            warnings.warn(messages.VERB_EXISTS(name=name), ExtensionWarning, stacklevel=2)
+            warnings.warn(
+                f"{name}: an installed package registers a verb that cosim has; it is ignored",
+                ExtensionWarning,
+                stacklevel=2,
+            )
     if not only:
         yield from ((name, verb) for name, verb in added_verbs() if name not in VERBS)

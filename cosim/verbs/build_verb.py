@@ -9,9 +9,8 @@ import typer
 
 from cosim.base.errors import Fault, refuse
 from cosim.fmi.native.platforms import PLATFORMS
-from cosim.verbs import messages
 from cosim.verbs.options import Json
-from cosim.verbs.terminal import say, say_json
+from cosim.verbs.terminal import say, say_json, warn
 
 Out = Annotated[Path, typer.Option("--out", "-o", help="Folder for the FMUs.")]
 
@@ -22,12 +21,18 @@ def command(
     model: Annotated[
         str | None,
         typer.Option(
-            "--model", metavar="MODEL", help="Build this model: a model.yaml, the folder of a refine, or FILE.py:CLASS."
+            "--model",
+            metavar="MODEL",
+            help="Build this model: a registered one, a model.yaml, the folder of a refine, or FILE.py:CLASS.",
         ),
     ] = None,
     nearest: Annotated[
         bool, typer.Option("--nearest", help="Use nearest.yaml instead of model.yaml of the refine folder.")
     ] = False,
+    design: Annotated[
+        Path | None,
+        typer.Option("--design", help="Design the model's controller by the weights and numbers in this YAML file."),
+    ] = None,
     native: Annotated[
         bool,
         typer.Option("--native", help="Build compiled FMUs, which need no Python."),
@@ -55,15 +60,15 @@ def command(
         from cosim.loading.build_native import build_native
 
         names = [name.strip() for name in platforms.split(",") if name.strip()]
-        fmus = build_native(out, model, nearest=nearest, fmi=fmi, platforms=names)
+        fmus = build_native(out, model, nearest=nearest, fmi=fmi, platforms=names, design=design, tell=warn)
         for fmu in fmus:
             say(fmu.sentence)
         if as_json:
             say_json({"built": [{"fmu": str(fmu.path), "platforms": dict(fmu.floors)} for fmu in fmus]})
         return
     native_options = [name for name, is_set in (("--fmi", fmi != 2), ("--platforms", bool(platforms))) if is_set]
-    refuse(Fault(Path(name), 0, 0, messages.NATIVE_ONLY()) for name in native_options)
-    built = list(build_fmus(out, model, nearest=nearest))
+    refuse(Fault(Path(name), 0, 0, "is of native FMUs; add --native, or leave it out") for name in native_options)
+    built = list(build_fmus(out, model, nearest=nearest, design=design, tell=warn))
     for path in built:
         say(f"built {path}")
     if as_json:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -24,18 +22,17 @@ from cosim.base.errors import (
     Terminated,
     refuse,
 )
-from cosim.base.messages import code_of, with_prefix
+from cosim.base.messages import with_prefix
 from cosim.base.program import STOPPED
 from cosim.base.registry import resolve
-from cosim.base.settings import Files, ModelName
+from cosim.base.settings import Files, ModelName, Values
 from cosim.storage.artefact import Checking, kind_by_keys, of_kind
 from cosim.storage.files import FilePath
-from cosim.verbs import messages
 from cosim.verbs.options import Compile, Json, Texts
 from cosim.verbs.terminal import say, say_json
 
 CHECKED_KINDS = "a scenario, study, sweep, protocol, model, log, SSP or FMU"
-MOST_ALIKE = 20  # lines of one code that are printed, for all files together
+MOST_LINES = 200  # printed without --json
 
 
 def check(
@@ -44,7 +41,7 @@ def check(
     *,
     load: bool = True,
     compile: bool = False,
-    columns: Mapping[str, str] | None = None,
+    columns: Values | None = None,
 ) -> list[str]:
     """Find every fault of files.
 
@@ -71,7 +68,10 @@ def check(
     lines: list[str] = []
     with compiling(compile):
         if permission.get() and not load:
-            raise InputError.at(Path("--compile"), messages.COMPILE_WITHOUT_LOAD())
+            raise InputError.at(
+                Path("--compile"),
+                "is to load FMUs, which --no-load (in Python load=False) forbids; leave one of them out",
+            )
         with Worker(*MODULES) if load else nullcontext() as worker:
             checking = Checking(model, dict(columns or {}), worker)
             for path in map(Path, [files] if isinstance(files, (str, os.PathLike)) else files):
@@ -86,7 +86,6 @@ def check(
 def _check_isolated(path: Path, checking: Checking) -> list[str]:
     """Check a file; execute named Python in the worker, or not at all without a worker."""
     from cosim.loading.file import without_execution
-    from cosim.scenario.controller_design import crash_fault
 
     worker = checking.worker
     with without_execution() as skipped:
@@ -94,14 +93,15 @@ def _check_isolated(path: Path, checking: Checking) -> list[str]:
             return _check(path, checking)
         except NotExecuted as code:
             if worker is None:
-                return [messages.NOT_EXECUTED(code=str(code)).after("warning: ")]
+                return [f"warning: {code} (--no-load); that file and everything that depends on it are not checked"]
         except InputError:
             if worker is None or not skipped:  # else there may be more faults
                 raise
     try:
         lines: list[str] = worker.call(_check, path, replace(checking, worker=None))
     except Crashed as crash:
-        raise InputError([crash_fault(skipped[0], crash)]) from None
+        reason = crash.reason.replace("the worker", "its Python", 1)
+        raise InputError.at(skipped[0], f"does not load: {reason}") from None
     return lines
 
 
@@ -120,21 +120,9 @@ def _check(path: Path, checking: Checking) -> list[str]:
         kind = kind_by_keys(root) or (kinds.STUDY if is_study else kinds.SCENARIO)
     declared = of_kind(kind)
     if declared is None or not declared.check:
-        raise InputError.at(path, messages.NOTHING_TO_CHECK(kind=kind, cure=kinds.next_step(kind, path)))
+        raise InputError.at(path, f"is {kind}, in which there is nothing to check: {kinds.next_step(kind, path)}")
     notes: list[str] = resolve(declared.check)(path, checking)
     return notes
-
-
-def _shortened(lines: Sequence[str]) -> Iterator[str]:
-    """Yield lines, at most `MOST_ALIKE` of one code, then the number of the others."""
-    total, shown = Counter(map(code_of, lines)), Counter[str]()
-    for line in lines:
-        code = code_of(line)
-        shown[code] += 1
-        if not code or shown[code] <= MOST_ALIKE:
-            yield line
-        elif shown[code] == MOST_ALIKE + 1:
-            yield messages.ALIKE_FINDINGS(count=total[code] - MOST_ALIKE)
 
 
 def command(
@@ -173,8 +161,10 @@ def command(
     except OSError as error:
         if not is_full(error):
             raise
-        raise FmuError(messages.NO_SPACE_TO_LOAD()) from None
-    say(*(lines if as_json else _shortened(lines)))
+        raise FmuError("the disk is full, so that no FMU can be tried; --no-load checks without") from None
+    say(*(lines if as_json else lines[:MOST_LINES]))
+    if len(lines) > MOST_LINES and not as_json:
+        say(f"… and {len(lines) - MOST_LINES} more; --json lists all of them")
     say(f"no fault in {', '.join(map(str, files))}")
     if as_json:
         say_json({"files": [str(file) for file in files], "findings": lines, "faults": []})

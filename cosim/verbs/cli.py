@@ -2,38 +2,34 @@
 
 from __future__ import annotations
 
-import gc
+import io
 import os
-import signal
 import sys
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from typing import Annotated, Any, NoReturn
+from collections.abc import Callable
+from contextlib import suppress
+from functools import wraps
+from inspect import Parameter, Signature, signature
+from typing import Annotated, Any, get_type_hints
 
 import typer
 
 from cosim.base.drafts import is_full
 from cosim.base.errors import CosimError, SimulationError, Terminated
-from cosim.base.garbage import collect_seldom
 from cosim.base.program import as_program
 from cosim.base.registry import ExtensionWarning, attempt
 from cosim.base.version import __version__
 from cosim.storage.files import check_text
-from cosim.verbs import VERBS, messages, verbs
-from cosim.verbs.help import WHOLE_WIDTH, GroupedHelp, VerbHelp
-from cosim.verbs.manner import with_manner
-from cosim.verbs.outcome import say_partial
-from cosim.verbs.streams import open_streams
-from cosim.verbs.terminal import LAST, say, say_error, say_failure, say_usage, warn
+from cosim.verbs import VERBS, verbs
+from cosim.verbs.terminal import LAST, MANNER, say, say_error, say_failure, say_usage, warn
 
 VERSION = "--version"  # needs no verb
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print only warnings, errors and JSON.")]
+Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Print more, such as the order of steps and timings.")]
 _app = typer.Typer(
-    cls=GroupedHelp,
-    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": WHOLE_WIDTH},
+    context_settings={"help_option_names": ["-h", "--help"]},
     help="Simulate coupled FMUs, compare them with measured logs, and find missing effects of a model.",
     no_args_is_help=True,
-    rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
 
@@ -71,7 +67,26 @@ def _register(*, only: str = "") -> None:
         return
     for name, verb in verbs(only if only in VERBS and VERBS[only].command else ""):
         if verb.command and (command := attempt(name, verb.command)) is not None:
-            _app.command(name, cls=VerbHelp, rich_help_panel=verb.group)(with_manner(command))
+            _app.command(name, rich_help_panel=verb.group or "Other packages")(_with_manner(command))
+
+
+def _with_manner(command: Callable[..., Any]) -> Callable[..., None]:
+    """Return a command that also has the options -q and -v; it returns nothing, which is exit code 0."""
+
+    @wraps(command)
+    def run(*arguments: Any, quiet: bool = False, verbose: bool = False, **options: Any) -> None:
+        MANNER.quiet, MANNER.verbose = quiet, verbose
+        MANNER.as_json, MANNER.has_json = bool(options.get("as_json")), False
+        MANNER.messages.clear()
+        command(*arguments, **options)
+
+    hints = get_type_hints(command, include_extras=True)
+    own = [p.replace(annotation=hints.get(p.name, p.annotation)) for p in signature(command).parameters.values()]
+    manners = {"quiet": Quiet, "verbose": Verbose}
+    added = [Parameter(name, Parameter.KEYWORD_ONLY, default=False, annotation=kind) for name, kind in manners.items()]
+    run.__signature__ = Signature([*own, *added])  # type: ignore[attr-defined]
+    run.__annotations__ = {**hints, **manners}
+    return run
 
 
 def __getattr__(name: str) -> Any:
@@ -85,91 +100,54 @@ def __getattr__(name: str) -> Any:
 
 def entry() -> None:
     """Run the command line; an error of cosim is a message and an exit code, not a traceback."""
-    open_streams()
-    collecting = collect_seldom()
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        if getattr(sys, name) is None:  # closed; a file opened later would take its number
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), "w" if number else "r", encoding="utf-8"))
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # a terminal or file that is not UTF-8 has no true minus sign
+            stream.reconfigure(errors="backslashreplace")
     try:
-        with _terminable():
-            try:
-                _run()
-            finally:
-                while LAST:
-                    LAST.pop()()
+        sys.exit(_run())
     finally:
-        gc.set_threshold(*collecting)
+        while LAST:
+            LAST.pop()()
 
 
-def _run() -> None:
-    """Run the command of this process; exit with its code."""
+def _run() -> int:
+    """Run the command of this process; return its exit code."""
     try:
-        check_text([*sys.argv[1:], *_current_folder(), os.environ.get("TMPDIR", "")])
+        with suppress(FileNotFoundError):  # the current folder may be removed
+            check_text([os.getcwd()])
+        check_text([*sys.argv[1:], os.environ.get("TMPDIR", "")])
         _register(only=sys.argv[1] if len(sys.argv) > 1 else "")
-        sys.exit(_app(standalone_mode=False) or 0)
-    except CosimError as error:
-        say_error(error)
-        say_failure(error)
-        if isinstance(error, SimulationError) and error.left is not None:
-            say_partial(error.left)
-        sys.exit(error.exit_code)
-    except Terminated as end:
-        _fail(str(end), end.exit_code)
-    except MemoryError:
-        _fail(messages.NO_MEMORY(), SimulationError.exit_code)
-    except OSError as error:  # a folder that cannot be written, a disk that is full
-        _fail_on_file(error)
-    except typer.Abort:
-        _fail(messages.NO_ANSWER(), CosimError.exit_code)
+        return int(_app(standalone_mode=False) or 0)
+    except (CosimError, Terminated, MemoryError, OSError, typer.Abort) as error:
+        told = _as_cosim_error(error)
+        say_error(told)
+        with suppress(OSError):  # stdout may be on the disk that is full
+            say_failure(told)
+        return told.exit_code
     except Exception as error:
         if not hasattr(error, "format_message"):  # Typer has classes of its own or those of click, by its version.
             raise
-        sys.exit(say_usage(error))
+        return say_usage(error)
 
 
-def _fail_on_file(error: OSError) -> NoReturn:
-    """Print which file cannot be read or written and why, and exit."""
-    file = f"{error.filename}: " if error.filename else ""
-    if is_full(error):
-        _fail(messages.DISK_FULL(file=file), SimulationError.exit_code)
-    _fail(messages.FILE_ERROR(file=file, reason=error.strerror or error), 2)
-
-
-def _fail(message: str, exit_code: int) -> NoReturn:
-    """Print an error, with --json also as JSON, and exit."""
-    error = CosimError(message)
-    error.exit_code = exit_code
-    say_error(error)
-    with suppress(OSError):  # stdout may be on the disk that is full
-        say_failure(error)
-    sys.exit(exit_code)
-
-
-@contextmanager
-def _terminable() -> Iterator[None]:
-    """Raise Terminated at the first signal to end the process, so that unfinished files are removed."""
-    numbers = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
-    before = {number: signal.getsignal(number) for number in numbers}
-    received: list[int] = []
-
-    def terminate(number: int, frame: object) -> None:
-        received.append(number)
-        if len(received) == 1:
-            raise Terminated(signal.Signals(number).name)
-
-    for number, handler in before.items():
-        if handler != signal.SIG_IGN:  # nohup
-            signal.signal(number, terminate)
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler or signal.SIG_DFL)
-
-
-def _current_folder() -> list[str]:
-    """Return the current folder as a list, empty if the folder was removed."""
-    try:
-        return [os.getcwd()]
-    except OSError:
-        return []
+def _as_cosim_error(error: BaseException) -> CosimError:
+    if isinstance(error, CosimError):
+        return error
+    exit_code, message = SimulationError.exit_code, str(error)
+    if isinstance(error, MemoryError):
+        message = "there is not enough memory; run shorter, in longer steps or with less recorded"
+    elif isinstance(error, OSError):  # a folder that cannot be written, a disk that is full
+        file = f"{error.filename}: " if error.filename else ""
+        message = file + ("the disk is full" if is_full(error) else error.strerror or message)
+        exit_code = exit_code if is_full(error) else 2
+    elif isinstance(error, typer.Abort):
+        exit_code, message = CosimError.exit_code, "the input ended at a prompt; run it on a terminal"
+    told = CosimError(message)
+    told.exit_code = exit_code
+    return told
 
 
 if __name__ == "__main__":

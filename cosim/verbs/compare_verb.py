@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -11,12 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cosim.base.errors import CriterionMissed, InputError
-from cosim.base.messages import join
-from cosim.base.settings import Count, NotNegative, Runs
+from cosim.base.settings import Count, NotNegative
 from cosim.storage.files import FilePath
-from cosim.verbs import messages
 from cosim.verbs.options import Force, Json, Open, Report, ResultsFolder, out_option
-from cosim.verbs.terminal import colour, say, say_json, show, some, table, warn
+from cosim.verbs.terminal import say, say_json, show, some, table, warn
 
 if TYPE_CHECKING:
     from cosim.comparison.differences import Compared
@@ -29,7 +26,7 @@ MAX_SIGNALS = 12  # on the terminal
 
 
 def compare(
-    a: FilePath | Count | Signals | Runs,
+    a: FilePath | Count | Signals | Sequence[FilePath | Count | Signals],
     b: FilePath | Count | Signals | None = None,
     out: FilePath | None = None,
     *,
@@ -50,7 +47,7 @@ def compare(
         baseline: Baseline of a list of runs; by default its first run.
         tolerance: Allowed difference as a share of each signal's range in the baseline.
         absolute: Allowed difference in each signal's unit, added to `tolerance`.
-        force: Overwrite results of other runs or of another command in `out`.
+        force: Write into `out` even if it is not empty; results in it are replaced.
 
     Returns:
         The difference of each signal, and the verdict if there is a tolerance: `Compared` of two runs `a` and `b`,
@@ -59,24 +56,16 @@ def compare(
     Raises:
         InputError: No such run, or runs without a common signal or a common time.
     """
-    from cosim.comparison.workflow import compare as compare_two
-    from cosim.comparison.workflow import compare_all
+    from cosim.comparison.workflow import compare as compare_runs
 
     options: dict[str, Any] = {"tolerance": tolerance, "absolute": absolute, "write": out is not None, "force": force}
     if isinstance(a, (list, tuple)):
         sources, place = _sources([*a, *([] if b is None else [b])], baseline)
-        return compare_all(sources, out, baseline=place, **options)[0]
+        return compare_runs(sources, out, baseline=place, **options)[0]
     sources, place = _sources([a, *([] if b is None else [b])], baseline)
     if len(sources) > 2:
-        raise InputError.at(Path(str(a)), messages.SEVERAL_RUNS(count=len(sources)))
-    first, second = _both(sources, place)
-    return compare_two(first, second, out, **options)[0]
-
-
-def _is_result(side: Any) -> bool:
-    from cosim.simulation.run_signals import Signals
-
-    return isinstance(side, Signals)
+        raise InputError.at(Path(str(a)), f"{len(sources)} runs match; give a list to compare them all")
+    return compare_runs(sources, out, baseline=place, as_pair=True, **options)[0]
 
 
 def _sources(sides: Sequence[Any], baseline: Any = None, results: Path | None = None) -> tuple[list[RunSource], int]:
@@ -90,12 +79,12 @@ def _sources(sides: Sequence[Any], baseline: Any = None, results: Path | None = 
         InputError: Fewer than two runs, or a baseline that is not one run.
     """
     if not sides:
-        raise InputError.at(Path("runs"), messages.NO_RUN())
+        raise InputError.at(Path("runs"), "no run is given; name at least two runs to compare")
     sources, place = _runs_of(sides, results), 0
     if baseline is not None:
         base = _runs_of([baseline], results)
         if len(base) != 1:
-            raise InputError.at(Path(str(baseline)), messages.SEVERAL_BASELINES(count=len(base)))
+            raise InputError.at(Path(str(baseline)), f"{len(base)} runs match; name one as the baseline")
         paths = [source.path.resolve() for source in sources]
         if base[0].path.resolve() not in paths:
             sources.insert(0, base[0])
@@ -103,30 +92,32 @@ def _sources(sides: Sequence[Any], baseline: Any = None, results: Path | None = 
             place = paths.index(base[0].path.resolve())
             sources[place] = base[0]
     if len(sources) < 2:
-        raise InputError.at(sources[0].path if sources else Path(str(sides[0])), messages.ONE_RUN())
+        raise InputError.at(
+            sources[0].path if sources else Path(str(sides[0])), "is one run; name at least two runs to compare"
+        )
     return sources, place
 
 
 def _runs_of(sides: Sequence[Any], results: Path | None) -> list[RunSource]:
-    """Return the runs of paths, numbers, names, patterns and results of functions, in this order."""
+    """Return the runs of paths, numbers, names, patterns and results of functions, in this order.
+
+    Results that a pattern matched although they have no rows, as a sweep, are left out.
+    """
+    from cosim.comparison.several import RunSource
     from cosim.history.selection import select_groups
-
-    groups = iter(select_groups([str(side) for side in sides if not _is_result(side)], results))
-    runs = ([_result_source(s)] if _is_result(s) else map(_named_source, _with_rows(next(groups))) for s in sides)
-    return [run for each in runs for run in each]
-
-
-def _with_rows(group: Sequence[Selected]) -> list[Selected]:
-    """Return results without those that a pattern matched although they have no rows, as a sweep."""
+    from cosim.simulation.run_signals import Signals
     from cosim.storage.results import rows_in
 
-    return [selected for selected in group if not selected.by_pattern or rows_in(selected.path) is not None]
-
-
-def _named_source(selected: Selected) -> RunSource:
-    from cosim.comparison.several import RunSource
-
-    return RunSource(selected.short, selected.path, partial(_read, selected), selected.by_pattern, selected.longer)
+    groups = iter(select_groups([str(side) for side in sides if not isinstance(side, Signals)], results))
+    sources = []
+    for side in sides:
+        if isinstance(side, Signals):
+            sources.append(_result_source(side))
+            continue
+        for s in next(groups):
+            if not s.by_pattern or rows_in(s.path) is not None:
+                sources.append(RunSource(s.short, s.path, partial(_read, s), s.by_pattern, s.longer))
+    return sources
 
 
 def _read(selected: Selected) -> RecordedRun:
@@ -149,22 +140,6 @@ def _result_source(side: Signals) -> RunSource:
     return RunSource(side.title, path, lambda: run)
 
 
-def _both(sources: Sequence[RunSource], baseline: int) -> tuple[RecordedRun, RecordedRun]:
-    """Return the baseline and the other run, with names that differ."""
-    from cosim.comparison.differences import is_one_run
-    from cosim.comparison.several import label_runs
-
-    ordered = [sources[baseline], sources[1 - baseline]]
-    runs = [source.read() for source in ordered]
-    shorts = [source.short for source in ordered]
-    if is_one_run(*runs):
-        runs = [replace(runs[0], name=shorts[0]), replace(runs[1], name="the same run")]
-    elif shorts[0] == shorts[1] or shorts != [run.name for run in runs]:
-        labels, _ = label_runs(runs, shorts, [source.longer or source.short for source in ordered])
-        runs = [replace(run, name=label) for run, label in zip(runs, labels, strict=True)]
-    return runs[0], runs[1]
-
-
 def command(
     runs: Annotated[
         list[str],
@@ -185,7 +160,7 @@ def command(
         float, typer.Option("--abs", help="Allowed difference in each signal's unit, added to --tol.")
     ] = 0.0,
     results: ResultsFolder = None,
-    out: Annotated[Path | None, out_option("results/A-and-B")] = None,
+    out: Annotated[Path | None, out_option("a new number in results/A-and-B")] = None,
     report: Report = True,
     open_: Open = False,
     force: Force = False,
@@ -197,33 +172,31 @@ def command(
 
     Example: cosim compare results/one results/two --tol 1e-3
     """
-    from cosim.comparison.workflow import compare as compare_two
-    from cosim.comparison.workflow import compare_all
+    from cosim.comparison.differences import Compared
+    from cosim.comparison.workflow import compare as compare_runs
 
     sources, place = _sources(runs, baseline, results)
     if absolute and tolerance is None:
         tolerance = 0.0
     options: dict[str, Any] = {"tolerance": tolerance, "absolute": absolute, "report": report, "force": force}
-    comparison: Compared | ComparedRuns
-    if len(sources) == 2:
-        shorts = [sources[place].short, sources[1 - place].short]
-        comparison, folder = compare_two(*_both(sources, place), out, **options, shorts=shorts)
+    comparison, folder = compare_runs(sources, out, baseline=place, as_pair=len(sources) == 2, **options)
+    if isinstance(comparison, Compared):
         warn(*comparison.a.warnings, *comparison.b.warnings)
         lines = _lines(comparison)
     else:
-        comparison, folder = compare_all(sources, out, baseline=place, **options)
         warn(*comparison.left_out, *(warning for run in comparison.runs for warning in run.warnings))
         lines = _lines_of_several(comparison)
     if as_json:
         say_json(comparison.as_json())
     else:
-        say(*lines)
+        say(lines[0], met=comparison.same if comparison.judged else None)
+        say(*lines[1:])
         say(f"differences: {folder / 'comparison.json'}")
         if report:
             say(f"report:      {folder / 'report.html'}")
     show(folder / "report.html", open_=report and open_)
     if comparison.judged and not comparison.same:
-        raise CriterionMissed(join("; ", comparison.reasons))
+        raise CriterionMissed("; ".join(comparison.reasons))
 
 
 def _lines_of_several(c: ComparedRuns) -> list[str]:
@@ -232,7 +205,7 @@ def _lines_of_several(c: ComparedRuns) -> list[str]:
     from cosim.comparison.signals import format_share, format_size
     from cosim.history.inputs import input_text
 
-    lines = [colour(c.same, sentence(c)) if c.judged else sentence(c)]
+    lines = [sentence(c)]
     lines += [f"  {label}{'  (baseline)' if k == c.baseline else ''}" for k, label in enumerate(c.labels)]
     shown = c.drawn
     heads = [c.shorts[k] for k in shown]
@@ -265,5 +238,4 @@ def _lines(comparison: Compared) -> list[str]:
         lines.append(f"  … and {len(ranked) - MAX_SIGNALS} more that differ")
     for name, only in (("a", comparison.only_a), ("b", comparison.only_b)):
         lines += [f"  only in {name}: {some(only, MAX_SIGNALS)}"] if only else []
-    verdict = sentence(comparison)
-    return [colour(comparison.same, verdict) if comparison.judged else verdict, *lines]
+    return [sentence(comparison), *lines]

@@ -8,8 +8,7 @@ from typing import Annotated
 
 import typer
 
-from cosim.base.program import ending_when_stuck
-from cosim.storage.folders import folder_named, name_of
+from cosim.storage.folders import name_of, new_run
 from cosim.verbs.options import Force, Json, Open, Report, Texts, out_option, time_option
 from cosim.verbs.terminal import files_in, say, say_json, show, stages, warn
 
@@ -26,7 +25,7 @@ def command(
         Texts,
         typer.Option("--against", metavar="NAME", help="Effect, sensor error or parameter that is a rival hypothesis."),
     ] = None,
-    out: Annotated[Path | None, out_option("results/MODEL-excitation")] = None,
+    out: Annotated[Path | None, out_option("a new number in results/MODEL-excitation")] = None,
     limit: Annotated[
         Texts,
         typer.Option(
@@ -58,8 +57,8 @@ def command(
     """
     from cosim.experiment.excite import excite as choose_input
 
-    place = folder_named(name_of(model), "excitation") if out is None else out
-    with stages() as progress, ending_when_stuck():
+    folder = new_run(out, f"{name_of(model)}-excitation", "cosim excite", force=force, goes_on=True)
+    with folder as place, stages() as progress:
         choice = choose_input(
             model,
             place,
@@ -70,7 +69,6 @@ def command(
             duration=duration,
             seed=seed,
             report=report,
-            force=force,
             progress=progress,
         )
     say(choice.headline)

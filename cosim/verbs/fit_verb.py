@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cosim.base.settings import Files, Given, normalize_settings, texts
+from cosim.base.settings import Files, Given, column_names, texts
 from cosim.storage.files import FilePath
-from cosim.storage.folders import folder_of_file
+from cosim.storage.folders import name_of_file, new_run, results_in
 from cosim.verbs.options import Compile, Force, InProcess, Json, LimitsText, Open, Report, Texts, out_option
-from cosim.verbs.scratch_results import results_in
 from cosim.verbs.terminal import files_in, say, say_json, show, stages, table, warn
 
 if TYPE_CHECKING:
@@ -49,7 +48,7 @@ def fit(
         sealed: Logs for the proof, which the estimate does not use.
         columns: Column of the logs → variable, or "time".
         report: Write report.html.
-        force: Overwrite results of another FMU or command in `out`.
+        force: Write into `out` even if it is not empty; results in it are replaced.
         in_process: Load the FMU into this process, for a debugger; limits do not apply.
         compile: Compile and execute the sources of an FMU that has no library for this machine.
         limits: Limits of time and memory, for example "step: 10 s, total: 1 h"; `total` limits the estimate.
@@ -69,24 +68,21 @@ def fit(
     from cosim.calibration.fitted import Fitted
     from cosim.calibration.workflow import fit as fit_logs
 
-    settings = normalize_settings(columns, "columns")
-    pairs = [f"{c}={v}" for c, v in settings.items()] if isinstance(settings, dict) else list(settings)
     request = request_of(
         [logs] if isinstance(logs, (str, os.PathLike)) else list(logs),
         fmu,
-        vary=texts(vary, "vary"),
-        start=texts(start, "start"),
+        vary=texts(vary),
+        start=texts(start),
         sealed=list(sealed),
-        columns=pairs,
+        columns=column_names(columns),
         limits=limits,
     )
-    with compiling(compile), results_in(out) as folder:
+    with compiling(compile), results_in(out, "cosim fit", force=force) as folder:
         record, _ = fit_logs(
             request,
             folder,
             in_process=in_process,
             report=report and out is not None,
-            force=force,
             progress=progress or _silent,
         )
     return Fitted(record.model_dump(mode="json"), None if out is None else Path(out))
@@ -106,7 +102,7 @@ def command(
         Path | None,
         typer.Option("--fmu", metavar="FMU", help="FMU whose parameters are estimated, if no study names it."),
     ] = None,
-    out: Annotated[Path | None, out_option("results/NAME-fit of the FMU or study")] = None,
+    out: Annotated[Path | None, out_option("a new number in results/NAME-fit of the FMU or study")] = None,
     vary: Annotated[
         Texts,
         typer.Option(
@@ -156,14 +152,13 @@ def command(
         columns=column or (),
         limits=limits,
     )
-    place = folder_of_file(request.fmu if request.yaml is None else logs[0], "fit") if out is None else out
-    with compiling(compile_), stages() as progress:
+    name = name_of_file(request.fmu if request.yaml is None else logs[0], "fit")
+    with compiling(compile_), new_run(out, name, "cosim fit", force=force) as place, stages() as progress:
         record, told = fit_logs(
             request,
             place,
             in_process=in_process,
             report=report,
-            force=force,
             progress=progress or _silent,
         )
     warn(*told)

@@ -17,7 +17,7 @@ from cosim.verbs.terminal import say, say_json, some, warn
 
 if TYPE_CHECKING:
     from cosim.history.entries import Entry
-    from cosim.history.removal import Removal
+    from cosim.history.selection import Removal
 
 MOST_NAMES = 10
 UNITS = ("B", "kB", "MB", "GB", "TB")
@@ -39,20 +39,19 @@ def command(
 
     Example: cosim gc --keep 5
     """
-    from cosim.history import messages
-    from cosim.history.entries import entries, listed_entries, warnings_of
-    from cosim.history.removal import Removal, plan_removal, remove
+    from cosim.history.entries import entries
+    from cosim.history.selection import Removal, find_entries, plan_removal, remove
 
     root = results or RESULTS
-    chosen = listed_entries(names, root)
+    chosen = find_entries(names, root)
     plan = plan_removal(entries(root), keep=keep, older=older, chosen=chosen)
-    warn(*warnings_of(chosen))
+    warn(*(text for entry in chosen for text in entry.warnings))
     planned = [entry.name for entry in plan.entries]
     if planned:
         say(f"to remove: {_amount(plan)}: {some(planned, MOST_NAMES)}")
         if not yes:
             if as_json or not sys.stdin.isatty():
-                raise InputError.at(root, messages.NOT_CONFIRMED())
+                raise InputError.at(root, "nothing is removed without an answer; add --yes")
             if not typer.confirm("Remove?"):
                 planned = []
     done = remove(plan.entries) if planned else Removal((), 0)
@@ -72,7 +71,7 @@ def _reason(chosen: Sequence[Entry], *, named: bool) -> str:
     """Return why no run is removed."""
     if not named or not chosen or not all(entry.is_newest for entry in chosen):
         return "no earlier run is among these results"
-    names = " ".join(shlex.quote(f"{entry.name}/*") for entry in chosen)
+    names = " ".join(shlex.quote(f"{entry.of}/*") for entry in chosen)
     return f"the newest results of a name stay; name its earlier runs as {names}"
 
 

@@ -8,10 +8,8 @@ from typing import Annotated
 import typer
 
 from cosim.base.errors import InputError
-from cosim.verbs import messages
 from cosim.verbs.options import Json, Open, Overrides
-from cosim.verbs.streams import echo
-from cosim.verbs.terminal import say, say_json, show
+from cosim.verbs.terminal import echo, say, say_json, show
 
 
 def command(
@@ -46,9 +44,9 @@ def command(
         return
     path = Path(f"{scenario.stem}.svg") if out is None else out
     if not path.parent.is_dir():
-        raise InputError.at(path, messages.NO_FOLDER())
+        raise InputError.at(path, "its folder is not there; make it first")
     if path.suffix.lower() not in (".svg", ".mmd"):
-        raise InputError.at(path, messages.NOT_A_DIAGRAM_FILE())
+        raise InputError.at(path, "name an .svg or .mmd file")
     if not force:
         check_picture(path, graph)
     write_text(path, graph.mermaid() if path.suffix.lower() == ".mmd" else graph.svg())

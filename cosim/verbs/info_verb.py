@@ -28,7 +28,7 @@ def command(
     every: Annotated[bool, typer.Option("--all", help="List local variables and every parameter too.")] = False,
     places: Annotated[
         bool,
-        typer.Option("--places", help="Execute each FMU to find the places where terms can act, and its misbehaviour."),
+        typer.Option("--places", help="Execute each FMU to find the places where terms can act."),
     ] = False,
     log: Annotated[
         Texts, typer.Option("--log", metavar="LOG", help="Measured log that drives the inputs for --places.")
@@ -95,7 +95,7 @@ def _places(p: Places) -> list[str]:
     )
     parameters = [(f"  {q.name}", q.quantity.unit, f"{q.quantity.start:.6g}", _acting(q)) for q in s.parameters]
     lines += _titled("parameters", ("  parameter", "unit", "start", "acts"), parameters)
-    return [*lines, f"findings: {len(p.findings) or 'none'}", *(finding.after("  ") for finding in p.findings)]
+    return [*lines, f"findings: {len(p.findings) or 'none'}", *(f"  {finding}" for finding in p.findings)]
 
 
 def _storages(s: Structure) -> list[str]:

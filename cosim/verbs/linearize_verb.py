@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cosim.storage.folders import folder_named, name_of
+from cosim.storage.folders import name_of, new_run
 from cosim.verbs.options import Compile, Force, Json, Open, Report, Texts, out_option
 from cosim.verbs.terminal import say, say_json, show, table, warn
 
 if TYPE_CHECKING:
-    from cosim.linearization.result import Outcome
+    from cosim.linearization.write import Outcome
 
 
 def command(
@@ -51,11 +51,7 @@ def command(
         float | None,
         typer.Option("--step", help="Step of central differences, for example 1e-5; replaces the FMU's derivatives."),
     ] = None,
-    side: Annotated[
-        str | None,
-        typer.Option("--side", metavar="SIDE", help="Side of a kink whose derivative is used: below or above."),
-    ] = None,
-    out: Annotated[Path | None, out_option("results/MODEL-linear")] = None,
+    out: Annotated[Path | None, out_option("a new number in results/MODEL-linear")] = None,
     report: Report = True,
     open_: Open = False,
     force: Force = False,
@@ -70,23 +66,22 @@ def command(
     """
     from cosim.linearization.workflow import linearize as linearize_model
 
-    place = folder_named(name_of(model), "linear") if out is None else out
-    outcome = linearize_model(
-        model,
-        place,
-        at=at or (),
-        set=set_ or (),
-        states=_names(states),
-        inputs=_names(inputs),
-        outputs=_names(outputs),
-        residualize=_names(residualize),
-        component=component,
-        step=step,
-        side=side,
-        report=report,
-        force=force,
-        compile=compile_,
-    )
+    with new_run(out, f"{name_of(model)}-linear", "cosim linearize", force=force) as place:
+        outcome = linearize_model(
+            model,
+            place,
+            at=at or (),
+            set=set_ or (),
+            states=_names(states),
+            inputs=_names(inputs),
+            outputs=_names(outputs),
+            residualize=_names(residualize),
+            component=component,
+            step=step,
+            report=report,
+            force=force,
+            compile=compile_,
+        )
     warn(*outcome.notes)
     if as_json:
         from cosim.linearization.write import content
@@ -102,14 +97,13 @@ def _names(texts: list[str] | None) -> list[str]:
 
 
 def _say_outcome(outcome: Outcome, out: Path, *, report: bool) -> None:
-    from cosim.linearization.descriptions import HEAD, headline, matrix_lines, pole_table
+    from cosim.linearization.descriptions import HEAD, headline, matrix_lines, pole_rows
 
     m = outcome.first
     say(headline(outcome.structure, m))
-    say(*table(HEAD, pole_table(outcome.structure)))
+    say(*table(HEAD, [tuple(row.values()) for row in pole_rows(outcome.structure)]))
     for name in "ABCD":
-        rows = m.states if name in "AB" else m.outputs
-        header, *cells = matrix_lines(name, getattr(m, name), rows, m.states if name in "AC" else m.inputs) or [[name]]
+        header, *cells = matrix_lines(name, *m.matrix(name)) or [[name]]
         say(*table(header, cells) if cells else [])
     count = len(outcome.linear)
     several = f", {count} times from {m.point.time:g} s on; above is the first" if count > 1 else ""

@@ -28,11 +28,11 @@ def command(
 
     Example: cosim list 'tank*'
     """
-    from cosim.history.entries import listed_entries, warnings_of
+    from cosim.history.selection import find_entries
 
     root = results or RESULTS
-    found = listed_entries(names, root)
-    warn(*warnings_of(found))
+    found = find_entries(names, root)
+    warn(*(text for entry in found for text in entry.warnings))
     if as_json:
         say_json({"results": [_as_json(entry) for entry in found]})
         return
@@ -54,7 +54,6 @@ def _cut(text: str) -> str:
 
 def _as_json(entry: Entry) -> dict[str, Any]:
     when = datetime.fromtimestamp(entry.time).astimezone().isoformat(timespec="seconds")
-    names = {"number": entry.number, "name": entry.name, "lasting_name": entry.lasting_name}
-    content = {**names, "folder": str(entry.folder), "command": entry.verb}
+    content = {"number": entry.number, "name": entry.name, "folder": str(entry.folder), "command": entry.verb}
     about = {"outcome": entry.outcome, "changes": dict(entry.changes), "other_version": entry.version or None}
     return {**content, "time": when, **about, "warnings": [*entry.warnings]}

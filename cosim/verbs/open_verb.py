@@ -18,7 +18,12 @@ MOST_NAMES = 5
 
 
 def command(
-    run: Annotated[str, typer.Argument(metavar="RUN", help="Number, name or pattern of results, or their folder.")],
+    run: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="[RUN]", help="Number, name or pattern of results, or their folder (default: the newest results)."
+        ),
+    ] = None,
     results: ResultsFolder = None,
     browser: Annotated[
         bool, typer.Option("--browser/--no-browser", help="Open the page, or print its path only.")
@@ -29,38 +34,38 @@ def command(
 
     Example: cosim open 3
     """
-    from cosim.history import messages
-    from cosim.history.entries import RUNNING, UNKNOWN, named_entries
+    from cosim.history.entries import entries
+    from cosim.history.selection import Selected, select_results
     from cosim.storage.artefact import folder_kind
-    from cosim.storage.folders import content_of, warnings_on
-    from cosim.storage.started import KILLED
+    from cosim.storage.folders import content_of, has_results, state_of, warnings_on
 
-    folder, verb, outcome, record = Path(run), "", "", Path(run) / "manifest.json"
-    warnings: tuple[str, ...] = ()
-    if found := named_entries(run, results or RESULTS):
-        if len(found) > 1:
-            names = some([f"{e.number} {e.name}" for e in found], MOST_NAMES)
-            raise InputError.at(Path(run), messages.SEVERAL(count=len(found), names=names))
-        (entry,) = found
-        folder, verb, outcome = entry.folder, entry.verb, entry.outcome
-        record, warnings = entry.record, entry.warnings
+    root = results or RESULTS
+    found = [Selected(e.folder, e) for e in entries(root)[-1:]] if run is None else select_results([run], root)
+    if not found:
+        raise InputError.at(
+            root, "no results here; run a command without --out first, or name their folder as --results"
+        )
+    if len(found) > 1:
+        names = some([f"{s.entry.number} {s.entry.name}" for s in found if s.entry is not None], MOST_NAMES)
+        raise InputError.at(Path(run or ""), f"{len(found)} results match: {names}; name one")
+    folder, entry = found[0].path, found[0].entry
     page = folder / PAGE
     if not page.is_file():
-        if outcome == KILLED:
-            raise InputError.at(folder, messages.NO_PAGE_OF_KILLED())
-        if outcome in {RUNNING, UNKNOWN}:
-            raise InputError.at(folder, messages.NO_PAGE_YET())
-        if folder_kind(folder) is None:
-            raise InputError.at(folder, messages.NOT_RESULTS())
+        if not has_results(folder):
+            reason = "holds no results of a command; give a number, a name or a folder in `cosim list`"
+            raise InputError.at(folder, reason)
+        if state := state_of(folder):
+            raise InputError.at(folder, f"has no report.html: its command is {state}; `cosim list` shows the state")
+        kind = folder_kind(folder)
+        record = folder / kind.marks[0] if kind is not None else folder
         if record.suffix == ".json" and record.is_file() and not content_of(record):
-            raise InputError.at(folder, messages.NO_PAGE_OF_DAMAGED())
+            raise InputError.at(folder, "has no report.html, and its record is damaged: run the command again")
+        of_run = entry.verb in {"run", "simulate", ""} if entry is not None else (folder / "manifest.json").is_file()
         cure = (
-            f"`cosim report {shlex.quote(str(folder))}` writes it"
-            if verb in {"run", "simulate", ""}
-            else "run the command again with a report"
+            f"`cosim report {shlex.quote(str(folder))}` writes it" if of_run else "run the command again with a report"
         )
-        raise InputError.at(folder, messages.NO_REPORT(cure=cure))
-    warn(*dict.fromkeys((*warnings_on(folder), *warnings)))
+        raise InputError.at(folder, f"has no report.html; {cure}")
+    warn(*dict.fromkeys((*warnings_on(folder), *(entry.warnings if entry is not None else ()))))
     say(f"report: {page}")
     if as_json:
         say_json({"report": str(page)})

@@ -1,16 +1,31 @@
-"""Options that several commands share."""
+"""Options that several commands share, and the live page that --live asks for."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from cosim.base.errors import Terminated
+from cosim.base.messages import Note
+from cosim.storage.files import NOT_BLANK
+from cosim.verbs.terminal import LAST, say_finding, say_note
+
 
 def out_option(default: str) -> Any:
     """Return the option --out for an output folder."""
-    return typer.Option("--out", "-o", help=f"Folder for the results (default: {default}).")
+    help_ = f"Folder for the results (default: {default})."
+    return typer.Option("--out", "-o", help=help_, parser=_out_path, metavar="PATH")
+
+
+def _out_path(value: Any) -> Path:
+    """Refuse a blank name, which as a path would be the current folder."""
+    if not str(value).strip():
+        raise typer.BadParameter(f"is blank; {NOT_BLANK}")
+    return Path(value)
 
 
 def seconds(text: str) -> float:
@@ -38,7 +53,7 @@ Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of text."
 Open = Annotated[bool, typer.Option("--open", help="Open the report in a browser.")]
 Report = Annotated[bool, typer.Option("--report/--no-report", help="Write report.html, or do not.")]
 Force = Annotated[
-    bool, typer.Option("--force", help="Write even if the folder holds results of another run or command.")
+    bool, typer.Option("--force", help="Write even if the folder is not empty; results in it are replaced.")
 ]
 InProcess = Annotated[
     bool,
@@ -57,7 +72,7 @@ LimitsText = Annotated[
 Format = Annotated[
     str,
     typer.Option(
-        "--format", help="File format of the rows: csv, parquet, mat, hdf5, mcap, or a format of an installed package."
+        "--format", help="File format of the rows: csv, parquet, mat, hdf5, or a format of an installed package."
     ),
 ]
 Nearest = Annotated[
@@ -69,3 +84,33 @@ Nearest = Annotated[
 Overrides = Annotated[
     Texts, typer.Option("--set", metavar="PATH=VALUE", help="Replace a value of the scenario, for example noise=off.")
 ]
+Live = Annotated[bool, typer.Option("--live", help="Open a page that shows the work while it goes on.")]
+Port = Annotated[
+    int | None,
+    typer.Option("--port", min=0, max=65535, help="Port of the live page (default: any free port); implies --live."),
+]
+
+
+PAGES = {"run": "LiveRun", "sweep": "LiveSweep", "refine": "LiveRefine"}  # verb → class of its page
+
+
+@contextmanager
+def live_page(verb: str, title: str, *, live: bool, port: int | None, **settings: Any) -> Iterator[Any]:
+    """Yield the live page of a verb, None without --live; keep it open until the user closes it."""
+    if not live and port is None:
+        yield None
+        return
+    from cosim.pages import work_pages
+    from cosim.pages.server import open_page
+
+    page = getattr(work_pages, PAGES[verb])(title, port or 0, **settings)
+    LAST.append(lambda: _wait(page))
+    is_open = open_page(page.url, title)
+    (say_note if is_open else say_finding)(Note(f"live page: {page.url}"))
+    with page:
+        yield page
+
+
+def _wait(page: Any) -> None:
+    with suppress(KeyboardInterrupt, Terminated):  # The exit code is that of the work.
+        page.wait_for_close(say_note)

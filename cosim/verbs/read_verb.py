@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING
 from cosim.base.registry import resolve
 from cosim.storage.artefact import artefacts
 from cosim.storage.files import FilePath
+from cosim.storage.folders import newest_run
 
 if TYPE_CHECKING:
     from cosim.calibration.fitted import Fitted
     from cosim.refinement.refined_result import Refined
     from cosim.residuals.replay_signals import Replay
     from cosim.simulation.run_signals import Run, Signals
-    from cosim.sweeps.sweep_table import Runs
+    from cosim.sweeps.store import Runs
 
 
 def read(folder: FilePath) -> Run | Replay | Fitted | Refined | Runs | Signals:
@@ -32,7 +33,7 @@ def read(folder: FilePath) -> Run | Replay | Fitted | Refined | Runs | Signals:
     """
     from cosim.simulation.run_signals import read_run
 
-    path = Path(folder)
+    path = newest_run(Path(folder))
     for artefact in artefacts():
         if artefact.reader and artefact.is_left_in(path):
             result: Run | Replay | Fitted | Refined | Runs | None = resolve(artefact.reader)(path)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -11,13 +11,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cosim.base.errors import InputError
-from cosim.base.program import ending_when_stuck
-from cosim.base.settings import Files
+from cosim.base.settings import Files, Values
 from cosim.storage.files import FilePath
-from cosim.storage.folders import folder_of_file
-from cosim.verbs import messages
-from cosim.verbs.live_option import Live, Port, live_page
-from cosim.verbs.options import Force, InProcess, Json, LimitsText, Open, Report, out_option
+from cosim.storage.folders import name_of_file, new_run
+from cosim.verbs.options import Force, InProcess, Json, LimitsText, Live, Open, Port, Report, live_page, out_option
 from cosim.verbs.terminal import files_in, say, say_json, show, stages, table, warn
 
 if TYPE_CHECKING:
@@ -32,7 +29,7 @@ def refine(
     *,
     logs: FilePath | Files = (),
     validation: FilePath | Files = (),
-    settings: Mapping[str, Any] | None = None,
+    settings: Values | None = None,
     report: bool = True,
     force: bool = False,
     in_process: bool = False,
@@ -48,7 +45,7 @@ def refine(
         validation: Sealed logs of an object.
         settings: Further keys of a study file, for an object.
         report: Write report.html.
-        force: Overwrite results of another study or command in `out`.
+        force: Write into `out` even if it is not empty; results in it are replaced.
         in_process: Load FMUs into this process, for a debugger; limits do not apply.
         limits: Limits of time and memory in place of those of a study file, for example "total: 10 min".
         progress: Function of (stage, completed share).
@@ -67,18 +64,25 @@ def refine(
 
     if isinstance(study, (str, PathLike)):
         if logs or validation or settings:
-            raise InputError.at(Path(study), messages.KEYS_OF_STUDY())
+            raise InputError.at(
+                Path(study),
+                (
+                    "logs, validation and settings stand in the file; write them into the study, or give an object "
+                    "in its place"
+                ),
+            )
         source: Any = study
     else:
         source = study_of(study, logs, validation, **(settings or {}))
-    result = refine_study(source, out, progress, report=report, force=force, in_process=in_process, limits=limits)
-    return Refined(result.record, Path(out), result.refined)
+    with new_run(out, "", "cosim refine", force=force) as place:
+        result = refine_study(source, place, progress, report=report, in_process=in_process, limits=limits)
+    return Refined(result.record, place, result.refined)
 
 
 def command(
     study: Annotated[Path, typer.Argument(help="A study: model, estimation logs and validation logs.")],
     *,
-    out: Annotated[Path | None, out_option("results/NAME of the study")] = None,
+    out: Annotated[Path | None, out_option("a new number in results/NAME of the study")] = None,
     report: Report = True,
     in_process: InProcess = False,
     limits: LimitsText = "",
@@ -97,14 +101,13 @@ def command(
     from cosim.refinement.stages import stage_number
     from cosim.refinement.workflow import refine as refine_study
 
-    place = folder_of_file(study) if out is None else out
     with (
+        new_run(out, name_of_file(study), "cosim refine", force=force) as place,
         stages(stage_number) as progress,
-        ending_when_stuck(),
         live_page("refine", study.stem, live=live, port=port, progress=progress) as page,
     ):
         told = progress if page is None else page
-        options: dict[str, Any] = {"report": report, "force": force, "in_process": in_process, "limits": limits}
+        options: dict[str, Any] = {"report": report, "in_process": in_process, "limits": limits}
         result = refine_study(study, place, told, **options)
         if page is not None:
             page.show_verdict(result.record, place / "report.html")
@@ -113,9 +116,9 @@ def command(
     if as_json:
         keys = ("verdict", "sentence", "effects", "rivals", "error")
         answer = {key: result.record[key] for key in keys if key in result.record}
-        say_json({**answer, **files_in(place, "refine.json", "model.yaml", "plant.fmu", "plant.ssp")})
+        say_json({**answer, **files_in(place, "refine.json", "model.yaml", "plant.fmu")})
     show(place / "report.html", open_=report and open_)
-    if result.record["verdict"] == "ambiguous" and not result.study.subject.static:
+    if result.record["verdict"] == "ambiguous":
         from cosim.experiment.ranges import inputs_to_limit
 
         ranges = [f"--limit {name}=VALUE" for name in inputs_to_limit(result.study.subject)]
@@ -139,8 +142,7 @@ def _say_verdict(result: Refinement, place: Path, *, report: bool) -> None:
         say(f"\n{errors.title}, root mean square error:", *table(header, rows), "")
     _say_files(place, report=report)
     if isinstance(original := getattr(result.study.subject, "structure", None), Structure):
-        kind = "SSP" if (place / "plant.ssp").is_file() else "FMU"
-        say(f"The {kind} holds {original.fmu.name} whole: check that its licence permits you to pass it on.")
+        say(f"The FMU holds {original.fmu.name} whole: check that its licence permits you to pass it on.")
 
 
 def _say_files(place: Path, *, report: bool) -> None:
@@ -148,8 +150,7 @@ def _say_files(place: Path, *, report: bool) -> None:
     files = {
         "model": ["model.yaml"],
         "FMU": ["plant.fmu"],
-        "SSP": ["plant.ssp"],
-        "nearest": ["nearest.yaml", "nearest.fmu", "nearest.ssp"],  # the first is that of a model
+        "nearest": ["nearest.yaml", "nearest.fmu"],
         "report": ["report.html"] if report else [],
     }
     for name, choices in files.items():

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cosim.base.settings import Given, normalize_settings, texts
+from cosim.base.settings import Given, column_names, texts
 from cosim.storage.files import FilePath
-from cosim.storage.folders import folder_of_file
+from cosim.storage.folders import name_of_file, new_run, results_in
 from cosim.verbs.options import Compile, Force, Format, InProcess, Json, LimitsText, Open, Report, Texts, out_option
-from cosim.verbs.scratch_results import results_in
 from cosim.verbs.terminal import files_in, progress_bar, say, say_finding, say_json, show, table
 
 if TYPE_CHECKING:
@@ -46,11 +45,11 @@ def replay(
         start: Start value or parameter of the FMU → value.
         columns: Column of the log → variable, or "time".
         report: Write report.html.
-        force: Overwrite results of another log, FMU or command in `out`.
+        force: Write into `out` even if it is not empty; results in it are replaced.
         in_process: Load the FMU into this process, for a debugger; limits do not apply.
         compile: Compile and execute the sources of an FMU that has no library for this machine.
         limits: Limits of time and memory, for example "step: 10 s, total: 1 h, memory: 2 GB".
-        format: File format of the rows: "csv", "parquet", "mat", "hdf5", "mcap", or one of an installed package.
+        format: File format of the rows: "csv", "parquet", "mat", "hdf5", or one of an installed package.
         progress: Function of (completed steps, all steps).
 
     Returns:
@@ -65,18 +64,13 @@ def replay(
     from cosim.residuals.replay_signals import read_replay
     from cosim.residuals.workflow import replay as replay_log
 
-    with compiling(compile), results_in(out) as folder:
+    with compiling(compile), results_in(out, "cosim replay", force=force) as folder:
         drive = partial(replay_log, in_process=in_process, limits=limits, progress=progress)
-        posed = partial(drive, start=texts(start, "start"), columns=_pairs(columns))
-        posed(log, folder, fmu, report=report and out is not None, force=force, format_=format)
+        posed = partial(drive, start=texts(start), columns=column_names(columns))
+        posed(log, folder, fmu, report=report and out is not None, format_=format)
         result = read_replay(Path(folder), kept=out is not None)
     assert result is not None  # else an error was raised
     return result
-
-
-def _pairs(columns: Given | None) -> Sequence[str]:
-    pairs = normalize_settings(columns, "columns")
-    return [f"{column}={variable}" for column, variable in pairs.items()] if isinstance(pairs, Mapping) else pairs
 
 
 def command(
@@ -86,7 +80,7 @@ def command(
         Path | None,
         typer.Option("--plant", metavar="FMU", help="FMU to simulate (default: the plant of the base model)."),
     ] = None,
-    out: Annotated[Path | None, out_option("results/NAME of the log")] = None,
+    out: Annotated[Path | None, out_option("a new number in results/NAME of the log")] = None,
     start: Annotated[
         Texts,
         typer.Option(
@@ -121,11 +115,11 @@ def command(
     from cosim.residuals.workflow import replay as replay_log
     from cosim.storage.results import rows_in
 
-    place = folder_of_file(log) if out is None else out
-    with compiling(compile_), progress_bar("replaying") as progress:
+    folder = new_run(out, name_of_file(log), "cosim replay", force=force)
+    with compiling(compile_), folder as place, progress_bar("replaying") as progress:
         drive = partial(replay_log, in_process=in_process, limits=limits, progress=progress)
         posed = partial(drive, start=start or (), columns=column or ())
-        comparison = posed(log, place, plant, report=report, force=force, format_=format_)
+        comparison = posed(log, place, plant, report=report, format_=format_)
     for finding in comparison.findings:
         if finding.severity == "warning":
             say_finding(finding.line)

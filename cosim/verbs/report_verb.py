@@ -21,7 +21,7 @@ def command(
 
     Example: cosim report results/one --open
     """
-    from cosim.comparison.report_again import report_of
+    from cosim.simulation.run_files import report_of
 
     page = report_of(folder, figures=figures, tell=warn)
     say(f"report:  {page}")

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -12,37 +12,37 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cosim.base.errors import InputError
+from cosim.base.errors import CriterionMissed, InputError
 from cosim.base.scratch import temporary_folder
-from cosim.base.settings import Given, Seed, texts
+from cosim.base.settings import Given, Seed, Values, texts
 from cosim.storage.files import FilePath
-from cosim.verbs import messages
-from cosim.verbs.live_option import Live, Port, live_page
+from cosim.storage.folders import results_in
 from cosim.verbs.options import (
     Compile,
     Force,
     Format,
     InProcess,
     Json,
+    Live,
     Nearest,
     Open,
     Overrides,
+    Port,
     Report,
+    live_page,
     out_option,
     time_option,
 )
-from cosim.verbs.outcome import say_outcome
-from cosim.verbs.scratch_results import results_in
-from cosim.verbs.terminal import progress_bar, say, say_finding, warn
+from cosim.verbs.terminal import MANNER, progress_bar, say, say_finding, say_json, say_more, show, warn
 
 if TYPE_CHECKING:
-    from cosim.master.input_functions import NamedFunctions
-    from cosim.master.observer import Observers
+    from cosim.master.observer import NamedFunctions, Observers
     from cosim.simulation.run_signals import Run
+    from cosim.simulation.workflow import Outcome
 
 
 def run(
-    scenario: FilePath | Mapping[str, Any],
+    scenario: FilePath | Values,
     out: FilePath | None = None,
     set: Given | None = None,
     *,
@@ -75,10 +75,10 @@ def run(
         nearest: Use nearest.yaml instead of model.yaml of every refine folder that the scenario names.
         report: Write report.html.
         figures: Write figures/*.png.
-        force: Overwrite results of another scenario or command in `out`.
+        force: Write into `out` even if it is not empty; results in it are replaced.
         in_process: Load FMUs into this process, for a debugger; limits do not apply.
         compile: Compile and execute the sources of FMUs that have no library for this machine.
-        format: File format of the rows: "csv", "parquet", "mat", "hdf5", "mcap", or one of an installed package.
+        format: File format of the rows: "csv", "parquet", "mat", "hdf5", or one of an installed package.
         progress: Function of (completed steps, all steps).
         observers: Objects that receive the rows during the run (`cosim.master.observer.Observer`).
         inputs: Input → function of time and signals that returns its value while the run goes on, None to hold it.
@@ -98,40 +98,27 @@ def run(
     from cosim.simulation.workflow import run as run_file
 
     overrides = [*texts(set), *_options(seed=seed, pace=pace)]
-    if (resume or until is not None) and not isinstance(scenario, Mapping):
-        options = {
-            "out": out is not None,
-            "set": bool(set),
-            "seed": seed is not None,
-            "pace": pace is not None,
-            "nearest": nearest,
-        }
-        _refuse_options(Path(scenario), options)
-        with compiling(compile):
-            outcome = run_file(
-                scenario,
-                report=report,
-                figures=figures,
-                in_process=in_process,
-                progress=progress,
-                observers=observers,
-                resume=resume,
-                until=until,
-            )
-        return run_of(outcome.results, outcome.manifest, outcome.folder)
-    with compiling(compile), results_in(out) as folder, _scenario_file(scenario) as path:
+    goes_on = (resume or until is not None) and not isinstance(scenario, Mapping)
+    if goes_on:
+        given = {"out": out is not None, "set": bool(set), "seed": seed is not None, "pace": pace is not None}
+        _refuse_options(Path(str(scenario)), {**given, "nearest": nearest})
+    place = nullcontext() if goes_on else results_in(out, "cosim run", force=force)
+    with compiling(compile), place as folder, _scenario_file(scenario) as path:
         steps = partial(run_file, in_process=in_process, progress=progress, observers=observers, inputs=inputs)
-        leaves = partial(steps, report=report and out is not None, figures=figures and out is not None)
-        outcome = leaves(path, folder, overrides, force=force, nearest=nearest, format_=format)
-    return run_of(outcome.results, outcome.manifest, None if out is None else outcome.folder)
+        if goes_on:
+            outcome = steps(path, report=report, figures=figures, resume=resume, until=until)
+        else:
+            leaves = partial(steps, report=report and out is not None, figures=figures and out is not None)
+            outcome = leaves(path, folder, overrides, nearest=nearest, format_=format)
+    return run_of(outcome.results, outcome.manifest, outcome.folder if goes_on or out is not None else None)
 
 
 def _refuse_options(path: Path, options: Mapping[str, bool]) -> None:
     """Raise InputError for options of new runs."""
     if given := [name for name, is_given in options.items() if is_given]:
-        from cosim.simulation.messages import RESUME_WITH_OPTION
-
-        raise InputError.at(path, RESUME_WITH_OPTION(option=given[0]))
+        raise InputError.at(
+            path, f"a run goes on as it began, so --resume and --until take no {given[0]}; leave it out"
+        )
 
 
 def _options(**keys: Any) -> list[str]:
@@ -153,7 +140,7 @@ def _scenario_file(scenario: FilePath | Mapping[str, Any]) -> Iterator[Path]:
         try:
             path.write_text(json.dumps(from_here(scenario)), encoding="utf-8")
         except (TypeError, ValueError) as error:
-            raise InputError.at(label, messages.NOT_JSON(reason=str(error))) from None
+            raise InputError.at(label, f"holds what no file can: {error!s}") from None
         try:
             yield path
         except InputError as error:
@@ -170,7 +157,7 @@ def command(
         ),
     ],
     *,
-    out: Annotated[Path | None, out_option("results/NAME of the scenario")] = None,
+    out: Annotated[Path | None, out_option("a new number in results/NAME of the scenario")] = None,
     set_: Overrides = None,
     seed: Annotated[
         int | None, typer.Option(min=0, help="Seed for all random numbers (default: the seed of the scenario).")
@@ -232,3 +219,53 @@ def command(
             sentence = coupling_error(source, overrides, nearest=nearest, in_process=in_process).sentence
         say_finding(sentence) if as_json else say(sentence)
     say_outcome(outcome, report=report, open_=open_, as_json=as_json)
+
+
+def say_outcome(
+    outcome: Outcome, *, report: bool, open_: bool = False, as_json: bool = False, lines: Sequence[str] = ()
+) -> None:
+    """Print warnings, `lines`, criteria and files of a run; raise CriterionMissed if a criterion is not met."""
+    from cosim.simulation.criteria import sentence
+    from cosim.simulation.report.time_rows import time_sentence
+
+    criteria: list[dict[str, Any]] = outcome.manifest["criteria"]
+    page = outcome.folder / "report.html"
+    warn(*outcome.manifest["warnings"])
+    if as_json:
+        say_json(_content(outcome))
+    else:
+        say(*lines)
+        for criterion in criteria:
+            say(sentence(criterion), met=criterion["met"])
+        timings = outcome.manifest["timings"]
+        speed = f"simulated in {timings['simulate']:.2f} s ({timings['real_time_factor']:.3g} × real time)"
+        say_more(f"order: {', '.join(outcome.manifest['order'])}; loaded in {timings['load']:.2f} s, {speed}")
+        if times := time_sentence(timings):
+            say_more(times)
+        say(f"results: {outcome.file}")
+        if report:
+            say(f"report:  {page}")
+    show(page, open_=report and open_)
+    if outcome.missed:
+        details = ": " + "; ".join(map(sentence, outcome.missed)) if MANNER.quiet or as_json else ""
+        counts = {"missed": len(outcome.missed), "count": len(criteria)}
+        raise CriterionMissed("{missed} of {count} criteria missed{criteria}".format(**counts, criteria=details))
+
+
+def _content(outcome: Outcome) -> dict[str, Any]:
+    """Return the JSON object of a run."""
+    folder, results = outcome.folder, outcome.results
+    page = folder / "report.html"
+    criteria, missed = outcome.manifest["criteria"], bool(outcome.missed)
+    return {
+        "status": "missed" if missed else outcome.manifest["status"],
+        "exit_code": CriterionMissed.exit_code if missed else 0,
+        "met": not missed if criteria else None,  # nothing was asked for
+        "criteria": criteria,
+        "warnings": outcome.manifest["warnings"],
+        "rows": len(results.time),
+        "end": float(results.time[-1]) if len(results.time) else None,
+        "results": str(outcome.file),
+        "manifest": str(folder / "manifest.json"),
+        "report": str(page) if page.is_file() else None,
+    }

@@ -11,7 +11,6 @@ import typer
 from cosim.base.errors import InputError
 from cosim.base.registry import resolve
 from cosim.storage.artefact import artefacts
-from cosim.verbs import messages
 from cosim.verbs.terminal import say_json
 
 if TYPE_CHECKING:
@@ -35,7 +34,7 @@ def schema_of(name: str) -> dict[str, Any]:
     """Return the JSON schema of a kind of file, each key with its meaning; raise InputError for an unknown kind."""
     kinds = {a.schema_name: a for a in artefacts() if a.schema}
     if name not in kinds:
-        raise InputError.at(Path(name), messages.NO_SCHEMA(kinds=", ".join(sorted(kinds))))
+        raise InputError.at(Path(name), f"is no kind of file that has a schema; give one of {', '.join(sorted(kinds))}")
     model: type[BaseModel] = resolve(kinds[name].schema)
     schema = model.model_json_schema(by_alias=True)
     for part in (schema, *schema.get("$defs", {}).values()):

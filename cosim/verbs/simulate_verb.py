@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
@@ -10,15 +10,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cosim.base.settings import Given, PositiveSeconds, Seconds, normalize_settings
+from cosim.base.settings import Given, Names, PositiveSeconds, Seconds, normalize_settings
 from cosim.storage.files import FilePath
+from cosim.storage.folders import results_in
 from cosim.verbs.options import Compile, Force, Format, Json, Open, Report, Texts, out_option, time_option
-from cosim.verbs.outcome import say_outcome, value_lines
-from cosim.verbs.scratch_results import results_in
-from cosim.verbs.terminal import progress_bar, say, warn
+from cosim.verbs.run_verb import say_outcome
+from cosim.verbs.terminal import progress_bar, say, table, warn
 
 if TYPE_CHECKING:
     from cosim.simulation.run_signals import Run
+    from cosim.storage.results import Results
+
+MAX_SIGNALS = 12  # signals whose values are printed
 
 
 class Interpolation(StrEnum):
@@ -37,7 +40,7 @@ def simulate(
     interpolation: str = "held",
     stop: Seconds | None = None,
     step: PositiveSeconds | None = None,
-    record: Sequence[str] = (),
+    record: Names = (),
     report: bool = True,
     force: bool = False,
     in_process: bool = False,
@@ -57,10 +60,10 @@ def simulate(
         step: Communication step, in seconds or with a unit; by default that of the FMU.
         record: Names or patterns of local variables and parameters to record too.
         report: Write report.html.
-        force: Overwrite results of another command in `out`.
+        force: Write into `out` even if it is not empty; results in it are replaced.
         in_process: Load the FMU into this process, for a debugger.
         compile: Compile and execute the sources of an FMU that has no library for this machine.
-        format: File format of the rows: "csv", "parquet", "mat", "hdf5", "mcap", or one of an installed package.
+        format: File format of the rows: "csv", "parquet", "mat", "hdf5", or one of an installed package.
         progress: Function of (completed steps, all steps).
 
     Returns:
@@ -75,11 +78,9 @@ def simulate(
     from cosim.blocks.compiling import compiling
     from cosim.simulation.run_signals import run_of
 
-    with compiling(compile), results_in(out) as folder:
+    with compiling(compile), results_in(out, "cosim simulate", force=force) as folder:
         steps = partial(simulate_fmu, stop=stop, step=step, in_process=in_process, progress=progress)
-        leaves = partial(
-            steps, report=report and out is not None, force=force, format_=format, interpolation=interpolation
-        )
+        leaves = partial(steps, report=report and out is not None, format_=format, interpolation=interpolation)
         outcome, notes = leaves(fmu, folder, start=normalize_settings(set), recorded=input, record=record)
     manifest = {**outcome.manifest, "warnings": [*notes, *outcome.manifest["warnings"]]}
     return run_of(outcome.results, manifest, None if out is None else outcome.folder)
@@ -110,7 +111,7 @@ def command(
         Texts,
         typer.Option("--record", metavar="PATTERN", help="Local variables or parameters to record too."),
     ] = None,
-    out: Annotated[Path | None, out_option("results/NAME of the FMU")] = None,
+    out: Annotated[Path | None, out_option("a new number in results/NAME of the FMU")] = None,
     report: Report = True,
     open_: Open = False,
     force: Force = False,
@@ -138,3 +139,15 @@ def command(
     if not as_json:
         say(f"scenario: {outcome.folder / 'scenario.yaml'} (change it, and `cosim run` it)")
     say_outcome(outcome, report=report, open_=open_, as_json=as_json, lines=value_lines(outcome.results))
+
+
+def value_lines(results: Results) -> list[str]:
+    """Return a line for each signal with first, last, smallest and largest value."""
+    if not len(results.time):
+        return []
+    rows = []
+    for name in results.columns[:MAX_SIGNALS]:
+        v = results[name]
+        rows.append((f"  {name}", results.units.get(name, ""), *(f"{x:.6g}" for x in (v[0], v[-1], v.min(), v.max()))))
+    more = [f"  … and {len(results.columns) - MAX_SIGNALS} more signals"] if len(results.columns) > MAX_SIGNALS else []
+    return [*table(("  signal", "unit", "first", "last", "least", "largest"), rows), *more]

@@ -9,17 +9,17 @@ import sys
 import time
 import webbrowser
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from cosim.base.errors import CosimError, InputError, SimulationError
-from cosim.base.messages import code_of, printable, with_severity
-from cosim.verbs import messages
-from cosim.verbs.streams import Coloured, echo
+import typer
 
-LONG_RUN, LONG_TIME = 2000, 2.0  # steps, or time [s], from which a progress bar is shown
+from cosim.base.errors import CosimError, InputError, SimulationError
+from cosim.base.messages import Note, printable, with_severity
+
+LONG_TIME = 2.0  # [s] until a progress bar is shown
 StageNumber = Callable[[str], tuple[int, int]]
 
 
@@ -32,7 +32,7 @@ class Manner:
         verbose: Whether to print more.
         as_json: Whether to print the result as JSON.
         has_json: Whether JSON has been printed.
-        messages: Warnings and notes with a code.
+        messages: Warnings and notes so far.
     """
 
     quiet: bool = False
@@ -46,11 +46,29 @@ LAST: list[Callable[[], None]] = []  # functions called when everything about th
 MANNER = Manner()  # of this process, set by the options -q and -v of any command
 
 
-def say(*lines: str) -> None:
-    """Print lines and keep their codes for JSON."""
-    for line in map(_record_message, lines):
-        if not MANNER.quiet and not MANNER.as_json:
-            echo(line)
+def echo(text: str, *, err: bool = False, nl: bool = True, met: bool | None = None) -> None:
+    """Write to stdout or stderr without control characters; do nothing if the reader has closed the stream.
+
+    Args:
+        met: Whether the text is green or red; None for no colour, as for NO_COLOR or without a terminal.
+    """
+    shown = printable(text)
+    if met is not None and not os.environ.get("NO_COLOR"):
+        shown = typer.style(shown, fg="green" if met else "red")
+    try:
+        typer.echo(shown, err=err, nl=nl)
+    except BrokenPipeError:
+        with suppress(OSError, ValueError):  # of a stream that is no file
+            nobody = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nobody, (sys.stderr if err else sys.stdout).fileno())
+            os.close(nobody)
+
+
+def say(*lines: str, met: bool | None = None) -> None:
+    """Print lines, in green or red if `met` is given; print nothing with -q or --json."""
+    if not MANNER.quiet and not MANNER.as_json:
+        for line in lines:
+            echo(line, met=met)
 
 
 def say_more(text: str) -> None:
@@ -60,7 +78,7 @@ def say_more(text: str) -> None:
 
 
 def say_json(value: Any) -> None:
-    """Print JSON, also with -q. An object gets the codes of the warnings and notes so far."""
+    """Print JSON, also with -q. An object gets the warnings and notes so far."""
     if isinstance(value, dict) and MANNER.messages:
         value = {**value, "messages": MANNER.messages}
     echo(json.dumps(value, indent=2, ensure_ascii=False))
@@ -68,85 +86,62 @@ def say_json(value: Any) -> None:
 
 
 def say_failure(error: CosimError) -> None:
-    """Print an error as JSON if --json is set and no JSON was printed."""
+    """Print an error as JSON if --json is set and no JSON was printed; print the files of a stopped run."""
+    about: dict[str, Any] = {}
+    if isinstance(error, SimulationError):
+        from cosim.storage.results import rows_in
+
+        folder = error.left
+        paths = {} if folder is None else {"results": rows_in(folder), "report": folder / "report.html"}
+        paths |= {} if folder is None else {"manifest": folder / "manifest.json"}
+        files = {key: str(path) for key, path in paths.items() if path is not None and path.is_file()}
+        for title, key in (("rows so far:", "results"), ("report:     ", "report")):
+            say(*([f"{title} {files[key]}"] if key in files else []))
+        time = error.time if math.isfinite(error.time) else None
+        about = {"status": "failed", "component": error.component, "time": time, "reason": error.reason}
+        about |= {key: files.get(key) for key in ("manifest", "report", "results")}
     if MANNER.as_json and not MANNER.has_json:
         faults = getattr(error, "faults", ())
-        about = _describe_stop(error) if isinstance(error, SimulationError) else {}
-        places = [
-            {"file": str(f.file), "line": f.line, "column": f.column, "code": f.code, "message": f.message}
-            for f in faults
-        ]
-        say_json({"error": str(error), "code": error.code, "exit_code": error.exit_code, "faults": places, **about})
+        places = [{"file": str(f.file), "line": f.line, "column": f.column, "message": f.message} for f in faults]
+        kind = type(error).__name__
+        say_json({"error": str(error), "kind": kind, "exit_code": error.exit_code, "faults": places, **about})
 
 
 def say_error(error: CosimError) -> None:
-    """Print an error, or each fault on its own line; with -v, messages have their codes."""
-    if isinstance(error, InputError):
-        for fault in error.faults:
-            echo(_with_code(str(fault), fault.code), err=True)
-    else:
-        echo(f"error: {_with_code(str(error), error.code)}", err=True)
-
-
-def _with_code(text: str, code: str) -> str:
-    """Return a text with its code at the end, for -v."""
-    return f"{text} [{code}]" if code and MANNER.verbose else text
-
-
-def _record_message(text: str) -> str:
-    """Return a text for the terminal; keep its code for JSON."""
-    if code := code_of(text):
-        MANNER.messages.append({"code": code, "text": str(text)})
-    return _with_code(text, code)
-
-
-def _describe_stop(error: SimulationError) -> dict[str, Any]:
-    """Return time and files of a stopped run; null for missing ones."""
-    from cosim.storage.results import rows_in
-
-    names = {"manifest": "manifest.json", "report": "report.html"}
-    paths = {key: None if error.left is None else error.left / name for key, name in names.items()}
-    paths["results"] = None if error.left is None else rows_in(error.left)
-    files = {key: str(path) if path is not None and path.is_file() else None for key, path in paths.items()}
-    time = error.time if math.isfinite(error.time) else None
-    return {"status": "failed", "component": error.component, "time": time, "reason": error.reason, **files}
+    """Print an error, or each fault on its own line."""
+    for text in map(str, error.faults) if isinstance(error, InputError) else [f"error: {error}"]:
+        echo(text, err=True)
 
 
 def say_usage(error: Any) -> int:
     """Print a faulty command line, also as JSON if it has --json; return the exit code."""
     options = {*sys.argv[1:]}
     MANNER.verbose = not options.isdisjoint({"-v", "--verbose"})
-    message = messages.WRONG_USAGE(reason=error.format_message())
-    error.format_message = lambda: printable(_with_code(message, message.code))
+    message = error.format_message()
+    error.format_message = lambda: printable(message)
     error.show()
     if "--json" in options:
-        say_json({"error": message, "code": message.code, "exit_code": error.exit_code, "faults": []})
+        say_json({"error": message, "kind": "UsageError", "exit_code": error.exit_code, "faults": []})
     return int(error.exit_code)
 
 
 def say_note(*texts: str) -> None:
-    """Print notes on stderr."""
-    if not MANNER.quiet:
-        for text in map(_record_message, texts):
-            echo(f"note: {text}", err=True)
+    """Print notes on stderr, except with -q."""
+    warn(*map(Note, texts))
 
 
 def warn(*texts: str) -> None:
-    """Print warnings and notes on stderr; a text is a note according to its code, and -q omits notes."""
+    """Print warnings and notes on stderr, and keep them for JSON; -q omits notes."""
     for text in texts:
-        _record_message(text)
-        if not (MANNER.quiet and code_of(text).startswith("N-")):
-            echo(_with_code(with_severity(text), code_of(text)), err=True)
+        is_note = isinstance(text, Note)
+        MANNER.messages.append({"kind": "note" if is_note else "warning", "message": str(text)})
+        if not (MANNER.quiet and is_note):
+            echo(with_severity(text), err=True)
 
 
 def say_finding(line: str) -> None:
     """Print a finding with its severity, also with -q."""
-    echo(_record_message(line), err=True)
-
-
-def colour(met: bool, text: str) -> str:
-    """Return a line in green or red; without colour for NO_COLOR or without a terminal."""
-    return text if os.environ.get("NO_COLOR") else Coloured(text, "green" if met else "red")
+    echo(line, err=True)
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
@@ -167,7 +162,7 @@ def some(names: Sequence[str], most: int) -> str:
 def show(report: Path, *, open_: bool) -> None:
     """Open a report in the browser on request."""
     if open_ and not webbrowser.open(report.resolve().as_uri()):
-        warn(messages.NO_BROWSER(page=report))
+        warn(f"no browser is found here; open {report}")
 
 
 def files_in(folder: Path, *names: str) -> dict[str, str]:
@@ -182,22 +177,16 @@ def progress_bar(activity: str = "simulating") -> Iterator[Callable[[int, int], 
         yield None
         return
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.markup import escape
+    from rich.progress import Progress
 
-    text = TextColumn("{task.description}", markup=False)
-    columns = text, BarColumn(), TextColumn("{task.percentage:>3.0f} %"), TimeRemainingColumn()
-    bar = Progress(*columns, console=Console(stderr=True), transient=True)
-    task, first, label = None, math.inf, printable(activity, one_line=True)
+    bar, start = Progress(console=Console(stderr=True), transient=True), time.monotonic()
+    task = bar.add_task(escape(printable(activity, one_line=True)))
 
     def advance(done: int, total: int) -> None:
-        nonlocal task, first
-        first = min(first, time.monotonic())
-        if total < LONG_RUN and time.monotonic() - first < LONG_TIME:
-            return
-        if task is None:
+        if time.monotonic() - start >= LONG_TIME:
             bar.start()
-            task = bar.add_task(label, total=total)
-        bar.update(task, completed=done)
+            bar.update(task, completed=done, total=total)
 
     try:
         yield advance
@@ -212,12 +201,25 @@ def stages(numbered: StageNumber | None = None) -> Iterator[Callable[[str, float
     Args:
         numbered: Number of a stage and of all stages; a stage without a number belongs to the previous one.
     """
-    if MANNER.quiet or not (sys.stderr.isatty() or MANNER.verbose):
+    is_terminal, reached, last, start = sys.stderr.isatty(), 0, "", time.monotonic()
+    if MANNER.quiet or not (is_terminal or MANNER.verbose):
         yield None
         return
-    heading = _headings(numbered)
-    if not sys.stderr.isatty():
-        yield _lines(heading)
+
+    def heading(stage: str) -> str:
+        nonlocal reached
+        number, of = (0, 0) if numbered is None else numbered(stage)
+        reached = max(reached, number)
+        return f"stage {reached} of {of}: {stage}" if reached else stage
+
+    def print_stage(stage: str, share: float) -> None:
+        nonlocal last
+        if share == 0.0 and stage != last:
+            say_more(f"{time.monotonic() - start:6.1f} s  {heading(stage)}")
+            last = stage
+
+    if not is_terminal:
+        yield print_stage
         return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -234,31 +236,3 @@ def stages(numbered: StageNumber | None = None) -> Iterator[Callable[[str, float
             bar.update(task, description=printable(heading(stage), one_line=True), completed=share)
 
         yield advance
-
-
-def _headings(numbered: StageNumber | None) -> Callable[[str], str]:
-    """Return a function that formats `stage 3 of 10: words`; a repeated stage keeps the highest number so far."""
-    reached = 0
-
-    def heading(stage: str) -> str:
-        nonlocal reached
-        if numbered is None:
-            return stage
-        number, of = numbered(stage)
-        reached = max(reached, number)
-        return f"stage {reached} of {of}: {stage}" if reached else stage
-
-    return heading
-
-
-def _lines(heading: Callable[[str], str]) -> Callable[[str, float], None]:
-    """Return a function that prints each stage once, with the seconds since the start."""
-    start, last = time.monotonic(), ""
-
-    def print_stage(stage: str, share: float) -> None:
-        nonlocal last
-        if share == 0.0 and stage != last:
-            say_more(f"{time.monotonic() - start:6.1f} s  {heading(stage)}")
-            last = stage
-
-    return print_stage

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from cosim.base.errors import Terminated
+from cosim.base.messages import Note
 from cosim.base.text import counted
 from cosim.storage.folders import RESULTS
 from cosim.verbs.options import Json, ResultsFolder, Texts
@@ -44,11 +45,10 @@ def command(
 
     Example: cosim view 'tank*'
     """
-    from cosim.server.browser import open_page
-    from cosim.viewing import messages
-    from cosim.viewing.layouts import Layouts
-    from cosim.viewing.view_page import ViewPage
-    from cosim.viewing.viewed_runs import find_runs, open_runs
+    from cosim.pages.layouts import Layouts
+    from cosim.pages.runs import find_runs, open_runs
+    from cosim.pages.server import open_page
+    from cosim.pages.view_page import ViewPage
 
     root = results or RESULTS
     layouts = Layouts(layout or root / LAYOUTS)
@@ -67,9 +67,9 @@ def command(
     title = labels[0] if len(labels) == 1 else counted(len(labels), "run")
     page = ViewPage(title, opened, layouts, port, notes=[*notes, *warnings])
     if as_json:
-        say_json({"url": page.server.url, **about})
-    is_open = browser and open_page(page.server.url, title)
-    (say_note if is_open else say_finding)(messages.PAGE(url=page.server.url))
+        say_json({"url": page.url, **about})
+    is_open = browser and open_page(page.url, title)
+    (say_note if is_open else say_finding)(Note(f"signals: {page.url}"))
     LAST.append(lambda: _wait(page))
 
 

@@ -12,7 +12,6 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from cosim.base.drafts import draft_of
-from cosim.base.messages import Message, code_of
 from cosim.blocks.derivatives import REALS, scalars, states_of
 from cosim.blocks.description import read_description, takes_any_step
 from cosim.fmi.fmu_build import EPOCH, digest
@@ -20,7 +19,6 @@ from cosim.fmi.native.compiler import CompilerFailed, NoCompiler, commands, fmi_
 from cosim.fmi.native.platforms import PLATFORMS, Platform, glibc_floor, this_platform
 from cosim.storage.archive import DESCRIPTION, description_of
 from cosim.terms.code import TermCode
-from cosim.wrapping import messages
 from cosim.wrapping.forwarding import forwarding_code, function_table
 from cosim.wrapping.wrapped_description import INPUT_SLOPES, OUTPUT_SLOPES, SLOPES, DescriptionEdit
 from cosim.wrapping.wrapper_config import WrapperConfig
@@ -52,7 +50,7 @@ class Wrapped:
 
     path: Path
     platforms: Mapping[str, str]
-    left_out: Mapping[str, Message]
+    left_out: Mapping[str, str]
     withdrawn: tuple[str, ...]
 
 
@@ -98,7 +96,7 @@ class Wrapper:
         """Return FMPy's description of the original, of FMI 2.0 or 3.0."""
         about = read_description(self.original)
         if about.fmiVersion[0] not in "23":
-            raise CannotWrap(messages.OTHER_VERSION(file=self.original.name, version=about.fmiVersion))
+            raise CannotWrap(f"{self.original.name} is FMI {about.fmiVersion}; terms are added to FMI 2.0 and 3.0")
         return about
 
     @property
@@ -136,19 +134,22 @@ class Wrapper:
             found["CoSimulation"] = str(steps.modelIdentifier)
         if not found and exchange is not None:
             names = ", ".join(self.terms.states), ", ".join(states)
-            fault = messages.OTHER_STATES(file=self.original.name, expected=names[0], actual=names[1])
+            fault = (
+                f"the terms are for the states {names[0]}, but {self.original.name} has {names[1]}; print them "
+                "for this FMU"
+            )
             raise CannotWrap(fault)
         if not found:
-            raise CannotWrap(messages.NO_INTERFACE(file=self.original.name))
+            raise CannotWrap(f"the terms act on derivatives, and {self.original.name} has no model exchange")
         return found
 
     def reference(self, name: str) -> int:
         """Return the value reference of a real scalar."""
         variable = self.variables.get(name)
         if variable is None:
-            raise CannotWrap(messages.UNKNOWN_VARIABLE(file=self.original.name, name=name))
+            raise CannotWrap(f'{self.original.name} has no variable "{name}"')
         if variable.type not in REALS or variable.shape:
-            raise CannotWrap(messages.NO_REAL(file=self.original.name, name=name))
+            raise CannotWrap(f"{name} of {self.original.name} is no real scalar; terms act on real scalars")
         return int(variable.valueReference)
 
     @cached_property
@@ -167,15 +168,15 @@ class Wrapper:
         """Raise CannotWrap if terms do not fit."""
         file, names = self.original.name, [p.name for p in self.terms.parameters]
         if taken := [name for name in names if name in self.variables]:
-            raise CannotWrap(messages.NAME_TAKEN(file=file, name=taken[0]))
+            raise CannotWrap(f'{file} already has a variable "{taken[0]}"; a parameter of a term needs another name')
         if self.terms.delay and self.terms.delay not in names:
-            raise CannotWrap(messages.NO_PARAMETER(name=self.terms.delay))
+            raise CannotWrap(f'the delay "{self.terms.delay}" is no parameter of the terms')
         if self.substep is not None and not self.substep > 0:
-            raise CannotWrap(messages.SUBSTEP_NOT_POSITIVE(substep=self.substep))
+            raise CannotWrap(f"the substep is {self.substep:g} s; give a positive number")
         if self.terms.directions and self.about.modelExchange.canBeInstantiatedOnlyOncePerProcess:
-            raise CannotWrap(messages.ONE_INSTANCE(file=file))
+            raise CannotWrap(f"the terms need a second instance of {file}, which allows one instance in a process")
         if "ModelExchange" in self.interfaces and self.terms.memory and self.substep is None:
-            raise CannotWrap(messages.NO_SUBSTEP())
+            raise CannotWrap("the terms have a memory, which model exchange needs a substep for; give a substep [s]")
 
     # -- parts --------------------------------------------------------------------------------------
 
@@ -238,7 +239,9 @@ class Wrapper:
         if self.needs_states:
             edit.forget_dependencies(self.terms.inputs)
         if missing := edit.set_starts(self.own):
-            raise CannotWrap(messages.NO_START(file=self.original.name, name=missing[0]))
+            raise CannotWrap(
+                f"{missing[0]} of {self.original.name} has no start value; only variables with one take another"
+            )
         edit.add_parameters(self.terms.parameters, self.config.first_parameter, self.values)
         return edit
 
@@ -260,32 +263,32 @@ class Wrapper:
 
     # -- platforms ----------------------------------------------------------------------------------
 
-    def libraries(self, names: Iterable[str]) -> tuple[dict[Platform, dict[str, str]], dict[str, Message]]:
+    def libraries(self, names: Iterable[str]) -> tuple[dict[Platform, dict[str, str]], dict[str, str]]:
         """Return platform → identifier → library of the original, and the folders left out with reasons."""
         folders = _folders_of_libraries(names)
         known = {p.folder(self.fmi): p for p in PLATFORMS.values()}
         found: dict[Platform, dict[str, str]] = {}
-        left_out: dict[str, Message] = {}
+        left_out: dict[str, str] = {}
         for folder, files in sorted(folders.items()):
             if folder not in known or (self.platforms and known[folder].name not in self.platforms):
-                left_out[folder] = messages.UNKNOWN_PLATFORM(platform=folder)
+                left_out[folder] = f"{folder} is not among the platforms to build for"
                 continue
             platform = known[folder]
             each = {i: _library(i, files, platform.suffix) for i in self.interfaces.values()}
             if missing := [i for i, file in each.items() if file is None]:
-                left_out[folder] = messages.NO_LIBRARY_ON_PLATFORM(platform=folder, identifier=missing[0])
+                left_out[folder] = f"{folder} has no library for {missing[0]}"
             else:
                 found[platform] = {i: f"binaries/{folder}/{file}" for i, file in each.items()}
         return found, left_out
 
     def build(
         self, names: Sequence[str], tokens: tuple[str, str], sources: Mapping[str, bytes]
-    ) -> tuple[dict[str, bytes], dict[str, str], dict[str, Message]]:
+    ) -> tuple[dict[str, bytes], dict[str, str], dict[str, str]]:
         """Return libraries by member, their platforms with glibc, and the folders left out with reasons."""
         libraries, left_out = self.libraries(names)
         if not libraries and not left_out:
             identifier = ", ".join(sorted({*self.interfaces.values()}))
-            raise CannotWrap(messages.NO_LIBRARY(file=self.original.name, identifier=identifier))
+            raise CannotWrap(f"{self.original.name} has no library for {identifier}; there is nothing to wrap")
         members: dict[str, bytes] = {}
         built: dict[str, str] = {}
         for platform, originals in libraries.items():
@@ -296,13 +299,16 @@ class Wrapper:
             except CompilerFailed as error:
                 if platform == this_platform():
                     raise
-                left_out[platform.folder(self.fmi)] = Message(str(error), code_of(error))
+                left_out[platform.folder(self.fmi)] = str(error)
             else:
                 members |= made
                 built[platform.name] = glibc_floor(b"".join(made.values()))
         if not members:
             reasons = "; ".join(f"{name}: {reason}" for name, reason in left_out.items())
-            raise NoCompiler(messages.NO_COMPILER(file=self.original.name, reasons=reasons))
+            raise NoCompiler(
+                f"the refined FMU of {self.original.name} needs a small library around the original, and no "
+                f"platform of it can be compiled for: {reasons}"
+            )
         return members, built, left_out
 
     def _compile(

@@ -1,27 +1,35 @@
-"""A thermostat for oven_udp.yaml: receives temperatures by UDP and sends the power of the heater."""
+"""A thermostat in Python that sets the heater of a running oven: python examples/live/thermostat.py."""
 
-import json
-import socket
-import sys
+from collections.abc import Mapping
+from pathlib import Path
 
+import cosim
+from cosim.simulation.run_signals import Run
+
+HERE = Path(__file__).resolve().parent
 GOAL, BAND, POWER = 340.0, 2.0, 1500.0  # [K], [K], [W]
 
 
-def main(receive: int = 5006, send: int = 5005) -> None:
-    """Answer each message until none comes for 30 s."""
-    power = POWER
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
-        link.bind(("127.0.0.1", receive))
-        link.settimeout(30.0)
-        print("ready", flush=True)
-        while True:
-            try:
-                board = json.loads(link.recv(4096))["board"]
-            except TimeoutError:
-                return
-            power = 0.0 if board > GOAL + BAND else POWER if board < GOAL - BAND else power
-            link.sendto(json.dumps({"power": power}).encode(), ("127.0.0.1", send))
+class Thermostat:
+    """Switch the heater off above the band and on below it."""
+
+    def __init__(self) -> None:
+        self.power = POWER
+
+    def __call__(self, time: float, row: Mapping[str, float]) -> float:
+        """Return the power [W] for the last row; a function may also ask a device or another program here."""
+        board = row["oven.board"]
+        self.power = 0.0 if board > GOAL + BAND else POWER if board < GOAL - BAND else self.power
+        return self.power
+
+
+def main(build: Path = Path("build/oven"), pace: float = 20.0) -> Run:
+    """Build the oven and run it for two minutes, `pace` times as fast as the clock."""
+    cosim.build(build, f"{HERE / 'oven.py'}:Oven")
+    oven = {"oven": {"fmu": str(build.resolve() / "plant.fmu")}}
+    scenario = {"name": "thermostat", "duration": 120.0, "step": 0.1, "components": oven}
+    return cosim.run(scenario, pace=pace, inputs={"oven.power": Thermostat()})
 
 
 if __name__ == "__main__":
-    main(*map(int, sys.argv[1:]))
+    print(f"board at the end: {main()['oven.board'][-1]:.1f} K")

@@ -7,11 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cosim.base.text import MISSING, plain
-from cosim.report.chart_data import round_values
-from cosim.report.drawing import Drawing
+from cosim.report.charts import Drawing, Plot, round_values, sample_rows
 from cosim.report.html_tables import Grid
 from cosim.report.panels import Panel
-from cosim.report.svg import Plot
 from cosim.simulation.report.component_page import ComponentPage
 from cosim.simulation.report.recorded import Run
 from fmus.report import account
@@ -20,6 +18,7 @@ from fmus.report.lines import error_panels, shown_columns, state_panels, tilt_pa
 from fmus.report.roles import Craft, find_crafts
 from fmus.report.topview import last_row, make_view, poses, true_track
 
+POSES = 1000  # of the moving picture
 TEMPLATE = Path(__file__).with_name("templates") / "craft.html.j2"
 
 
@@ -30,7 +29,7 @@ class Readout:
     symbol: str
     title: str
     unit: str
-    cells: tuple[tuple[str, str], ...]
+    cells: tuple[tuple[int | None, str], ...]
 
 
 @dataclass(frozen=True)
@@ -56,7 +55,7 @@ def subject(run: Run, drawing: Drawing) -> ComponentPage:
     """Return the report sections for the crafts of a run."""
     crafts = find_crafts(run)
     called = [craft.name if len(crafts) > 1 else "the craft" for craft in crafts]
-    rows = drawing.few
+    rows = sample_rows(run.time.size, POSES)
     view = make_view(crafts, rows) if run.time.size else None
     drawn = [craft for craft in crafts if view and last_row(true_track(craft)) is not None]
     pages = [craft_page(*pair, drawing) for pair in zip(crafts, called, strict=True)] if run.time.size else []
@@ -67,7 +66,7 @@ def subject(run: Run, drawing: Drawing) -> ComponentPage:
         shown=frozenset(shown_columns(crafts)),
         data={
             "few": round_values(run.time[rows], 6),
-            "crafts": [poses(craft, rows, drawing.series) for craft in drawn],
+            "crafts": [poses(craft, rows, drawing.charts) for craft in drawn],
         },
     )
 
@@ -97,8 +96,8 @@ def readout(panel: Panel, plot: Plot) -> Readout:
     """Return the last truth, estimate and reference of a state, as far as recorded, for display."""
     cells = []
     for style in ("true", "estimate", "reference"):
-        pairs = zip(plot.curves, panel.traces, strict=True)
-        key, trace = next(((curve.key, trace) for curve, trace in pairs if trace.style == style), ("", None))
+        pairs = zip(plot.spec["traces"], panel.traces, strict=True)
+        key, trace = next(((spec["y"], trace) for spec, trace in pairs if trace.style == style), (None, None))
         value = float(trace.values[-1]) if trace is not None and trace.values.size else math.nan
         cells.append((key, plain(value) if math.isfinite(value) else MISSING))
     return Readout(panel.symbol, panel.title, panel.unit, tuple(cells))

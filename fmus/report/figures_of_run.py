@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.simulation import metrics
+from cosim.simulation import criteria
 from fmus.report.roles import Craft
 
 BAND = 0.02  # m and rad: 2 % of the thesis' unit steps
@@ -90,13 +90,13 @@ def _response(variable: str, rows: list[Array], estimate: Array | None, step: St
     after, target = slice(step.arrived, step.end), float(reference[-1])
     moving = step.end - step.arrived < 2  # an unfinished ramp, or a change in the last row
     settling, believed = (
-        math.nan if line is None or moving else metrics.settling_time(rows[0][after], line[after], target, BAND)
+        math.nan if line is None or moving else criteria.settling_time(rows[0][after], line[after], target, BAND)
         for line in (rows[1], estimate)
     )
     before = float(rows[2][step.begin - 1]) if step.begin else float(signal[0])
     ramp = float(rows[0][step.arrived] - rows[0][step.begin]) if step.is_ramp else 0.0
-    errors = metrics.rms_error(signal, reference), metrics.final_error(signal, reference)
-    overshoot = metrics.overshoot(signal, target)
+    errors = criteria.rms_error(signal, reference), criteria.final_error(signal, reference)
+    overshoot = criteria.overshoot(signal, target)
     return Response(variable, float(time[0]), before, target, ramp, settling, believed, overshoot, *errors)
 
 
@@ -105,7 +105,7 @@ def error_rms(signal: Array | None, target: Array | None) -> float:
     if signal is None or target is None:
         return math.nan
     good = np.isfinite(signal) & np.isfinite(target)
-    return metrics.rms_error(signal[good], target[good]) if good.any() else math.nan
+    return criteria.rms_error(signal[good], target[good]) if good.any() else math.nan
 
 
 def effort(craft: Craft, side: str) -> float:
@@ -114,7 +114,7 @@ def effort(craft: Craft, side: str) -> float:
     if command is None:
         return math.nan
     good = np.isfinite(command)
-    return metrics.effort(craft.run.time[good], command[good]) if good.any() else math.nan
+    return criteria.effort(craft.run.time[good], command[good]) if good.any() else math.nan
 
 
 def saturation(craft: Craft, side: str) -> float:

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array, Rows
-from cosim.base.text import DEGREES
-from cosim.report.chart_data import Series, round_values
-from cosim.report.svg import Axis, extent, make_axis, polyline, round_step, runs
+from cosim.base.text import DEGREES, MINUS
+from cosim.report.charts import Charts, round_values
+from cosim.report.panels import extent
 from cosim.simulation.report.recorded import number
 from fmus.report.roles import SIDES, Craft
 from plant.hovercraft import Hovercraft
@@ -76,12 +76,20 @@ class Body:
 
 
 @dataclass(frozen=True)
+class Tick:
+    """A label at a share of the picture's size."""
+
+    at: float
+    label: str
+
+
+@dataclass(frozen=True)
 class View:
     """The whole picture: its box [mm], grid, scale bar and bodies."""
 
     box: tuple[int, int, int, int]
-    across: Axis
-    up: Axis
+    across: tuple[Tick, ...]
+    up: tuple[Tick, ...]
     bar_share: float
     bar_label: str
     magnified: float
@@ -153,10 +161,13 @@ def path(track: Track | None, rows: Rows) -> str:
     """Return the path of a track, broken at gaps."""
     if track is None:
         return ""
-    right, down = track.right[rows], track.down[rows]
-    good = np.isfinite(right) & np.isfinite(down)
-    u, v = (np.rint(np.where(good, line, 0.0)).astype(np.int64) for line in (right, down))
-    return "".join(polyline(u[part], v[part]) for part in runs(good))
+    pieces, is_open = [], False
+    for right, down in zip(track.right[rows].tolist(), track.down[rows].tolist(), strict=True):
+        is_drawn = math.isfinite(right) and math.isfinite(down)
+        if is_drawn:
+            pieces.append(f"{'L' if is_open else 'M'}{right:.0f} {down:.0f}")
+        is_open = is_drawn
+    return "".join(pieces)
 
 
 def arrow(force: float, per_newton: float) -> str:
@@ -172,7 +183,21 @@ def newtons_per_decimetre(craft: Craft) -> float:
     """Return the scale of the arrows, a round number."""
     reach = extent([force for side in SIDES if (force := horizontal_thrust(craft, side)) is not None])
     largest = max(map(abs, reach)) if reach else 0.0
-    return 1.0 if largest < 1e-9 else round_step(100 * largest / ARROW)
+    return 1.0 if largest < 1e-9 else _round_up(100 * largest / ARROW)
+
+
+def _round_up(step: float) -> float:
+    """Return a step rounded up to 1, 2, 2.5 or 5 × 10^n."""
+    power = 10.0 ** math.floor(math.log10(step))
+    return next((m * power for m in (1, 2, 2.5, 5) if m * power >= step * (1 - 1e-9)), 10 * power)
+
+
+def _ticks(low: float, high: float, count: int) -> tuple[Tick, ...]:
+    """Return about `count` round ticks between two ends."""
+    step = _round_up((high - low) / count)
+    decimals = next(d for d in range(20) if abs(step * 10**d - round(step * 10**d)) < 1e-6)
+    places = range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)
+    return tuple(Tick((i * step - low) / (high - low), f"{i * step:.{decimals}f}".replace("-", MINUS)) for i in places)
 
 
 def make_view(crafts: Sequence[Craft], rows: Rows) -> View | None:
@@ -182,9 +207,9 @@ def make_view(crafts: Sequence[Craft], rows: Rows) -> View | None:
         return None
     box = _box([track for craft in crafts for track in (true_track(craft), *_companions(craft)) if track is not None])
     left, top, width, height = box
-    across = make_axis(-(left + width) / 1000, -left / 1000, 6)
-    up = make_axis(-(top + height) / 1000, -top / 1000, 4)
-    bar = round_step(width / 1000 / 8)
+    across = _ticks(-(left + width) / 1000, -left / 1000, 6)
+    up = _ticks(-(top + height) / 1000, -top / 1000, 4)
+    bar = _round_up(width / 1000 / 8)
     magnified = max(1.0, MIN_SIZE * width / (2000 * (ARM + RADIUS)))
     every = _mark_interval(crafts[0])
     bodies = tuple(_body(craft, rows, every) for craft in crafts)
@@ -253,7 +278,7 @@ def _millimetres(start: Any, name: str, usual: float) -> int:
 
 def _mark_interval(craft: Craft) -> float:
     span = extent([craft.run.time]) or (0.0, 1.0)
-    return round_step(max(span[1] - span[0], 1e-6) / 24)
+    return _round_up(max(span[1] - span[0], 1e-6) / 24)
 
 
 def _marks(track: Track, time: Array, every: float) -> tuple[tuple[int, int], ...]:
@@ -275,10 +300,10 @@ def _thrust_note(craft: Craft) -> str:
     return f"arrows: horizontal thrust, {scale}" if recorded else "arrows: sine of the tilt"
 
 
-def poses(craft: Craft, rows: Rows, series: Series) -> dict[str, Any]:
+def poses(craft: Craft, rows: Rows, charts: Charts) -> dict[str, Any]:
     """Return the moving parts of the picture.
 
-    These are craft and ghost [mm, °], forces and tilts [°]; the series has every row of the tilts.
+    These are craft and ghost [mm, °], forces and tilts [°]; the charts have every row of the tilts.
     """
     entry: dict[str, Any] = {"scale": round(100 / newtons_per_decimetre(craft), 6)}
     for prefix, track in (("", true_track(craft)), ("g", estimated_track(craft))):
@@ -290,5 +315,5 @@ def poses(craft: Craft, rows: Rows, series: Series) -> dict[str, Any]:
         if force is not None and tilt is not None:
             entry[f"force_{side}"] = round_values(force[rows], 4)
             entry[f"tilt_{side}"] = round_values(tilt[rows] * DEGREES, 2)
-            entry[f"tilt_{side}_key"] = series.column(tilt * DEGREES)
+            entry[f"tilt_{side}_key"] = charts.column(tilt * DEGREES)
     return entry

@@ -16,7 +16,7 @@ ARTEFACTS = (
         schema="plant.identification.protocol:ProtocolFile",
         schema_name="protocol",
         title="cosim protocol of a testing bench",
-        check="plant.identification.checking:check_protocol",
+        check="plant.identification.workflow:check_protocol",
     ),
     Artefact(
         "an answer of `cosim identify`",

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array, Flags
-from cosim.base.errors import Fault, InputError
+from cosim.base.errors import InputError
 from plant.bench import Bench
 from plant.identification import messages
 from plant.identification.protocol import CHANNELS, Protocol
@@ -23,11 +23,6 @@ from plant.identification.recordings import Recording, load_in_si
 RAIL = 1.5  # converter steps from the end of the range within which a reading is saturated
 RAIL_SLACK = 0.01  # share of the range that a voltmeter may exceed
 MIN_POINTS = 3  # points of a curve
-MIN_POINTS_OF_CHECK = 6  # so that a cubic through all but one has a residual
-ODD_POINT, ODD_RATIO = (
-    5.0,
-    0.4,
-)  # miss of an odd point in errors of a load; residual without it, relative to that with it
 NEAR_RAIL = 3.0  # distance of a point from the rail in standard errors, so that chance selects no points
 
 
@@ -82,19 +77,6 @@ class Cell:
     def _without(self, point: int) -> Cell:
         """Return the cell without one point."""
         return replace(self, loads=np.delete(self.loads, point), volts=np.delete(self.volts, point))
-
-    @property
-    def odd_point(self) -> tuple[int, float] | None:
-        """Return the one point far off the curve through the others, and its distance [N or N m]; None without one."""
-        if not self.smooth or self.loads.size < MIN_POINTS_OF_CHECK or not self.error > 0.0:
-            return None
-        others = [self._without(k) for k in range(self.loads.size)]
-        misses = np.array([self.loads[k] - float(cell.force(self.volts[k])) for k, cell in enumerate(others)])
-        rests = [float(np.sqrt(np.mean((c.loads - c.force(c.volts)) ** 2))) for c in others]
-        k = int(np.argmin(rests))
-        whole = float(np.sqrt(np.mean((self.loads - self.force(self.volts)) ** 2)))
-        is_odd = abs(misses[k]) > ODD_POINT * self.error and rests[k] < ODD_RATIO * whole
-        return (k, float(misses[k])) if is_odd else None
 
     @property
     def cross_validation_errors(self) -> Array:
@@ -155,19 +137,7 @@ def calibrate(protocol: Protocol, hung: Mapping[str, Sequence[Recording]]) -> di
             cells[channel] = _cell_inside(pairs, cell.error * cell.full_scale * unit, protocol.bench)
         except ValueError as error:
             raise InputError([protocol.yaml.fault(("cells", channel), error.args[0], key=True)]) from None
-        if cell.points and (odd := cells[channel].odd_point):
-            raise InputError([_odd_point_fault(protocol, channel, cells[channel], *odd)])
     return cells
-
-
-def _odd_point_fault(protocol: Protocol, channel: str, cell: Cell, place: int, miss: float) -> Fault:
-    """Return the fault of an odd calibration point."""
-    written, unit = protocol.file.cells[channel], load_in_si(protocol, channel)
-    number = next(k for k, (_, volts) in enumerate(written.points) if volts == cell.volts[place])
-    load, volts = written.points[number]
-    fields = {"load": load, "volts": volts, "miss": abs(miss) / unit, "unit": written.unit}
-    message = messages.ODD_POINT(**fields, times=abs(miss) / cell.error)
-    return protocol.yaml.fault(("cells", channel, "points", number), message)
 
 
 def _cell_inside(pairs: Sequence[tuple[float, float]], error: float, bench: Bench) -> Cell:

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from cosim.storage.folders import new_run
 from cosim.verbs.options import Force, Json, Open, Report, out_option
 from cosim.verbs.terminal import files_in, say, say_json, show, stages, warn
 
@@ -17,7 +18,7 @@ def command(
         typer.Argument(help="A protocol: tests on a bench or recordings of them, or logs of a craft."),
     ],
     *,
-    out: Annotated[Path | None, out_option("results/NAME of the protocol")] = None,
+    out: Annotated[Path | None, out_option("a new number in results/NAME of the protocol")] = None,
     seed: Annotated[
         int | None,
         typer.Option(min=0, help="Seed for the noise of a simulated bench (default: the seed of the protocol)."),
@@ -34,12 +35,12 @@ def command(
 
     Example: cosim identify examples/bench/protocol.yaml
     """
-    from plant.identification.input_kind import results_of
+    from plant.identification.craft import results_of
     from plant.identification.workflow import identify as identify_bench
 
-    place = results_of(protocol) if out is None else out
-    with stages() as progress:
-        outcome = identify_bench(protocol, place, progress, report=report, seed=seed, force=force)
+    name = results_of(protocol) if protocol.is_file() else ""
+    with new_run(out, name, "cosim identify", force=force) as place, stages() as progress:
+        outcome = identify_bench(protocol, place, progress, report=report, seed=seed)
     for text in outcome.warnings:
         warn(text)
     for line in outcome.sentences:

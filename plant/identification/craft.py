@@ -16,12 +16,13 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from cosim.base.errors import Fault, InputError, NotExecuted, refuse
-from cosim.base.messages import Message
 from cosim.base.registry import BASE
 from cosim.loading.file import LoadedModel, load_model
 from cosim.logs.log import Log, read_log
+from cosim.storage.kinds import check_given
 from cosim.storage.yaml_file import NotNegative, Number, Part, YamlFile, did_you_mean
 from plant.identification import messages
+from plant.identification.artefacts import PROTOCOL
 from plant.identification.distance import matching_faults
 from plant.identification.estimates import Estimate, Result
 from plant.identification.rest_noise import rest_faults
@@ -53,6 +54,22 @@ class CraftFile(Part):
     model: str = BASE
     rest: RestFile | None = None
     distance: DistanceFile | None = None
+
+
+def craft_file(path: Path) -> YamlFile | None:
+    """Return the content of a file about craft logs, None for a protocol of a bench."""
+    check_given(path, PROTOCOL)
+    yaml = YamlFile(path)
+    return yaml if {"rest", "distance"} & set(yaml.root) and not {"cells", "tests"} & set(yaml.root) else None
+
+
+def results_of(path: Path) -> str:
+    """Return the name of the results of an input file: the file's key `name`, or else like the file."""
+    try:
+        name = YamlFile(path).root.get("name")
+    except InputError:  # reported by the reader
+        name = None
+    return name if isinstance(name, str) else path.stem
 
 
 @dataclass(frozen=True)
@@ -100,7 +117,7 @@ class CraftOutcome:
         return [*lines, *(note for r in self.results for note in r.notes)]
 
     @property
-    def warnings(self) -> list[Message]:
+    def warnings(self) -> list[str]:
         """Return the warnings about the estimates."""
         return [text for r in self.results for text in r.warnings]
 
@@ -116,8 +133,6 @@ def read_craft(yaml: YamlFile) -> CraftUnderTest:
         InputError: Every fault of the file and its logs.
     """
     content, faults = yaml.partly(CraftFile, "rest")
-    if content is None:
-        raise InputError(faults)
     if content.rest is None and content.distance is None:
         faults.append(yaml.fault((), messages.NEITHER_REST_NOR_DISTANCE(), key=True))
     try:

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from cosim.base.arrays import Array, Rows
-from cosim.base.messages import Message
 from plant.bench import Bench
-from plant.identification import messages
 from plant.identification.cells import Cells, force_of
 from plant.identification.command_response import tilt_response
-from plant.identification.misfit import find_slip, odd_group
 from plant.identification.recordings import Recording
 
 CONFIDENCE = 0.95
-MAX_MIRRORED_SPREAD = 0.1  # spread of magnitudes, as a share of their median, within which values differ only in sign
 
 
 @dataclass(frozen=True)
@@ -64,16 +60,14 @@ class Figure:
 
 @dataclass
 class Result:
-    """Result of a test: estimates, notes, warnings, faults, figures, and additions to identify.json."""
+    """Result of a test: estimates, notes, warnings, figures, and additions to identify.json."""
 
     test: str
     estimates: list[Estimate]
-    notes: list[Message] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
     figures: list[Figure] = field(default_factory=list)
     details: dict[str, Any] = field(default_factory=dict)
-    warnings: list[Message] = field(default_factory=list)
-    faults: list[Message] = field(default_factory=list)
-    outliers: list[Message] = field(default_factory=list)  # warnings about recordings
+    warnings: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -114,50 +108,6 @@ class Measurement:
         """Return recordings with the first one's number of rows."""
         count = self.recordings[0].rows(self.test.window).sum()
         return [r for r in self.recordings if r.rows(self.test.window).sum() == count]
-
-
-def outlier_warnings(groups: Sequence[tuple[str, Sequence[Recording], Array]]) -> list[Message]:
-    """Return a warning about outlying recordings, if any.
-
-    Args:
-        groups: Name of the values, recordings and their values; all groups have equal scatter.
-    """
-    mirrored = [message for group in groups for message in _mirrored(*group)]
-    if mirrored:
-        return mirrored
-    place, chosen = odd_group([values for _, _, values in groups])
-    if not chosen:
-        return []
-    name, recordings, values = groups[place]
-    fields = {"name": name, "value": values[chosen].mean(), "others": np.delete(values, chosen).mean()}
-    if len(chosen) == 1:
-        return [messages.OUTLIER(recording=recordings[chosen[0]].label, **fields)]
-    return [messages.OUTLIERS(recordings=", ".join(recordings[k].label for k in chosen), **fields)]
-
-
-def slip_warnings(
-    m: Measurement, cell: str, values: Sequence[Array], bases: Sequence[Array], scale: float, unit: str
-) -> list[Message]:
-    """Return a warning if a cell jumps within a recording beside the response that `bases` describe.
-
-    Args:
-        scale: Factor from the values to the unit.
-    """
-    slip = find_slip(values, bases)
-    if slip is None:
-        return []
-    return [messages.SLIP(cell=cell, size=scale * slip[1], unit=unit, recording=m.recordings[slip[0]].label)]
-
-
-def _mirrored(name: str, recordings: Sequence[Recording], values: Array) -> Iterator[Message]:
-    """Yield a warning about values of equal size and opposite sign: those of the fewer recordings, if they differ."""
-    sizes, is_negative = np.abs(values), values < 0.0
-    if is_negative.all() or not is_negative.any() or np.ptp(sizes) > MAX_MIRRORED_SPREAD * np.median(sizes):
-        return
-    fewer = is_negative if 2 * is_negative.sum() <= values.size else ~is_negative
-    labels = ", ".join(recordings[int(k)].label for k in np.flatnonzero(fewer))
-    means = {"value": values[fewer].mean(), "others": values[~fewer].mean()}
-    yield messages.MIRRORED_REPETITIONS(name=name, recordings=labels, **means)
 
 
 PerRepetition = Callable[[Cells], Array]  # → shape (repetitions, numbers)

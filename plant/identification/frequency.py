@@ -11,9 +11,7 @@ from cosim.base.arrays import Array
 from plant.identification import messages
 from plant.identification.cells import Cells
 from plant.identification.command_response import LAGS, low_pass, tilt_response
-from plant.identification.commanded import frequency_of
 from plant.identification.estimates import Figure, Measurement, Result, interval, least, make_estimates, shifts_of
-from plant.identification.misfit import Misfit, misfit, residuals, sine_basis
 from plant.identification.protocol import SineTest
 from plant.identification.recordings import Recording
 
@@ -65,88 +63,9 @@ def analyse(m: Measurement, *, draw: bool = True) -> Result:
     for name, values in zip(("magnitude_db", "phase_deg"), thesis, strict=True):
         result.details[f"thesis_{name}"] = values.mean(axis=0).tolist()
     result.notes.append(messages.THESIS_SINES(loss=-smoothing, frequency=frequencies[-1]))
-    _judge(m, result, chosen, c, tables)
     if draw:
         result.figures = _figures(frequencies, tau, thesis, ours, means)
     return result
-
-
-def _judge(
-    m: Measurement, result: Result, chosen: Sequence[Sequence[tuple[Recording, float]]], c: Array, tables: Array
-) -> None:
-    """Add a warning for an early or late force, or a response that is not of first order.
-
-    Phases and amplitudes are tested separately: the thrust of a run changes amplitudes only. A calibration error is
-    common to all frequencies and cancels.
-    """
-    frequencies = np.array([w for _, w in chosen[0]])
-    place = int(np.argmin(np.abs(LAGS - result.estimates[0].value)))
-    slopes = np.gradient(np.log(tables), np.log(LAGS), axis=1)[:, place]
-    ratio = np.log(c / tables[:, place])
-    # phase noise is reading noise divided by amplitude and the root of the number of rows
-    rows = np.array([sum(r.time >= m.test.lead + m.test.skip) for r, _ in chosen[0]])
-    weights = np.sqrt(rows) * np.abs(c).mean(axis=0)
-    phase = misfit(
-        np.array([residuals(p * weights, (slopes.imag * weights)[:, None]) for p in ratio.imag]),
-        np.zeros((0, frequencies.size)),
-        1,
-    )
-    basis = np.column_stack((np.ones(frequencies.size), slopes.real))
-    size = misfit(np.array([residuals(s, basis) for s in ratio.real]), np.zeros((0, frequencies.size)), 2)
-    if phase is not None and phase.is_significant:
-        delay = _delay_beside_lag(frequencies, c.mean(axis=0), tables, weights)
-        miss = DEGREE * float(np.abs(phase.mean / weights).max())
-        template = messages.EARLY_SINES if delay < 0.0 else messages.LATE_SINES
-        result.warnings.append(template(miss=miss, delay=abs(delay)))
-    if size is not None and size.is_significant:
-        result.warnings.append(messages.WRONG_SIZES(miss=100.0 * float(np.abs(size.mean).max())))
-    beyond = harmonics(m, chosen, result.estimates[0].value)
-    if beyond is not None and beyond.is_significant:
-        result.warnings.append(messages.HARMONICS(size=float(np.abs(beyond.mean).max())))
-
-
-def _delay_beside_lag(frequencies: Array, amplitudes: Any, tables: Any, weights: Array) -> float:
-    """Return the delay [s] with which some lag explains the phases best.
-
-    Args:
-        amplitudes: Complex amplitude of the force at each frequency.
-        tables: Complex amplitude by the equations, shape (frequencies, lags).
-        weights: Reciprocal of the standard error of each phase.
-    """
-    phases, squares = np.angle(amplitudes[:, None] / tables), weights**2
-    delays = -(squares * frequencies) @ phases / (squares @ frequencies**2)
-    misses = squares @ (phases + frequencies[:, None] * delays) ** 2
-    return float(delays[int(np.argmin(misses))])
-
-
-def harmonics(m: Measurement, chosen: Sequence[Sequence[tuple[Recording, float]]], tau: float) -> Misfit | None:
-    """Return second and third harmonics [gf] beyond the response at the lag `tau`.
-
-    Args:
-        chosen: For each repetition, the recording and frequency [rad/s] of each sine.
-    """
-    shapes = [_response(m, r, np.array([tau]))[:, 0] for r, _ in chosen[0]]
-
-    def averages(using: Cells) -> Array:
-        rows = []
-        for row in chosen:
-            values: list[Array] = []
-            for (r, w), shape in zip(row, shapes, strict=True):
-                force, size = m.gram * m.force(r, "x", using), min(r.time.size, shape.size)
-                along = sine(r, force, w, m.test) / sine(chosen[0][len(values)][0], shape, w, m.test)
-                rest = force[:size] - abs(along) * shape[:size]
-                times = r.time[:size]
-                use = times >= m.test.lead + m.test.skip
-                angle = w * (times[use] - m.test.lead)
-                basis = [f(k * angle) for k in (1, 2, 3) for f in (np.sin, np.cos)]
-                sizes = np.linalg.lstsq(np.column_stack((*basis, np.ones_like(angle))), rest[use], rcond=None)[0]
-                values.append(sizes[2:6] * np.sqrt(use.sum() / longest))
-            rows.append(np.concatenate(values))
-        return np.array(rows)
-
-    longest = max(int((r.time >= m.test.lead + m.test.skip).sum()) for r, _ in chosen[0])
-    each = averages(m.cells)
-    return misfit(each, shifts_of(averages, m.cells, "x", each), 0)
 
 
 def group_by_frequency(recordings: Sequence[Recording], test: SineTest) -> dict[float, list[Recording]]:
@@ -157,13 +76,31 @@ def group_by_frequency(recordings: Sequence[Recording], test: SineTest) -> dict[
     return groups
 
 
+def frequency_of(r: Recording, test: SineTest) -> float:
+    """Return the protocol's frequency [rad/s] nearest a run's command."""
+    rows = r.time >= test.lead
+    t, command = r.time[rows] - test.lead, r.servo_duty[rows] - r.servo_duty[rows].mean()
+
+    def squared_misfit(w: float) -> float:
+        basis = _sine_basis(w * t)
+        rest = command - basis @ np.linalg.lstsq(basis, command, rcond=None)[0]
+        return float(rest @ rest)
+
+    return min(test.frequencies, key=squared_misfit)
+
+
+def _sine_basis(angle: Array) -> Array:
+    """Return sine, cosine and constant, one column each."""
+    return np.column_stack((np.sin(angle), np.cos(angle), np.ones_like(angle)))
+
+
 def sine(r: Recording, values: Array, w: float, test: SineTest) -> Any:
     """Return the complex amplitude of a sine with known frequency, plus constant, after the skipped part.
 
     Values of shape (rows, n) give n amplitudes.
     """
     rows = r.time >= test.lead + test.skip
-    basis = sine_basis(w * (r.time[rows] - test.lead))
+    basis = _sine_basis(w * (r.time[rows] - test.lead))
     a, b, _ = np.linalg.lstsq(basis, values[rows], rcond=None)[0]
     return a + 1j * b
 

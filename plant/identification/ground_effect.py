@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.messages import Message
 from cosim.model.namespaces import arrays
 from plant.identification import messages
 from plant.identification.cells import Cells
@@ -17,7 +16,6 @@ from plant.identification.estimates import (
     Result,
     interval,
     make_estimates,
-    outlier_warnings,
     pseudo_values,
     shifts_of,
 )
@@ -26,7 +24,6 @@ from plant.identification.recordings import Recording
 from plant.powertrain import ground_effect
 
 CHEESEMAN_BENNETT = 2.0
-MISFIT_CHANCE = 1e-3  # false alarm probability if eq 4.28 is correct
 
 
 def analyse(m: Measurement, *, draw: bool = True) -> Result:
@@ -60,15 +57,10 @@ def analyse(m: Measurement, *, draw: bool = True) -> Result:
     names = [("ground_effect_exponent", "1", thesis, m.true("ground_effect_exponent"))]
     shifts = shifts_of(exponents, m.cells, "z", each)
     result = Result("ground_effect", make_estimates(names, each, shifts, "Test 2, fit on Γ, 1/Z̄"))
-    rows = {h: np.array([m.force(r, "z")[r.rows(m.test.window)].mean() for r in main[h]]) for h in main}
-    result.outliers += outlier_warnings(
-        [(f"at {h:.4g} m the force over its mean", main[h], v / v.mean()) for h, v in rows.items() if v.size > 1]
-    )
     if dropped:
         result.notes.append(messages.RATIOS_WITHOUT_LOGARITHM(count=dropped, total=count * heights.size))
     model = _relative_gain(heights, radius, result.estimates[0].value, free)
     each_gain = gains(m.cells)
-    result.warnings += _misfit(heights / radius, model, each_gain, shifts_of(gains, m.cells, "z", each_gain))
     result.details = {"heights_over_radius": (heights / radius).tolist(), "dropped": dropped}
     for chosen in others:
         f = forces(lambda r: m.force(r, "z"), chosen)
@@ -80,21 +72,6 @@ def analyse(m: Measurement, *, draw: bool = True) -> Result:
     if draw:
         result.figures = _figures(result, heights / radius, forces(lambda r: m.force(r, "z")), each_gain)
     return result
-
-
-def _misfit(ratios: Array, model: Array, each: Array, shifts: Array) -> list[Message]:
-    """Return a warning if eq 4.28 misses the measured Γ beyond scatter and calibration."""
-    from scipy import stats
-
-    count, places = each.shape
-    variance = each.var(axis=0, ddof=1).mean() / count + (shifts**2).sum(axis=0)
-    residual = each.mean(axis=0) - model
-    test = float((residual**2 / variance).sum()) / (places - 1)
-    if test < float(stats.f.ppf(1.0 - MISFIT_CHANCE, places - 1, places * (count - 1))):
-        return []
-    worst = int(np.argmax(residual**2 / variance))
-    fields = {"value": each.mean(axis=0)[worst], "ratio": ratios[worst], "model": model[worst]}
-    return [messages.WRONG_GROUND_EFFECT(**fields)]
 
 
 def fit(heights: Array, gains: Array, radius: float, free: float) -> float:

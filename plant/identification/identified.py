@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.messages import Message
 from cosim.storage.kinds import shell_path
 from plant.identification.cells import Cells
 from plant.identification.estimates import Estimate, Result
@@ -39,9 +38,9 @@ class Outcome:
         return by_name
 
     @property
-    def warnings(self) -> list[Message]:
+    def warnings(self) -> list[str]:
         """Return the warnings, preceded by their test's name."""
-        return [message.after(f"{r.test}: ") for r in self.results for message in r.warnings]
+        return [f"{r.test}: {message}" for r in self.results for message in r.warnings]
 
     def closing(self, out: Path) -> str:
         """Return a text that names powertrain.yaml and the command that builds its FMU."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from cosim.base.arrays import Array
@@ -16,11 +14,8 @@ from plant.identification.estimates import (
     Measurement,
     Result,
     make_estimates,
-    outlier_warnings,
     shifts_of,
-    slip_warnings,
 )
-from plant.identification.misfit import drift
 from plant.identification.recordings import Recording
 from plant.powertrain import assembly_moment, servo_angle
 
@@ -53,12 +48,6 @@ def analyse(m: Measurement, *, draw: bool = True) -> Result:
     result = Result(
         "moment", make_estimates(names, each, shifts_of(arms, m.cells, "m", each), "Test 5, with an offset a test")
     )
-    result.outliers += outlier_warnings([("the arm [m]", m.recordings, each[:, 0])])
-    _judge(m, result, shape)
-    windows = [r.rows(window) for r in m.recordings]
-    bases = [np.column_stack((np.ones(int(w.sum())), shape(r))) for r, w in zip(m.recordings, windows, strict=True)]
-    moments = [m.force(r, "m")[w] for r, w in zip(m.recordings, windows, strict=True)]
-    result.warnings += slip_warnings(m, "m", moments, bases, 1.0, "N·m")
     step = bench.converter_range / bench.converter_levels
     volts = m.recordings[0].volts["m"][m.recordings[0].rows(window)]
     twentieths = [volts[k * volts.size // 20 : (k + 1) * volts.size // 20] for k in range(20)]
@@ -68,38 +57,6 @@ def analyse(m: Measurement, *, draw: bool = True) -> Result:
     if draw:
         result.figures = _figures(result, m)
     return result
-
-
-def _judge(m: Measurement, result: Result, shape: Callable[[Recording], Array]) -> None:
-    """Add a fault for a cell without response to the sweep, and a warning for drift."""
-    window = m.test.window
-    times = [r.time[r.rows(window)] - window[0] for r in m.recordings]
-    moments = [m.force(r, "m")[r.rows(window)] for r in m.recordings]
-    shapes = [shape(r) for r in m.recordings]
-    constant = [np.ones_like(t) for t in times]
-    sweep = drift(moments, [np.column_stack(pair) for pair in zip(constant, shapes, strict=True)])
-    if sweep is not None and not sweep.is_above_noise:
-        result.faults.append(messages.NO_MOMENT())
-        return
-    bases = [np.column_stack(row) for row in zip(constant, shapes, times, strict=True)]
-
-    def slopes(using: Cells) -> Array:
-        """Return the residual slope of each recording."""
-        forces = [m.force(r, "m", using)[r.rows(window)] for r in m.recordings]
-        return np.array([np.linalg.lstsq(b, y, rcond=None)[0][-1:] for b, y in zip(bases, forces, strict=True)])
-
-    calibration = shifts_of(slopes, m.cells, "m")
-    trend = drift(moments, bases, float(np.sqrt((calibration**2).sum())))
-    if trend is None or not trend.is_significant:
-        return
-    # change of the arm by the drift, from its projection on the shape
-    changes = [
-        float((s - s.mean()) @ t / ((s - s.mean()) @ (s - s.mean()))) * slope
-        for s, t, slope in zip(shapes, times, trend.each, strict=True)
-    ]
-    fields = {"drift": trend.mean * (window[1] - window[0]), "recording": m.recordings[trend.worst].label}
-    shift, arm = float(np.mean(changes)), result.estimates[0].value
-    result.warnings.append(messages.DRIFTING_MOMENT(**fields, shift=shift, arm=arm))
 
 
 def _figures(result: Result, m: Measurement) -> list[Figure]:

@@ -11,12 +11,12 @@ from cosim.base.text import counted
 from cosim.storage.yaml_file import YamlFile
 from plant.bench import REST_DUTY, Bench
 from plant.identification import messages
-from plant.identification.columns import MIN_HEIGHT_RATIO
-from plant.identification.commanded import MIN_ROWS, ROWS_PER_PERIOD, lacks, windows_of
+from plant.identification.checks import MIN_ROWS, ROWS_PER_PERIOD, lacks, windows_of
 from plant.identification.protocol import BENCH, MAX_RUN_TIME, HeightTest, ProtocolFile, SineTest, Test
 from plant.identification.recordings import Recording, commands
 
 MAX_ROWS = 1_000_000  # rows of a run
+MIN_HEIGHT_RATIO = 0.5  # least ratio of height to propeller radius in eq 4.28
 
 
 def planned_faults(yaml: YamlFile, content: ProtocolFile, bench: Bench) -> list[Fault]:
@@ -69,9 +69,9 @@ def _faults(yaml: YamlFile, content: ProtocolFile, name: str, test: Test, bench:
         if label.endswith("validation") and validation_faults:
             continue
         run = Recording(name + label, time, duty, servo_duty, np.full(time.size, height), {})
-        for key, _, message in lacks(bench, name, test, run, ".".join(at), own=own):
-            if (mark := (key, message.fields["cure"])) not in earlier:
-                earlier.add(mark)
+        for key, _, message in lacks(bench, name, test, run, own=own):
+            if (key, message) not in earlier:
+                earlier.add((key, message))
                 yield yaml.fault((*at, key), message)
 
 

@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from cosim.base.errors import Fault
-from cosim.base.messages import Message
 from plant.bench import Bench
 from plant.identification import messages
 from plant.identification.command_response import LAGS
@@ -39,9 +38,8 @@ def result_faults(protocol: Protocol, results: Sequence[Result]) -> list[Fault]:
     """Return faults of results and impossible numbers; add warnings about possible numbers to the results."""
     faults = []
     for result in results:
-        reasons = [reason for e in result.estimates if (reason := _reason_against(e, result.outliers))]
-        faults += [protocol.yaml.fault(("tests", result.test), text, key=True) for text in [*reasons, *result.faults]]
-        result.warnings += result.outliers
+        reasons = [reason for e in result.estimates if (reason := _reason_against(e))]
+        faults += [protocol.yaml.fault(("tests", result.test), text, key=True) for text in reasons]
         result.warnings += [text for e in result.estimates for text in _doubts(e)]
     return faults
 
@@ -50,11 +48,11 @@ def _unit(e: Estimate) -> str:
     return "" if e.unit == "1" else f" {e.unit}"
 
 
-def _reason_against(e: Estimate, outliers: Sequence[str]) -> Message | None:
-    """Return the message on an impossible number, with outlying recordings as its possible cause, else None."""
+def _reason_against(e: Estimate) -> str | None:
+    """Return the message on an impossible number, else None."""
     low, high = bounds_of(e.name)
     is_lag = e.name.startswith("lag")
-    cure = "; ".join([CURES["lag" if is_lag else e.name], *outliers])
+    cure = CURES["lag" if is_lag else e.name]
     fields = {"name": e.name, "value": e.value, "unit": _unit(e), "cure": cure}
     if not np.isfinite(e.value):
         return messages.NO_VALUE(name=e.name, cure=cure)
@@ -65,7 +63,7 @@ def _reason_against(e: Estimate, outliers: Sequence[str]) -> Message | None:
     return None if low <= e.value <= high else messages.IMPOSSIBLE_VALUE(**fields, low=low, high=high)
 
 
-def _doubts(e: Estimate) -> Iterator[Message]:
+def _doubts(e: Estimate) -> Iterator[str]:
     """Yield warnings about a possible number: a wide interval, or a projection factor far from 1."""
     low, high = bounds_of(e.name)
     if e.low < low or e.high > high:

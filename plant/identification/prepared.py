@@ -11,9 +11,9 @@ from cosim.loading.file import load_model, named_model
 from cosim.model import Model
 from plant.identification import messages
 from plant.identification.cells import Cells, calibrate
+from plant.identification.checks import recording_faults
 from plant.identification.planned import planned_faults
 from plant.identification.protocol import CHANNELS, Protocol, read_partly
-from plant.identification.recording_faults import copy_faults, recording_faults
 from plant.identification.recordings import Recording, read_recordings
 
 NUMBERS = {"thrust_offset", "thrust_slope", "ground_effect_exponent", "lag", "assembly_arm"}  # of a power-train
@@ -89,7 +89,7 @@ def _read_measured(protocol: Protocol) -> dict[str, list[Recording]]:
         if not test.files:
             continue
         recordings[name], unread = read_recordings(protocol, name)
-        faults += [*unread, *copy_faults(recordings[name])]
+        faults += unread
         if cells is not None:
             faults += recording_faults(protocol, name, recordings[name], cells, whole=not unread)
     refuse(faults)

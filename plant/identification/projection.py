@@ -5,16 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.messages import Message
 from plant.identification import messages
 from plant.identification.cells import Cells
 from plant.identification.command_response import low_pass
-from plant.identification.estimates import Figure, Measurement, Result, make_estimates, shifts_of, slip_warnings
-from plant.identification.misfit import drift
+from plant.identification.estimates import Figure, Measurement, Result, make_estimates, shifts_of
 from plant.powertrain import servo_angle
 
 BIN = np.radians(2.5)
-MAX_SHIFT = 0.15  # [s] by which force and tilt may differ, as the lag of this bench is not known yet
 
 
 def analyse(m: Measurement, *, draw: bool = True) -> Result:
@@ -56,26 +53,10 @@ def analyse(m: Measurement, *, draw: bool = True) -> Result:
         deviation["VH"[k]] = np.array(measured)[:, filled].mean(axis=0)
     largest = {name: float(np.abs(v).max()) for name, v in deviation.items()}
     result.details = {"largest_deviation": largest}
-    result.warnings += _shifted_sweep(m)
     result.notes.append(messages.PROJECTIONS(vertical=largest["V"], horizontal=largest["H"]))
     if draw:
         result.figures = _figures(m, m.tilt(recordings[0]))
     return result
-
-
-def _shifted_sweep(m: Measurement) -> list[Message]:
-    """Return warnings about an early, late or jumping force."""
-    forces, bases, sizes = [], [], []
-    for r in m.recordings:
-        w, sin = r.rows(m.test.window), low_pass(np.sin(m.tilt(r)), r.step, m.test.low_pass)
-        forces.append(m.force(r, "x")[w])
-        bases.append(np.column_stack((np.ones(int(w.sum())), sin[w], np.gradient(sin, r.step)[w])))
-        sizes.append(np.linalg.lstsq(bases[-1][:, :2], forces[-1], rcond=None)[0][1])
-    found = slip_warnings(m, "x", forces, bases, m.gram, "gf")
-    late = drift(forces, bases)
-    if late is None or not late.is_above_noise or abs(delay := -late.mean / float(np.mean(sizes))) <= MAX_SHIFT:
-        return found
-    return [*found, (messages.EARLY_SWEEP if delay < 0.0 else messages.LATE_SWEEP)(delay=abs(delay))]
 
 
 def _thesis(m: Measurement) -> tuple[float, float]:

@@ -6,6 +6,7 @@ import ctypes
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,18 +16,36 @@ from cosim.base.text import counted
 from cosim.base.units import factor
 from cosim.blocks.description import read_description
 from cosim.blocks.restartable import RestartableFmu
-from cosim.storage.table import read_table
-from cosim.storage.table_columns import Column, Faults, Heading
+from cosim.storage.table import DECIMAL_COMMA, Column, Faults, Use, read_table
 from cosim.storage.yaml_file import did_you_mean
 from plant.bench import FREE_HEIGHT, NEUTRAL_DUTY, REST_DUTY, Bench
 from plant.identification import messages
-from plant.identification.columns import COLUMNS
 from plant.identification.protocol import CHANNELS, HeightTest, Protocol, SineTest, Test
 
 SECONDS = 1.0  # duration of a calibration load
 SAME_STEP = 0.1  # share of a step by which an even clock varies
 MAX_MISSING = 0.02  # largest share of single missing rows, which are interpolated
 DEGREE = np.pi / 180.0
+MAX_HEIGHT = 20.0  # [m]: twice the default height without ground effect, App. D.2; a height in mm or cm exceeds it
+
+
+class BenchColumn(NamedTuple):
+    """A column of a recording: unit, plausible range (`high` None: the bench's `converter_range`), and advice."""
+
+    unit: str
+    low: float
+    high: float | None
+    cure: str
+
+
+DUTY = BenchColumn("%", 0.0, 100.0, f"write it in % of the frame, {messages.PULSE}")
+VOLTS = BenchColumn("V", 0.0, None, "write raw voltages, say the unit, {name} [mV], or give `converter_range`")
+COLUMNS = {
+    "duty": DUTY,
+    "servo_duty": DUTY,
+    "height": BenchColumn("m", 0.0, MAX_HEIGHT, "say its unit, {name} [mm]; 20 m is as good as no ground"),
+    **dict.fromkeys(("volts_z", "volts_x", "volts_m"), VOLTS),
+}
 
 
 @dataclass(frozen=True)
@@ -241,10 +260,13 @@ def read_recording(path: Path) -> Recording:
     """
     faults = Faults(path)
 
-    def choose(heading: Heading) -> Column | None:
-        name, unit = heading.name, heading.unit
+    def choose(column: Column) -> Use | None:
+        name, unit = column.name, column.unit
         if name != "time" and name not in COLUMNS:
             return None
+        if not column.numeric and any(DECIMAL_COMMA.fullmatch(str(cell).strip()) for cell in column.values):
+            # The cause of all other faults.
+            raise InputError([Fault(path, faults.header + 1, 1, messages.DECIMAL_COMMAS())])
         wanted = "s" if name == "time" else COLUMNS[name].unit
         if (scale := factor(unit, wanted)) is None:
             if name == "time":
@@ -253,19 +275,18 @@ def read_recording(path: Path) -> Recording:
                 message = messages.TIME_FOR_DUTY(unit=unit, column=name)
             else:
                 message = messages.NO_UNIT_OF_COLUMN(unit=unit, column=name, wanted=wanted)
-            faults.note(heading.line, heading.cell, message)
-        return Column(heading, scale or 1.0, role="the time" if name == "time" else "a column of the bench")
+            faults.note(faults.header, column.cell, message)
+        return Use(name, scale or 1.0, role="the time" if name == "time" else "a column of the bench")
 
-    table = read_table(faults, choose, ", ".join(COLUMNS), "leave out rows")
-    if any(kind.endswith("with a decimal comma") for _, kind in faults.counts):  # cause of all other faults
-        raise InputError([Fault(path, table.header + 1, 1, messages.DECIMAL_COMMAS())])
-    if table.whole:
-        for name in (n for n in COLUMNS if n not in table.columns):
-            hint = did_you_mean(name, table.columns)
+    table = read_table(faults, choose, ", ".join(COLUMNS))
+    if table is not None and not table.faults:
+        for name in (n for n in COLUMNS if n not in table):
+            hint = did_you_mean(name, table.by_name)
             faults.note(table.header, 1, messages.NO_COLUMN(name=name, unit=COLUMNS[name].unit, hint=hint))
         if table.rows < 10:
             faults.note(0, 0, messages.SHORT_RECORDING(rows=counted(table.rows, "row")))
     faults.raise_any()
+    assert table is not None
     time, lines = table["time"], np.array(table.lines)
     values = np.column_stack([table[name] for name in COLUMNS])
     time, values, lines = _fill_single_rows(time, values, lines)

@@ -11,10 +11,9 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.text import MISSING, append_unit, counted, plain, written
 from cosim.base.version import __version__
-from cosim.report.drawing import Charts
+from cosim.report.charts import Charts, Plot
 from cosim.report.html_tables import Badge
-from cosim.report.panels import Band, Panel, Trace
-from cosim.report.svg import Plot, extent, log_axis, make_axis
+from cosim.report.panels import Band, Panel, Trace, extent
 from cosim.report.template import render
 from plant.identification.cells import Cell
 from plant.identification.estimates import Estimate, Figure
@@ -59,7 +58,7 @@ def page(outcome: Outcome) -> str:
                     "name": r.test,
                     "title": TITLES[r.test],
                     "notes": [*(f"Warning: {text}." for text in r.warnings), *r.notes],
-                    "plots": [(plot_of(f, charts), f.x_label, f.counterpart) for f in r.figures],
+                    "plots": [(plot_of(f, charts), f.counterpart) for f in r.figures],
                 }
                 for r in outcome.results
             ],
@@ -154,9 +153,9 @@ def plot_of(figure: Figure, charts: Charts) -> Plot:
     if figure.log:
         low, high = float(np.log10(low)), float(np.log10(high))
     margin = 0.04 * (high - low) or 0.1 * abs(high) or 1.0
-    axis = log_axis(low - margin, high + margin) if figure.log else make_axis(low - margin, high + margin, 6)
+    ends = (10.0 ** (low - margin), 10.0 ** (high + margin)) if figure.log else (low - margin, high + margin)
     panel = Panel(figure.title, figure.y_label, traces, band)
-    return charts.alone(panel, axis, (name, unit.rstrip("]")), log=figure.log)
+    return charts.alone(panel, ends, (name, unit.rstrip("]")), log=figure.log)
 
 
 def _trace(label: str, over: Array, values: Array, style: str) -> Trace:

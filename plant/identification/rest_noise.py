@@ -12,7 +12,6 @@ import numpy as np
 
 from cosim.base.arrays import Array, Rows
 from cosim.base.errors import Fault
-from cosim.base.messages import Message
 from cosim.base.units import square_unit
 from cosim.logs.log import Log
 from cosim.model import Model
@@ -23,8 +22,6 @@ from plant.identification.estimates import Estimate, Figure, Result
 MIN_ROWS = 50  # rows: below, the 95 % interval of a variance spans more than 0.7 to 1.55 of it
 DRIFTS = 1.1  # ratio to the variance about a line from which a mean hides a drift
 MOVING = 5.0  # standard deviations between the halves of a log beyond which it was not at rest
-AT_ENDS = 0.05  # share of rows at the extreme values beyond which a sensor is saturated
-SLOW = 0.05  # share of the variance in row-to-row steps of a slow swing; 1 for white noise
 Window = tuple[float, float] | None
 
 
@@ -32,7 +29,7 @@ def noise(logs: Sequence[Log], model: Model, window: Window = None) -> Result:
     """Return the variance of every output measured at rest."""
     units = {q.name: q.unit for q in model.outputs}
     names = [q.name for q in model.outputs if any(q.name in log.outputs for log in logs)]
-    estimates, notes, figures = [], list[Message](), list[Figure]()
+    estimates, notes, figures = [], list[str](), list[Figure]()
     for name in names:
         parts = [(log.time[rows], log.outputs[name][rows]) for log, rows in _rows(logs, name, window)]
         estimate = variance(name, units[name], parts)
@@ -77,30 +74,18 @@ def rest_faults(yaml: YamlFile, logs: Sequence[Log], window: Window) -> Iterator
                 yield Fault(log.path, 0, 0, message)
 
 
-def _reason_against(name: str, values: Array) -> Message | None:
+def _reason_against(name: str, values: Array) -> str | None:
     """Return the message against an output's rows, or None."""
     if values.size < MIN_ROWS:
         return messages.TOO_FEW_ROWS_AT_REST(rows=values.size, output=name, least=MIN_ROWS)
     low, high = float(values.min()), float(values.max())
     if low == high:
         return messages.CONSTANT_OUTPUT(output=name, value=low)
-    ends = float(np.mean((values == low) | (values == high)))
-    if ends > AT_ENDS:
-        return messages.SATURATED_OUTPUT(output=name, low=low, high=high, share=ends)
-    steps, spread = float(np.mean(np.diff(values) ** 2)) / 2.0, float(np.var(values))
-    if steps < SLOW * spread and _turns(values) > 2:
-        return messages.SWINGING_OUTPUT(output=name, ratio=spread / steps)
     first, last = np.array_split(values, 2)
     change, noise_level = last.mean() - first.mean(), float(np.std(np.diff(values))) / np.sqrt(2.0)
     if abs(change) > MOVING * max(noise_level, 1e-300) and noise_level > 0.0:
         return messages.MOVING_OUTPUT(output=name, change=change)
     return None
-
-
-def _turns(values: Array) -> int:
-    """Return how often the smoothed values cross their mean."""
-    smooth = np.convolve(values - values.mean(), np.ones(9) / 9, "valid")
-    return int(np.sum(smooth[1:] * smooth[:-1] < 0.0))
 
 
 def _rows(logs: Sequence[Log], name: str, window: Window) -> Iterator[tuple[Log, Rows]]:

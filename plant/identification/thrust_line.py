@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cosim.base.arrays import Array, Flags
-from cosim.base.messages import Message
 from cosim.model.namespaces import arrays
 from plant.bench import Bench
 from plant.identification import messages
@@ -20,11 +19,8 @@ from plant.identification.estimates import (
     Measurement,
     Result,
     make_estimates,
-    outlier_warnings,
     shifts_of,
-    slip_warnings,
 )
-from plant.identification.misfit import drift
 from plant.identification.protocol import Test
 from plant.identification.recordings import Recording
 from plant.powertrain import ground_effect
@@ -152,16 +148,12 @@ def analyse(m: Measurement, *, draw: bool = True) -> Result:
     shifts = shifts_of(lines, cells, "z", each)
     result = Result("thrust_line", make_estimates(names, each, shifts, "Test 1, line by repetition"))
     thrust = thrusts(cells)
-    result.outliers += outlier_warnings([("the mean thrust [gf]", m.recordings, np.array([y.mean() for y in thrust]))])
-    bases = [np.column_stack((np.ones_like(d), d)) for d in delayed]
-    result.warnings += slip_warnings(m, "z", thrust, bases, 1.0, "gf")
     degree, errors = least_degree(delayed, thrust)
     r2 = float(np.corrcoef(duty, raw)[0, 1] ** 2)
     result.details = {"degree": degree, "rmse_left_out_gf": errors, "r2": r2}
     result.details |= {"highest_duty": rows.end, "readings_without_thrust": rows.idle}
     result.notes.append(messages.DEGREE(r2=r2, degree=degree))
     _add_notes(result, m, rows)
-    result.warnings += _second_tare(m, rows.dead_end, result.estimates[1].value)
     if degree > 1:
         _bend(result, degree, errors, np.concatenate(delayed), np.concatenate(thrust))
     if draw:
@@ -176,27 +168,6 @@ def _add_notes(result: Result, m: Measurement, rows: LineReadings) -> None:
     top = max(float(r.duty[r.rows(m.test.window)].max()) for r in m.recordings)
     if rows.end < top - 1e-9:
         result.notes.append(messages.SHORT_RANGE(limit=rows.end + MARGIN, end=rows.end, top=top))
-
-
-def _second_tare(m: Measurement, dead_end: float, slope: float) -> list[Message]:
-    """Return a warning about tare drift over the window."""
-    values, bases, corrections = [], [], [0.0]
-    for r in m.recordings:
-        delayed = _delay_duty(r, m.bench, m.test, dead_end)
-        rest = r.rows(m.test.rest)
-        end = (r.time > m.test.window[1]) & (r.duty <= dead_end) & (delayed <= dead_end + MARGIN)
-        if not end.any():
-            return []
-        thrust = slope * (delayed - dead_end) / m.gram * _gain(r, np.ones(r.time.size, dtype=bool), m.bench)
-        corrections.append(float(thrust[end].mean()))  # each as uncertain as large
-        both = rest | end
-        values.append((m.force(r, "z") - np.where(end, thrust, 0.0))[both])
-        bases.append(np.column_stack((np.ones(both.sum()), end[both])))
-    tare = drift(values, bases, max(corrections))
-    if tare is None or not tare.is_significant:
-        return []
-    fields = {"drift": m.gram * tare.mean, "most": m.gram * tare.each[tare.worst]}
-    return [messages.DRIFTING_TARE(**fields, recording=m.recordings[tare.worst].label)]
 
 
 def _bend(result: Result, degree: int, errors: dict[int, float], duty: Array, thrust: Array) -> None:

@@ -14,24 +14,22 @@ from cosim.base.registry import model_entry, resolve
 from cosim.base.scratch import temporary_folder
 from cosim.base.settings import Seed
 from cosim.model import Model
-from cosim.storage.files import FilePath, check_writable, named_path
-from cosim.storage.folder_lock import folder_locks
-from cosim.storage.folders import check_overwritable
+from cosim.storage.artefact import Checking
+from cosim.storage.files import FilePath, check_writable
+from cosim.storage.folders import new_run
 from cosim.storage.kinds import check_given
 from plant.bench import Bench
 from plant.identification import frequency, ground_effect, lag, moment, projection, thrust_line
 from plant.identification.artefacts import PROTOCOL
 from plant.identification.cells import Cells, calibrate
-from plant.identification.craft import CraftOutcome
+from plant.identification.checks import recording_faults
+from plant.identification.craft import CraftOutcome, craft_file, read_craft
 from plant.identification.craft_workflow import identify_craft
 from plant.identification.estimates import Estimate, Measurement, Result
 from plant.identification.identified import Outcome
-from plant.identification.input_kind import craft_file
-from plant.identification.odd_commands import odd_commands
 from plant.identification.plausible import result_faults
 from plant.identification.prepared import prepare
 from plant.identification.protocol import BENCH, Protocol
-from plant.identification.recording_faults import recording_faults
 from plant.identification.recordings import FmuPlayer, Recording, SimulatedRecording, load_runs, runs_of
 from plant.identification.write import RECORD, REPORT, model_text, write
 
@@ -49,7 +47,6 @@ ANALYSES: Mapping[str, Callable[..., Result]] = {
 Progress = Callable[[str, float], None]
 
 
-@folder_locks()
 def identify(
     path: FilePath,
     out: FilePath,
@@ -57,7 +54,7 @@ def identify(
     *,
     report: bool = True,
     seed: Seed | None = None,
-    force: bool = True,
+    force: bool = False,
 ) -> Outcome | CraftOutcome:
     """Identify a power-train, or noise and friction of a craft.
 
@@ -67,7 +64,7 @@ def identify(
         progress: Function of (stage, completed share).
         report: Write report.html.
         seed: Seed for the noise of a simulated bench; None takes that of the protocol.
-        force: Overwrite results of another command in `out`.
+        force: Write into `out` even if it is not empty.
 
     Returns:
         Results of the tests with their intervals, or estimates of noise and friction.
@@ -75,25 +72,25 @@ def identify(
     Raises:
         InputError: Every fault of the protocol and its recordings.
     """
-    path, out = Path(path), named_path(out)
+    path = Path(path)
     check_given(path, PROTOCOL)
-    check_overwritable(out, "cosim identify", force=force)
-    if (yaml := craft_file(path)) is not None:
-        return identify_craft(yaml, out, report=report)
-    ready = prepare(path)
-    protocol, measured = ready.protocol, ready.measured
-    named = [path, *(protocol.folder / f for _, test in protocol.file.tests.named_tests() for f in test.files)]
-    check_writable(out, FILES, named)
-    outcome = _outcome(protocol, measured, protocol.file.seed if seed is None else seed, progress)
+    with new_run(out, "", "cosim identify", force=force) as place:
+        if (yaml := craft_file(path)) is not None:
+            return identify_craft(yaml, place, report=report)
+        ready = prepare(path)
+        protocol, measured = ready.protocol, ready.measured
+        named = [path, *(protocol.folder / f for _, test in protocol.file.tests.named_tests() for f in test.files)]
+        check_writable(place, FILES, named)
+        outcome = _outcome(protocol, measured, protocol.file.seed if seed is None else seed, progress)
 
-    def page() -> str:
-        from plant.identification.report import page
+        def page() -> str:
+            from plant.identification.report import page
 
-        return page(outcome)
+            return page(outcome)
 
-    model = (FILES[0], powertrain(outcome, ready.model))
-    write(out, model, _record(outcome), outcome.results, page if report else None, read=named)
-    return outcome
+        model = (FILES[0], powertrain(outcome, ready.model))
+        write(place, model, _record(outcome), outcome.results, page if report else None, read=named)
+        return outcome
 
 
 def _outcome(
@@ -155,7 +152,6 @@ def analyse(
     for name in (n for n in ANALYSES if n in recordings):
         measured = Measurement(recordings[name], cells, bench, getattr(protocol.file.tests, name), truth)
         result = ANALYSES[name](measured, draw=draw)
-        result.outliers += odd_commands(measured)
         results.append(result)
         # the lag of a step test has priority over that of sines
         fresh = {e.name: _in_bounds(bench, e) for e in result.estimates if e.name in bench.declared}
@@ -175,6 +171,25 @@ def checked_results(
     results = analyse(protocol, cells, recordings, draw=draw)
     refuse(result_faults(protocol, results))
     return results
+
+
+def check_protocol(path: Path, checking: Checking) -> list[str]:
+    """Return the warnings of a protocol.
+
+    Measured recordings are analysed, so that impossible numbers are faults as in `identify`.
+
+    Raises:
+        InputError: Every fault of the protocol, or of logs of a craft.
+    """
+    if (yaml := craft_file(path)) is not None:
+        read_craft(yaml)
+        return []
+    ready = prepare(path)
+    protocol, measured = ready.protocol, ready.measured
+    if not measured or not all(cell.points for cell in protocol.file.cells.values()):
+        return []
+    results = checked_results(protocol, calibrate(protocol, {}), measured, draw=False)
+    return [f"warning: {r.test}: {message}" for r in results for message in r.warnings]
 
 
 def _in_bounds(bench: Bench, e: Estimate) -> float:

@@ -9,7 +9,7 @@ from typing import Any
 
 from cosim.base.version import __version__
 from cosim.storage.files import write_text
-from cosim.storage.folders import keep_earlier
+from cosim.storage.folders import remove_earlier
 from plant.identification.estimates import Estimate, Result
 from plant.identification.identified import plain_values
 
@@ -27,7 +27,7 @@ def write(
 ) -> None:
     """Write each file completely or not at all.
 
-    The files of an earlier identification move to `runs` in the folder.
+    The files of an earlier identification are replaced.
 
     Args:
         model: Name and text of the model file.
@@ -46,7 +46,7 @@ def write(
     texts = [model, (RECORD, json.dumps(whole, indent=1, ensure_ascii=False, allow_nan=False) + "\n")]
     if page is not None:
         texts.append((REPORT, page()))
-    keep_earlier(out, "cosim identify", read=read)
+    remove_earlier(out, read=read)
     for name, text in texts:
         write_text(out / name, text)
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 PLACE = ROOT / "build" / "corpus"
-EXTRAS = "hdf5,mcap,mqtt,parquet,remote,sweep"  # pip only warns of an extra that a revision lacks
+EXTRAS = "hdf5,mcap,parquet,sweep"  # pip only warns of an extra that a revision lacks
 PIP = (sys.executable, "-m", "pip", "--disable-pip-version-check", "-qq")
 
 

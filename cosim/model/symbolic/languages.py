@@ -164,22 +164,6 @@ def _compute_both_sides(printer: Any, choose: str) -> Any:
     return Printer()
 
 
-class Lanes(C):
-    """C99 printer for W lanes: every number but time has an index `i`; branches compute both sides."""
-
-    store = "out[{}][i] = {};"
-
-    def printer(self, places: Mapping[Any, str], conditions: Mapping[Any, str] | None = None) -> Any:
-        """Return the C printer without skipping, since lanes differ in their dormant terms."""
-        rows = {s: f"{place}[i]" if place.endswith("]") else place for s, place in places.items()}
-        return _compute_both_sides(super().printer(rows), "chosen")
-
-    def frame(self, name: str, arguments: Sequence[str], body: str) -> str:  # noqa: D102
-        kinds = {"t": "double t", "out": "double (*restrict out)[W]"}
-        declarations = ", ".join(kinds.get(a, f"Lanes {a}") for a in arguments)
-        return f"INLINE void {name}({declarations})\n{{\n    for (int i = 0; i < W; i++) {{\n    {body}\n    }}\n}}\n"
-
-
 class Python(Language):
     """Python printer with the functions of `math`."""
 

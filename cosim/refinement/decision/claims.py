@@ -29,7 +29,6 @@ MUCH = 0.3  # share of a claim's gain from which an unnamed term beside the clai
 MOVED = 0.5  # relative change of a claimed part in another fit from which the part is disputed
 LARGE = 0.02  # share of the derivative from which an unknown input is no longer a small disturbance
 DEFAULT_EXPERIMENT = "larger and broader commands on all inputs, one at a time and together"
-MORE_ROWS = "more rows, over a wider range of every input, each with each"
 
 
 @dataclass(frozen=True)
@@ -183,7 +182,7 @@ class Claims:
         others: Rivals of an ambiguous verdict besides the claimed hypothesis.
         varying: Parameter of the best hypothesis that varies with its own effect.
         inputs: Line of a study that takes inputs between rows the other way, if that is clearly likelier.
-        further: Other base parameters outside their tolerances beside a claim (from replays, as up to `left_share`).
+        further: Other base parameters outside their tolerances beside a claim (from replays, as up to `unjudged`).
         missed_channel: Channel and its error with the unchanged model, as a multiple of the noise floor.
         recalibrated: Base parameters moved beyond their tolerances.
         doubt: Reason for a withdrawn claim.
@@ -191,12 +190,9 @@ class Claims:
         divided: Channel that sealed logs do not judge: there, estimates within their intervals differ as much as the
             claim misses it.
         unjudged: Channel that replays do not judge: there, two runs of the model with noise differ as much.
-        left_of: Output of a table with a systematic residual, and the input on which the residual depends.
-        left_share: Remaining share of the mean square if the claim explains only a part.
         nearest: Nearest model; None if the claim is complete (from held-out and sealed logs, as the rest).
         ladder: Errors of predictions of held-out logs by number of candidates.
         restricted: True if the study limits the candidates.
-        left_out: Errors on held-out rows of a table, by model and output.
         missed: Channel that the best rival misses most on sealed logs → its error as a multiple of the noise floor,
             if every rival misses a channel by more than twice the floor.
         risen: Channel → error before and after, if the error rises on sealed logs.
@@ -236,25 +232,14 @@ class Claims:
     part: Part | None = None
     divided: str = ""
     unjudged: str = ""
-    left_of: tuple[str, str] | None = None
-    left_share: float | None = None
 
     nearest: Nearest | None = None
     ladder: tuple[Rung, ...] = ()
     restricted: bool = False
-    left_out: Mapping[str, Mapping[str, float]] | None = None
     missed: Mapping[str, float] = field(default_factory=dict)
     risen: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     improvement: Improvement | None = None
     written: bool = True
-
-    @property
-    def residual(self) -> Mapping[str, Any]:
-        """Return the equation of the misfit and its signals; for a table, the output and the input."""
-        if self.left_of is None:
-            return self.misfit
-        output, signal = self.left_of
-        return {**self.misfit, "equation": output, "signals": [signal]}
 
     @property
     def is_doubtful(self) -> bool:
@@ -320,7 +305,7 @@ def judge(
         return _judge_claim(a, leftover, subject, residual, large, moves)
     if still or (a.is_blind and not large):  # Logs in which no effect would show support no claim.
         rivals = a.hidden if len(a.hidden) > 1 else (*a.hidden, "no_effect")
-        experiment = usual_experiment(subject)
+        experiment = DEFAULT_EXPERIMENT
         return Claims("ambiguous", None, rivals, experiment, residual, unshown=a.hidden, still=still)
     if leftover.terms:
         return Claims("unexplained", misfit=residual)
@@ -426,16 +411,11 @@ def _span(intervals: Sequence[tuple[float, float]]) -> tuple[float, float]:
     return min(lows), max(highs)
 
 
-def usual_experiment(subject: Subject) -> str:
-    """Return the generic experiment for this kind of subject."""
-    return MORE_ROWS if subject.static else DEFAULT_EXPERIMENT
-
-
 def experiment_for(subject: Subject, names: Sequence[str]) -> str:
     """Return the experiment to separate these rivals."""
     experiments = [(len(row & set(names)), text) for row, text in subject.told_apart_by.items()]
     shared, text = max(experiments, default=(0, ""))
-    return text if shared > 1 else usual_experiment(subject)
+    return text if shared > 1 else DEFAULT_EXPERIMENT
 
 
 def name_of(candidates: Sequence[Candidate], subject: Subject) -> Name:

@@ -49,7 +49,7 @@ def check_constancy(search: Search, a: Attribution, claims: Claims) -> Claims:
     error that varies is at least the most similar one of the catalogue.
     """
     problem, h, parts = search.problem, claims.claimed, claims.claimed_candidates
-    if h is None or problem.table:
+    if h is None:
         return claims
     varying = varying_parameters(problem, h.fit, parts)
     if not varying:

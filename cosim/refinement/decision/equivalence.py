@@ -50,7 +50,7 @@ def act_alike(search: Search, one: Hypothesis, other: Hypothesis) -> bool:
     The hypothesis with fewer parameters adapts, because one with more could imitate the other.
     """
     problem = search.problem
-    if problem.table or not problem.late.keys().isdisjoint(_own(one) + _own(other)):
+    if not problem.late.keys().isdisjoint(_own(one) + _own(other)):
         return False
     truth, adapted = sorted((one, other), key=lambda h: -len(_own(h)))
     return all(_is_imitated(search, truth, adapted, times) for times in (1.0, _enlargement(truth, problem)))

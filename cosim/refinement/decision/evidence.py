@@ -29,7 +29,6 @@ from cosim.estimation.plateaus import with_flat_directions
 from cosim.estimation.posing import halve_log
 from cosim.estimation.problem import Problem, Scored
 from cosim.kernel.kernel import Begin, simulate_all
-from cosim.logs.channel_noise import NORMAL_95
 from cosim.refinement.search.fits import SCREEN_ITERATIONS, Search
 from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.subject.candidates import Free
@@ -178,20 +177,15 @@ def held_out_gains(search: Search, better: Hypothesis, worse: Hypothesis) -> tup
     def compare(log: int) -> tuple[float, list[Array]]:
         objectives, errors = [], []
         for h in (worse, better):
-            refit = others = fit_without(search, problem, h, log)
-            if problem.table:  # A few rows of a table cannot determine parameters.
-                objectives.append(problem.score(others.values, others.noise, [log]).nll)
-            else:
-                own = [
-                    _with_prior_of(others, f, problem.scatter) for c in h.candidates for f in c.free if f.name in names
-                ]
-                values = {
-                    **h.fit.values,
-                    **{n: problem.values[n] for n in names},
-                    **{f.name: others.values[f.name] for f in own},
-                }
-                refit = fit(problem, [*settling, *own], values, h.fit.noise, [log], SCREEN_ITERATIONS, sensing=False)
-                objectives.append(refit.objective + _log_width(refit, own, problem.scatter))
+            others = fit_without(search, problem, h, log)
+            own = [_with_prior_of(others, f, problem.scatter) for c in h.candidates for f in c.free if f.name in names]
+            values = {
+                **h.fit.values,
+                **{n: problem.values[n] for n in names},
+                **{f.name: others.values[f.name] for f in own},
+            }
+            refit = fit(problem, [*settling, *own], values, h.fit.noise, [log], SCREEN_ITERATIONS, sensing=False)
+            objectives.append(refit.objective + _log_width(refit, own, problem.scatter))
             errors.append(open_loop(problem, search.subject.horizon, refit, log))
         return objectives[0] - objectives[1], errors
 
@@ -310,8 +304,6 @@ def error_decreases(errors: Sequence[Sequence[Array]]) -> Array:
 
 def open_loop(problem: Problem, horizon: float, f: Fit, index: int) -> Array:
     """Return the open-loop residuals of a log, shape (replays, rows, outputs)."""
-    if problem.table:  # Each row is predicted from its own inputs.
-        return problem.innovations(f.values, f.noise, index)[0][:, None, :]
     return Replays(problem, horizon, f, index).residuals(f.values)
 
 
@@ -387,14 +379,6 @@ def scatter_ratio(problem: Problem, f: Fit) -> float:
     return max(1.0, float(np.median(ratios))) if ratios else 1.0
 
 
-def _widen_for_few_rows(covariance: Array, rows: int, free: int) -> Array:
-    """Return a covariance widened by Student's factor, since few rows underestimate the noise."""
-    from scipy.special import stdtrit
-
-    freedom = max(1, rows - free)
-    return np.asarray(covariance * (float(stdtrit(freedom, 0.975)) / NORMAL_95) ** 2 * rows / freedom)
-
-
 def with_intervals(search: Search, h: Hypothesis) -> Hypothesis:
     """Return the hypothesis with the covariance of its estimates: scatter over blocks of time, and from log to log.
 
@@ -404,7 +388,7 @@ def with_intervals(search: Search, h: Hypothesis) -> Hypothesis:
     is halved.
     """
     f = with_flat_directions(search.problem, with_sandwich_covariance(search.problem, h.fit))
-    if f.scattered is None or search.problem.table:
+    if f.scattered is None:
         return replace(h, fit=f)
     problem = search.problem if len(search.problem.logs) > 1 else halve_log(search.problem)
     logs = range(len(problem.logs))
@@ -437,6 +421,4 @@ def with_sandwich_covariance(problem: Problem, f: Fit) -> Fit:
     inside = inverse(at_fit.information)
     covariance = inside @ (sums @ sums.T) @ inside
     count = len(f.free)
-    if problem.table:
-        covariance = _widen_for_few_rows(covariance, problem.samples, sum(x.prior is None for x in f.free))
     return replace(f, scattered=np.asarray(covariance[:count, :count]))

@@ -38,8 +38,6 @@ def has_predictions(search: Search) -> bool:
 
 def why_no_predictions(problem: Problem, horizon: float) -> str:
     """Return the reason for which no predictions can be fitted, as a clause; "" if they can."""
-    if problem.table:
-        return "a table has no predictions over time"
     if not math.isfinite(horizon):
         return "each prediction lasts a whole log"
     return "some parameters have a value for each log" if problem.own else ""

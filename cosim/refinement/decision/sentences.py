@@ -10,11 +10,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain
 from typing import Any, Literal
 
-from cosim.base.messages import Message
-from cosim.base.text import MOST_NAMED, amount, append_unit, counted, finer, join_names, percent, plain, size, written
+from cosim.base.text import MOST_NAMED, amount, append_unit, counted, finer, join_names, percent, plain, written
 from cosim.loading.refined import NEAREST
 from cosim.logs.channel_noise import NORMAL_95
-from cosim.refinement import messages
 from cosim.refinement.decision.claims import Claims, Doubt, Improvement, MovedParameter, Nearest, NotExcluded
 from cosim.refinement.search.hypotheses import Hypothesis
 from cosim.refinement.search.shapes import Shape
@@ -121,7 +119,7 @@ def _answer_text(c: Claims, subject: Subject) -> str:
         return little_excitation_text(len(c.unshown), c.experiment, still=c.still)
     if c.name == "ambiguous" and c.claimed is not None:
         certain = claim_text(c.claimed, c.certain, subject, is_doubtful=c.is_doubtful) if c.certain else ""
-        return rivals_text(c.apart, c.experiment, certain, subject)
+        return rivals_text(c.apart, c.experiment, certain)
     if c.name == "no_effect":
         return no_effect_text(c.unshown, c.moves) + small_gains_text(c.small)
     if c.claimed is not None:
@@ -134,14 +132,11 @@ def _answer_text(c: Claims, subject: Subject) -> str:
     if c.doubt is not None:
         doubt = doubt_text(c.doubt, _units(subject))
         return f"{unexplained_text(c.misfit, c.rivals, NOT_AFTER_REPLAYS, something)} {doubt}"
-    return unexplained_text(c.residual, c.rivals, something=something)
+    return unexplained_text(c.misfit, c.rivals, something=something)
 
 
 def _share_texts(c: Claims, units: Mapping[str, str]) -> Iterator[str]:
     """Yield sentences on the unexplained share of the error."""
-    if c.left_share is not None and c.left_of is not None:
-        of = f"of the mean square error of {c.left_of[0]} after recalibration"
-        yield part_text(c.residual, f"{percent(c.left_share)} {of} remain")
     if c.part is not None and c.part.sealed:
         kept = "nearly all" if c.part.share >= NEARLY_ALL else percent(c.part.share)
         yield f"{IN_PART}: on sealed logs replays keep {kept} of the excess error of {c.part.channel}."
@@ -189,9 +184,6 @@ def _remark_texts(c: Claims, subject: Subject) -> Iterator[str]:
         yield remainder_text(c.term, c.gained)
     if c.claimed is not None and c.further:
         yield further_text(c.further, _units(subject), is_doubtful=c.is_doubtful)
-    if c.left_of is not None and c.claimed is not None and c.left_share is None:
-        output, signal = c.left_of
-        yield f"A part of {output} remains unexplained; it {dependence_text(signal)}."
     if c.nearest is not None:
         file = subject.main_file("nearest") if c.written else "The nearest object"
         same = c.claimed is None and c.nearest.names == c.rivals and c.name == "unexplained"
@@ -199,8 +191,6 @@ def _remark_texts(c: Claims, subject: Subject) -> Iterator[str]:
         yield nearest_text(c.nearest.names, fitted=c.nearest.hypothesis is not None, file=file, same=same, moved=moved)
     if c.restricted:
         yield "Only the candidates that the study names were tried."
-    if c.left_out:
-        yield held_out_rows_text(c, subject)
 
 
 def alike_text(names: Sequence[str]) -> str:
@@ -248,7 +238,7 @@ def _counted_names(names: Sequence[str], noun: str) -> str:
     return join_names(names) if len(names) <= MOST_NAMED else f"{counted(len(names), noun)}: {join_names(names)}"
 
 
-def rivals_text(names: Sequence[str], experiment: str, certain: str, subject: Subject) -> str:
+def rivals_text(names: Sequence[str], experiment: str, certain: str) -> str:
     """Return a sentence on undecided rivals and an experiment.
 
     Args:
@@ -256,10 +246,10 @@ def rivals_text(names: Sequence[str], experiment: str, certain: str, subject: Su
         certain: Sentence on the candidates common to all rivals, or "".
     """
     opening = f"{certain} Beside this, these logs" if certain else "These logs"
-    designed = "" if subject.static else " `cosim excite` designs it, and says whether any would."
     many = f"decide between {_counted_names(names, 'hypothesis')}"
     apart = f"tell {names[0]} from {names[1]}" if len(names) == 2 else many
-    return f"{opening} cannot {apart}. An experiment that may decide: {experiment}.{designed}"
+    text = f"{opening} cannot {apart}. An experiment that may decide: {experiment}."
+    return f"{text} `cosim excite` designs it, and says whether any would."
 
 
 def unexplained_text(
@@ -380,7 +370,7 @@ def rise_text(errors: Mapping[str, tuple[float, float]], units: Mapping[str, str
     return f"On the sealed logs the error {changes[first]} with {file}.{also}"
 
 
-def floor_warning(part: str, channels: Mapping[str, tuple[float, float]], units: Mapping[str, str]) -> Message:
+def floor_warning(part: str, channels: Mapping[str, tuple[float, float]], units: Mapping[str, str]) -> str:
     """Return a warning of a noise floor above the error.
 
     Args:
@@ -393,7 +383,10 @@ def floor_warning(part: str, channels: Mapping[str, tuple[float, float]], units:
             f"{name} {append_unit(plain(error * factor), unit)} under {append_unit(plain(floor * factor), unit)}"
         )
     logs = "sealed" if part == "validation" else "estimation"
-    return messages.FLOOR_ABOVE_ERROR(logs=logs, pairs=", ".join(pairs))
+    return (
+        f"on the {logs} logs the error is below its noise floor ({', '.join(pairs)}). These logs hold less noise "
+        "and disturbance than was estimated, so the floor does not apply to them"
+    )
 
 
 def nearest_text(
@@ -411,17 +404,6 @@ def nearest_text(
         content = f"is the model {'recalibrated' if fitted else 'as it was'}"
         content += f", beyond tolerance: {moved}" if moved else ""
     return f"{file} predicts held-out logs best; it {content}."
-
-
-def held_out_rows_text(c: Claims, subject: Subject) -> str:
-    """Return sentences on the errors on held-out rows, with and without the claim or recalibration."""
-    units, errors = {q.name: q.unit for q in subject.outputs}, c.left_out or {}
-    effect = c.claimed is not None and any(part.kind != "parameter" for part in c.claimed.candidates)
-    best, other = ("after", "recalibrated") if effect else ("recalibrated", "before")
-    who, without = ("the model", "Without the claim") if effect else ("the model recalibrated", "As it is")
-    after = join_names([f"{size(v, units[n])} in {n}" for n, v in errors[best].items()])
-    before = join_names([size(v, units[n]) for n, v in errors[other].items()])
-    return f"On held-out rows {who} is off by {after}. {without} it is off by {before}."
 
 
 def dependence_text(signal: str, shape: Shape | None = None, like: str = "") -> str:

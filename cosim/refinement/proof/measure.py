@@ -80,7 +80,7 @@ def replay_logs(
     for index, log in enumerate(logs):
         values = problem.of_log(variant.values, index)
         starts, per_log = {}, {}
-        for horizon in played if not log.table else ():
+        for horizon in played:
             starts[horizon], per_log[horizon] = _starts(variant, problem, log, index, horizon)
         results = replayer.replays(log, problem.logs[index], values, starts)
         for horizon in played:
@@ -93,8 +93,6 @@ def replay_logs(
             played[horizon].append(
                 (remove_sensor_errors(log, variant, per_log.get(horizon, {}), replay.outputs), replay)
             )
-            if log.table:
-                break
         results.close()
     return played
 
@@ -342,10 +340,10 @@ class _KernelReplays:
     def of(cls, variant: Variant, problem: Problem, log: Log, index: int, data: Data) -> _KernelReplays:
         """Return the replays of a log from filtered starts."""
         gains = dict.fromkeys(problem.layout.outputs, np.ones(len(data.u)))
-        rows = [] if data.table else log.grid[first_rows(log, variant.subject.horizon)].tolist()
+        rows = log.grid[first_rows(log, variant.subject.horizon)].tolist()
         filtered = problem.filter_causally(data, variant.values, variant.noise, index, rows)
         starts, every_row = np.array(rows, np.intp), np.arange(len(data.u))
-        per_log = {} if data.table else _parameters_at_starts(problem, filtered, starts, every_row)
+        per_log = _parameters_at_starts(problem, filtered, starts, every_row)
         for sensor in _sensors(variant, per_log):
             if sensor.is_straight():
                 gains |= {n: gains[n] * _line(sensor)[1] for n in sensor.affected() if n in gains}
@@ -353,8 +351,6 @@ class _KernelReplays:
 
     def errors(self) -> Array:
         """Return corrected measurement − model, shape (rows, outputs)."""
-        if self.data.table:
-            return np.asarray(self.filtered.errors / self.gains)
         return np.asarray((self.data.y - self._predict()) / self.gains)
 
     def change(self, values: Mapping[str, float]) -> Array:
@@ -369,7 +365,7 @@ class _KernelReplays:
         errors = rng.standard_normal(data.y.shape) * np.sqrt(problem.variances(noise, self.index))
         if problem.layout.is_free_run:
             errors += self._random_deviations(rng)
-        elif not data.table:
+        else:
             layout, starts = problem.layout, self.filtered.states.copy()
             if self.filtered.covariances is not None:
                 roots = square_roots(self.filtered.covariances[rows])

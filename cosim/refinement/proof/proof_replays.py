@@ -16,7 +16,6 @@ from cosim.base.errors import InputError
 from cosim.base.text import plain
 from cosim.estimation.problem import Problem
 from cosim.logs.log import Log
-from cosim.refinement import messages
 from cosim.refinement.proof.measure import Evidence, replay_logs
 from cosim.refinement.proof.refined_models import Variant
 from cosim.refinement.record import OTHER_HORIZONS, Part, Replayed, Replays
@@ -66,7 +65,7 @@ class Proof:
 
     def replay_all(self, variants: Mapping[str, Variant], way: Way) -> Replayed:
         """Replay every distinct variant on every set."""
-        horizons = [] if self.problem.table else list(OTHER_HORIZONS.values())
+        horizons = list(OTHER_HORIZONS.values())
         done: dict[int, dict[Part, dict[float, Evidence]]] = {}
         for variant in variants.values():
             if id(variant) not in done:
@@ -95,4 +94,4 @@ def difference(one: Replay, other: Replay) -> float:
 def warnings_of(way: Replays) -> Iterator[str]:
     """Yield a warning if native and Python FMU differ."""
     if way.through == "python" and way.log:
-        yield messages.NATIVE_FMU_UNUSED(reason=way.why)
+        yield f"the native FMU of the model is not used: {way.why}; every error is that of FMUs in Python"

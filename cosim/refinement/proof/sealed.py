@@ -8,10 +8,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from cosim.base.messages import Message
 from cosim.base.text import percent
 from cosim.logs.log import Log
-from cosim.refinement import messages
 from cosim.refinement.decision.claims import Claims, Improvement, baseline_of
 from cosim.refinement.proof.measure import PARTS, Evidence, rmse
 from cosim.residuals.residual_statistics import remaining_excess
@@ -39,12 +37,16 @@ def find_rises(before: Evidence, after: Evidence) -> dict[str, tuple[float, floa
     return dict(sorted(rises.items(), key=lambda item: item[1][0] / item[1][1]))  # largest ratio first
 
 
-def repeated_motion(sealed: Sequence[Log], logs: Sequence[Log]) -> Iterator[Message]:
+def repeated_motion(sealed: Sequence[Log], logs: Sequence[Log]) -> Iterator[str]:
     """Yield a warning for each sealed log that repeats the motion of an estimation log, such as of one reference."""
     for log in sealed:
         for other in logs:
             if (share := _difference(log, other)) < SAME:
-                yield messages.REPEATED_MOTION(sealed=log.path.name, log=other.path.name, share=percent(share))
+                yield (
+                    f"{log.path.name} repeats the motion of {other.path.name}: their outputs differ by "
+                    f"{percent(share)} of their spread, so that it shows how the refined model predicts this "
+                    "motion again, not how it predicts another one"
+                )
                 break
 
 
@@ -52,7 +54,7 @@ def _difference(log: Log, other: Log) -> float:
     """Return the largest difference (RMS) of the outputs of two logs, relative to their spread; infinite for others."""
     late, largest = log.time - log.time[0], 0.0
     within = late <= other.time[-1] - other.time[0]
-    if log.table or log.outputs.keys() != other.outputs.keys() or 2 * np.count_nonzero(within) < log.rows:
+    if log.outputs.keys() != other.outputs.keys() or 2 * np.count_nonzero(within) < log.rows:
         return math.inf
     for name, values in log.outputs.items():
         difference = values[within] - np.interp(late[within], other.time - other.time[0], other.outputs[name])

@@ -132,7 +132,7 @@ def _draw_residual(r: Refinement) -> EffectComparison:
     """Compare the missing acceleration beside the best hypothesis with the most promising unnamed term."""
     subject, problem, best = r.study.subject, r.problem, r.attribution.best.fit
     parts, value, sigma = smooth_unknown_inputs(problem, best)
-    residual, equations = r.verdict.residual, parts[0][1].equations
+    residual, equations = r.verdict.misfit, parts[0][1].equations
     column = int(np.argmax(value.std(axis=0) / np.median(sigma, axis=0)))
     if residual.get("equation") in equations:
         column = equations.index(residual["equation"])

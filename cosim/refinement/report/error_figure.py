@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from cosim.refinement import messages
 from cosim.report.figure import new_figure
 
 if TYPE_CHECKING:
@@ -23,7 +22,7 @@ def errors_figure(record: Mapping[str, Any], part: str) -> Figure:
     errors = {m: dict(record.get("error", {}).get(m, {}).get(part) or {}) for m in MODELS}
     channels = list(dict.fromkeys(name for of in errors.values() for name in of))
     if not channels:
-        raise ValueError(messages.NO_ERRORS(part=part))
+        raise ValueError(f'no errors of "{part}" are in refine.json; it holds estimation and validation')
     columns = min(4, len(channels))
     rows = -(-len(channels) // columns)
     figure = new_figure(2.4 * columns + 0.4, 2.4 * rows + 0.3)

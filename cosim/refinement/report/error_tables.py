@@ -227,11 +227,10 @@ def _marks(before: float, after: float, floor: float) -> Marks | None:
 def second_sentence(r: Refinement) -> str:
     """Return a sentence on the largest relative decrease of an error, on sealed logs if available."""
     part = decisive_part(r)
-    noun = "rows" if r.problem.table else "logs"
     where = (
-        f"On sealed {noun}"
+        "On sealed logs"
         if part == "validation"
-        else f"On the {noun} used for the fits (no log was kept for a test at the end)"
+        else "On the logs used for the fits (no log was kept for a test at the end)"
     )
     name = leading_channel(r)
     if not name:
@@ -241,15 +240,12 @@ def second_sentence(r: Refinement) -> str:
     before, _, after, floor, _ = _numbers(r, part, name)
     sizes = [error_size(v, units(r).get(name, ""), after) for v in (before, after)]
     verb = "fell from" if after < before else "went from"
-    over = "" if r.problem.table else f" over {horizon(r)}"
-    lead = f"{where} the error of {name}{over} {verb} {sizes[0]} to {sizes[1]}"
+    lead = f"{where} the error of {name} over {horizon(r)} {verb} {sizes[0]} to {sizes[1]}"
     return f"{lead}{_floor_text(r, name, after, floor)}"
 
 
 def has_unknown_input(r: Refinement) -> bool:
     """Return whether the noise floor contains an unknown input."""
-    if r.problem.table:
-        return False
     noise = r.verdict.floor_hypothesis(r.attribution).fit.noise
     return bool(np.any(noise.power > r.problem.noise.quiet))
 
@@ -307,6 +303,5 @@ def _unchanged_text(r: Refinement, part: str, where: str) -> str:
     *_, after, floor, nearest = _numbers(r, part, worst)
     sizes = [error_size(v, units(r).get(worst, ""), after) for v in (after, nearest)]
     comparison = f", the nearest model by {sizes[1]}" if nearest < after else ""
-    over = "" if r.problem.table else f" over {horizon(r)}"
-    lead = f"{where} the unchanged model misses {worst} by {sizes[0]}{over}{comparison}"
+    lead = f"{where} the unchanged model misses {worst} by {sizes[0]} over {horizon(r)}{comparison}"
     return f"{lead}{_floor_text(r, worst, after, floor)}"

@@ -13,9 +13,8 @@ from cosim.estimation.data import count_unscored
 from cosim.estimation.noise_model import Noise
 from cosim.logs.channel_noise import NORMAL_95
 from cosim.refinement.refinement import Refinement
-from cosim.report.drawing import Charts, Drawing
+from cosim.report.charts import Charts, Drawing, Plot
 from cosim.report.panels import Band, Panel, Trace
-from cosim.report.svg import Plot
 from cosim.residuals.lags import every_lag, lag_drawing, neighbours
 from cosim.residuals.residual_statistics import Whiteness, lags_of, rmse, whiteness
 
@@ -54,8 +53,8 @@ def innovations(r: Refinement, charts: Charts) -> list[WhitenessRow]:
     ordered = [n for n in dict.fromkeys(n for log in r.study.logs for n in log.outputs) if n in outputs]
     first = r.problem.logs[0]
     time = first.times[-len(both[0][0]) :]
-    drawing, lags = charts.over(time, 4 * len(ordered)), lags_of(min(len(part) for part in both[0]), first.step)
-    over = lag_drawing(charts, every_lag(lags, STEMS), first.step, 4 * len(ordered))
+    drawing, lags = charts.over(time), lags_of(min(len(part) for part in both[0]), first.step)
+    over = lag_drawing(charts, every_lag(lags, STEMS), first.step)
     return [
         _channel(r, name, [[p[:, outputs.index(name)] for p in parts] for parts in both], drawing, over, lags)
         for name in ordered
@@ -93,7 +92,7 @@ def _join_with_gaps(parts: Sequence[Array], lags: int) -> Array:
 
 def _autocorrelation(channel: str, tests: Sequence[Whiteness], names: Sequence[str], over: Drawing) -> Panel:
     """Return a panel with two autocorrelations side by side, drawn as stems."""
-    rows, lag = every_lag(tests[0].rho.size - 1, STEMS), over.series.time
+    rows, lag = every_lag(tests[0].rho.size - 1, STEMS), over.x
     offset = 0.16 * (lag[1] - lag[0] if lag.size > 1 else lag[0])
     traces = [
         Trace(name, test.rho[rows], style, stems=True, shift=shift)

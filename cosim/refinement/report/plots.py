@@ -16,13 +16,10 @@ from cosim.refinement.record import Part
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.report.dependence import bins
 from cosim.refinement.report.effect_plots import EffectComparison
-from cosim.report.chart_data import Abscissa
-from cosim.report.drawing import Charts, Drawing
-from cosim.report.panels import Band, Panel, Trace
-from cosim.report.svg import Plot, extent, make_axis
+from cosim.report.charts import Abscissa, Charts, Drawing, Plot
+from cosim.report.panels import Band, Panel, Trace, extent
 from cosim.residuals.residual_statistics import rmse
 
-CURVES = 13  # at most, of a channel: measured, two models, three errors, edges of three bands
 DOTS, FINE = 24, 80  # points with an error bar, and points of the claimed curve
 LEAST = 0.6  # [s] least duration of the rows of an error bar
 MEMORIES = 0.3  # [s] between independent rows of an error bar: twice the smoother's memory
@@ -74,7 +71,7 @@ def runs(r: Refinement, charts: Charts) -> list[Run]:
             elif r.verdict.nearest_hypothesis and (near := r.evidence.get("nearest", {}).get(part)):
                 curves = [("model", "s1", before), ("nearest", "true", near)]
             floor, names = r.record["noise_floors"].get(part, {}), list(log.outputs)[:CHANNELS]
-            drawing = charts.over(log.time, CURVES * len(names), Abscissa(breaks=sorted(old.starts)))
+            drawing = charts.over(log.time, Abscissa(breaks=sorted(old.starts)))
             pairs = [_pair(drawing, curves, name, floor.get(name, 0.0)) for name in names]
             loud = tuple(p for p in pairs if p.tells) or tuple(pairs)
             pages.append(Run(f"{log.path.name}, {word}", loud, tuple(p for p in pairs if p not in loud)))
@@ -125,8 +122,7 @@ def _windows(time: Array, starts: Array, horizon: float, panel: Panel) -> Band |
 def against_signal(s: EffectComparison, charts: Charts) -> Plot:
     """Draw the means of the missing quantity over a signal, and the claimed term."""
     unit, factor = display(s.unit)
-    signal_unit, scale = display(s.against.unit)
-    x = s.against.values * scale
+    x = s.against.values * display(s.against.unit)[1]
     low, high = extent([x]) or (0.0, 1.0)
     least = max(1, min(round(LEAST * slowness(s.step) / s.step), x.size // DOTS))
     groups = bins(x, DOTS, least)
@@ -142,9 +138,8 @@ def against_signal(s: EffectComparison, charts: Charts) -> Plot:
         places, term = (np.array([v[g].mean() for g in groups]) for v in (x, s.term))
         traces.append(Trace(s.effect or "unnamed term", term * factor, "true", x=places))
     title = f"{_heading(s)} against {s.against.name}"
-    return charts.alone(
-        Panel(title, unit or "1", traces), make_axis(low, high, 6), (s.against.name, signal_unit or s.against.unit)
-    )
+    over = s.against.name, " · ".join(display(u)[0] or u for u in s.against.unit.split(" · ")) or "1"
+    return charts.alone(Panel(title, unit or "1", traces), (low, high), over)
 
 
 def over_time(s: EffectComparison, charts: Charts) -> Plot:
@@ -165,13 +160,7 @@ def over_time(s: EffectComparison, charts: Charts) -> Plot:
     if s.term is not None:
         traces.append(Trace(s.effect or "unnamed term", s.term[rows] * factor, "true"))
     panel = Panel(f"{_heading(s)} over time", unit or "1", traces, band)
-    return charts.over(s.time[rows], len(traces) + 2).plots([panel])[0]
-
-
-def axis_label(s: EffectComparison) -> str:
-    """Return the horizontal label of a signal's plot."""
-    units = " · ".join(display(u)[0] or u for u in s.against.unit.split(" · "))
-    return f"{s.against.name} [{units or '1'}]"
+    return charts.over(s.time[rows]).plots([panel])[0]
 
 
 def _heading(s: EffectComparison) -> str:

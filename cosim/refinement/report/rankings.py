@@ -164,7 +164,7 @@ def parameter_tables(r: Refinement) -> list[ParameterTable]:
     added, rest = _parameter_rows(r, hypothesis)
     title = "Added parameters" if r.verdict.name != "parameter_error" else "Wrong parameters"
     note = "Bar: 95 % interval; dashed line: neutral value or data sheet."
-    if len(r.study.logs) == 1 and not r.problem.table:
+    if len(r.study.logs) == 1:
         note += " The intervals are of one log: how much the values differ from log to log is not in them."
     tables = [ParameterTable(title, note, "Neutral", added)]
     if _is_base_unchanged(r, hypothesis):
@@ -245,7 +245,7 @@ def noise_rows(r: Refinement) -> list[NoiseRow]:
 
     √q is the drift of a state in a second that its equation does not explain, in the unit of the state per √s.
     """
-    noise, size = {} if r.problem.trusted else r.verdict.residual.get("process_noise", {}), r.problem.noise
+    noise, size = {} if r.problem.trusted else r.verdict.misfit.get("process_noise", {}), r.problem.noise
     usual = math.log(2.0) + r.problem.plain.memory  # from ln of a power to ln of a density
     unit = {q.name: q.unit for q in r.study.subject.states}
     rows = []

@@ -14,7 +14,7 @@ import numpy as np
 
 from cosim.base.text import MISSING, counted, join_names, percent, plain, split_sentence
 from cosim.base.version import __version__
-from cosim.loading.refined import NEAREST, REFINED, SSPS
+from cosim.loading.refined import NEAREST, REFINED
 from cosim.logs.log import Log
 from cosim.refinement.decision.prediction_fit import why_no_predictions
 from cosim.refinement.refinement import Refinement
@@ -39,7 +39,6 @@ from cosim.refinement.report.plots import (
     Pairs,
     Run,
     against_signal,
-    axis_label,
     over_time,
     rows_shown,
     runs,
@@ -52,8 +51,7 @@ from cosim.refinement.report.rankings import (
     parameter_tables,
     ranking_tables,
 )
-from cosim.refinement.report.table_plots import table_parts
-from cosim.report.drawing import Charts
+from cosim.report.charts import Charts
 from cosim.report.html_tables import Badge, Row
 from cosim.report.template import render
 from cosim.residuals.windows import SKIPPED
@@ -100,8 +98,7 @@ def context(r: Refinement) -> Mapping[str, Any]:
         "error_words": _error_words(r, tables),
         "sealed": _sealed_text(r),
         "uncompared": _uncompared_text(r),
-        **table_parts(r, charts),
-        **(_NO_TIME if r.problem.table else _in_time(r, charts)),
+        **_in_time(r, charts),
         **_ranking(r),
         "parameters": parameter_tables(r),
         "per_log": per_log_rows(r),
@@ -119,7 +116,6 @@ NOISE_NOTE = (
     "Drift of each state in a second that its equation does not explain, in the unit of the state per √s, as random "
     "drift grows with the root of time; logarithmic bars."
 )
-_NO_TIME: Mapping[str, Any] = {"horizons": None, "terms": [], "runs": [], "lead": None, "whiteness": []}  # for tables
 
 
 def _in_time(r: Refinement, charts: Charts) -> Mapping[str, Any]:
@@ -182,9 +178,7 @@ def _ranking(r: Refinement) -> Mapping[str, Any]:
 def _badges(r: Refinement) -> list[Badge]:
     text, tone = TITLES.get(r.verdict.name, (r.verdict.name, "plain"))
     sealed = len(r.evidence["before"].get("validation", ()))
-    noun, amount = "log", f"{plain(sum(float(log.time[-1] - log.time[0]) for log in r.study.logs))} s"
-    if r.problem.table:
-        noun, amount = "table", counted(sum(log.rows for log in r.study.logs), "row")
+    amount = f"{plain(sum(float(log.time[-1] - log.time[0]) for log in r.study.logs))} s"
     hypotheses = [row for row in r.record["candidates"] if row["names"]]  # without the model recalibrated
     fitted = sum(bool(row["fitted"]) for row in hypotheses)
     screened = len(hypotheses) - fitted
@@ -192,9 +186,9 @@ def _badges(r: Refinement) -> list[Badge]:
         Badge(text, tone),
         *([Badge("a part of it", "warn")] if r.verdict.grade == "part" else []),
         *([Badge("every rival misses the sealed logs", "warn")] if r.verdict.missed else []),
-        Badge(f"{counted(len(r.study.logs), noun)} used for the fits, {amount}"),
+        Badge(f"{counted(len(r.study.logs), 'log')} used for the fits, {amount}"),
         Badge(
-            f"{counted(sealed, noun)} sealed until the end" if sealed else f"no {noun} sealed",
+            f"{counted(sealed, 'log')} sealed until the end" if sealed else "no log sealed",
             "plain" if sealed else "warn",
         ),
         Badge(f"{fitted} hypotheses fitted" + (f", {screened} screened" if screened else "")),
@@ -240,7 +234,6 @@ def _term(s: EffectComparison, charts: Charts) -> Mapping[str, Any]:
         "title": s.effect or s.where,
         "sentence": _term_sentence(s),
         "against": against_signal(s, charts),
-        "label": axis_label(s),
         "time": over_time(s, charts),
     }
 
@@ -267,17 +260,11 @@ def _term_sentence(s: EffectComparison) -> str:
 
 def _error_lead(r: Refinement) -> str:
     """Return an introduction to the table of errors."""
-    if r.problem.table:
-        how = "over the rows, each predicted through the FMU from its own inputs"
-    else:
-        if horizon(r) == "a whole run":
-            return (
-                "Root mean square of measured − model over a whole run through the FMU, from the first row to the last."
-            )
-        how = "through the FMU, each started from the state that the model's own filter had estimated by then"
-        left_out = f"The first {SKIPPED:g}\u00a0s of each log are left out."
-        return f"Root mean square of measured − model over replays of {horizon(r)} {how}. {left_out}"
-    return f"Root mean square of measured − model {how}."
+    if horizon(r) == "a whole run":
+        return "Root mean square of measured − model over a whole run through the FMU, from the first row to the last."
+    how = "through the FMU, each started from the state that the model's own filter had estimated by then"
+    left_out = f"The first {SKIPPED:g}\u00a0s of each log are left out."
+    return f"Root mean square of measured − model over replays of {horizon(r)} {how}. {left_out}"
 
 
 def _error_words(r: Refinement, tables: Sequence[ErrorTable]) -> list[Row]:
@@ -318,8 +305,7 @@ def _sealed_text(r: Refinement) -> str:
     """Return an explanation of sealed logs, "" without sealed logs."""
     if "validation" not in r.record["error"]["before"]:
         return ""
-    noun = "tables" if r.problem.table else "logs"
-    return f"Sealed {noun} were used for no fit and no choice; they were opened once, at the end, as a test."
+    return "Sealed logs were used for no fit and no choice; they were opened once, at the end, as a test."
 
 
 def _uncompared_text(r: Refinement) -> str:
@@ -355,8 +341,7 @@ def _ranking_lead(r: Refinement) -> str:
             f" These costs are multiplied by {plain(scatter, 3)}, since the errors of a free run are not independent."
         )
     if r.verdict.claimed is not None and gain is not None:
-        each = "each part of the table" if r.problem.table else "each log"
-        lead += f" Predicted from the others, {each} gains: {plain(float(gain), 3)} in all (cross-validation)."
+        lead += f" Predicted from the others, each log gains: {plain(float(gain), 3)} in all (cross-validation)."
     return lead
 
 
@@ -371,7 +356,7 @@ def _use(r: Refinement) -> Mapping[str, str]:
         lead = "Nothing was refined; the delivered model is the model as it was. To use it"
         if r.verdict.nearest_hypothesis is not None:
             name = "nearest"
-            file = next((n for n in (NEAREST[1], SSPS[1]) if (r.folder / n).is_file()), NEAREST[0])
+            file = next((n for n in reversed(NEAREST) if (r.folder / n).is_file()), NEAREST[0])
             lead = f"Nothing was refined; the model that predicts best is {file}. To use it"
     return {
         "use": shlex.join(r.study.subject.use(path_from_here(r.folder), name)),
@@ -423,7 +408,7 @@ def _inputs(r: Refinement) -> list[Row]:
 
 
 def _log_row(label: str, log: Log) -> Row:
-    times = "" if log.table else f" t = {log.time[0]:.6g} … {log.time[-1]:.6g} s,"
+    times = f" t = {log.time[0]:.6g} … {log.time[-1]:.6g} s,"
     holes = f"{log.rows} rows,{times} measures {', '.join(log.outputs)}"
     return Row(label, str(path_from_here(log.path)), f"{holes}\n{_digest(log.path)}")
 

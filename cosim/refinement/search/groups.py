@@ -8,8 +8,6 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from cosim.base.errors import Fault
-from cosim.base.messages import Message
-from cosim.refinement import messages
 from cosim.storage.yaml_file import did_you_mean
 from cosim.subject.interface import Subject
 
@@ -56,13 +54,17 @@ def per_log_faults(
     yield from _group_faults(places, groups, files)
     if names is None:
         if groups:
-            yield places.fault(("groups",), messages.GROUPS_WITHOUT_PARAMETERS(), key=True)
-        return
-    if subject.static:
-        yield places.fault(("per_log",), messages.TABLES_PER_LOG(), key=True)
+            yield places.fault(
+                ("groups",),
+                (
+                    "groups, but no parameter per log; say with per_log which parameters differ between them, or "
+                    "leave the groups out"
+                ),
+                key=True,
+            )
         return
     if not names:
-        yield places.fault(("per_log",), messages.NO_PARAMETERS_PER_LOG(), key=True)
+        yield places.fault(("per_log",), "names none; name some, or leave the key out", key=True)
     alone = _sealed_alone(places.path.parent, groups, logs)
     allowed, full_names = _per_log_parameters(subject), set[str]()
     for k, name in enumerate(names):
@@ -71,13 +73,22 @@ def per_log_faults(
             yield places.fault(place, _unknown_parameter(subject, name, allowed))
             continue
         if full in full_names:
-            yield places.fault(place, messages.PARAMETER_TWICE(name=name))
+            yield places.fault(place, f"{name} stands there twice; keep one")
         elif alone and full in subject.inestimable:
-            yield places.fault(place, messages.LOG_WITHOUT_VALUE(name=name, log=alone[0]))
+            yield places.fault(
+                place,
+                (
+                    f"{name} needs a value for {alone[0]}, which no log of estimation gives, and the filter cannot "
+                    f"estimate it during a run; put {alone[0]} in a group with a log of estimation"
+                ),
+            )
         full_names.add(full)
     for k, name in enumerate(on_trial):
         if _parameters_of(subject, name) <= full_names:
-            yield places.fault(("candidates", k), messages.CANDIDATE_PER_LOG(name=name))
+            yield places.fault(
+                ("candidates", k),
+                f"{name} is per log too; one per log is free in every hypothesis; name it in one place",
+            )
 
 
 def _sealed_alone(folder: Path, groups: Groups, logs: Mapping[str, Sequence[str]]) -> list[str]:
@@ -93,16 +104,18 @@ def _group_faults(places: Places, groups: Groups, files: Sequence[str]) -> Itera
     paths = {os.path.realpath(folder / f) for f in files}
     for group, members in groups.items():
         if group in files:
-            yield places.fault(("groups", group), messages.GROUP_NAMED_AS_LOG(group=group), key=True)
+            yield places.fault(
+                ("groups", group), f'a group with the name of the log "{group}"; call it otherwise', key=True
+            )
         if not members:
-            yield places.fault(("groups", group), messages.EMPTY_GROUP(group=group), key=True)
+            yield places.fault(("groups", group), f"{group} holds no log; name some, or leave it out", key=True)
         for k, name in enumerate(members):
             path, place = os.path.realpath(folder / name), ("groups", group, k)
             if path not in paths:
-                yield places.fault(place, messages.UNLISTED_LOG(log=name, hint=did_you_mean(name, files)))
+                yield places.fault(place, f"{name} is not listed under logs{did_you_mean(name, files)}")
             elif path in owner:
-                message = messages.LOG_TWICE_IN_GROUP if owner[path] == group else messages.LOG_IN_TWO_GROUPS
-                yield places.fault(place, message(log=name, group=owner[path]))
+                where = "twice" if owner[path] == group else f"in {owner[path]} too"
+                yield places.fault(place, f"{name} stands {where}; a log has one group, keep one")
             owner.setdefault(path, group)
 
 
@@ -118,11 +131,14 @@ def _parameters_of(subject: Subject, name: str) -> set[str]:
     return {n for n in subject.declared if n.startswith(f"{name}.")} or {name}
 
 
-def _unknown_parameter(subject: Subject, name: str, allowed: Sequence[str]) -> Message:
+def _unknown_parameter(subject: Subject, name: str, allowed: Sequence[str]) -> str:
     """Return the message on a parameter refused in `per_log`."""
     if name in subject.declared and not isinstance(subject.declared[name].default, bool):
-        return messages.INACTIVE_PARAMETER(name=name, effect=name.partition(".")[0])
+        return (
+            f"{name} acts nowhere in the model; an effect that the model lacks is a candidate, so leave "
+            f"{name.partition('.')[0]} out"
+        )
     own = [n for n in allowed if n.startswith(f"{name}.")]
     short = [kind.name for kind in subject.sensors]
     hint = f"; name its parameters: {', '.join(own)}" if own else did_you_mean(name, [*allowed, *short])
-    return messages.UNKNOWN_PARAMETER(name=name, hint=hint)
+    return f'no parameter "{name}" of the model or of its sensors{hint}'

@@ -13,11 +13,9 @@ from typing import Literal
 
 import numpy as np
 
-from cosim.base.messages import Message
 from cosim.base.text import counted, plain
 from cosim.estimation.fit import fit
 from cosim.estimation.problem import Problem
-from cosim.refinement import messages
 from cosim.refinement.decision.evidence import blocks_of, gain_per_scatter
 from cosim.refinement.search.hypotheses import Hypothesis
 
@@ -62,7 +60,12 @@ class Between:
             names = [name for name in self.ways if self.ways[name] == way]
             inputs.append(f"{' and '.join(names)} {'is' if len(names) == 1 else 'are'} taken as {way}")
         texts = {"gain": plain(self.gain), "steadiness": plain(self.steady, 2), "line": self.other_line}
-        return (messages.LIKELIER_INTERPOLATION(inputs=" and ".join(inputs), **texts),)
+        return (
+            (
+                "between rows {inputs}; the other way raises the log-likelihood of the logs by {gain}, {steadiness} "
+                "times its scatter: if the rig commands its inputs that way, write {line} in the study"
+            ).format(inputs=" and ".join(inputs), **texts),
+        )
 
 
 def between_rows(problem: Problem, base: Hypothesis) -> Between:
@@ -94,10 +97,15 @@ class Late:
     gain: float
     steady: float
 
-    def warning(self, step: float) -> Message:
+    def warning(self, step: float) -> str:
         """Return a warning for logs with this time between rows [s]."""
         numbers = {"gain": plain(self.gain), "steadiness": plain(self.steady, 2), "time": plain(self.rows * step)}
-        return messages.LATE_INPUT(name=self.name, rows=counted(self.rows, "row"), **numbers)
+        return (
+            "{name} taken {rows} earlier than recorded raises the log-likelihood of the logs by {gain}, "
+            "{steadiness} times its scatter: its column may lag, as behind a filter or a sensor of its own, "
+            "which no candidate describes; log the input before the filter, or move its column {time} s earlier "
+            "and refine again"
+        ).format(name=self.name, rows=counted(self.rows, "row"), **numbers)
 
 
 def late_input(problem: Problem, best: Hypothesis) -> Late | None:
@@ -106,8 +114,6 @@ def late_input(problem: Problem, best: Hypothesis) -> Late | None:
     No candidate takes an input earlier than recorded. The best hypothesis is refitted with each input earlier, by one
     row and by twice as many as long as that is likelier.
     """
-    if problem.table:
-        return None
     late: Late | None = None
     for column, name in enumerate(problem.layout.inputs):
         if not any(np.ptp(data.u[:, column]) for data in problem.logs):

@@ -10,9 +10,8 @@ import numpy as np
 
 from cosim.base.arrays import Array, Rows
 from cosim.base.text import counted
-from cosim.report.drawing import Charts
+from cosim.report.charts import Charts
 from cosim.report.panels import Panel
-from cosim.report.svg import thin
 from cosim.report.template import render
 
 PAGE = Path(__file__).with_name("templates") / "cell.html.j2"
@@ -28,6 +27,24 @@ def rows_to_show(curves: Sequence[Array]) -> Rows:
     return np.unique(np.concatenate([np.empty(0, np.intp), *(thin(values, limit) for values in curves)]))
 
 
+def thin(values: Array, limit: int) -> Rows:
+    """Return about `limit` row numbers of a signal that keep every peak and gap.
+
+    Each bucket keeps its least and largest value, and its first gap.
+    """
+    count = values.size
+    if count <= limit:
+        return np.arange(count)
+    chosen, good = {0, count - 1}, np.isfinite(values)
+    for rows in np.array_split(np.arange(count), max(1, limit // 2)):
+        some = rows[good[rows]]
+        if some.size:
+            chosen.update((int(some[np.argmin(values[some])]), int(some[np.argmax(values[some])])))
+        if some.size < rows.size:
+            chosen.add(int(rows[~good[rows]][0]))
+    return np.array(sorted(chosen), dtype=np.intp)
+
+
 def cell_of(time: Array, panels: Sequence[Panel], title: str, *, rows: int, omitted: int = 0) -> str:
     """Return HTML with a frame of interactive charts, "" without rows or panels.
 
@@ -41,7 +58,7 @@ def cell_of(time: Array, panels: Sequence[Panel], title: str, *, rows: int, omit
     if not (time.size and panels):
         return ""
     charts = Charts()
-    drawing = charts.over(time, sum(len(panel.traces) for panel in panels))
+    drawing = charts.over(time)
     page = render(PAGE, {"plots": drawing.plots(panels), "data": charts.data(), "title": title})
     height = min(MAX_HEIGHT, ROW_HEIGHT * -(-len(panels) // 2))
     style = f"width:100%;height:{height}px;border:0;resize:vertical"

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base import registry
-from cosim.report.drawing import Drawing
+from cosim.report.charts import Drawing
 from cosim.report.html_tables import Row
 from cosim.simulation.report.recorded import Run
 

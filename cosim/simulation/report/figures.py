@@ -10,7 +10,6 @@ from cosim.base.arrays import Array
 from cosim.base.drafts import draft_of
 from cosim.report.figure import new_figure
 from cosim.report.panels import Panel
-from cosim.report.svg import TICKS_ACROSS, TICKS_UP, lone_axis, make_axis, thin, time_axis, value_axis
 from cosim.simulation.report.component_page import figures_of
 from cosim.simulation.report.recorded import Run
 from cosim.simulation.report.run_page import drawable_run, signal_panels
@@ -19,7 +18,6 @@ from cosim.storage.results import Results
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from matplotlib.ticker import Locator
 
 
 # Okabe and Ito's colours are distinct for all common kinds of colour vision; dashes work without colour. Curves below
@@ -44,7 +42,7 @@ for _number in range(15):  # the runs of a comparison
     LINES[f"run{_number}"] = LINES[f"s{_number % 5}"][0], ("-", "--", ":")[_number // 5], 1.1
 PANELS_A_FIGURE = 8
 LONGEST_LABEL = 48  # characters, so that titles and legends leave room for the curves
-MAX_POINTS = 4000  # points per curve, about five per pixel
+ANGLE_STEPS = [1, 1.5, 3, 4.5, 9, 10]  # of ticks
 
 
 def write_figures(folder: Path, results: Results, manifest: Mapping[str, Any]) -> list[Path]:
@@ -95,37 +93,20 @@ def _panel(ax: Axes, time: Array, panel: Panel) -> None:
     for trace in panel.traces:
         colour, dash, width = LINES[trace.style]
         shape = "steps-post" if trace.held else "default"
-        rows = thin(trace.values, MAX_POINTS)
-        (line,) = ax.plot(time[rows], trace.values[rows], color=colour, linestyle=dash, linewidth=width)
+        (line,) = ax.plot(time, trace.values, color=colour, linestyle=dash, linewidth=width)
         line.set(drawstyle=shape, marker="." if time.size == 1 else "", label=literal(trace.label))
     for i, limit in enumerate(panel.limits):
         ax.axhline(
             limit, color="#767676", linestyle=(0, (4, 3)), linewidth=0.9, label=panel.limit_label if i == 0 else None
         )
     ax.set_title(literal(panel.title), loc="left", fontsize=10)
-    x, y = lone_axis(float(time[0])) if time.size == 1 else time_axis(time), value_axis(panel)
-    ax.set(xlim=(x.low, x.high), ylim=(y.low, y.high))
-    ax.xaxis.set_major_locator(_ticks(TICKS_ACROSS))
-    ax.yaxis.set_major_locator(_ticks(TICKS_UP, panel.unit == "°"))
+    ax.margins(x=0.0, y=0.06)
+    if panel.unit == "°":
+        ax.locator_params(axis="y", steps=ANGLE_STEPS)
     ax.set_ylabel(f"[{literal(panel.unit)}]")
     tidy(ax, "time [s]")
     are_short = all(len(trace.label) <= LONGEST_LABEL // 2 for trace in panel.traces)
     ax.legend(fontsize=7.5, frameon=False, ncols=2 if are_short else 1, loc="best")
-
-
-def _ticks(count: int, angle: bool = False) -> Locator:
-    """Return ticks by the page's rules, for any visible range."""
-    from matplotlib.ticker import Locator
-
-    class Ticks(Locator):
-        def __call__(self) -> list[float]:
-            return self.tick_values(*(self.axis.get_view_interval() if self.axis else (0.0, 1.0)))
-
-        def tick_values(self, vmin: float, vmax: float) -> list[float]:
-            axis = make_axis(vmin, vmax, count, angle)
-            return [axis.low + tick.at / 100 * (axis.high - axis.low) for tick in axis.ticks]
-
-    return Ticks()
 
 
 def tidy(ax: Axes, label: str) -> None:

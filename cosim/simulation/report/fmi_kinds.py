@@ -8,7 +8,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-from cosim.scenario.pinned import sha256
+from cosim.scenario.scenario_file import sha256
 from cosim.simulation.report.recorded import Run, mapping
 from cosim.storage.archive import BadArchive, description_of
 

@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Any
 
 from cosim.base.arrays import Array
-from cosim.coupling.algorithms import DEFAULT
+from cosim.blocks.coupling import DEFAULT
 from cosim.storage.results import Results
 
 

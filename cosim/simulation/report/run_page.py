@@ -13,11 +13,9 @@ import numpy as np
 
 from cosim.base.arrays import far_beyond
 from cosim.base.text import display
-from cosim.report.chart_data import to_json
-from cosim.report.drawing import Drawing
+from cosim.report.charts import Charts, Drawing
 from cosim.report.html_tables import Row
-from cosim.report.panels import NO_UNIT_TEXT, Band, Panel, Trace, by_unit
-from cosim.report.svg import extent
+from cosim.report.panels import NO_UNIT_TEXT, Band, Panel, Trace, by_unit, extent
 from cosim.report.template import render
 from cosim.simulation.report.component_page import ComponentPage, component_page
 from cosim.simulation.report.fmi_kinds import fmi_kinds
@@ -55,7 +53,7 @@ DRAWABLE = 1e100  # a diverged run has larger values, with squares that may over
 def write_report(path: Path, results: Results, manifest: Mapping[str, Any]) -> None:
     """Write one self-contained HTML page about a run; `manifest` may lack any of its keys."""
     run = drawable_run(results, manifest)
-    drawing = Drawing(run.time, min(MAX_SIGNALS, len(run.results.columns)))
+    drawing = Charts().over(run.time)
     page = component_page(run, drawing) or ComponentPage(TEMPLATE, tiles=_goals(criteria(run)))
     write_text(path, render(page.template, context(run, drawing, page), [TEMPLATE.parent]))
 
@@ -89,7 +87,7 @@ def context(run: Run, drawing: Drawing, page: ComponentPage) -> Mapping[str, Any
         "criteria": goals,
         "rows": run.time.size,
         "end": run.time[-1] if run.time.size else 0.0,
-        "data": to_json(drawing.series, page.data),
+        "data": drawing.charts.data(page.data),  # after all drawings
         "diagram": _diagram(run),
         "provenance": provenance(run, kinds),
         "connections": connected[:MAX_LISTED],

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from cosim.base.text import amount, counted, plain
-from cosim.coupling.algorithms import algorithms
+from cosim.blocks.coupling import algorithms
 from cosim.report.html_tables import Badge, Row
 from cosim.simulation.report.recorded import Run, mapping, mappings, number, texts
-from cosim.simulation.report.step_rows import loop_rows, pace_rows, partner_rows, step_rows
+from cosim.simulation.report.step_rows import loop_rows, pace_rows, step_rows
 from cosim.simulation.report.verdicts import CriterionText, has_failed
 from cosim.storage.yaml_file import short
 
@@ -221,7 +221,7 @@ def provenance(run: Run, kinds: Mapping[str, str]) -> list[Row]:
     """
     manifest, scenario = run.manifest, run.scenario
     git, timings, seed = mapping(manifest.get("git")), mapping(manifest.get("timings")), manifest.get("seed")
-    dirty, design = git.get("dirty"), mapping(manifest.get("design")) or mapping(scenario.get("design"))
+    dirty = git.get("dirty")
     wall = [f"{key} {amount(number(timings[key]), 's')}" for key in ("load", "simulate") if key in timings]
     if math.isfinite(speed := number(timings.get("real_time_factor"))):
         wall.append(f"{plain(speed, 2)} times as fast as real time")
@@ -233,12 +233,11 @@ def provenance(run: Run, kinds: Mapping[str, str]) -> list[Row]:
         *step_rows(run),
         Row("Coupling algorithm", run.algorithm),
         Row("Seed", "" if seed is None else str(seed)),
-        Row("Design", _pairs(design, " = ")),
         Row("Wall time", ", ".join(wall)),
     )
     entries = mapping(manifest.get("fmus")).items()
     fmus = (_fmu_row(name, mapping(fmu), kinds.get(str(name), "")) for name, fmu in entries)
-    return [*fmus, *(fact for fact in facts if fact.value), *loop_rows(run), *pace_rows(run), *partner_rows(run)]
+    return [*fmus, *(fact for fact in facts if fact.value), *loop_rows(run), *pace_rows(run)]
 
 
 def _pairs(facts: Mapping[str, Any], between: str) -> str:

@@ -9,7 +9,6 @@ from cosim.report.html_tables import Row
 from cosim.simulation.report.recorded import Run, mapping, mappings, number, texts
 
 STEP = "time between two exchanges of values among the components"
-MOST_LOST = 10  # times of a partner on the page
 
 
 def step_rows(run: Run) -> Iterator[Row]:
@@ -88,24 +87,6 @@ def pace_rows(run: Run) -> Iterator[Row]:
         delays = ", ".join(f"{name} {_ms(jitter.get(k))}" for k, name in names.items())
         lines.append(f"delay of a point: {delays}")
     yield Row("Pace", "\n".join((f"{number(pacing.get('pace')):g} × real time", *lines)))
-
-
-def partner_rows(run: Run) -> Iterator[Row]:
-    """Yield a row for each partner of a run: messages, and times without."""
-    for partner in mappings(run.manifest.get("partners")):
-        if "input" not in partner:
-            lines = [f"sent to {partner.get('to')}: {partner.get('sent')} messages"]
-            lines += [f"not sent: {partner['not_sent']} ({partner.get('reason')})"] if "not_sent" in partner else []
-            yield Row(", ".join(texts(partner.get("outputs"))), "\n".join(lines))
-            continue
-        lines = [f"received from {partner.get('from')}: {partner.get('messages')} messages"]
-        lines += [f"refused: {partner.get('refused')}, the first {partner['refusal']}"] if "refusal" in partner else []
-        lines += [
-            f"lost from t = {number(lost.get('from')):g} s to {number(lost.get('to')):g} s, "
-            f"for {number(lost.get('seconds')):.3g} s"
-            for lost in mappings(partner.get("lost"))[:MOST_LOST]
-        ]
-        yield Row(str(partner["input"]), "\n".join(lines))
 
 
 def _ms(seconds: object) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from cosim.base.text import counted, written
-from cosim.coupling.algorithms import DEFAULT, Algorithm, algorithms
+from cosim.blocks.coupling import DEFAULT, Algorithm, algorithms
 from cosim.report.diagram import Box, DiagramPort, Wire, diagram
 from cosim.simulation.report.recorded import Run, mapping, mappings
 from cosim.simulation.report.run_rows import disturbances

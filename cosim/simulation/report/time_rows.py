@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from cosim.base.text import plain
-from cosim.simulation.report.recorded import Run, mapping, mappings, number
+from cosim.simulation.report.recorded import Run, mapping, number
 
 MIN_READINGS = 100  # about half a second, below which shares say little
 MIN_SHARE = 0.01  # of a component with a row
@@ -42,22 +42,17 @@ def time_rows(run: Run) -> list[TimeRow]:
 
 
 def time_sentence(timings: Mapping[str, Any]) -> str:
-    """Return a sentence on slow components, if measured."""
+    """Return a sentence on the slowest component, if measured."""
     if not number(timings.get("readings")) >= MIN_READINGS:
         return ""
-    parts: dict[str, list[str]] = {}
-    for name, entry in mapping(timings.get("components")).items():
-        times = mapping(entry)
-        steps = sum(number(times.get(call)) for call in ("step", "set", "get"))
-        words = f"{plain(steps, 2)} s in steps, {plain(number(times.get('other')), 2)} s in loading"
-        parts[str(name)] = [f"{number(times.get('share')):.0%} of the time, loading included ({words})"]
-        break
-    for slower in mappings(timings.get("slower")):
-        factor, since = number(slower.get("factor")), number(slower.get("since"))
-        words = f"{plain(factor, 2)} times longer for a step after {since:g} s"
-        name = str(slower.get("component")) or "every component"
-        parts.setdefault(name, []).append(words)
-    sentences = [f"{name} takes {', and '.join(words)}" for name, words in parts.items()]
-    if parts and (waiting := number(timings.get("waiting"), 0.0)) > 0.0:
-        sentences.append(f"{plain(waiting, 2)} s of waiting for the pace or in a pause are not counted")
-    return "; ".join(sentences) + "." if parts else ""
+    components = mapping(timings.get("components"))
+    if not components:
+        return ""
+    name, entry = next(iter(components.items()))
+    times = mapping(entry)
+    steps = sum(number(times.get(call)) for call in ("step", "set", "get"))
+    words = f"{plain(steps, 2)} s in steps, {plain(number(times.get('other')), 2)} s in loading"
+    sentence = f"{name} takes {number(times.get('share')):.0%} of the time, loading included ({words})"
+    if (waiting := number(timings.get("waiting"), 0.0)) > 0.0:
+        sentence += f"; {plain(waiting, 2)} s of waiting for the pace or in a pause are not counted"
+    return f"{sentence}."

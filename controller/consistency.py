@@ -1,0 +1,298 @@
+"""Consistency of estimators: normalised errors and innovations compared with their χ² distribution.
+
+    NEES  ε = (x − x̂)'·P⁻¹·(x − x̂),   n degrees of freedom, n states
+    NIS   ε = ν'·S⁻¹·ν,               m degrees of freedom, m measurements
+
+For N independent runs of a consistent estimator, N·(mean of ε at one time) is χ² with N·n degrees of freedom
+(Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation, 5.4). Two tests follow:
+
+    mean over all times    n if consistent; the scatter between independent runs is the uncertainty
+    each single time       2.5 % of the times lie above the 95 % region, 2.5 % below
+
+Errors of successive times are correlated, so shares of times scatter like those of fewer independent times.
+Innovations of a consistent estimator are white: all times count, and the mean of K times is χ² with N·K·m. The two
+tests share the error probability of 5 %.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from controller import monte_carlo
+from cosim.base.arrays import Array
+from cosim.base.errors import Fault, InputError, refuse
+from cosim.base.settings import Count, Seed
+
+LEVEL = 0.95
+SIDE = 0.5 * (1.0 - LEVEL)  # expected share of times on either side of their region
+HALF = 0.25 * (1.0 - LEVEL)  # tail probability on each side of each of the two tests
+CONSISTENT, OPTIMISTIC, PESSIMISTIC = "consistent", "optimistic", "pessimistic"
+BOTH = f"{OPTIMISTIC} and {PESSIMISTIC}"
+ROWS = 256  # rows of the correlation matrix processed at once
+MIN_RUNS = 2
+MIN_STEPS = 100  # errors count after the first second
+MAX_SAMPLES = 20_000_000  # samples of all runs of a case: about 400 bytes each, 8 GB in total
+
+
+@dataclass(frozen=True)
+class Consistency:
+    """Result of a χ² test of normalised squared errors (NEES) or innovations (NIS), called squares here.
+
+    Attributes:
+        mean: Mean over runs and times.
+        region: Range of `mean` for a consistent estimator.
+        at_times: Mean over the runs at each time, shape (times,).
+        at_time: 95 % range of each of `at_times` for a consistent estimator.
+        above, below: Shares of `at_times` above and below `at_time`; 2.5 % is expected.
+        most: Upper limit of `above` and `below` for a consistent estimator.
+        times: Number of independent times with the same scatter of the shares.
+    """
+
+    degrees: int
+    runs: int
+    mean: float
+    region: tuple[float, float]
+    above: float
+    below: float
+    most: float
+    times: float
+    at_times: Array = field(compare=False)
+    at_time: tuple[float, float]
+
+    @property
+    def share(self) -> float:
+        """Return the share of times with a mean inside the 95 % range; 0.95 is expected."""
+        return 1.0 - self.above - self.below
+
+    @property
+    def verdict(self) -> str:
+        """Return the verdict: consistent, optimistic (errors larger than the covariance), pessimistic, or both."""
+        low, high = self.region
+        optimistic = self.mean > high or self.above > self.most
+        pessimistic = self.mean < low or self.below > self.most
+        if optimistic and pessimistic:
+            return BOTH
+        return OPTIMISTIC if optimistic else PESSIMISTIC if pessimistic else CONSISTENT
+
+    @property
+    def factor(self) -> float:
+        """Return the mean squared error divided by the variance that the estimator claims."""
+        return self.mean / self.degrees
+
+    @property
+    def sentence(self) -> str:
+        """Return the verdict in words with its numbers."""
+        low, high = self.region
+        verdict = self.verdict
+        if verdict == CONSISTENT:
+            return verdict
+        parts = []
+        if not low <= self.mean <= high:
+            times, relation = (self.factor, "larger") if self.mean > high else (1.0 / self.factor, "smaller")
+            parts.append(f"square errors are {times:.3g} times {relation} than it believes")
+        chance = f"of the times, where {100 * SIDE:.3g} % are chance and {100 * self.most:.2g} % the most"
+        if verdict == BOTH:
+            above, below = 100 * self.above, 100 * self.below
+            parts.append(f"{OPTIMISTIC} at {above:.3g} % and {PESSIMISTIC} at {below:.3g} % {chance}")
+        elif not parts:
+            parts.append(f"at {100 * max(self.above, self.below):.3g} % {chance}")
+        return f"{verdict}: {'; '.join(parts)}"
+
+    def as_json(self) -> Mapping[str, Any]:
+        """Return the measures and the verdict as plain data for JSON."""
+        names = ("degrees", "runs", "mean", "region", "share", "above", "below", "most", "times", "verdict", "factor")
+        return {name: getattr(self, name) for name in names}
+
+
+def consistency_of(squares: Array, degrees: int, *, white: bool = False) -> Consistency:
+    """Return the consistency of normalised squared errors or innovations.
+
+    Args:
+        squares: Normalised squares, shape (runs, times).
+        degrees: Degrees of freedom of each square.
+        white: True for squares without correlation within a run, such as innovations.
+
+    Raises:
+        ValueError: A square is not finite, or fewer than two runs exist.
+    """
+    from scipy.stats import beta, chi2, t
+
+    if not np.isfinite(squares).all() or squares.size == 0:
+        raise ValueError("normalised squares are finite, and there is one at least")
+    runs, count = squares.shape
+    if runs < 2:
+        raise ValueError("one run tells nothing of the scatter between runs; give two at least")
+
+    def range_of_mean(number: int, tail: float) -> tuple[float, float]:
+        low, high = chi2.ppf([tail, 1.0 - tail], number * degrees) / number
+        return float(low), float(high)
+
+    low, high = range_of_mean(runs, SIDE)
+    at_times = squares.mean(axis=0)
+    if white:
+        region, times = range_of_mean(squares.size, HALF), float(count)
+    else:
+        off = float(t.ppf(1.0 - HALF, runs - 1) * squares.mean(axis=1).std(ddof=1) / math.sqrt(runs))
+        region, times = (degrees - off, degrees + off), independent_times(squares)
+    rest = max(times - 1.0, 1e-6)  # beta distribution with this mean and the variance p·(1 − p)/times
+    most = float(beta.ppf(1.0 - HALF, SIDE * rest, (1.0 - SIDE) * rest))
+    above, below = float(np.mean(at_times > high)), float(np.mean(at_times < low))
+    return Consistency(degrees, runs, float(squares.mean()), region, above, below, most, times, at_times, (low, high))
+
+
+def independent_times(squares: Array) -> float:
+    """Return the number K of independent times for which the share of exceeded limits scatters equally.
+
+    p·(1 − p)/K is the mean covariance of the events z_j > c and z_k > c. Here z_j is the nearly normal mean over the
+    runs at time j, with correlations from the runs; c is the 97.5 % quantile, exceeded with p = 2.5 %.
+    """
+    off = squares - squares.mean(axis=0)
+    size = np.sqrt((off * off).sum(axis=0))
+    z = np.divide(off, size, out=np.zeros_like(off), where=size > 0.0)
+    grid, covariance = _covariances()
+    total = sum(np.interp(z[:, k : k + ROWS].T @ z, grid, covariance).sum() for k in range(0, z.shape[1], ROWS))
+    return float(np.clip(SIDE * (1.0 - SIDE) * z.shape[1] ** 2 / max(total, 1e-300), 1.0, z.shape[1]))
+
+
+def _covariances() -> tuple[Array, Array]:
+    """Return correlations ρ of two standard normal variables, and for each ρ the covariance of both exceeding c.
+
+    The covariance is ∫₀^asin ρ exp(−c²/(1 + sin θ)) dθ/2π, with c the 97.5 % quantile.
+    """
+    from scipy.integrate import cumulative_simpson
+    from scipy.stats import norm
+
+    angle = np.linspace(-0.5 * math.pi, 0.5 * math.pi, 2001)
+    with np.errstate(divide="ignore"):
+        density = np.exp(-(norm.ppf(SIDE) ** 2) / (1.0 + np.sin(angle))) / (2.0 * math.pi)
+    whole = cumulative_simpson(density, x=angle, initial=0.0)
+    return np.sin(angle), whole - whole[1000]
+
+
+@dataclass(frozen=True)
+class ConsistencyRow:
+    """Result of one case on one flight in one test, such as NEES or NIS.
+
+    Attributes:
+        case: Estimator and true plant.
+        flight: Name of the motion.
+        motion: Description of the motion.
+        of: Name of the test, such as NEES or NIS.
+        at: Times of the tested errors or innovations [s].
+    """
+
+    case: str
+    flight: str
+    motion: str
+    of: str
+    result: Consistency
+    at: Array
+
+    def as_json(self) -> Mapping[str, Any]:
+        """Return plain data for scripts."""
+        names = ("case", "flight", "motion", "of")
+        return {**{name: getattr(self, name) for name in names}, **self.result.as_json()}
+
+
+@dataclass(frozen=True)
+class CaseResult:
+    """Results of all tests of one case (estimator and true plant) on one flight (motion)."""
+
+    rows: Sequence[ConsistencyRow]
+
+    @property
+    def consistent(self) -> bool:
+        """Return True if every test of the case (NEES, NIS …) is consistent."""
+        return all(row.result.verdict == CONSISTENT for row in self.rows)
+
+    @property
+    def verdict(self) -> str:
+        """Return the common verdict of all tests (NEES, NIS …): consistent, optimistic, pessimistic, or both."""
+        kinds = {kind for row in self.rows for kind in (OPTIMISTIC, PESSIMISTIC) if kind in row.result.verdict}
+        return BOTH if len(kinds) == 2 else next(iter(kinds), CONSISTENT)
+
+    @property
+    def factor(self) -> float:
+        """Return the mean squared error divided by the variance that the estimator claims."""
+        return self.rows[0].result.factor
+
+
+def by_case(rows: Sequence[ConsistencyRow]) -> list[CaseResult]:
+    """Return rows grouped by case and flight."""
+    return [
+        CaseResult([row for row in rows if (row.case, row.flight) == key])
+        for key in dict.fromkeys((row.case, row.flight) for row in rows)
+    ]
+
+
+def headline(rows: Sequence[ConsistencyRow]) -> str:
+    """Return a headline: the number of consistent cases, then the case with the largest errors."""
+    results = by_case(rows)
+    right, largest = sum(r.consistent for r in results), worst(results)
+    opening = f"{right} of {len(results)} cases are consistent: errors match the variance that the estimator claims."
+    if largest is None:
+        return opening
+    case = f"{largest.rows[0].case}, {largest.rows[0].flight}"
+    return f"{opening} Largest errors: {case}: mean square error {largest.factor:.3g} times the claimed variance."
+
+
+def worst(results: Sequence[CaseResult]) -> CaseResult | None:
+    """Return the inconsistent case whose errors are largest relative to the claimed variance; None without one."""
+    largest = max(results, key=lambda r: r.factor)
+    return None if largest.factor <= 1.0 or largest.consistent else largest
+
+
+def consistency(
+    runs: Count = 50, steps: Count = 500, seed: Seed = 1, progress: Callable[[int, int], None] | None = None
+) -> Sequence[ConsistencyRow]:
+    """Test the estimators of the hovercraft by Monte Carlo runs.
+
+    Args:
+        runs: Number of Monte Carlo runs of each case, at least 2.
+        steps: Number of samples of each run, at least 100.
+        seed: Seed for all random numbers.
+        progress: Function of (completed cases, all cases).
+
+    Returns:
+        One row per case and kind of squares (NEES, NIS) with mean, region and verdict.
+
+    Raises:
+        InputError: Too few or too many runs or steps, or too little memory.
+    """
+    bounds = (("runs", runs, MIN_RUNS), ("steps", steps, MIN_STEPS), ("seed", seed, 0))
+    refuse(Fault(Path(name), 0, 0, f"is {v}; give {least} or more") for name, v, least in bounds if v < least)
+    check_size(runs, steps)
+    rows = []
+    for k, case in enumerate(monte_carlo.CASES):
+        try:
+            squares = monte_carlo.squares_of(case, runs, steps, np.random.default_rng([seed, k]))
+        except MemoryError:
+            message = f"there is not enough memory for {runs:,} runs of {steps:,} steps; give fewer"
+            raise InputError.at(Path("--runs"), message, exit_code=4) from None
+        for name, (values, degrees, at) in squares.items():
+            result, flight = consistency_of(values, degrees, white=name != "NEES"), case.flight
+            rows.append(ConsistencyRow(case.title, flight.name, flight.doc, name, result, at))
+        if progress is not None:
+            progress(k + 1, len(monte_carlo.CASES))
+    return rows
+
+
+def check_size(runs: int, steps: int) -> None:
+    """Check that the samples fit into memory.
+
+    Raises:
+        InputError: The samples are too many.
+    """
+    if runs * steps <= MAX_SAMPLES:
+        return
+    option, most = "--runs", f"{MAX_SAMPLES // steps:,} at most with {steps:,} steps"
+    if MIN_RUNS * steps > MAX_SAMPLES:
+        option, most = "--steps", f"{MAX_SAMPLES // MIN_RUNS:,} at most"
+    message = f"{runs:,} runs of {steps:,} steps are more than the {MAX_SAMPLES:,} samples that fit into memory"
+    raise InputError.at(Path(option), f"{message}; give {most}")

@@ -1,0 +1,68 @@
+"""`cosim consistency`: test estimators by Monte Carlo runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cosim.storage.files import write_json, write_text
+from cosim.storage.folders import new_run, remove_earlier
+from cosim.verbs.options import Force, Json, Open, Report, out_option
+from cosim.verbs.terminal import progress_bar, say, say_json, show, table
+
+VERB, FILES = "cosim consistency", ("consistency.json", "report.html")
+
+
+def command(
+    *,
+    runs: Annotated[
+        int, typer.Option("--runs", min=2, help="Number of Monte Carlo runs of each case, at least 2.")
+    ] = 50,
+    steps: Annotated[int, typer.Option("--steps", min=100, help="Number of samples of each run, at least 100.")] = 500,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed for all random numbers.")] = 1,
+    out: Annotated[Path | None, out_option("a new number in results/consistency")] = None,
+    report: Report = True,
+    open_: Open = False,
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Test the estimators of the hovercraft by Monte Carlo runs.
+
+    Compares the normalised errors (NEES) and innovations (NIS) with their 95 % regions.
+
+    Example: cosim consistency --runs 50 --seed 1
+    """
+    from controller.consistency import CONSISTENT, check_size, headline
+    from controller.consistency import consistency as over_runs
+
+    check_size(runs, steps)
+    with new_run(out, "consistency", VERB, force=force) as out, progress_bar("estimating") as progress:
+        rows = over_runs(runs, steps, seed, progress)
+        remove_earlier(out)
+        record = {"runs": runs, "steps": steps, "seed": seed, "rows": [row.as_json() for row in rows]}
+        write_json(out / FILES[0], record, indent=1)
+        if report:
+            from controller.consistency_page import page
+
+            write_text(out / FILES[1], page(rows, steps, seed))
+    show(out / "report.html", open_=report and open_)
+    if as_json:
+        say_json([row.as_json() for row in rows])
+        return
+    say(headline(rows))
+    for flight, motion in {row.flight: row.motion for row in rows}.items():
+        say(f"{flight}: {motion}")
+    header = ("case", "flight", "of", "dof", "mean", "its region", "times above", "below", "at most", "verdict")
+    lines = []
+    for row in rows:
+        r = row.result
+        mean = f"{r.mean:.3f}", f"{r.region[0]:.3f} … {r.region[1]:.3f}"
+        shares = f"{r.above:.1%}", f"{r.below:.1%}", f"{r.most:.1%}"
+        lines.append((row.case, row.flight, row.of, str(r.degrees), *mean, *shares, r.sentence))
+    head, *body = table(header, lines)
+    say(head)
+    for row, line in zip(rows, body, strict=True):
+        say(line, met=row.result.verdict == CONSISTENT)
+    say(f"numbers: {out / 'consistency.json'}" + (f"; report: {out / 'report.html'}" if report else ""))

@@ -1,0 +1,340 @@
+"""Coupling algorithms: names, and plans of a communication step.
+
+An algorithm is a subclass of `Algorithm` with an object in `OWN`, or registered by a package in the group
+`cosim.algorithms`; docs/extending.md shows an example. The loops in Python and C, sweeps, export, drafts and diagrams
+follow the plan and never compare names.
+
+In sequence, a component with direct feedthrough from an input steps after the source of the input and sees its new
+value. All other inputs are held: they see the value from the step's start. Components that need each other's outputs
+of the same time are an algebraic loop.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from graphlib import CycleError, TopologicalSorter
+from itertools import permutations
+from typing import Any, NamedTuple
+
+from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
+from pydantic_core import CoreSchema, PydanticKnownError
+from pydantic_core.core_schema import no_info_plain_validator_function, str_schema
+
+from cosim.base.messages import CheckWarning
+from cosim.base.registry import ALGORITHMS, load, names
+from cosim.blocks.component import Component
+
+Edge = tuple[str, str, str, str]  # source component, target component, target input, source output
+Input = tuple[str, str]  # component, input
+MOST_PERMUTED = 6  # components of a loop, beyond which their order is that of the file
+
+
+class Plan(NamedTuple):
+    """Plan of a communication step.
+
+    Components step in order. Immediate values are copied right before their target steps, all others at the end.
+
+    Attributes:
+        order: Names of all components.
+        immediate: For each connection, whether its value is copied right before the target steps.
+        notes: Warnings about assumptions.
+        loops: Components of each algebraic loop, consecutive in `order`. Immediate connections within a loop are
+            solved at each communication point.
+    """
+
+    order: tuple[str, ...]
+    immediate: tuple[bool, ...]
+    notes: tuple[str, ...] = ()
+    loops: tuple[tuple[str, ...], ...] = ()
+
+
+class Assumption(CheckWarning):
+    """A warning that a component is taken to have no direct feedthrough."""
+
+
+class AlgebraicLoop(Exception):
+    """Error: components need each other's outputs of the same time.
+
+    The attribute `cycle` holds their names; it begins and ends with the same name.
+    """
+
+    def __init__(self, cycle: Sequence[str]) -> None:
+        self.cycle = tuple(cycle)
+        super().__init__(" → ".join(cycle))
+
+
+class Algorithm:
+    """A coupling algorithm.
+
+    Attributes:
+        name: Value of the scenario's key `algorithm`.
+        title: Name in reports and messages.
+        about: Description that follows the name in a sentence, e.g. "steps one after the other".
+        sequential: True if a component sees the new values of components stepped before it. The order then matters, the
+            scenario may state it by `order`, and an algebraic loop has no order.
+        solves_loops: Whether `plan_with_loops` returns algebraic loops to be solved.
+    """
+
+    name = ""
+    title = ""
+    about = ""
+    sequential = True
+    solves_loops = False
+
+    def plan(self, components: Mapping[str, Component], edges: Sequence[Edge], order: Sequence[str] | None) -> Plan:
+        """Return the plan of a communication step.
+
+        Args:
+            order: Components with inputs in the user's order; None if not stated or not sequential.
+
+        Raises:
+            AlgebraicLoop: No order of the components satisfies the plan.
+        """
+        raise NotImplementedError
+
+    def plan_with_loops(
+        self,
+        components: Mapping[str, Component],
+        edges: Sequence[Edge],
+        order: Sequence[str] | None,
+        *,
+        undeclared: bool,
+    ) -> Plan:
+        """Return the plan, with algebraic loops if supported.
+
+        Args:
+            undeclared: Whether inputs without declared dependencies may be part of a loop.
+
+        Raises:
+            AlgebraicLoop: No order of the components satisfies the plan.
+        """
+        return self.plan(components, edges, order)
+
+
+class GaussSeidel(Algorithm):
+    """Gauss-Seidel: components step in sequence; inputs with direct feedthrough get values of the same time."""
+
+    name = "gauss-seidel"
+    title = "Gauss-Seidel"
+    about = "steps one after the other"
+    solves_loops = True
+
+    def plan(self, components: Mapping[str, Component], edges: Sequence[Edge], order: Sequence[str] | None) -> Plan:
+        """Return a plan in the user's order, by default in the order of direct feedthrough."""
+        return order_by_dependencies(components, edges, order)
+
+    def plan_with_loops(
+        self,
+        components: Mapping[str, Component],
+        edges: Sequence[Edge],
+        order: Sequence[str] | None,
+        *,
+        undeclared: bool,
+    ) -> Plan:
+        """Return the plan; components without an order become loops."""
+        return order_by_dependencies(components, edges, order, loops=True, undeclared=undeclared)
+
+
+class Jacobi(Algorithm):
+    """Jacobi: all components step with the input values from the start of the step."""
+
+    name = "jacobi"
+    title = "Jacobi"
+    about = "all from the values of the step's start"
+    sequential = False
+
+    def plan(self, components: Mapping[str, Component], edges: Sequence[Edge], order: Sequence[str] | None) -> Plan:
+        """Return a plan that steps components in file order and copies all values at the end."""
+        return Plan(tuple(components), (False,) * len(edges))
+
+
+OWN: tuple[Algorithm, ...] = (GaussSeidel(), Jacobi())
+DEFAULT = OWN[0]
+WITHOUT_ORDER = OWN[1]  # for components in an algebraic loop, which have no order
+
+
+def algorithms() -> dict[str, Algorithm]:
+    """Return all available algorithms by name: cosim's own, then algorithms of installed packages."""
+    by_name = {algorithm.name: algorithm for algorithm in OWN}
+    for algorithm in (load(ALGORITHMS, name) for name in names(ALGORITHMS)):
+        if isinstance(algorithm, Algorithm):
+            by_name.setdefault(algorithm.name, algorithm)
+    return by_name
+
+
+class AlgorithmKey:
+    """Type of the scenario's key `algorithm`: the name of an available coupling algorithm."""
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return no_info_plain_validator_function(self.validate)
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        by_name = algorithms()
+        about = ", ".join(f"{name} {algorithm.about}" for name, algorithm in by_name.items())
+        return {**handler(str_schema()), "enum": list(by_name), "description": about}
+
+    @staticmethod
+    def validate(value: Any) -> str:
+        """Return the name of an algorithm; reject unknown names."""
+        allowed = list(algorithms())
+        if isinstance(value, str) and value in allowed:
+            return value
+        *others, last = map(repr, allowed)
+        raise PydanticKnownError("literal_error", {"expected": f"{', '.join(others)} or {last}"})
+
+
+# -- order -------------------------------------------------------------------------------------------
+
+
+def order_by_dependencies(
+    components: Mapping[str, Component],
+    edges: Sequence[Edge],
+    order: Sequence[str] | None,
+    *,
+    loops: bool = False,
+    undeclared: bool = False,
+) -> Plan:
+    """Return a plan with values of the same time for inputs with direct feedthrough.
+
+    An order stated by the user is kept: connections along this order are immediate, all others are held.
+
+    Args:
+        loops: Whether components without an order become algebraic loops of the plan.
+        undeclared: Whether inputs without declared dependencies may be part of a loop. Otherwise they are assumed to
+            have no direct feedthrough where a loop would need it.
+
+    Raises:
+        AlgebraicLoop: No order exists, and the plan must not have loops.
+    """
+    if order is not None:
+        return _plan_in_order(components, edges, order)
+    direct = {(target, name) for _, target, name, _ in edges if components[target].depends_on(name) is not False}
+    notes: list[str] = []
+    while True:
+        immediate = tuple((target, name) in direct for _, target, name, _ in edges)
+        try:
+            return Plan(_sort_components(components, edges, immediate), immediate, tuple(notes))
+        except CycleError as error:
+            cycle = list(reversed(error.args[1]))
+        try:
+            removed, note = _open_cycle(components, edges, direct, cycle, undeclared=undeclared)
+        except AlgebraicLoop:
+            if not loops:
+                raise
+            order_of_all, groups = order_with_loops(components, edges, immediate)
+            return Plan(order_of_all, immediate, tuple(notes), groups)
+        direct -= removed
+        notes += [note] if note else []
+
+
+def _open_cycle(
+    components: Mapping[str, Component],
+    edges: Sequence[Edge],
+    direct: set[Input],
+    cycle: Sequence[str],
+    *,
+    undeclared: bool,
+) -> tuple[set[Input], str]:
+    """Return inputs of a cycle without direct feedthrough, which open the cycle, and a note.
+
+    The note states an assumption about undeclared feedthrough; "" if none was necessary.
+    """
+    inputs = {(target, name) for source, target, name, _ in edges if {source, target} <= {*cycle}}
+    # Only outputs used within the loop count.
+    unneeded = {
+        (c, name) for c, name in inputs & direct if components[c].depends_on(name, _find_connected(edges, c)) is False
+    }
+    if unneeded:
+        return unneeded, ""
+    unknown = {component for component, name in inputs & direct if components[component].depends_on(name) is None}
+    if undeclared or not unknown:
+        raise AlgebraicLoop(cycle)
+    assumed = min(unknown, key=[*components].index)
+    removed = {(c, name) for c, name in direct if c == assumed and components[c].depends_on(name) is None}
+    is_stated = getattr(components[assumed], "feedthrough", None) is not None
+    return removed, "" if is_stated else Assumption(
+        f"{assumed} does not declare which outputs depend directly on its inputs; cosim assumes that none does, "
+        f"so {assumed} steps first. feedthrough: [...] of {assumed} names the inputs that an output follows at "
+        "once, [] for none; order: [...] states the order instead"
+    )
+
+
+def _find_connected(edges: Sequence[Edge], component: str) -> set[str]:
+    """Return the outputs of a component that are connected to inputs."""
+    return {output for source, _, _, output in edges if source == component}
+
+
+def _plan_in_order(components: Mapping[str, Component], edges: Sequence[Edge], order: Sequence[str]) -> Plan:
+    rest = [name for name in components if name not in order]  # sources without inputs
+    place = {name: k for k, name in enumerate((*rest, *order))}
+    immediate = tuple(
+        place[source] < place[target] and components[target].depends_on(name) is not False
+        for source, target, name, _ in edges
+    )
+    return Plan(tuple(place), immediate)
+
+
+def _sort_components(
+    components: Mapping[str, Component], edges: Sequence[Edge], immediate: Sequence[bool]
+) -> tuple[str, ...]:
+    sorter: TopologicalSorter[str] = TopologicalSorter({name: set() for name in components})
+    for (source, target, *_), now in zip(edges, immediate, strict=True):
+        if now:
+            sorter.add(target, source)
+    return tuple(sorter.static_order())
+
+
+def order_with_loops(
+    components: Iterable[str], edges: Sequence[Edge], immediate: Sequence[bool]
+) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]:
+    """Return an order of all components, and the loops.
+
+    Args:
+        immediate: For each connection, whether its target needs the value of the same time.
+    """
+    names = list(components)
+    ends = [(source, target) for (source, target, *_), now in zip(edges, immediate, strict=True) if now]
+    groups = strong_components(names, ends)
+    ordered = [_order_within(group, ends) for group in _sort_groups(groups, ends)]
+    selfish = {source for source, target in ends if source == target}
+    loops = tuple(group for group in ordered if len(group) > 1 or group[0] in selfish)
+    return tuple(name for group in ordered for name in group), loops
+
+
+def _sort_groups(groups: Sequence[tuple[str, ...]], ends: Iterable[tuple[str, str]]) -> list[tuple[str, ...]]:
+    """Return groups in the order of their connections."""
+    group_of = {name: k for k, group in enumerate(groups) for name in group}
+    sorter: TopologicalSorter[int] = TopologicalSorter({k: set() for k in range(len(groups))})
+    for source, target in ends:
+        if group_of[source] != group_of[target]:
+            sorter.add(group_of[target], group_of[source])
+    return [groups[k] for k in sorter.static_order()]
+
+
+def strong_components(names: Sequence[str], ends: Collection[tuple[str, str]]) -> list[tuple[str, ...]]:
+    """Return the groups of names that reach each other."""
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import connected_components
+
+    place = {name: k for k, name in enumerate(names)}
+    rows, columns = [place[source] for source, _ in ends], [place[target] for _, target in ends]
+    graph = csr_array(([1] * len(rows), (rows, columns)), shape=(len(names), len(names)))
+    _, labels = connected_components(graph, directed=True, connection="strong")
+    groups: dict[int, list[str]] = {}
+    for name, label in zip(names, labels.tolist(), strict=True):
+        groups.setdefault(label, []).append(name)
+    return [tuple(group) for group in groups.values()]
+
+
+def torn(group: Sequence[str], ends: Iterable[tuple[str, str]]) -> list[bool]:
+    """Return for each connection whether it leads back."""
+    place = {name: k for k, name in enumerate(group)}
+    return [place[source] >= place[target] for source, target in ends]
+
+
+def _order_within(group: tuple[str, ...], ends: Iterable[tuple[str, str]]) -> tuple[str, ...]:
+    """Return the order with the fewest connections back."""
+    inner = [end for end in ends if set(end) <= set(group)]
+    if not 1 < len(group) <= MOST_PERMUTED:
+        return group
+    return min(permutations(group), key=lambda order: sum(torn(order, inner)))

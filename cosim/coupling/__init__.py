@@ -1,1 +1,0 @@
-"""Coupling algorithms: the order of components and the times of copying outputs to inputs."""

@@ -1,1 +1,0 @@
-"""Consistency tests of estimators."""

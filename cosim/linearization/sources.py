@@ -1,0 +1,385 @@
+"""Sources of linear models: equations with exact derivatives, and FMUs for model exchange in a worker process."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
+from dataclasses import replace
+from functools import partial
+from itertools import compress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.base.errors import Fault, FmuError, InputError, SimulationError, refuse
+from cosim.base.units import read_quantity
+from cosim.blocks.compiling import permission, with_permission
+from cosim.blocks.derivatives import (
+    DifferentiableFmu,
+    hides_states,
+    name_states,
+    reals,
+    scalars,
+    slopes_at,
+    states_of,
+    units_of,
+)
+from cosim.blocks.description import ways
+from cosim.isolation import worker as here
+from cosim.isolation.process import Worker
+from cosim.isolation.rows import OTHER
+from cosim.isolation.watch import Watch, fmi_calls
+from cosim.linearization.linear_model import Linear, Point
+from cosim.loading.file import LoadedModel
+from cosim.model.model import Effect, Model, overrides
+from cosim.model.namespaces import SCALAR
+from cosim.scenario.start_values import Misfit, convert_value, kind_of, settable
+from cosim.storage.yaml_file import did_you_mean, short
+
+MODULES = ("cosim.linearization.sources", "fmpy.fmi2", "fmpy.logging")
+NAME = "fmu"
+EXACT = "the equations, differentiated exactly"
+DIRECTIONAL = "directional derivatives of the FMU"
+DIFFERENCE_STEP = 1e-5  # of central differences, relative to each state and input, or to 1
+MAX_SLOPE_DEVIATION = 1e-3  # of an FMU's derivatives from differences, relative to the largest in a row
+KINK_STEP = 1e-6  # of one-sided slopes, relative to each state and input, or to 1
+KINK_REFINEMENT = 10.0  # division of the step for the second test
+MAX_SLOPE_CHANGE = 1e-3  # across a smooth point, relative to the largest slope in a row
+MAX_RATE_AT_STEADY_STATE = 1e-12  # of fast states, relative to slope and size of the states
+MAX_NEWTON_STEPS = 50
+
+
+class EquationSource:
+    """A model with its equations and active effects."""
+
+    files: tuple[Path, ...] = ()
+
+    def __init__(self, loaded: LoadedModel, name: str) -> None:
+        from cosim.model.symbolic.linearize import Linearizer
+
+        self._loaded, self.model = loaded, (model := loaded.model)
+        self.title, self.name = model.title, name
+        self.states, self.inputs, self.outputs = (
+            tuple(q.name for q in group) for group in (model.states, model.inputs, model.outputs)
+        )
+        self.units = {q.name: q.unit for q in (*model.outputs, *model.inputs, *model.states)}
+        self._equations = model.acting(SCALAR)
+        self._linearizer = Linearizer(model)
+
+    def with_values(self, values: Mapping[str, Any], over: Sequence[str]) -> EquationSource:
+        """Return the source with a scenario's parameters, except those set in `over`."""
+        names = self.model.declared.keys() - {text.partition("=")[0].strip() for text in over}
+        texts = [f"{n}={str(v).lower() if isinstance(v, bool) else v}" for n, v in values.items() if n in names]
+        if not texts:
+            return self
+        return EquationSource(replace(self._loaded, model=with_parameters(self.model, texts)), self.name)
+
+    def start(self) -> Point:
+        """Return the model's start."""
+        return Point(0.0, np.array(self.model.start(), float), np.array(self.model.start_command(), float))
+
+    def evaluate(self, t: float, x: Array, u: Array) -> tuple[Array, Array]:
+        """Return derivatives and outputs."""
+        state, command = tuple(x.tolist()), tuple(u.tolist())
+        derivative, output = self._equations
+        try:
+            return np.array(derivative(t, state, command), float), np.array(output(t, state, command), float)
+        except (ArithmeticError, ValueError) as error:
+            raise SimulationError(self.name, t, f"the equations have no value there: {error}") from None
+
+    def _values(self, time: float, states: Array, inputs: Array) -> Array:
+        return np.concatenate(self.evaluate(time, states, inputs))
+
+    def linear(self, points: Sequence[Point]) -> list[Linear]:
+        """Return the linear model at each point.
+
+        Raises:
+            SimulationError: The model has no finite derivatives.
+        """
+        shaping = overrides(self.model.awake, "shape", Effect)
+        shaped = [f"{e.name} ({e.equation}) acts on the inputs before they get here and is left out" for e in shaping]
+        models = []
+        for point in points:
+            time, notes = point.time, list(shaped)
+            rates, values = self.evaluate(time, point.states, point.inputs)
+            try:
+                slopes = self._linearizer(tuple(point.states), tuple(point.inputs), time)
+            except (ArithmeticError, ValueError) as error:
+                raise SimulationError(self.name, time, f"the equations have no value there: {error}") from None
+            matrices = slopes.A, slopes.B, slopes.C, slopes.D
+            if not all(np.isfinite(m).all() for m in (*matrices, rates, values)):
+                text = "the derivatives, the outputs or their slopes are not finite at this point"
+                raise SimulationError(self.name, time, f"{text}; choose another operating point")
+            try:
+                kinks = kinks_at(partial(self._values, time), point, self.states, self.inputs, self.outputs)
+            except SimulationError:
+                kinks = {}
+                notes.append("the equations end at this point: to one side of it they have no value")
+            names = self.states, self.inputs, self.outputs
+            models.append(Linear(*matrices, *names, point, rates, values, self.units, EXACT, tuple(notes), kinks))
+        return models
+
+
+class ExchangeSource:
+    """An FMU with access to its derivatives.
+
+    Args:
+        step: Step of central differences, which then replace the FMU's directional derivatives.
+    """
+
+    def __init__(
+        self, worker: Worker, path: Path, description: Any, start: Mapping[str, Any], step: float | None = None
+    ) -> None:
+        if "model-exchange" not in ways(description):
+            cure = "give the model's own file (model.yaml, file.py:Class or base), or an FMU for model exchange"
+            text = f"is for co-simulation only, and hides its states and derivatives; {cure}"
+            raise InputError.at(path, f"{text}; `cosim build --native` makes one of any model here")
+        if len(states_of(description)) != len(description.derivatives):
+            text = (
+                "declares derivatives without their states; its modelDescription.xml needs the attribute `derivative`"
+            )
+            raise InputError.at(path, text, FmuError.exit_code)
+        self._worker, self._path, self._description, self._start = worker, path, description, dict(start)
+        if hides_states(description):
+            name_states(path, description, self._call(read, "state_references"))
+        self.title, self.files = description.modelName or path.stem, (path,)
+        listed = _signals(description)
+        self.states, self.inputs, self.outputs = (scalars(group) for group in listed)
+        self.units = {name: unit for group in listed for name, unit in units_of(group).items()}
+        self._step = step
+        block = DifferentiableFmu(NAME, path, description, self._start, frozenset())
+        self._directional = step is None and block.gives_slopes
+
+    def with_values(self, values: Mapping[str, Any], over: Sequence[str]) -> ExchangeSource:
+        """Return the source with the start values of a scenario's component; own start values take precedence."""
+        names = {v.name for v in self._description.modelVariables}
+        start = typed_values(self._path, self._description, {n: v for n, v in values.items() if n in names})
+        return ExchangeSource(self._worker, self._path, self._description, {**start, **self._start}, self._step)
+
+    def start(self) -> Point:
+        """Return the start after the FMU's initialization."""
+        states, inputs = self._call(read, "current_point")
+        return Point(0.0, states, inputs)
+
+    def linear(self, points: Sequence[Point]) -> list[Linear]:
+        """Return the linear model at each point; raise SimulationError without finite derivatives."""
+        step = self._step or DIFFERENCE_STEP
+        models: list[Linear] = self._call(differentiate, list(points), step, self._directional)
+        return models
+
+    def _call(self, function: Any, *more: Any) -> Any:
+        watch = Watch([NAME], [fmi_calls(self._description)])
+        fmu = self._path.resolve(), self._description, self._start
+        return self._worker.call(with_permission, permission.get(), function, *fmu, *more, watch=watch)
+
+
+def _signals(description: Any) -> tuple[list[Any], list[Any], list[Any]]:
+    """Return states, inputs and outputs."""
+    return states_of(description), reals(description, "input"), reals(description, "output")
+
+
+Source = EquationSource | ExchangeSource
+
+
+# -- in the worker of an FMU --------------------------------------------------------------------
+
+
+def read(path: Path, description: Any, start: Mapping[str, Any], method: str) -> Any:
+    """Return the result of a method of the FMU after its initialization."""
+    with closing(_open(path, description, start)) as block:
+        return getattr(block, method)()
+
+
+def differentiate(
+    path: Path,
+    description: Any,
+    start: Mapping[str, Any],
+    points: Sequence[Point],
+    step: float,
+    directional: bool,
+) -> list[Linear]:
+    """Return the linear model at each point.
+
+    If directional derivatives fail, the FMU is reopened for differences.
+    """
+    try:
+        with closing(_open(path, description, start)) as block:
+            return [_differentiate(block, point, step, directional) for point in points]
+    except SimulationError as error:
+        if not directional or "DirectionalDerivative" not in str(error):
+            raise
+        reason = error.reason.partition(":")[0]
+    note = f"finite differences of step {step:g} replace the FMU's own derivatives: {reason}"
+    repeated = differentiate(path, description, start, points, step, False)
+    return [replace(each, notes=(note, *each.notes)) for each in repeated]
+
+
+def _differentiate(block: DifferentiableFmu, point: Point, step: float, directional: bool) -> Linear:
+    signals = _signals(block.description)
+    states, inputs, outputs = map(scalars, signals)
+    slopes, rates, after = slopes_at(block, point.time, point.states, point.inputs, step, directional=directional)
+    n, notes = len(after), list[str]()
+    moved = np.abs(after - point.states) > 1e-9 * (1.0 + np.abs(point.states))
+    if moved.any():
+        text = ", ".join(f"{name} = {v:.6g}" for name, v, m in zip(states, after, moved, strict=True) if m)
+        notes.append(f"an event of the FMU at this point has moved its states: {text}")
+    point = replace(point, states=after)
+    kinks = kinks_at(block.rates, point, states, inputs, outputs)
+    block.rates(after, point.inputs)
+    method = DIRECTIONAL
+    if directional:
+        differences, _, _ = slopes_at(block, point.time, after, point.inputs, step, directional=False)
+        size = np.maximum(np.abs(differences).max(axis=1, initial=0.0), np.abs(slopes).max(axis=1, initial=0.0))
+        deviates = np.abs(slopes - differences).max(axis=1, initial=0.0) > MAX_SLOPE_DEVIATION * np.maximum(size, 1e-9)
+        if deviates.any():
+            rows = ", ".join(compress(_row_names(states, outputs), deviates))
+            notes.append(f"differences of step {step:g} are taken for {rows}: the FMU's own slopes of these differ")
+            slopes = np.where(deviates[:, None], differences, slopes)
+    else:
+        method = f"central differences of the FMU, step {step:g} of each value or of 1"
+    matrices = slopes[:n, :n], slopes[:n, n:], slopes[n:, :n], slopes[n:, n:]
+    units = {name: unit for group in signals for name, unit in units_of(group).items()}
+    about: tuple[Any, ...] = rates[:n], rates[n:], units, method, tuple(notes), kinks
+    return Linear(*matrices, states, inputs, outputs, point, *about)
+
+
+def _open(path: Path, description: Any, start: Mapping[str, Any]) -> DifferentiableFmu:
+    here.progress.doing[0] = OTHER
+    block = DifferentiableFmu(NAME, path, description, start, frozenset())
+    here.share_log(block)
+    block.bind_nothing()
+    block.open(0.0, 1.0)
+    block.start()
+    return block
+
+
+# -- both ---------------------------------------------------------------------------------------
+
+
+def kinks_at(
+    values: Callable[[Array, Array], Array],
+    point: Point,
+    states: Sequence[str],
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+) -> dict[str, list[str]]:
+    """Return the states and inputs at a kink or a jump, as at the edge of a dead band, each with the rows concerned.
+
+    Args:
+        values: Rates and outputs as a function of states and inputs.
+    """
+    z, n = np.concatenate([point.states, point.inputs]), len(states)
+    rows, kinks, center = [*_row_names(states, outputs)], dict[str, list[str]](), values(point.states, point.inputs)
+
+    def beside(k: int, h: float) -> tuple[Array, Array]:
+        """Return the differences to both sides, divided by the step."""
+        moved = [z.copy(), z.copy()]
+        moved[0][k] += h
+        moved[1][k] -= h
+        up, down = (values(m[:n], m[n:]) for m in moved)
+        return (up - center) / h, (center - down) / h
+
+    for k, name in enumerate((*states, *inputs)):
+        h = KINK_STEP * max(1.0, abs(float(z[k])))
+        ahead, behind = beside(k, h)
+        size = np.maximum(np.maximum(np.abs(ahead), np.abs(behind)), 1e-6)
+        bent = np.abs(ahead - behind) > MAX_SLOPE_CHANGE * size + 1e-8 * np.abs(center) / h + 1e-9 / h
+        if bent.any():
+            # Closer to the point, a curve becomes straight and a kink does not.
+            near_ahead, near_behind = beside(k, h / KINK_REFINEMENT)
+            bent &= np.abs(near_ahead - near_behind) > 0.5 * np.abs(ahead - behind)
+        if bent.any():
+            kinks[name] = [*compress(rows, bent)]
+    return kinks
+
+
+def _row_names(states: Sequence[str], outputs: Sequence[str]) -> list[str]:
+    return [*(f"the rate of {name}" for name in states), *outputs]
+
+
+def settle(source: Source, point: Point, fast: Sequence[str]) -> Point:
+    """Return the point with fast states at rest, by Newton steps.
+
+    The other states and the inputs are held: f₂(x₂) = 0.
+
+    Raises:
+        ValueError: The states do not come to rest.
+    """
+    if not fast:
+        return point
+    rows = [source.states.index(n) for n in fast]
+    for _ in range(MAX_NEWTON_STEPS):
+        (linear,) = source.linear([point])
+        rates, own = linear.rates[rows], linear.A[np.ix_(rows, rows)]
+        size = max(1.0, float(np.abs(own).max() * np.abs(point.states[rows]).max()))
+        if np.abs(rates).max() <= MAX_RATE_AT_STEADY_STATE * size:
+            return point
+        states = point.states.copy()
+        try:
+            states[rows] -= np.linalg.solve(own, rates)
+        except np.linalg.LinAlgError:
+            break
+        if not np.isfinite(states).all():
+            break
+        point = replace(point, states=states)
+    text = "no values were found at which they are at rest while the other states are constant"
+    cure = "name other states, or another operating point"
+    raise ValueError(f"{', '.join(fast)} cannot be residualized: {text}; {cure}")
+
+
+# -- values of `--set` and of a scenario --------------------------------------------------------
+
+
+def with_parameters(model: Model, texts: Sequence[str]) -> Model:
+    """Return the model with parameters from `--set NAME=VALUE`.
+
+    Raises:
+        InputError: Every fault.
+    """
+    faults, values = [], dict[str, Any]()
+    for text in texts:
+        name, sign, value = (part.strip() for part in text.partition("="))
+        declared = model.declared.get(name)
+        if not sign or not name:
+            faults.append(f"{short(text)} is not NAME=VALUE; for example mass=2")
+        elif declared is None:
+            faults.append(f'{model.title} has no parameter "{name}"{did_you_mean(name, model.declared)}')
+        else:
+            try:
+                is_switch = isinstance(declared.default, bool)
+                switch: dict[str, Any] = {"true": True, "false": False}
+                values[name] = switch.get(value, short(value)) if is_switch else read_quantity(value, declared.unit)
+            except ValueError as error:
+                faults.append(f"{name}={short(value)}: {error}")
+                continue
+            if fault := declared.fault(values[name]):
+                effect, dot, _ = name.rpartition(".")
+                faults.append(f"{effect}{dot}{fault}; correct this value")
+    refuse(Fault(Path("--set"), 0, 0, fault) for fault in faults)
+    return model.with_values(values)
+
+
+def typed_values(path: Path, description: Any, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return start values in the type and unit of their variables.
+
+    Raises:
+        InputError: Every unsuitable value.
+    """
+    variables = {v.name: v for v in description.modelVariables}
+    converted, faults = dict[str, Any](), []
+    for name, value in values.items():
+        variable = variables.get(name)
+        if variable is None:
+            cure = did_you_mean(name, [n for n, v in variables.items() if settable(v)])
+            faults.append(f'has no variable "{name}"{cure}')
+        elif not settable(variable):
+            cure = "so it cannot be set; name a parameter, a state or an input"
+            faults.append(f"{name} is {kind_of(variable)} without a start value, {cure}")
+        elif isinstance(fitting := convert_value(description, variable, value), Misfit):
+            faults.append(f"{name} is {value!r}; {fitting.reason}")
+        else:
+            converted[name] = fitting
+    refuse(Fault(path, 0, 0, fault) for fault in faults)
+    return converted

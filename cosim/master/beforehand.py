@@ -1,0 +1,286 @@
+"""Examinations of components before a run, in instances of their own: direct feedthrough, and saved states.
+
+**Direct feedthrough** where FMUs declare no dependencies. An order of components may assume that an undeclared input
+has none. Each such input is displaced, by small and large amounts about two points, in initialization and after it, and
+the outputs that follow are noted: integers by one, Booleans to their other value, enumerations to other items. FMUs in
+event mode stay in the event mode after initialization.
+
+**States beyond the end of the run that saved them.** An FMU may save the end of the run, which it was told, with its
+state, and then refuses to step beyond it. Such a state is of no use to a longer run. Each state is restored, and the
+FMU steps over that end with the inputs of the last row.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from cosim.base.arrays import far_beyond
+from cosim.base.errors import Interrupted, Signalled, SimulationError
+from cosim.blocks.component import EarlyEnd
+from cosim.blocks.event_mode import EventFmu
+from cosim.blocks.fmu import FmuBlock
+from cosim.isolation import worker as here
+from cosim.isolation.limits import Limits
+from cosim.isolation.process import Worker
+from cosim.isolation.rows import Rows
+from cosim.isolation.watch import Watch, fmi_calls
+from cosim.master.checkpoint import Continuation
+from cosim.master.initialization import Initialization
+from cosim.master.loops import PROBES, Member, is_lost, members_of, nominal_of
+from cosim.master.master import Master
+from cosim.master.own_process import in_own_processes
+from cosim.storage.state_file import pack, unpack
+from cosim.system.system import System
+
+SWEEPS = 3  # exchanges of values before the measurement
+LEAST = 1e-7  # change of an output that counts, relative to its value
+NOISE = 10.0  # the same relative to differences between equal calls
+IRREGULAR = 0.37  # displacement of the second point, in sizes of an input
+OTHERS = -0.37, -0.9, 0.9  # displacements of further points, for a component that refuses the first two
+MOST_ITEMS = 4  # tried items of an enumeration
+BEYOND = 2  # steps beyond the end of the run that saved a state
+
+Pair = tuple[str, str]  # output, input
+
+
+@dataclass(frozen=True)
+class Feedthrough:
+    """Measured feedthrough of inputs without declared dependencies.
+
+    Attributes:
+        pairs: Outputs that follow an input after initialization.
+        at_start: Outputs that follow an input in initialization only.
+        inputs: Inputs that were measured.
+        failure: Why something could not be measured.
+    """
+
+    pairs: tuple[Pair, ...] = ()
+    at_start: tuple[Pair, ...] = ()
+    inputs: frozenset[str] = frozenset()
+    failure: str = ""
+
+
+def undeclared_inputs(system: System) -> dict[str, frozenset[str]]:
+    """Return component → inputs within open loops that have no declared dependencies.
+
+    Inputs of FMUs in event mode whose values settle at each instant need none.
+    """
+    undeclared = {}
+    transfers = [transfer.name.partition(".") for loop in system.opened for transfer in loop.transfers]
+    for component in (stage.component for stage in system.stages):
+        inputs = [name for owner, _, name in transfers if owner == component.name]
+        if isinstance(component, EventFmu):
+            inputs = [name for name in inputs if not component.settles(name)]
+        if names := frozenset(f"{component.name}.{n}" for n in inputs if component.depends_on(n) is None):
+            undeclared[component.name] = names
+    return undeclared
+
+
+def examine(
+    examination: Callable[..., Any],
+    system: System,
+    grid: tuple[int, float],
+    worker: Worker | None,
+    limits: Limits,
+    *arguments: Any,
+    spent: list[float] | None = None,
+) -> Any:
+    """Return what an examination of opened components finds.
+
+    Args:
+        examination: Function of a master in initialization mode, and of arguments.
+        grid: Number of the steps and their length [s].
+        worker: Process for the FMUs; None for this one, without limits.
+        spent: Time [s] without loading, increased by the examination.
+
+    Raises:
+        FmuError: An FMU does not load.
+        SimulationError: A component failed.
+    """
+    if worker is None:
+        return _examined(examination, system, grid, None, *arguments)
+    calls = [fmi_calls(getattr(stage.component, "description", None)) for stage in system.stages]
+    watch = Watch(system.names, calls, limits=limits, spent=[0.0] if spent is None else spent)
+    return worker.call(_examined, examination, system, grid, limits, *arguments, watch=watch)
+
+
+@far_beyond
+def _examined(
+    examination: Callable[..., Any], system: System, grid: tuple[int, float], limits: Limits | None, *arguments: Any
+) -> Any:
+    rows = Rows.in_memory(2, len(system.columns))
+    if limits is not None:
+        system, rows = in_own_processes(system, limits), replace(rows, doing=here.progress.doing)
+    master = Master(system, *grid, None, rows)
+    try:
+        master.open()
+        return examination(master, *arguments)
+    finally:
+        for component in master.components:
+            master.announce(component)
+            component.close()
+
+
+# -- states ------------------------------------------------------------------------------------------
+
+
+def without_ended_states(
+    system: System,
+    grid: tuple[int, float],
+    start: Continuation,
+    end: int,
+    worker: Worker | None,
+    limits: Limits,
+) -> tuple[Continuation, list[str]]:
+    """Return a continuation without the states of FMUs that refuse to step beyond an end, and these FMUs.
+
+    Args:
+        grid: Number of steps of the longer run, and their length [s].
+        end: Communication point of the end of the run that saved the states.
+        worker: Process for the FMUs; None for this one, without limits.
+
+    Raises:
+        FmuError: An FMU does not load.
+    """
+    state = {} if start.state is None else unpack(start.state)
+    states = state.get("components", {})
+    saved = {
+        c.name: states[c.name] for s in system.stages if isinstance(c := s.component, FmuBlock) and states.get(c.name)
+    }
+    if not saved:
+        return start, []
+    try:
+        ended = examine(ended_states, system, grid, worker, limits, start.values[-1], saved, start.count - 1, end)
+    except (Interrupted, Signalled):
+        raise
+    except SimulationError:  # a crash or a limit: none of the states has proved its use
+        ended = [*saved]
+    if not ended:
+        return start, []
+    state = {**state, "components": {**states, **dict.fromkeys(ended)}}
+    return replace(start, state=pack(state)), ended
+
+
+def ended_states(master: Master, row: Sequence[float], states: Mapping[str, Any], last: int, end: int) -> list[str]:
+    """Return the FMUs whose restored states refuse to step beyond an end.
+
+    Args:
+        row: Last row.
+        last: Communication point of the states, `end` that of the end.
+    """
+    Initialization(master, master.solvers).run()
+    ended = []
+    for stage in master.system.stages:
+        component: Any = stage.component
+        if component.name not in states:
+            continue
+        master.row[:] = [*row]
+        master.announce(component)
+        try:
+            component.restore(states[component.name])
+            step, every, length, *_ = master.active(stage)
+            for k in range((last // every + 1) * every, min(end + BEYOND * every, master.steps) + 1, every):
+                since = master.system.start + (k - every) * master.h
+                step(since, length or float(master.time[k]) - since)
+        except SimulationError:
+            ended.append(component.name)
+    return ended
+
+
+# -- direct feedthrough -------------------------------------------------------------------------------
+
+
+def measure_feedthrough(master: Master) -> Feedthrough:
+    """Return the feedthrough of undeclared inputs in the open loops of a system."""
+    system = master.system
+    failure = _exchange(master)
+    members = [m for loop in system.opened for m in members_of(loop, system, master.row)]
+    undeclared = frozenset[str]().union(*undeclared_inputs(system).values())
+    places = [[k for k in m.inputs if system.columns[k] in undeclared] for m in members]
+    asked = [(member, each) for member, each in zip(members, places, strict=True) if each]
+    first = _measure(master, asked)
+    for component in master.components:
+        master.announce(component)
+        component.start()
+    for component in master.components:
+        with suppress(SimulationError):  # It may refuse the start values.
+            component.get()
+    later = _measure(master, asked)
+    inputs = first.inputs & later.inputs
+    at_start = tuple(pair for pair in first.pairs if pair not in later.pairs and pair[1] in inputs)
+    return Feedthrough(later.pairs, at_start, inputs, failure)
+
+
+def _exchange(master: Master) -> str:
+    """Exchange values a few times, as long as all components accept them; return the first refusal.
+
+    A component of a loop may refuse the start values of the others. It is then measured at its own.
+    """
+    exchange = Initialization(master)
+    for sweep in range(SWEEPS):
+        before = list(master.row)
+        try:
+            exchange.sweep()
+        except SimulationError as error:
+            if isinstance(error, EarlyEnd) or any(is_lost(component) for component in master.components):
+                raise
+            master.row[:] = before
+            return "" if sweep else f": {error}"
+    return ""
+
+
+def _measure(master: Master, asked: Sequence[tuple[Member, list[int]]]) -> Feedthrough:
+    """Return the outputs that follow inputs now."""
+    names, row = master.system.columns, master.row
+    pairs: list[Pair] = []
+    measured: set[str] = set()
+    for member, places in asked:
+        before = list(row)
+        follows = np.zeros((len(member.outputs), len(places)), bool)
+        accepts = np.zeros(len(places), bool)
+        for k, share in enumerate((0.0, IRREGULAR, *OTHERS)):
+            if k > 1 and accepts.any():
+                break
+            for j, place in enumerate(places):
+                if not master.system.signals[names[place]].is_whole:
+                    row[place] = before[place] + share * (1.0 + 0.1 * j) * _size(master, member, place)
+            with suppress(SimulationError):
+                member.evaluate(master.doing)
+                base = member.values()
+                member.evaluate(master.doing)
+                noise = NOISE * np.abs(member.values() - base)
+                for j, place in enumerate(places):
+                    for value in _displaced(master, member, place):
+                        values = member.try_at(master.doing, place, value)
+                        if values is not None:
+                            accepts[j] = True
+                            least = np.maximum(noise, LEAST * np.maximum(np.abs(base), np.abs(values)))
+                            follows[:, j] |= np.abs(values - base) > least
+        measured |= {names[places[j]] for j in np.flatnonzero(accepts)}
+        row[:] = before
+        with suppress(SimulationError):
+            member.evaluate(master.doing)
+        pairs += [(names[member.outputs[i]], names[places[j]]) for i, j in zip(*np.nonzero(follows), strict=True)]
+    return Feedthrough(tuple(pairs), (), frozenset(measured))
+
+
+def _displaced(master: Master, member: Member, place: int) -> list[float]:
+    """Return other values of an input."""
+    value, signal = master.row[place], master.system.signals[master.system.columns[place]]
+    if signal.kind == "Boolean":
+        return [1.0 - value]
+    if signal.items:
+        return [float(item) for item in signal.items.values() if item != value][:MOST_ITEMS]
+    if signal.is_whole:
+        return [value + 1.0, value - 1.0]
+    return [value + share * _size(master, member, place) for share in PROBES]
+
+
+def _size(master: Master, member: Member, place: int) -> float:
+    variable = master.system.columns[place].partition(".")[2]
+    return max(abs(master.row[place]), nominal_of(member.component, variable))

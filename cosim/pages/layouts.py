@@ -1,0 +1,158 @@
+"""Layouts of the page by name, in one JSON file."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, Field, FiniteFloat, ValidationError
+
+from cosim.base.errors import Fault, InputError, refuse
+from cosim.storage.files import open_bytes, parse_json, write_json
+
+SCHEMA_VERSION = 1
+LONGEST = 80  # characters of a name
+MOST_AXES = 4  # of a plot
+MOST_BYTES = 1 << 26  # of a file
+MOST_FAULTS = 10  # told of a file
+LayoutName = Annotated[str, Field(min_length=1, max_length=LONGEST, pattern=r"\S")]
+
+
+class SignalPlace(BaseModel):
+    """A signal of a run, by the name of the run."""
+
+    run: str
+    name: str
+
+
+class Curve(SignalPlace):
+    """A curve, with the number of its colour."""
+
+    colour: int = Field(0, ge=0)
+    hidden: bool = False
+
+
+class Axis(BaseModel):
+    """An axis with its curves; without a range it takes that of the values."""
+
+    range: tuple[FiniteFloat, FiniteFloat] | None = None
+    curves: list[Curve]
+
+
+class Plot(BaseModel):
+    """A plot over time, or over another signal."""
+
+    kind: Literal["time", "xy"] = "time"
+    across: SignalPlace | None = None
+    axes: list[Axis] = Field(max_length=MOST_AXES)
+
+
+class DerivedSignal(BaseModel):
+    """A derived signal of the run of its first letter."""
+
+    name: str
+    formula: str
+    unit: str = ""
+    of: dict[str, SignalPlace] = Field(min_length=1)
+
+
+class View(BaseModel):
+    """The range of time in sight [s]."""
+
+    begin: FiniteFloat = Field(alias="from")
+    end: FiniteFloat = Field(alias="to")
+
+
+class Layout(BaseModel):
+    """Plots, range of time and derived signals."""
+
+    plots: list[Plot]
+    view: View | None = None
+    derived: list[DerivedSignal] = []
+
+
+class LayoutFile(BaseModel):
+    """Layouts by name; further keys are of other versions."""
+
+    schema_version: Literal[1]
+    layouts: dict[LayoutName, Layout]
+
+
+def check_layouts(file: Path, content: Any) -> dict[str, Any]:
+    """Return the layouts of a file's content.
+
+    Raises:
+        InputError: The content is no file of layouts; it lists the faults by their places.
+    """
+    if not isinstance(content, dict) or content.get("schema_version") != SCHEMA_VERSION:
+        raise InputError.at(file, "is no file of layouts of `cosim view`; name another one as --layout")
+    try:
+        LayoutFile.model_validate(content)
+    except ValidationError as error:
+        refuse(Fault(file, 0, 0, _message(fault)) for fault in error.errors(include_url=False)[:MOST_FAULTS])
+    layouts: dict[str, Any] = content["layouts"]
+    return layouts
+
+
+WORDS = {
+    "Input should be ": "it should be ",
+    "a valid dictionary": "an object",
+    "a valid list": "a list",
+    "a valid string": "text",
+    "Field required": "it is missing",
+    "Dictionary should have at least 1 item after validation, not 0": "it names no signal",
+    r"String should match pattern '\S'": "a name is not blank",
+}
+
+
+def _message(fault: Any) -> str:
+    """Return a message on a part of a file that is not as it should be."""
+    reason = fault["msg"]
+    for theirs, ours in WORDS.items():
+        reason = reason.replace(theirs, ours)
+    place = ".".join(str(part) for part in fault["loc"] if part != "[key]")
+    return f"{place}: {reason}; correct it, or save this layout again in the page"
+
+
+class Layouts:
+    """Layouts in a file, which is read at the start and written as a whole.
+
+    Raises:
+        InputError: The file is there and holds no layouts.
+    """
+
+    def __init__(self, file: Path) -> None:
+        self.file, self._lock = file, threading.Lock()
+        self.read()
+
+    def read(self) -> dict[str, Any]:
+        """Return name → layout."""
+        try:
+            with open_bytes(self.file) as stream:
+                content = parse_json(stream.read(MOST_BYTES))
+        except FileNotFoundError:
+            return {}
+        except (OSError, ValueError, RecursionError):
+            content = None
+        return check_layouts(self.file, content)
+
+    def put(self, name: Any, layout: Any) -> dict[str, Any]:
+        """Save a layout under a name, or remove it if it is None; return all."""
+        if not isinstance(name, str):
+            raise InputError.at(self.file, "the request is not understood: a layout has a name")
+        if layout is not None:
+            check_layouts(self.file, {"schema_version": SCHEMA_VERSION, "layouts": {name: layout}})
+        with self._lock:
+            layouts = {key: value for key, value in self.read().items() if key != name}
+            if layout is not None:
+                layouts[name] = layout
+            try:
+                self.file.parent.mkdir(parents=True, exist_ok=True)
+                write_json(self.file, {"schema_version": SCHEMA_VERSION, "layouts": layouts})
+            except OSError as error:
+                raise InputError.at(
+                    self.file,
+                    f"cannot be written: {error.strerror}; download the layout, or name another file as --layout",
+                ) from None
+        return layouts

@@ -1,0 +1,211 @@
+"""Runs of a signal browser: results by number, name or pattern, folders and tables."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from cosim.base.drafts import is_full
+from cosim.base.errors import Fault, InputError, refuse
+from cosim.base.messages import Note
+from cosim.history.entries import Entry, entries
+from cosim.history.selection import Selected, select_groups
+from cosim.pages.rows import Recording
+from cosim.pages.tables import ColumnTypes, Progress, open_rows
+from cosim.storage.folders import manifest_in, replay_record, run_name, status_in, warnings_on
+from cosim.storage.kinds import LOG, check_given, refuse_folder
+from cosim.storage.results import rows_in
+
+NO_ROWS = "has no rows to draw{status}; give folders of runs, or tables with time in the first column"
+MAX_RUNS = 20  # shown without names
+MAX_NAMES = 5  # signals in a note
+LOOK = 1.0  # [s] between looks at a file
+SHARE = 5.0  # times the time of reading a growing file, until it is read again
+WANTED = "the folder of a run or a table of its rows"
+Bar = Callable[[str], AbstractContextManager[Callable[[int, int], None] | None]]
+
+
+@dataclass(frozen=True)
+class RunPlace:
+    """A table of rows and its names.
+
+    Attributes:
+        name: Name in layouts, the same for the next run of a name.
+        label: Name on the page, different for each run.
+        is_named: Whether the user named this one; a fault of it is then an error.
+        entry: Results in a folder of results; None for other paths.
+    """
+
+    name: str
+    label: str
+    file: Path
+    is_named: bool = True
+    entry: Entry | None = None
+
+
+class ViewedRun:
+    """A run on the page, whose file may grow.
+
+    Args:
+        rows: Rows that another one adds to; by default those of the file.
+
+    Attributes:
+        notes: Warnings on its rows.
+        lost: Reason why no more rows are read; "" in general.
+
+    Raises:
+        InputError: The table has faults, or no rows.
+    """
+
+    def __init__(self, place: RunPlace, progress: Progress = None, rows: Recording | None = None) -> None:
+        self.place, self.lost, self.notes = place, "", list[str]()
+        self._due = 0.0  # [s] next time at which a growing file may be read again
+        self._state, self._is_fed = file_state(place.file), rows is not None
+        self.rows = self._open(progress) if rows is None else rows
+
+    def _open(self, progress: Progress) -> Recording:
+        folder, begin = self.place.file.parent, time.monotonic()
+        manifest = manifest_in(folder)
+        units: Any = manifest.get("units") or replay_record(folder).get("units") or {}
+        columns = ColumnTypes(units, manifest.get("beside", ()), frozenset(manifest.get("texts", ())))
+        rows = open_rows(self.place.file, columns, progress)
+        if self.place.entry is not None and not self._due:
+            self.place.entry.check_current()
+        self.notes = [*warnings_on(folder)]
+        for names, text in (
+            (rows.rounded, "drawn as the nearest double; the cursor shows all digits"),
+            (rows.inexact, "read as the nearest double"),
+        ):
+            if names:
+                some = ", ".join(names[:MAX_NAMES])
+                self.notes.append(Note(f"{self.place.label}: integers of {some} above 2^53 are {text}"))
+        self._due = time.monotonic() + max(LOOK, SHARE * (time.monotonic() - begin))
+        return rows
+
+    def check(self) -> bool:
+        """Return whether the file is still there."""
+        if not self.lost and not self._is_fed and not self.place.file.is_file():
+            self.lost = f"{self.place.label} was removed or replaced; what is drawn of it stays, zoom shows the others"
+        return not self.lost
+
+    def follow(self) -> bool:
+        """Read a changed file again; return whether there are other rows. A file with other signals is another run."""
+        state = file_state(self.place.file)
+        if self._is_fed or self.lost or state in {self._state, (0, 0)} or time.monotonic() < self._due:
+            return False
+        try:
+            rows = self._open(None)
+        except (InputError, OSError):
+            return False  # it is being written
+        if [*rows.units] != [*self.rows.units] or rows.rows < self.rows.rows:
+            self.lost = f"{self.place.label} was removed or replaced; what is drawn of it stays, zoom shows the others"
+            return False
+        for name, unit in self.rows.added.items():
+            rows.add(name, self.rows.read(name), unit)
+        self._state, self.rows = state, rows
+        return True
+
+
+def file_state(file: Path) -> tuple[int, int]:
+    """Return size and time of a file, zeros for a missing one."""
+    try:
+        status = file.stat()
+    except OSError:
+        return 0, 0
+    return status.st_size, status.st_mtime_ns
+
+
+def find_runs(texts: Sequence[str], results: Path) -> tuple[list[RunPlace], list[str]]:
+    """Return the tables of numbers, names, patterns, folders and files, by default of the newest results.
+
+    Raises:
+        InputError: A text means no results, or no results have rows.
+    """
+    notes: list[str] = []
+    if not texts:
+        found = [place for entry in entries(results) if (place := _of_entry(entry, is_named=False)) is not None]
+        if not found:
+            raise InputError.at(results, "holds no results with rows; run a scenario first, or name folders and tables")
+        if len(found) > MAX_RUNS:
+            notes.append(Note(f"the newest {MAX_RUNS} of {len(found)} results are shown; name the others"))
+        return _differing(found[-MAX_RUNS:]), notes
+    found, faults = list[RunPlace](), list[Fault]()
+    for text, group in zip(texts, select_groups(texts, results), strict=True):
+        try:
+            found += _places_of(text, group)
+        except InputError as error:
+            faults += error.faults
+    refuse(faults)
+    return _differing(list({place.file.resolve(): place for place in found}.values())), notes
+
+
+def open_runs(places: Iterable[RunPlace], bar: Bar) -> tuple[list[ViewedRun], list[str]]:
+    """Open tables, converting large ones; return the runs, and warnings on runs that are left out.
+
+    Raises:
+        InputError: A named table has faults, or no table can be opened.
+    """
+    runs, notes, faults, named = list[ViewedRun](), list[str](), list[Fault](), list[Fault]()
+    for place in places:
+        try:
+            with bar(f"converting {place.label}") as progress:
+                runs.append(ViewedRun(place, progress))
+            notes += [note for note in runs[-1].notes if note not in notes]
+        except (InputError, OSError) as caught:
+            if is_full(caught):
+                raise
+            error = caught
+            if isinstance(error, FileNotFoundError):
+                gone = "was removed while it was read; repeat the command with the results that are left"
+                error = InputError.at(place.file, gone)
+            elif isinstance(error, OSError):
+                error = InputError.at(place.file, f"cannot be read: {error.strerror}")
+            (named if place.is_named else faults).extend(error.faults)
+            reason = str(error).partition("\n")[0]
+            notes.append(f"{place.label} is left out: {reason}")
+    refuse(named or (faults if not runs else ()))
+    return runs, notes
+
+
+def _places_of(text: str, group: Sequence[Selected]) -> list[RunPlace]:
+    """Return the tables of results that a text names; a pattern leaves out results without rows."""
+    found: list[RunPlace] = []
+    for selected in group:
+        path, entry = selected.path, selected.entry
+        if not path.is_dir():
+            check_given(path, LOG)
+            found.append(RunPlace(path.stem, path.stem, path))
+        elif entry is not None and (place := _of_entry(entry, is_named=not selected.by_pattern)) is not None:
+            found.append(place)
+        elif entry is None and (rows := rows_in(path)) is not None:
+            name = run_name(path)
+            found.append(RunPlace(name, name, rows))
+        elif not selected.by_pattern:
+            refuse_folder(path, WANTED)
+            raise InputError.at(path, NO_ROWS.format(status=status_in(path)))
+    if group and not found:
+        raise InputError.at(Path(text), NO_ROWS.format(status=""))
+    return found
+
+
+def _of_entry(entry: Entry, *, is_named: bool) -> RunPlace | None:
+    rows = rows_in(entry.folder)
+    name = entry.of if entry.is_newest else entry.name
+    return None if rows is None else RunPlace(name, entry.label, rows, is_named, entry)
+
+
+def _differing(places: Sequence[RunPlace]) -> list[RunPlace]:
+    """Return places whose names and labels differ from each other: equal ones get their path."""
+    names, labels = [p.name for p in places], [p.label for p in places]
+    return [
+        replace(
+            p,
+            name=p.name if names.count(p.name) == 1 else str(p.file.parent / p.name),
+            label=p.label if labels.count(p.label) == 1 else f"{p.label} ({p.file})",
+        )
+        for p in places
+    ]

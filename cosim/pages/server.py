@@ -1,0 +1,309 @@
+"""Server on 127.0.0.1 for the browser of one user, which other users and other sites can neither read nor steer.
+
+Every address begins with a random token, http://127.0.0.1:PORT/TOKEN/…; anything else is not found. There is no cookie,
+because browsers send a cookie to every port of a host, also to the server of another user. `Host` must name this
+server, so that no other name can be bound to its address, and `Origin`, if any, must be this server. No other origin is
+allowed to read answers (CORS).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import errno
+import hashlib
+import html as html_text
+import json
+import os
+import re
+import secrets
+import socket
+import sys
+import threading
+import time
+import webbrowser
+from collections.abc import AsyncIterator, Callable, Mapping
+from pathlib import Path
+from typing import Any, Self
+
+import uvicorn
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import JSONResponse, RedirectResponse, Response, StreamingResponse
+from starlette.routing import Route
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from cosim.base.errors import CosimError, InputError
+from cosim.base.messages import Note, printable_json
+from cosim.base.scratch import process_folder
+from cosim.storage.files import parse_json
+
+ADDRESS = "127.0.0.1"
+MAX_BODY = 1 << 16  # [bytes]
+MAX_CONNECTIONS = 64
+TICK = 0.1  # [s] between two states sent to a page
+ALIVE = 1.0  # [s] between signs of life in a stream of states
+FIRST_PAGE = 20.0  # [s] until a page must have been opened
+RELOAD = 2.0  # [s] without a page, as during a reload, after which the server ends
+DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")
+NOTHING = "default-src 'none'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+SANDBOX = "sandbox allow-scripts allow-downloads allow-modals"  # a page in an origin of its own
+SAFE = {
+    "Cache-Control": "no-store",
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Content-Security-Policy": NOTHING,
+}
+OPENING = (
+    '<!DOCTYPE html><meta charset="utf-8"><meta http-equiv="refresh" content="0; url={url}"><title>{title}</title>'
+)
+Handler = Callable[[Request, Any], Response]  # request and its decoded JSON
+
+
+class Json(JSONResponse):
+    """JSON whose texts a page can show: control characters are escapes."""
+
+    def render(self, content: Any) -> bytes:
+        """Return the body."""
+        return printable_json(json.dumps(content)).encode()
+
+
+def html_response(page: str, *, alone: bool = False) -> Response:
+    """Return a page that may run and show its own inline scripts and styles only.
+
+    Args:
+        alone: Whether the page gets an origin of its own, so that its scripts cannot reach the server, e.g. a report.
+    """
+    allowed = []
+    for kind in ("script", "style"):
+        texts = re.findall(rf"<{kind}>(.*?)</{kind}>", page, re.DOTALL)
+        digests = (base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in texts)
+        allowed.append(" ".join(f"'sha256-{digest}'" for digest in digests) or "'none'")
+    parts = [NOTHING, f"script-src {allowed[0]}", f"style-src-elem {allowed[1]}"]
+    parts += ["style-src-attr 'unsafe-inline'", "img-src data: blob:"]  # Charts place their ticks by attributes.
+    policy = "; ".join([*parts, SANDBOX if alone else "connect-src 'self'"])
+    return Response(page, media_type="text/html", headers={"Content-Security-Policy": policy})
+
+
+class ServedPage:
+    """A page whose state is sent to the browser at each change; a context manager, which listens from its creation.
+
+    Subclasses add routes and parts of the state. State is read and written in any thread.
+
+    Args:
+        page: HTML of the page.
+        port: 0 for any free port.
+        state: State at the beginning.
+
+    Attributes:
+        streams: Number of open pages.
+        opened: Whether a page has ever been open.
+
+    Raises:
+        InputError: The port cannot be used.
+    """
+
+    def __init__(self, page: str, port: int = 0, **state: Any) -> None:
+        self._lock = threading.RLock()
+        self._state: dict[str, Any] = state
+        self._version = 0
+        self.streams, self.opened = 0, False
+        self.token = secrets.token_urlsafe(32)
+        self._socket = _listen(port)
+        self.port: int = self._socket.getsockname()[1]
+        routes = {"GET /": lambda request, _: html_response(page), **self.routes()}
+        found = [Route(path, _endpoint(handler), methods=[method]) for method, path, handler in _split(routes)]
+        failures: Any = {HTTPException: _refused, CosimError: _refused, OSError: _refused, Exception: _refused}
+        app = Starlette(routes=[Route("/events", self._events), *found], exception_handlers=failures)
+        settings = uvicorn.Config(
+            _Guard(app, self),
+            log_level="critical",
+            lifespan="off",
+            access_log=False,
+            server_header=False,
+            limit_concurrency=MAX_CONNECTIONS,
+            timeout_graceful_shutdown=0,
+        )
+        self._server = uvicorn.Server(settings)
+        self._thread = threading.Thread(target=self._server.run, args=([self._socket],), daemon=True)
+        self._thread.start()
+
+    @property
+    def origin(self) -> str:
+        """Return the origin of all pages."""
+        return f"http://{ADDRESS}:{self.port}"
+
+    @property
+    def url(self) -> str:
+        """Return the address of the page, with the token."""
+        return f"{self.origin}/{self.token}/"
+
+    def routes(self) -> Mapping[str, Handler]:
+        """Return further routes: method and path, e.g. `GET /rows`, to handler."""
+        return {}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: Any) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End all streams and connections; repeated calls are harmless."""
+        self._server.should_exit = self._server.force_exit = True
+        self._thread.join()
+        self._socket.close()
+
+    # -- state ---------------------------------------------------------------------------------------
+
+    def update(self, **state: Any) -> None:
+        """Change parts of the state; a page shows them within `TICK`."""
+        with self._lock:
+            self._state |= state
+            self._version += 1
+
+    def state(self) -> dict[str, Any]:
+        """Return the whole state, as JSON allows it."""
+        with self._lock:
+            return {**self._state}
+
+    def version(self) -> Any:
+        """Return a value that changes with the state."""
+        return self._version
+
+    def _events(self, request: Request) -> Response:
+        return StreamingResponse(self._states(), media_type="text/event-stream")
+
+    async def _states(self) -> AsyncIterator[str]:
+        last, sent = None, 0.0
+        self.streams, self.opened = self.streams + 1, True
+        try:
+            while not self._server.should_exit:
+                if (version := await run_in_threadpool(self.version)) != last:
+                    last, sent = version, time.monotonic()
+                    yield f"data: {printable_json(json.dumps(await run_in_threadpool(self.state)))}\n\n"
+                elif time.monotonic() - sent > ALIVE:
+                    sent = time.monotonic()
+                    yield ":\n\n"  # fails if the page is gone
+                await asyncio.sleep(TICK)
+        finally:
+            self.streams -= 1
+
+    def wait_for_close(self, say: Callable[[str], None], first: float = FIRST_PAGE, reload: float = RELOAD) -> None:
+        """Serve until the last page is closed, or until a stop.
+
+        Args:
+            first: Longest time until the first page [s].
+        """
+        since = time.monotonic()
+        try:
+            if self.streams or (first and not self.opened):
+                say(Note("the page stays until it is closed in the browser; Ctrl-C ends it"))
+            while self.streams or time.monotonic() - since < (reload if self.opened else first):
+                if self.streams:  # Without a page, a reload has its full time.
+                    since = time.monotonic()
+                time.sleep(TICK)
+        finally:
+            self.close()
+
+
+class _Guard:
+    """The check of each request: host, origin and token, which the path then lacks; and headers of each answer."""
+
+    def __init__(self, app: ASGIApp, page: ServedPage) -> None:
+        self._app, self._page = app, page
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        async def send_safely(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                present = {name for name, _ in message["headers"]}
+                safe = {name.lower().encode(): value.encode() for name, value in SAFE.items()}
+                message["headers"] += [(name, value) for name, value in safe.items() if name not in present]
+            await send(message)
+
+        page, values = self._page, [(name.decode("latin-1"), v.decode("latin-1")) for name, v in scope["headers"]]
+        token, slash, path = scope["path"].removeprefix("/").partition("/")
+        origins, headers = [v for name, v in values if name == "origin"], dict(values)
+        is_foreign = headers.get("sec-fetch-site") not in {None, "same-origin", "none"}
+        if [v for name, v in values if name == "host"] != [page.origin.removeprefix("http://")]:
+            answer: ASGIApp = Json({"error": "wrong host"}, 403)
+        elif set(origins) - {page.origin} or (is_foreign and headers.get("sec-fetch-mode") != "navigate"):
+            answer = Json({"error": "wrong origin"}, 403)
+        elif not secrets.compare_digest(token.encode(), page.token.encode()):
+            answer = Json({"error": "not found"}, 404)
+        elif not slash:  # Addresses in pages are relative.
+            answer = RedirectResponse(f"/{page.token}/", 308)
+        else:
+            scope, answer = {**scope, "path": f"/{path}"}, self._app
+        await answer(scope, receive, send_safely)
+
+
+def _split(routes: Mapping[str, Handler]) -> list[tuple[str, str, Handler]]:
+    return [(*route.split(" ", 1), handler) for route, handler in routes.items()]  # type: ignore[misc]
+
+
+def _endpoint(handler: Handler) -> Callable[[Request], Any]:
+    async def answer(request: Request) -> Response:
+        content = None
+        if request.method == "POST":
+            if request.headers.get("content-type", "").partition(";")[0].strip() != "application/json":
+                raise HTTPException(415, "the content is application/json")
+            if not request.headers.get("content-length", "").isdecimal():
+                raise HTTPException(411, "Content-Length is missing")
+            if int(request.headers["content-length"]) > MAX_BODY:
+                raise HTTPException(413, f"the content is longer than {MAX_BODY} bytes")
+            try:
+                content = parse_json(await request.body())
+            except (ValueError, RecursionError):
+                raise HTTPException(400, "the content is no JSON") from None
+        return await run_in_threadpool(handler, request, content)
+
+    return answer
+
+
+def _refused(request: Request, error: Exception) -> Response:
+    """Return the answer to a request that fails; a fault of a handler must not end the program of the user."""
+    if isinstance(error, HTTPException):
+        return Json({"error": str(error.detail).lower()}, error.status_code)
+    if isinstance(error, CosimError):
+        return Json({"error": str(error), "kind": type(error).__name__}, 400)
+    return Json({"error": f"{type(error).__name__}: {error}"}, 500)
+
+
+def _listen(port: int) -> socket.socket:
+    """Return a socket that listens on a port."""
+    made, cure = socket.socket(), "give another one, or 0 for any free port"
+    if os.name == "posix":  # On Windows another program could then listen on the same port.
+        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        made.bind((ADDRESS, port))
+        made.listen(MAX_CONNECTIONS)
+    except (OSError, OverflowError) as error:
+        made.close()
+        is_used = isinstance(error, OSError) and error.errno == errno.EADDRINUSE
+        reason = "ports are numbers from 1 to 65535" if isinstance(error, OverflowError) else error.strerror
+        fault = "is in use by another program" if is_used else f"cannot be used: {reason}"
+        raise InputError.at(Path("--port"), f"port {port} {fault}; {cure}") from None
+    return made
+
+
+# -- the user's browser ---------------------------------------------------------------------------
+
+
+def open_page(url: str, title: str) -> bool:
+    """Open an address in the browser; return whether a browser was started.
+
+    The browser gets a file of this user that leads to the address: the command line of a browser, which all users of
+    the machine can read, then has no token.
+    """
+    if not (os.name == "nt" or sys.platform == "darwin" or any(os.environ.get(name) for name in DISPLAYS)):
+        return False
+    page = process_folder() / "open.html"
+    page.touch(0o600)
+    page.write_text(OPENING.format(url=html_text.escape(url), title=html_text.escape(title)), encoding="utf-8")
+    return webbrowser.open(page.resolve().as_uri())

@@ -1,0 +1,306 @@
+"""The signal browser: points of pictures, values at the cursor, derived signals, exports, layouts."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from starlette.background import BackgroundTask
+from starlette.requests import Request
+from starlette.responses import FileResponse, Response
+
+from cosim.base.arrays import Array, Rows
+from cosim.base.errors import InputError
+from cosim.base.scratch import process_folder
+from cosim.base.version import __version__
+from cosim.pages.formulas import Definition, Derivations
+from cosim.pages.layouts import Layouts, check_layouts
+from cosim.pages.rows import TIME, Picture
+from cosim.pages.runs import LOOK, ViewedRun
+from cosim.pages.server import Handler, Json, ServedPage
+from cosim.report.template import render
+from cosim.storage.csv_source import cell_text, write_table
+from cosim.storage.files import parse_json
+
+TEMPLATE = Path(__file__).with_name("templates") / "view.html.j2"
+MAX_WIDTH, MAX_POINTS = 8192, 20_000  # pixel columns of a picture, points of a plane
+MAX_CELLS = 50_000_000  # values of an exported table
+LOST = (np.array([-1.0, 0.0]),)  # in the place of points of a run that is lost
+
+
+class Viewer:
+    """Runs of a page; rows are read for what the page shows only.
+
+    Args:
+        notes: Texts shown at the beginning.
+    """
+
+    def __init__(self, runs: Sequence[ViewedRun], layouts: Layouts | None, notes: Sequence[str] = ()) -> None:
+        self.runs, self._layouts, self._notes = list(runs), layouts, list(notes)
+        self._looked, self._exports = 0.0, count()
+        self._lock = threading.Lock()
+        self._derivations = Derivations(self.runs)
+
+    def routes(self) -> dict[str, Handler]:
+        """Return the routes of the page."""
+        return {
+            "GET /about": self._about,
+            "POST /points": self._points,
+            "POST /plane": self._plane,
+            "POST /values": self._values,
+            "POST /texts": self._texts,
+            "POST /derive": self._derive,
+            "POST /layouts": self._save_layout,
+            "GET /export.csv": self._export,
+        }
+
+    def state(self) -> dict[str, Any]:
+        """Return the numbers of rows, the spans of time, and the reasons why runs are lost."""
+        with self._lock:
+            if time.monotonic() - self._looked > LOOK:
+                grown = [k for k, run in enumerate(self.runs) if run.check() and run.follow()]
+                self._derivations.renew(grown)
+                self._looked = time.monotonic()
+        spans = [[run.rows.rows, *run.rows.span()] for run in self.runs]
+        return {"lost": [run.lost for run in self.runs if run.lost], "spans": spans}
+
+    # -- requests -------------------------------------------------------------------------------------
+
+    def _about(self, request: Request, _: Any) -> Response:
+        """Return the runs, with names and units of numbers and names of texts; runs with equal signals share them."""
+        sets: list[Any] = []
+        runs = []
+        for number, run in enumerate(self.runs):
+            signals = [[*run.rows.units], [*run.rows.units.values()], [*run.rows.texts]]
+            if signals not in sets:
+                sets.append(signals)
+            first, last = run.rows.span()
+            place = {"name": run.place.name, "label": run.place.label, "file": str(run.place.file)}
+            about = {"set": sets.index(signals), "rows": run.rows.rows, "from": first, "to": last}
+            runs.append({**place, **about, "derived": self._derivations.of_run(number)})
+        layouts = self._layouts.read() if self._layouts is not None else {}
+        return Json({"runs": runs, "sets": sets, "layouts": layouts, "notes": self._notes})
+
+    def _points(self, request: Request, content: Any) -> Response:
+        """Return for each curve the number of points, whether these are rows, then time, least and largest values.
+
+        A third number says whether the time follows: curves of a run share that of the first one.
+        """
+        begin, end, width = _number(content, "from"), _number(content, "to"), int(_number(content, "width"))
+        if not begin < end or not 0 < width <= MAX_WIDTH:
+            raise _refused("a range of times and a width")
+        pictures: dict[int, Picture] = {}
+
+        def points(run: ViewedRun, name: str) -> list[Array]:
+            if is_first := id(run) not in pictures:
+                pictures[id(run)] = run.rows.picture(begin, end, width)
+            picture = pictures[id(run)]
+            low, high = picture.points(name)
+            is_row = picture.starts is None
+            head = np.array([low.size, float(is_row), float(is_first)])
+            return [head, *([picture.time] if is_first else []), low, *([] if is_row else [high])]
+
+        return _binary([part for curve in self._curves(content) for part in _unless_lost(curve[0], points, *curve)])
+
+    def _plane(self, request: Request, content: Any) -> Response:
+        """Return for each pair of signals the number of points, the distance of their rows, then time, x and y."""
+        begin, end, most = _number(content, "from"), _number(content, "to"), int(_number(content, "width"))
+
+        def plane(run: ViewedRun, x: str, y: str) -> list[Array]:
+            step, columns = run.rows.every([TIME, x, y], begin, end, max(2, min(most, MAX_POINTS)))
+            return [np.array([columns[0].size, float(step)]), *columns]
+
+        curves, across = self._curves(content), self._curves(content, "across")
+        if [run for run, _ in curves] != [run for run, _ in across]:
+            raise _refused("signals of one run for both axes")
+        pairs = [(run, x, y) for (run, x), (_, y) in zip(across, curves, strict=True)]
+        return _binary([part for pair in pairs for part in _unless_lost(pair[0], plane, *pair)])
+
+    def _values(self, request: Request, content: Any) -> Response:
+        """Return time and value of each curve at its last row up to a time; NaN before the first."""
+        at = _number(content, "at")
+
+        def value(run: ViewedRun, name: str) -> list[Array]:
+            row = run.rows.locate(at, "right") - 1
+            return [run.rows.read(each, row, row + 1) if row >= 0 else np.array([np.nan]) for each in (TIME, name)]
+
+        nothing = [np.full(2, np.nan)]
+        return _binary(
+            [p for curve in self._curves(content) for p in _unless_lost(curve[0], value, *curve, lost=nothing)]
+        )
+
+    def _texts(self, request: Request, content: Any) -> Response:
+        """Return the text of each signal at its last row up to a time; null before the first, and of a lost run."""
+        at = _number(content, "at")
+
+        def text(run: ViewedRun, name: str) -> list[str | None]:
+            row = run.rows.locate(at, "right") - 1
+            return [run.rows.text(name, row) if row >= 0 else None]
+
+        curves = self._curves(content, texts=True)
+        return Json([t for curve in curves for t in _unless_lost(curve[0], text, *curve, lost=[None])])
+
+    def _derive(self, request: Request, content: Any) -> Response:
+        """Add, change or remove a derived signal; return the signals with new values."""
+        content = _object(content)
+        if "remove" in content:
+            removed, signal = self._curve(content["remove"])
+            self._derivations.remove(self.runs.index(removed), signal)
+            return Json([])
+        name, text, of, unit = (content.get(key) for key in ("name", "formula", "of", "unit"))
+        if not (isinstance(name, str) and name.strip() and isinstance(text, str) and isinstance(of, dict) and of):
+            raise _refused("a name, a formula and its signals")
+        curves = {str(letter): self._curve(curve) for letter, curve in of.items()}
+        signals = {letter: (self.runs.index(run), each) for letter, (run, each) in curves.items()}
+        try:
+            return Json(self._derivations.define(name, Definition(text, signals, str(unit or ""))))
+        except OSError:
+            lost = next((run.lost for run, _ in curves.values() if not run.check()), "its rows cannot be read")
+            raise InputError.at(Path("formula"), f"cannot be read: {lost}") from None
+
+    def _save_layout(self, request: Request, content: Any) -> Response:
+        """Save a layout, or return the layouts of a file that the page has opened."""
+        content = _object(content)
+        if "file" in content:
+            return Json(check_layouts(Path(str(content["file"])), content.get("content")))
+        if self._layouts is None:
+            raise _refused("a layout to `cosim view`")
+        return Json(self._layouts.put(content.get("name"), content.get("layout")))
+
+    def _export(self, request: Request, _: Any) -> Response:
+        """Return all rows of curves between two times as CSV, time first, a row for each time of any run."""
+        try:
+            content = parse_json(request.query_params.get("of", ""))
+        except (ValueError, RecursionError):
+            content = None
+        begin, end, curves = _number(content, "from"), _number(content, "to"), self._curves(content, texts=True)
+        several = len({id(run) for run, _ in curves}) > 1
+        heads, columns, places = list[str](), list[Array | list[str]](), list[tuple[Array, Rows]]()
+        cells = 0
+        for run, name in curves:
+            first, stop = run.rows.locate(begin), run.rows.locate(end, "right")
+            cells += stop - first
+            if cells > MAX_CELLS:
+                limit = f"more than {MAX_CELLS / 1e6:.0f} million; zoom in first"
+                raise InputError.at(Path("export"), f"these are {cells / 1e6:.0f} million values, {limit}")
+            at, unit = run.rows.read(TIME, first, stop), run.rows.unit(name)
+            heads.append(f"{f'{run.place.label}: ' * several}{name}{f' [{unit}]' * bool(unit)}")
+            columns.append(run.rows.exact(name, first, stop))
+            places.append((at, np.arange(at.size) - np.searchsorted(at, at)))  # the number among rows of one time
+        file = process_folder() / f"view-{next(self._exports)}.csv"
+        write_table(file, ["time", *heads], _joined_rows(places, columns), _cell)
+        remove = BackgroundTask(file.unlink, missing_ok=True)
+        return FileResponse(file, media_type="text/csv", filename="view.csv", background=remove)
+
+    # -- content of requests ----------------------------------------------------------------------------
+
+    def _curves(self, content: Any, key: str = "curves", *, texts: bool = False) -> list[tuple[ViewedRun, str]]:
+        curves = _object(content).get(key)
+        if not isinstance(curves, list):
+            raise _refused("a list of curves")
+        return [self._curve(curve, texts=texts) for curve in curves]
+
+    def _curve(self, curve: Any, *, texts: bool = False) -> tuple[ViewedRun, str]:
+        """Return run and name of a curve, which is [number of the run, name of the signal].
+
+        Args:
+            texts: Whether a signal of texts is meant too.
+        """
+        match curve:
+            case [int(number), str(name)] if 0 <= number < len(self.runs):
+                rows = self.runs[number].rows
+                if name == TIME or name in rows.units or name in rows.added or (texts and name in rows.texts):
+                    return self.runs[number], name
+        raise _refused("a run and a signal that it has")
+
+
+class ViewPage(ServedPage):
+    """The page of finished runs.
+
+    Args:
+        title: Heading.
+        notes: Texts shown at the beginning.
+    """
+
+    def __init__(
+        self, title: str, runs: Sequence[ViewedRun], layouts: Layouts, port: int = 0, *, notes: Sequence[str] = ()
+    ) -> None:
+        self.viewer = Viewer(runs, layouts, notes)
+        super().__init__(view_html(title, is_live=False), port)
+
+    def routes(self) -> Mapping[str, Handler]:
+        """Return further routes."""
+        return self.viewer.routes()
+
+    def state(self) -> dict[str, Any]:
+        """Return the whole state."""
+        return self.viewer.state()
+
+    def version(self) -> Any:
+        """Return a value that changes with the state."""
+        return self.state()
+
+
+def view_html(title: str, *, is_live: bool) -> str:
+    """Return the page of finished runs, or of a running one."""
+    values = {"heading": title, "version": __version__, "activity": "run" if is_live else ""}
+    return render(TEMPLATE, {**values, "data": "{}"}, is_report=False)
+
+
+def _unless_lost(run: ViewedRun, read: Callable[..., list[Any]], *of: Any, lost: Sequence[Any] = LOST) -> Any:
+    """Return what is read of a run; without its file or a file of its cache, the sign of a lost run."""
+    if run.check():
+        try:
+            return read(*of)
+        except OSError:
+            run.lost = f"{run.place.label} cannot be read any more; what is drawn of it stays"
+    return lost
+
+
+def _object(content: Any) -> dict[str, Any]:
+    if not isinstance(content, dict):
+        raise _refused("an object")
+    return content
+
+
+def _number(content: Any, key: str) -> float:
+    value = _object(content).get(key)
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise _refused(f"a finite number for {key}")
+    return float(value)
+
+
+def _refused(wanted: str) -> InputError:
+    return InputError.at(Path("view"), f"the request is not understood: give {wanted}")
+
+
+def _binary(parts: Sequence[Array]) -> Response:
+    body = b"".join(np.ascontiguousarray(part, "<f8").tobytes() for part in parts)
+    return Response(body, media_type="application/octet-stream")
+
+
+def _joined_rows(places: Sequence[tuple[Array, Rows]], columns: Sequence[Array | list[str]]) -> Iterator[list[Any]]:
+    """Yield a row for each time of any column; rows of one time stay several."""
+    if not places:
+        return
+    pairs = np.concatenate([np.column_stack(place) for place in places])
+    rows, at = np.unique(pairs, axis=0, return_inverse=True)
+    kind: Any = np.float64 if all(isinstance(values, np.ndarray) for values in columns) else object
+    table, begin = np.full((len(rows), len(columns)), np.nan, kind), 0
+    for k, values in enumerate(columns):
+        table[at.ravel()[begin : begin + len(values)], k] = values
+        begin += len(values)
+    for moment, cells in zip(rows[:, 0].tolist(), table, strict=True):
+        yield [moment, *cells.tolist()]
+
+
+def _cell(value: float | str) -> str:
+    if isinstance(value, str):
+        return cell_text(value)
+    return "" if math.isnan(value) else repr(value)

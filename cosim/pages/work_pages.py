@@ -1,0 +1,407 @@
+"""Pages of commands that work: a run with changes and pause, a sweep, a refinement; each with stop and report."""
+
+from __future__ import annotations
+
+import math
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from tempfile import mkdtemp
+from typing import Any
+
+import numpy as np
+from starlette.requests import Request
+from starlette.responses import Response
+
+from cosim.base.arrays import Array
+from cosim.base.errors import CosimError, InputError, Interrupted, Signalled, SweepStopped, Terminated
+from cosim.base.messages import Note
+from cosim.base.scratch import process_folder
+from cosim.base.version import __version__
+from cosim.master.inbox import Control
+from cosim.master.observer import ObservedRun, Observer
+from cosim.pages.rows import Store
+from cosim.pages.runs import RunPlace, ViewedRun
+from cosim.pages.server import FIRST_PAGE, RELOAD, Handler, Json, ServedPage, html_response
+from cosim.pages.view_page import Viewer, view_html
+from cosim.refinement.stages import ORDER, Ranked, Watcher, stage_number
+from cosim.report.template import render
+from cosim.simulation.criteria import sentence
+from cosim.simulation.workflow import Outcome
+from cosim.sweeps.run_statistics import share_interval
+from cosim.sweeps.runs import RunResult
+from cosim.sweeps.workflow import CriterionLimit, RunsObserver
+from cosim.system.events import Variable
+
+TEMPLATE = Path(__file__).with_name("templates") / "work.html.j2"
+FINAL = ("finished", "stopped", "failed")
+NO_NUMBERS = {"Boolean", "String", "Binary", "Enumeration"}
+LARGEST_BOUND = 2**31 - 1  # larger bounds are those of a type
+BINS = 24  # of a histogram
+MAX_FAILURES = 5  # reasons on the page
+MAX_RANKED = 12  # hypotheses on the page
+
+
+class WorkPage(ServedPage):
+    """The page of one command; a context manager around the command's work.
+
+    Args:
+        title: Heading until the name is known.
+        port: 0 for any free port.
+        html: The page, by default the one of sweeps and refinements.
+
+    Attributes:
+        activity: Noun for the work, e.g. `run`.
+        report: File of the report, shown after the end.
+    """
+
+    activity = "run"
+
+    def __init__(self, title: str, port: int = 0, html: str = "") -> None:
+        self.report: Path | None = None
+        self._begin, self._has_begun = time.monotonic(), False
+        about = {"heading": title, "activity": self.activity, "version": __version__, "data": "{}"}
+        html = html or render(TEMPLATE, about, is_report=False)
+        super().__init__(html, port, phase="starting", title=title, message="", report=False)
+
+    def routes(self) -> Mapping[str, Handler]:
+        """Return further routes."""
+        return {"POST /stop": self._stop, "GET /report.html": self._show_report}
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, *_: object) -> None:
+        if error is None:
+            self.update(phase="finished")
+            return
+        is_stop = isinstance(error, (Interrupted, Signalled, SweepStopped, KeyboardInterrupt, Terminated))
+        left = getattr(error, "left", None)
+        if left is not None:
+            self.report = left / "report.html"
+        message = str(error) if isinstance(error, CosimError) else type(error).__name__
+        if isinstance(error, (Interrupted, Signalled)):
+            message = Note(f"stopped at t = {error.time:.6g} s; the rows so far are kept")
+        self.update(phase="stopped" if is_stop else "failed", message=message)
+
+    def update(self, **state: Any) -> None:
+        """Change parts of the state."""
+        with self._lock:
+            self._has_begun |= state.get("phase") == "running"
+            super().update(**state)
+
+    @property
+    def has_ended(self) -> bool:
+        """Return whether the work has ended."""
+        return self._state["phase"] in FINAL
+
+    def state(self) -> dict[str, Any]:
+        """Return the whole state, as JSON allows it."""
+        with self._lock:
+            elapsed = self._state.get("elapsed") or time.monotonic() - self._begin
+            if self.has_ended:
+                self._state["elapsed"] = elapsed
+            is_there = self.has_ended and self.report is not None and self.report.is_file()
+            return {**self._state, "elapsed": elapsed, "report": is_there}
+
+    def check_running(self) -> None:
+        """Raise InputError after the end of the work."""
+        if self.has_ended:
+            raise InputError.at(Path(self.activity), f"the {self.activity} has ended, so that nothing can be changed")
+
+    def _stop(self, request: Request, _: Any) -> Response:
+        """Stop the work as Ctrl-C does."""
+        self.check_running()
+        self.update(phase="stopping")
+        # If Ctrl-C is ignored, as in the background of a shell, SIGTERM.
+        number = signal.SIGTERM if signal.getsignal(signal.SIGINT) is signal.SIG_IGN else signal.SIGINT
+        if hasattr(signal, "pthread_kill"):  # Interrupts a wait of the main thread, too.
+            signal.pthread_kill(threading.main_thread().ident or 0, number)
+        else:
+            signal.raise_signal(number)
+        return Json({"ok": True})
+
+    def _show_report(self, request: Request, _: Any) -> Response:
+        try:
+            text = self.report.read_text(encoding="utf-8") if self.report is not None else None
+        except OSError:
+            text = None
+        return Json({"error": "not found"}, 404) if text is None else html_response(text, alone=True)
+
+    def wait_for_close(self, say: Callable[[str], None], first: float = FIRST_PAGE, reload: float = RELOAD) -> None:
+        """Serve until the last page is closed; work that could not begin needs no page."""
+        super().wait_for_close(say, first if self._has_begun else 0.0, reload)
+
+
+class LiveRun(WorkPage, Observer):
+    """An observer that draws the rows of a run in the signal browser and takes changes from the page."""
+
+    def __init__(self, title: str, port: int = 0) -> None:
+        folder = Path(mkdtemp(dir=process_folder()))
+        self._run = ObservedRun((), 0, 0.0, 1.0)
+        self._rows, self._control = Store(folder, {}), None  # type: tuple[Store, Control | None]
+        self._viewer = Viewer([ViewedRun(RunPlace(title, title, folder), rows=self._rows)], None)
+        self._inputs: list[str] = []  # that can be changed
+        self._rate = (0.0, 0.0)  # time of the first row on the clock [s], and its simulated time [s]
+        super().__init__(title, port, view_html(title, is_live=True))
+
+    # -- observer --------------------------------------------------------------------------------
+
+    def begin(self, run: ObservedRun) -> None:
+        """Prepare for the rows of a run."""
+        folder = Path(mkdtemp(dir=process_folder()))
+        title = str(self._state["title"])
+        with self._lock:
+            self._run, self._control = run, run.control
+            self._rows = Store(folder, {name: run.units.get(name, "") for name in run.columns})
+            self._viewer.runs[:] = [ViewedRun(RunPlace(title, title, folder), rows=self._rows)]
+        names = {v.name for v in (run.control.variables if run.control is not None else ()) if v.is_input}
+        self._inputs = [column for column in run.columns if column in names]
+        self.update(phase="starting", total=run.rows, start=run.start, step=run.step, made=id(run))
+
+    def rows(self, time: Array, values: Array) -> None:
+        """Keep new rows."""
+        if not self._rows.rows:
+            self._rate = _now(), float(time[0])
+            self.update(phase="running")
+        self._rows.append(np.vstack((time, values.T)))
+
+    def end(self) -> None:
+        """Show that the files of the run are being written."""
+        self.update(phase="writing")
+
+    def show_outcome(self, outcome: Outcome) -> None:
+        """Show the criteria and the report of a complete run."""
+        self.report = outcome.folder / "report.html"
+        title = str(outcome.manifest["scenario"]["name"])
+        self.update(title=title, message="; ".join(sentence(c) for c in outcome.manifest["criteria"]))
+
+    # -- state -----------------------------------------------------------------------------------
+
+    def version(self) -> Any:
+        """Return a value that changes with the state."""
+        return self._version, self._rows.rows, self._control is not None and self._control.paused
+
+    def state(self) -> dict[str, Any]:
+        """Return the whole state."""
+        state, run, control = {**super().state(), **self._viewer.state()}, self._run, self._control
+        rows, now = self._rows.rows, self._rows.span()[1] if self._rows.rows else run.start
+        since, first = self._rate
+        duration = _now() - since
+        if state["phase"] == "running":
+            speed = (now - first) / duration if rows > 1 and duration > 0.0 else None
+            self._state["speed"] = state["speed"] = speed
+            if control is not None and control.paused:
+                state["phase"] = "paused"
+        state["changes"] = [
+            {
+                "at": run.start + change.point * run.step,
+                "set": {f"{c}.{v}": value for c, values in change.values.items() for v, value in values.items()},
+            }
+            for change in (control.changes if control is not None else ())
+        ]
+        last = {name: float(self._rows.read(name, rows - 1)[0]) for name in self._inputs if rows}
+        state["values"] = {name: _finite(value) for name, value in last.items()}
+        return {**state, "rows": rows, "now": now, "end": run.start + run.step * max(0, run.rows - 1)}
+
+    # -- requests ---------------------------------------------------------------------------------
+
+    def routes(self) -> Mapping[str, Handler]:
+        """Return further routes."""
+        own = {"GET /variables": self._variables, "POST /set": self._set, "POST /pause": self._pause}
+        return {**super().routes(), **self._viewer.routes(), **own}
+
+    def _variables(self, request: Request, _: Any) -> Response:
+        """Return the variables that can be changed."""
+        variables = [
+            {
+                "name": v.name,
+                "input": v.is_input,
+                "kind": v.kind,
+                "unit": v.unit,
+                "start": _start(v),
+                "bounds": [_finite(bound) if abs(bound) < LARGEST_BOUND else None for bound in v.bounds],
+                "items": list(v.items),
+                "description": v.description,
+            }
+            for v in (self._control.variables if self._control is not None else ())
+            if not v.shape
+        ]
+        return Json(variables)
+
+    def _controlled(self) -> Control:
+        """Return the control of the run; raise InputError before its begin and after its end."""
+        self.check_running()
+        if self._control is None or self._state["phase"] == "writing":
+            raise InputError.at(Path(self.activity), "the run has no control now, so that nothing can be changed")
+        return self._control
+
+    def _set(self, request: Request, values: Any) -> Response:
+        """Change variables."""
+        if not isinstance(values, dict) or not all(isinstance(v, (str, int, float, bool)) for v in values.values()):
+            raise InputError.at(Path("set"), "give variables with numbers, text, true or false")
+        control = self._controlled()
+        kinds = {v.name: v.kind for v in control.variables}
+        set_values = control.set({n: v if kinds.get(n) in NO_NUMBERS else _as_number(v) for n, v in values.items()})
+        self.update()
+        return Json({"set": set_values})
+
+    def _pause(self, request: Request, is_pause: Any) -> Response:
+        """Pause or continue."""
+        if not isinstance(is_pause, bool):
+            raise InputError.at(Path("pause"), "give true or false")
+        self._controlled().paused = is_pause
+        self.update()
+        return Json({"paused": is_pause})
+
+
+def _start(variable: Variable) -> Any:
+    """Return the start value as the page shows it: that of an enumeration by name."""
+    names = {str(number): name for name, number in variable.items.items()}
+    start = names.get(str(variable.start), variable.start)
+    return start if isinstance(start, (int, float, str, bool)) or start is None else str(start)
+
+
+def _now() -> float:
+    return time.monotonic()
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _as_number(value: Any) -> Any:
+    """Return text of a plain number as a number, and other values as they are."""
+    text = str(value).strip().replace("\u2212", "-")
+    for kind in (int, float):
+        try:
+            number = kind(text)
+        except ValueError:
+            continue
+        return number if isinstance(value, str) and math.isfinite(number) else value
+    return value
+
+
+class LiveSweep(WorkPage, RunsObserver):
+    """An observer of a sweep's runs that shows them on a page."""
+
+    activity = "sweep"
+
+    def __init__(self, title: str, port: int = 0) -> None:
+        self._limits: Sequence[CriterionLimit] = ()
+        self._total = self._done = self._failed = self._earlier = 0
+        self._values: list[list[float]] = []
+        self._met: list[int] = []
+        self._failures: dict[str, int] = {}
+        self._since = 0.0
+        super().__init__(title, port)
+
+    def begin(self, title: str, count: int, limits: Sequence[CriterionLimit], earlier: Iterable[RunResult]) -> None:
+        """Prepare for the runs of a sweep, some of which an earlier call has made."""
+        self._limits, self._total, self._since = limits, count, _now()
+        self._values, self._met = [[] for _ in limits], [0 for _ in limits]
+        self.add([*earlier])
+        self._earlier = self._done
+        self.update(phase="running", title=title)
+
+    def add(self, results: Sequence[RunResult]) -> None:
+        """Count finished runs."""
+        with self._lock:
+            for result in results:
+                self._done += 1
+                if result.status != "ok":
+                    self._failed += 1
+                    reason = str(result.status)
+                    self._failures[reason] = self._failures.get(reason, 0) + 1
+                    continue
+                for k, (value, met) in enumerate(zip(result.values, result.met, strict=True)):
+                    self._values[k].append(value)
+                    self._met[k] += met
+        self.update()
+
+    def state(self) -> dict[str, Any]:
+        """Return the whole state."""
+        state = super().state()
+        with self._lock:
+            made, passed = self._done - self._earlier, _now() - self._since
+            rate = made / passed if made and not self.has_ended else None
+            return {
+                **state,
+                "done": self._done,
+                "total": self._total,
+                "failed": self._failed,
+                "rate": rate,
+                "remaining": (self._total - self._done) / rate if rate else None,
+                "criteria": [self._criterion(k) for k in range(len(self._limits))],
+                "failures": [{"why": why, "count": n} for why, n in [*self._failures.items()][:MAX_FAILURES]],
+            }
+
+    def _criterion(self, k: int) -> dict[str, Any]:
+        """Return the share of runs that meet a criterion, with its interval, and the histogram of its values."""
+        limit, of = self._limits[k], self._done - self._failed
+        low, high = share_interval(self._met[k], of)
+        values = np.array(self._values[k])
+        values = values[np.isfinite(values)]
+        about = {"name": limit.name, "max": limit.max, "unit": limit.unit, "met": self._met[k], "of": of}
+        about |= {"low": low, "high": high, "undefined": of - values.size}
+        if not values.size:
+            return {**about, "counts": [], "ends": [0.0, limit.max]}
+        least, most = min(limit.max, float(values.min())), max(limit.max, float(np.quantile(values, 0.98)))
+        margin = 0.05 * (most - least) or 1.0
+        ends = least - margin, most + margin
+        counts, _ = np.histogram(np.clip(values, *ends), BINS, ends)
+        return {**about, "counts": counts.tolist(), "ends": [*ends]}
+
+
+class LiveRefine(WorkPage, Watcher):
+    """A watcher of a refinement that shows it on a page, and hands progress on to the terminal."""
+
+    activity = "refinement"
+
+    def __init__(self, title: str, port: int = 0, progress: Any = None) -> None:
+        self._progress = progress
+        self._number, self._words, self._share = 0, "", 0.0
+        self._times: list[float] = []  # begin of each stage [s]
+        self._ranking: list[dict[str, Any]] = []
+        self._fitted = 0
+        super().__init__(title, port)
+
+    def __call__(self, stage: str, share: float) -> None:
+        """Show the current stage and its finished share."""
+        if self._progress is not None:
+            self._progress(stage, share)
+        with self._lock:
+            number, _ = stage_number(stage)
+            while len(self._times) < number:
+                self._times.append(_now())
+            self._number, self._words, self._share = max(number, self._number), stage, share
+        self.update(phase="running")
+
+    def ranking(self, hypotheses: Sequence[Ranked]) -> None:
+        """Show the best hypotheses so far."""
+        base = next((h.score for h in hypotheses if not h.names), None)
+        best = sorted(hypotheses, key=lambda h: h.score)[:MAX_RANKED]
+        self._fitted = len(hypotheses)
+        self._ranking = [{"names": list(h.names), "gain": None if base is None else base - h.score} for h in best]
+        self.update()
+
+    def show_verdict(self, record: Mapping[str, Any], report: Path) -> None:
+        """Show the sentence of the verdict and the report."""
+        self.report = report
+        self.update(message=str(record["sentence"]))
+
+    def state(self) -> dict[str, Any]:
+        """Return the whole state."""
+        state = super().state()
+        with self._lock:
+            times = [*self._times, self._begin + state["elapsed"]]
+            done = len(ORDER) if state["phase"] == "finished" else self._number - 1
+            stages = [
+                {
+                    "words": words[0],
+                    "state": "done" if k < done else "now" if k == done and not self.has_ended else "waiting",
+                    "seconds": times[k + 1] - times[k] if k < len(self._times) else None,
+                }
+                for k, words in enumerate(ORDER)
+            ]
+            now = {"words": self._words, "share": self._share, "done": max(0, done), "total": len(ORDER)}
+            return {**state, **now, "stages": stages, "ranking": self._ranking, "fitted": self._fitted}

@@ -1,1 +1,0 @@
-"""Messages between a run and its partners, over UDP and MQTT."""

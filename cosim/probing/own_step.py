@@ -1,0 +1,146 @@
+"""Steps that an FMU makes on its own in co-simulation, by trying: they decide the interface of a refinement."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.base.errors import FmuError, SimulationError
+from cosim.base.scratch import temporary_folder
+from cosim.blocks.derivatives import reals
+from cosim.blocks.description import state_names, ways
+from cosim.isolation.limits import Limits
+from cosim.isolation.process import Worker
+from cosim.logs.log import Log
+from cosim.probing.log_runs import SAME, Course, amplitude_of, limits_of, moved_within, outputs_by, sine_course
+from cosim.probing.prober import LIMITS, MODULES, Prober
+from cosim.storage.archive import unpack
+
+ROWS = 60  # rows of a simulation
+DOUBLINGS = 6  # of the step, in the search for an own step
+OWN, CONVERGED = 0.2, 0.05  # difference of results relative to their course: of too short steps, of sound ones
+ROUNDED = 0.05  # accuracy of an own step
+STILL = 0.3  # share of rows without any change that is no rest
+
+
+@dataclass(frozen=True)
+class OwnStep:
+    """A step that an FMU makes on its own in co-simulation.
+
+    Attributes:
+        length, asked: Its length and that of the asked step [s].
+        distorts: True if results at the asked step are wrong; False if the outputs only change rarely.
+    """
+
+    length: float
+    asked: float
+    distorts: bool
+
+    @property
+    def finding(self) -> str:
+        """Return a sentence on it."""
+        cure = f"use {'model exchange, or ' if self.distorts else ''}steps of whole {self.length:.3g} s"
+        if self.distorts:
+            what = f"makes steps of its own of about {self.length:.3g} s, above the step of {self.asked:.3g} s"
+            return f"{what} that is asked for: its results are wrong there; {cure}"
+        return f"its outputs change only every {self.length:.3g} s or so, with steps of {self.asked:.3g} s; {cure}"
+
+
+def probe_own_step(
+    fmu: Path,
+    logs: Sequence[Log] = (),
+    values: Mapping[str, float] = MappingProxyType({}),
+    *,
+    limits: Limits = LIMITS,
+) -> OwnStep | None:
+    """Return the step that an FMU makes on its own in co-simulation, None without one.
+
+    Args:
+        logs: Logs whose first gives inputs and step; small sines without one.
+        values: Start values by name.
+        limits: Limits of each simulation.
+
+    Raises:
+        FmuError: The FMU is invalid or does not load.
+        SimulationError: The FMU fails, crashes or hangs at its start with its own parameters.
+    """
+    path = Path(fmu).resolve()
+    with ExitStack() as stack:
+        place = stack.enter_context(temporary_folder("probe"))
+        prober = Prober(path, values, stack.enter_context(Worker(*MODULES)), place, limits)
+        if "co-simulation" not in ways(prober.description):
+            return None
+        unpack(path, place)
+        course = excited_course(prober, Course.of(logs[0]) if logs else sine_course(prober.description, values))
+        states = frozenset(state_names(prober.description)) - {v.name for v in reals(prober.description, "output")}
+        begin = time.monotonic()
+        table, stop = prober.call(outputs_by, "co-simulation", prober.fmu, course, states)
+        if len(table) < 2:
+            raise stop or SimulationError(
+                prober.fmu.name, float(course.time[0]), "the log has too few rows to probe the FMU; give a longer one"
+            )
+        quick = prober.hurried(time.monotonic() - begin)
+
+        def steps(step: float, count: int) -> Array:
+            """Return the outputs after each of `count` steps with the first inputs held."""
+            times = np.asarray(course.time[0] + step * np.arange(count + 1), np.float64)
+            held = Course(
+                course.name, times, {n: np.repeat(v[:1], count + 1) for n, v in course.inputs.items()}, {}, step
+            )
+            result: Array = prober.call(outputs_by, "co-simulation", prober.fmu, held, states, limits=quick)[0]
+            return result
+
+        try:
+            return _own_step(table, course.step, steps)
+        except (SimulationError, FmuError):
+            return None
+
+
+def excited_course(prober: Prober, course: Course) -> Course:
+    """Return the first rows of a course with inputs off their rest, so that every simulation moves."""
+    course = course.first(ROWS)
+    for variable in reals(prober.description, "input"):
+        if variable.name in course.inputs:
+            held = course.inputs[variable.name]
+            size = float(np.std(held)) or amplitude_of(variable, float(held[0]))
+            course = course.with_input(variable.name, moved_within(held, size, limits_of(variable)))
+    return course
+
+
+def _own_step(outputs: Array, step: float, steps: Callable[[float, int], Array]) -> OwnStep | None:
+    """Compare results after the same time by steps of several lengths.
+
+    Args:
+        outputs: Outputs along the course.
+        steps: Function of a step [s] and a number of steps that returns outputs for constant inputs.
+    """
+    count = 2**DOUBLINGS
+    tables = [steps(step * 2**k, count // 2**k) for k in range(DOUBLINGS)]
+    if any(len(table) != count // 2**k + 1 for k, table in enumerate(tables)):
+        return None
+    course = np.maximum(np.ptp(np.concatenate(tables), axis=0), SAME)
+    gaps = [float((np.abs(a[-1] - b[-1]) / course).max(initial=0.0)) for a, b in pairwise(tables)]
+    if gaps[0] > OWN and min(gaps) < CONVERGED and int(np.argmin(gaps)) > 0:
+        # So many short steps reach the result of a single long one.
+        distance = (np.abs(tables[0] - steps(step * count, 1)[-1]) / course).sum(axis=1)
+        own = roundest(step * count / max(1, int(np.argmin(distance))))
+        return OwnStep(own, step, own > step)
+    moved = np.diff(outputs, axis=0) != 0.0
+    still = 1.0 - moved.any(axis=1).mean()
+    if moved.any() and still > STILL and moved[len(moved) // 2 :].any():
+        return OwnStep(roundest(step / max(1e-3, 1.0 - still)), step, distorts=False)
+    return None
+
+
+def roundest(value: float) -> float:
+    """Return the number with the fewest digits near an inaccurate value."""
+    rounded = (float(f"{value:.{digits}g}") for digits in (1, 2, 3))
+    return next((r for r in rounded if abs(r - value) <= ROUNDED * value), value)

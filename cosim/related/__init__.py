@@ -1,1 +1,0 @@
-"""Files that an FMU carries (FMI-LS-REF): its expected results and experiments, run and compared."""

@@ -1,0 +1,248 @@
+"""Charts of a page: specifications and rows for its script, which draws them and reads them at the cursor."""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+import sys
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.base.arrays import Array, Rows
+from cosim.base.messages import printable_json
+from cosim.report.panels import Panel, Trace, extent
+
+MAX_CELLS = 6_000_000  # values in a page; beyond, every n-th row
+MAX_COUNT = 1e9  # held whole numbers below have no decimals
+DIGITS, SPAN_DIGITS = 5, 4  # significant digits of the largest value and of the span
+ROUNDING = 1e-12  # of the largest value: a signal with a smaller span is constant
+MAX_EXACT = 1e15  # whole numbers up to here are exact in the script
+MAX_DECIMALS = 300  # decimals; larger powers of ten overflow
+BYTES = 7  # of a difference in a page
+TIME = ("time", "s")
+NOTHING: Mapping[str, Any] = MappingProxyType({})
+
+
+@dataclass(frozen=True)
+class Abscissa:
+    """The x axis of charts.
+
+    Attributes:
+        over: Name and unit.
+        ends: Limits of the axis, by default its first and last value.
+        breaks: Rows after which traces with `anew` restart.
+        log: Whether the axis is logarithmic; x is positive.
+    """
+
+    over: tuple[str, str] = TIME
+    ends: tuple[float, float] | None = None
+    breaks: Sequence[int] = ()
+    log: bool = False
+
+
+OVER_TIME = Abscissa()
+
+
+@dataclass(frozen=True)
+class Plot:
+    """A chart for a template.
+
+    Attributes:
+        number: Place among the charts of the page.
+        spec: What the page's script gets.
+        summary: Text in place of the picture.
+    """
+
+    number: int
+    spec: Mapping[str, Any]
+    summary: str
+
+
+class Charts:
+    """The charts of a page. The charts of one drawing have a common cursor and zoom."""
+
+    def __init__(self) -> None:
+        self._charts: list[dict[str, Any]] = []
+        self._groups: list[dict[str, Any]] = []
+        self._columns: list[tuple[Array, int, bool]] = []  # values, decimals, whether a group has fewer rows
+
+    def over(self, x: Array, abscissa: Abscissa = OVER_TIME, **more: Any) -> Drawing:
+        """Start a drawing of panels over common values x; `more` is for the script."""
+        group: dict[str, Any] = {"over": abscissa.over, **more}
+        group |= {"ends": abscissa.ends} if abscissa.ends else {}
+        group |= {"log": 1} if abscissa.log else {}
+        group["breaks"] = list(abscissa.breaks)
+        self._columns.append((x, decimals_of_time(x), True))
+        self._groups.append({"x": len(self._columns) - 1, **group})
+        return Drawing(self, len(self._groups) - 1, x)
+
+    def alone(self, panel: Panel, ends: tuple[float, float], over: tuple[str, str], *, log: bool = False) -> Plot:
+        """Draw a chart whose traces have their own x, in `Trace.x` and `Band.x`.
+
+        Args:
+            ends: Limits of the x axis.
+        """
+        places = [np.asarray(t.x) for t in panel.traces] + ([np.asarray(panel.band.x)] if panel.band else [])
+        return self.over(np.unique(np.concatenate(places)), Abscissa(over, ends, log=log)).plots([panel])[0]
+
+    def points(
+        self, panel: Panel, ends: tuple[float, float], over: tuple[str, str], also: Mapping[str, Array], **more: Any
+    ) -> Plot:
+        """Draw the only trace of a panel as points; the cursor reads the nearest point.
+
+        Args:
+            ends: Limits of the x axis.
+            also: Further values of each point by label.
+            more: For the script: `reach`, limits of the y axis, and `uprights`, values of x with a line.
+        """
+        (trace,) = panel.traces
+        own = replace(trace, x=None)
+        drawing, panel = self.over(np.asarray(trace.x), Abscissa(over, ends), points=1), replace(panel, traces=[own])
+        further = [[label, self.column(values)] for label, values in also.items()]
+        return drawing.plots([panel], also=further, **more)[0]
+
+    def column(self, values: Array, *, held: bool = False, common: bool = True) -> int:
+        """Add a column and return its key in the script.
+
+        Args:
+            held: Whether whole numbers have no decimals.
+            common: Whether it has the rows of the x axis of its drawing.
+        """
+        finite = values[np.isfinite(values)]
+        is_whole = held and bool(np.all(np.abs(finite) < MAX_COUNT)) and np.array_equal(finite, np.rint(finite))
+        self._columns.append((values, 0 if is_whole else decimals_of(values), common))
+        return len(self._columns) - 1
+
+    def add(self, group: int, panel: Panel, more: Mapping[str, Any]) -> Plot:
+        """Add a chart of a drawing."""
+        traces = [self._trace(trace) for trace in panel.traces]
+        chart = {"group": group, "title": panel.title, "unit": panel.unit, "traces": traces, **more}
+        if panel.limits:
+            chart["levels"] = panel.limits
+        if panel.limit_label:
+            chart["limit"] = panel.limit_label
+        if panel.band is not None:
+            band = panel.band
+            edges = [self.column(edge, common=band.x is None) for edge in (band.lower, band.upper)]
+            chart["band"] = {"label": band.label, "edges": edges}
+            chart["band"] |= {} if band.x is None else {"x": self.column(np.asarray(band.x), common=False)}
+        self._charts.append(chart)
+        return Plot(len(self._charts) - 1, chart, _summary(panel))
+
+    def _trace(self, trace: Trace) -> dict[str, Any]:
+        common = trace.x is None
+        entry: dict[str, Any] = {"label": trace.label, "style": trace.style, "form": trace.form}
+        entry["y"] = self.column(trace.values, held=trace.held, common=common)
+        entry |= {} if trace.x is None else {"x": self.column(np.asarray(trace.x), common=False)}
+        entry |= {} if trace.upper is None else {"upper": self.column(trace.upper, common=common)}
+        entry |= {"anew": 1} if trace.anew else {}
+        entry |= {"shift": trace.shift} if trace.shift else {}
+        return entry | (
+            {"items": {f"{value:.16g}": name for value, name in trace.items.items()}} if trace.items else {}
+        )
+
+    def data(self, more: Mapping[str, Any] = NOTHING) -> str:
+        """Return charts, rows and further data as JSON for the page's script, safe inside a script element."""
+        cells = sum(values.size for values, *_ in self._columns)
+        every = max(1, math.ceil(cells / MAX_CELLS))
+        chosen = [(v if not common else v[_rows(v.size, every)], decimals) for v, decimals, common in self._columns]
+        groups = []
+        for group in self._groups:
+            size = self._columns[group["x"]][0].size
+            breaks = np.searchsorted(_rows(size, every), group["breaks"], "right").tolist()
+            groups.append({**group, "breaks": breaks, "every": every, "of": size})
+        about = [[v.size, decimals, int(not np.isfinite(v).all())] for v, decimals in chosen]
+        content = {"charts": self._charts, "groups": groups, "columns": about, "packed": pack(chosen), **more}
+        text = printable_json(json.dumps(content, separators=(",", ":"), allow_nan=False))
+        return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """Charts over common values x; a chart of a single row shows dots."""
+
+    charts: Charts
+    group: int
+    x: Array
+
+    def plots(self, panels: Sequence[Panel], **more: Any) -> list[Plot]:
+        """Add panels; `more` is for the script."""
+        return [self.charts.add(self.group, panel, more) for panel in panels]
+
+
+def _rows(count: int, every: int) -> Rows:
+    """Return every n-th row, and the last one."""
+    rows = np.arange(0, count, every)
+    return rows if not count or rows[-1] == count - 1 else np.append(rows, count - 1)
+
+
+def sample_rows(count: int, limit: int) -> Rows:
+    """Return about `limit` row numbers at equal distance, and the last row."""
+    return _rows(count, max(1, math.ceil(count / limit)))
+
+
+def round_values(values: Array, digits: int) -> list[float | None]:
+    """Return values rounded for JSON; a value that is not finite becomes null."""
+    numbers = [round(value, digits) if math.isfinite(value) else None for value in values.tolist()]
+    return [int(n) if n is not None and n == int(n) and abs(n) < MAX_EXACT else n for n in numbers]
+
+
+def _summary(panel: Panel) -> str:
+    """Describe a panel in words."""
+    parts = []
+    for trace in panel.traces:
+        span = extent([trace.values] if trace.upper is None else [trace.values, trace.upper])
+        parts.append(f"{trace.label} from {span[0]:.4g} to {span[1]:.4g}" if span else f"{trace.label} without values")
+    return "; ".join(parts)
+
+
+# -- packing --------------------------------------------------------------------------------------
+
+
+def decimals_of(values: Array) -> int:
+    """Return the number of decimals to store a column with, negative for large numbers."""
+    good = values[np.isfinite(values)]
+    if not good.size or not np.any(good):
+        return 0
+    largest = float(np.max(np.abs(good)))
+    span = min(float(np.max(good)) - float(np.min(good)), sys.float_info.max)
+    digits = DIGITS - 1 - math.floor(math.log10(largest))
+    if span > ROUNDING * largest:
+        digits = max(digits, SPAN_DIGITS - 1 - math.floor(math.log10(span)))
+    return min(digits, math.floor(math.log10(MAX_EXACT) - math.log10(largest)), MAX_DECIMALS)
+
+
+def decimals_of_time(time: Array) -> int:
+    """Return the number of decimals to store time with: a thousandth of the least step, and a microsecond."""
+    steps = np.diff(time)
+    steps = steps[steps > 0.0]
+    digits = max(6, 3 - math.floor(math.log10(float(steps.min())))) if steps.size else 6
+    largest = float(np.max(np.abs(time), initial=1.0))
+    return min(digits, math.floor(math.log10(MAX_EXACT / max(largest, 1.0))))
+
+
+def pack(columns: Sequence[tuple[Array, int]]) -> str:
+    """Return columns and their decimals as base64 text, deflated.
+
+    A column holds differences of whole multiples of 10^-decimals, as zigzag numbers, first the lowest byte of each; a
+    column with gaps is followed by a byte for each row.
+    """
+    parts = []
+    for values, decimals in columns:
+        good = np.isfinite(values)
+        last = np.maximum.accumulate(np.where(good, np.arange(values.size), -1))
+        filled = np.where(last >= 0, values[np.maximum(last, 0)], 0.0) if values.size else values
+        scaled = filled * 10.0**decimals if decimals >= 0 else filled / 10.0**-decimals
+        whole: NDArray[np.int64] = np.rint(scaled).astype(np.int64)
+        steps = whole - np.append(np.int64(0), whole[:-1])
+        zigzag = ((steps << 1) ^ (steps >> 63)).astype("<i8")
+        parts.append(zigzag.view(np.uint8).reshape(-1, 8)[:, :BYTES].T.tobytes())
+        parts.append(b"" if good.all() else good.astype(np.uint8).tobytes())
+    return base64.b64encode(zlib.compress(b"".join(parts), 9)).decode("ascii")

@@ -1,1 +1,0 @@
-"""FMUs of this machine for masters on other machines."""

@@ -1,0 +1,181 @@
+"""Where the runs of a sweep are made: in processes of this machine (joblib), or by the workers of a dask scheduler."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import os
+import shutil
+import signal
+import threading
+import time
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+from typing import Any
+from uuid import uuid4
+
+from cosim.base.errors import CosimError, Fault, InputError, SweepFailed
+from cosim.base.extras import optional
+from cosim.base.version import __version__
+from cosim.sweeps.reading import Sweep
+from cosim.sweeps.runs import Job, RunRequest, RunResult, end_process, make_run_apart
+
+ANSWER = 5  # time limit of a dask scheduler's answer [s]
+RUNS_PER_THREAD = 4  # requested at once from a dask cluster
+
+MakeRuns = Callable[[Iterable[RunRequest]], Iterator[RunResult]]
+
+
+def make_runs_here(job: Job, workers: int | None, requests: Iterable[RunRequest]) -> Iterator[RunResult]:
+    """Yield the results of runs in processes of this machine, as they are finished.
+
+    Args:
+        workers: Number of processes; None means one per core.
+    """
+    from joblib import Parallel, delayed, parallel_config
+    from joblib.externals.loky import get_reusable_executor
+
+    with parallel_config("loky", n_jobs=workers or -1, initializer=_end_with_caller, initargs=(os.getpid(),)):
+        parallel = Parallel(return_as="generator_unordered", max_nbytes=None)
+    results, kill = parallel(delayed(make_run_apart)(job, request) for request in requests), True
+    try:
+        for result in results:  # noqa: UP028 - closed below, without its warning
+            yield result
+        kill = False
+    finally:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # on runs that are given up
+            results.close()
+        end_process(kill=kill)  # With one worker, joblib calls the function in this process.
+        if workers != 1:
+            get_reusable_executor(reuse=True).shutdown(kill_workers=kill)
+
+
+def _end_with_caller(caller: int) -> None:
+    """Let a process of joblib end if its caller is killed; Ctrl-C, which reaches it too, is for the caller."""
+
+    def watch() -> None:
+        while os.getppid() == caller:  # always on Windows, where an idle process ends after minutes
+            time.sleep(1.0)
+        os._exit(1)
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=watch, daemon=True).start()
+
+
+@contextmanager
+def dask_cluster(study: Sweep, address: str, place: Callable[[str], Fault]) -> Iterator[MakeRuns]:
+    """Yield a function that makes runs by the workers of a dask scheduler; a lost worker's runs are repeated.
+
+    A worker needs no path of this machine. It gets the scenario and the files of its components once, into a folder of
+    its own, each file below a hash of its content.
+
+    Raises:
+        InputError: The scheduler does not answer or has no suitable workers.
+    """
+    distributed = optional("distributed", place)
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # cosim reports failures itself.
+    folder, job, contents, places = f"cosim-{uuid4().hex}", study.job, dict[str, bytes](), dict[str, str]()
+    for path in (job.scenario, *study.files):
+        content = path.read_bytes()
+        places[str(path)] = name = f"{hashlib.sha256(content).hexdigest()}/{path.name}"
+        contents[name] = content
+    given = (f"{name}={json.dumps(path)}" for name, path in study.component_files.items())
+    job = replace(job, overrides=(*job.overrides, *given))
+
+    plugin: Any = distributed.WorkerPlugin
+
+    class Files(plugin):  # type: ignore[misc]  # distributed is untyped
+        """Files of a worker, also of one that is started during the sweep; pickled by value."""
+
+        def setup(self, worker: Any) -> None:
+            from cosim.base.version import __version__ as version
+
+            if version != __version__:
+                raise ImportError(f"it has cosim {version}")
+            for name, content in contents.items():
+                file = Path(worker.local_directory, folder, name)
+                file.parent.mkdir(parents=True, exist_ok=True)
+                file.write_bytes(content)
+
+        def teardown(self, worker: Any) -> None:
+            shutil.rmtree(Path(worker.local_directory, folder), ignore_errors=True)
+
+    def make_runs(requests: Iterable[RunRequest]) -> Iterator[RunResult]:
+        requests = iter(requests)
+        futures = distributed.as_completed([])
+        room = RUNS_PER_THREAD * sum(client.nthreads().values())
+        while True:
+            for request in islice(requests, room):
+                futures.add(client.submit(make_run_of_dask, job, request, folder, places, pure=False))
+            if futures.is_empty():
+                return
+            try:
+                result = next(futures).result()
+            except CosimError:
+                raise
+            except Exception as error:
+                reason = _one_line(error)
+                raise SweepFailed(
+                    f"the dask cluster failed: {reason}; see its logs; the runs that are there are kept, "
+                    "--resume goes on with them"
+                ) from None
+            yield result
+            room = 1
+
+    try:
+        client = distributed.Client(address, timeout=ANSWER)
+    except (OSError, ValueError, TypeError) as error:
+        message = f"no dask scheduler answers at {address} within {ANSWER} s ({_one_line(error)}); "
+        raise InputError([place(message + "start one by `dask scheduler`")]) from None
+    with client:
+        if not client.nthreads():
+            message = f"the dask scheduler at {address} has no workers; start some by `dask worker {address}`"
+            raise InputError([place(message)])
+        try:
+            client.register_plugin(Files(), name=folder)
+        except Exception as error:
+            message = f"a worker of the dask scheduler at {address} cannot make runs ({_one_line(error)}); "
+            cure = (
+                f"install cosim {__version__} where the workers run, or start them in the environment of this command"
+            )
+            raise InputError([place(message + cure)]) from None
+        try:
+            yield make_runs
+        finally:
+            with suppress(Exception):  # a lost scheduler
+                client.unregister_worker_plugin(folder)
+
+
+def make_run_of_dask(job: Job, request: RunRequest, folder: str, places: Mapping[str, str]) -> RunResult:
+    """Make a run in a worker of dask with its copies of the files.
+
+    Args:
+        folder: Folder of the copies within that of the worker.
+        places: Place in the folder by path in the job and in the request.
+    """
+    from distributed import get_worker
+
+    here = Path(get_worker().local_directory, folder)
+    if not here.is_dir():
+        raise FileNotFoundError(f"the worker has not got the files of the sweep: {here}")
+
+    def with_copies(overrides: Iterable[str]) -> tuple[str, ...]:
+        texts = list(overrides)
+        for path, name in places.items():
+            texts = [text.replace(json.dumps(path), json.dumps(str(here / name))) for text in texts]
+        return tuple(texts)
+
+    scenario = here / places[str(job.scenario)]
+    job = replace(job, scenario=scenario, overrides=with_copies(job.overrides))
+    return make_run_apart(job, replace(request, overrides=with_copies(request.overrides)))
+
+
+def _one_line(error: BaseException) -> str:
+    lines = str(error).strip().splitlines()
+    return f"{type(error).__name__}: {lines[0]}" if lines else type(error).__name__
