@@ -137,3 +137,24 @@ T = np.array([2.0, 2.5, 3.0, 4.0, 4.5])
 )
 def test_settling_time_is_that_of_the_last_sample_outside_the_band(signal: list[float], time: float) -> None:
     assert criteria.settling_time(T, np.array(signal), 1.0, 0.1 + 1e-12) == time
+
+
+@pytest.mark.parametrize(
+    ("signal", "target", "overshoot"),
+    [
+        ([0, 0.5, 1.25, 0.9, 1.0], 1.0, 0.25),
+        ([0, -0.5, 0.5, 0.9, 1.0], 1.0, 0.0),
+        ([2, 0.75, 1.5, 1.0, 1.0], 1.0, 0.25),
+        ([1, 1.5, 0.25, 1.0, 1.0], 1.0, 0.75),  # from the target every excursion counts
+        ([0.0, 2.5, 2.0], [0.0, 1.0, 2.0], 0.5),
+    ],
+)
+def test_overshoot_is_measured_in_the_direction_of_travel(signal: list[float], target: Any, overshoot: float) -> None:
+    assert criteria.overshoot(np.array(signal), np.array(target)) == overshoot
+
+
+def test_errors_and_effort_are_their_formulas() -> None:
+    signal, target = np.array([1.0, -3.0, 2.0, 5.0, 4.0]), np.array([0.0, 0.0, 2.0, 1.0, 1.0])
+    assert criteria.rms_error(signal, target) == pytest.approx(math.sqrt((1 + 9 + 0 + 16 + 9) / 5))
+    assert (criteria.final_error(signal, target), criteria.peak(-signal)) == (3.0, 5.0)
+    assert criteria.effort(T, signal) == 0.5 * 1 + 0.5 * 3 + 1.0 * 2 + 0.5 * 5

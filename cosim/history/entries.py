@@ -104,7 +104,7 @@ def entries(results: Path | None = None) -> list[Entry]:
     """
     root = RESULTS if results is None else results
     by_name: dict[str, list[tuple[Entry, Mapping[str, Any]]]] = {}
-    for entry, content in _found(root, Path(root.resolve().name), 0):
+    for entry, content in _results_within(root, Path(root.resolve().name), 0):
         by_name.setdefault(entry.of, []).append((entry, content))
     every: list[Entry] = []
     for group in by_name.values():
@@ -128,7 +128,7 @@ def _age(name: str) -> tuple[int, int]:
     return (0 if before and before[-1] == EARLIER else 2), int(last)
 
 
-def _found(place: Path, name: Path, depth: int) -> Iterator[tuple[Entry, Mapping[str, Any]]]:
+def _results_within(place: Path, name: Path, depth: int) -> Iterator[tuple[Entry, Mapping[str, Any]]]:
     """Yield the results in a folder and in the folders within, with their records.
 
     Args:
@@ -147,7 +147,7 @@ def _found(place: Path, name: Path, depth: int) -> Iterator[tuple[Entry, Mapping
     for inner, item in sorted(items.items() if depth < DEEPEST else ()):
         if inner not in parts and not inner.startswith(".") and item.is_dir(follow_symlinks=False):
             is_run = depth == 0 and (inner == EARLIER or RUN_NUMBER.fullmatch(inner))
-            yield from _found(place / inner, name / inner if depth or is_run else Path(inner), depth + 1)
+            yield from _results_within(place / inner, name / inner if depth or is_run else Path(inner), depth + 1)
 
 
 def _recorded(place: Path, name: Path, items: Mapping[str, os.DirEntry[str]]) -> tuple[Entry, Mapping[str, Any]] | None:

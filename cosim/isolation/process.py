@@ -158,7 +158,7 @@ class Worker:
         return answer
 
     def end(self, kill: bool = False, *, replaced: bool = False) -> None:
-        """End the process and its children, and remove its files unless a new one takes its place."""
+        """End the process and its children; remove its files, except for a process that is replaced."""
         process, self._process = self._process, None
         if process is None:
             return

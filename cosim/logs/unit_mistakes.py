@@ -41,7 +41,7 @@ def input_unit_findings(
 
 
 def _beyond_bound(log: Log, name: str, size: float, bound: float) -> Finding:
-    """Return the fault of an input far beyond its bound, with the unit that brings it inside if there is one."""
+    """Return the fault of an input far beyond its bound; it names the unit in which the input would lie within."""
     sizes, other = _sizes(log, name, size, bound), other_unit(log.units[name], size / bound, (MIN_SHARE_OF_BOUND, 1.0))
     text = (
         (

@@ -93,7 +93,10 @@ class ViewedRun:
         return not self.lost
 
     def follow(self) -> bool:
-        """Read a changed file again; return whether there are other rows. A file with other signals is another run."""
+        """Read a changed file again; return whether its rows changed.
+
+        A file with other signals or fewer rows belongs to another run, which `lost` says.
+        """
         state = file_state(self.place.file)
         if self._is_fed or self.lost or state in {self._state, (0, 0)} or time.monotonic() < self._due:
             return False

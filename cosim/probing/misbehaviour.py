@@ -56,16 +56,18 @@ def misbehaviour(fmu: Path) -> Iterator[str]:
 
         again = tried(outputs_again)
         noise = np.zeros(first.shape[1]) if isinstance(again, Exception) else _gaps(first, again)
-        yield from _said("a second simulation", first, again)
-        yield from _said("a simulation in another working directory", first, tried(outputs_in, str(place)), noise)
-        yield from _said("a simulation after a reset", first, tried(outputs_after_reset), noise)
+        yield from _on_difference("a second simulation", first, again)
+        yield from _on_difference(
+            "a simulation in another working directory", first, tried(outputs_in, str(place)), noise
+        )
+        yield from _on_difference("a simulation after a reset", first, tried(outputs_after_reset), noise)
         part = prober.description.coSimulation
         if way == "co-simulation" and (
             getattr(part, "canGetAndSetFMUstate", False) or getattr(part, "canGetAndSetFMUState", False)
         ):
             both = tried(outputs_after_restoring, len(first) // 3)
             table, again = (first, both) if isinstance(both, Exception) else both
-            yield from _said("a repetition from a saved state", table, again, noise)
+            yield from _on_difference("a repetition from a saved state", table, again, noise)
         grown = tried(growth)
         if not isinstance(grown, Exception) and grown > LEAK:
             yield f"keeps {grown / 1e6:.2g} MB of memory for each instance after its end"
@@ -78,7 +80,7 @@ def _gaps(table: Array, other: Array) -> Array:
     return np.asarray(np.nan_to_num(np.abs(other - table)).max(axis=0, initial=0.0))
 
 
-def _said(what: str, table: Array, other: Array | Exception, noise: Array | float = 0.0) -> Iterator[str]:
+def _on_difference(what: str, table: Array, other: Array | Exception, noise: Array | float = 0.0) -> Iterator[str]:
     """Yield a sentence on outputs that differ from those of an equal simulation, or on a failure."""
     if isinstance(other, Exception):
         yield f"{what} fails: {other}"

@@ -19,7 +19,6 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.drafts import draft_of
 from cosim.base.errors import InputError
-from cosim.base.extras import optional
 from cosim.base.text import counted
 from cosim.storage.files import open_bytes
 from cosim.storage.folders import content_of
@@ -30,7 +29,6 @@ if TYPE_CHECKING:
     import pyarrow
 
 DATABASE, TABLE, RECORD = "runs.sqlite", "sweep.parquet", "sweep.json"
-TABLE_USE = "the table of a sweep"
 GROUP = 4096  # runs per write
 COLUMNS = "run INTEGER PRIMARY KEY, status TEXT, met BLOB, signals INTEGER, numbers BLOB"
 
@@ -115,7 +113,9 @@ def write_table(
     Columns are number, factors, status, values and outcomes of the criteria, and signals. A signal is a list of values;
     its times are in the metadata, as JSON under `cosim`.
     """
-    pa, pq = optional("pyarrow", TABLE_USE), optional("pyarrow.parquet", TABLE_USE)
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
     design = {name: _of_one_type(values) for name, values in design.items()}
     types: dict[str, Any] = {"run": pa.int64(), **{name: pa.array(values).type for name, values in design.items()}}
     types |= {"status": pa.string(), "through": pa.string()}
@@ -156,8 +156,10 @@ def read_table(path: Path) -> tuple[pyarrow.Table, dict[str, Any]]:
     Raises:
         OSError: The file is unreadable; ValueError for a damaged file.
     """
+    import pyarrow.parquet as pq
+
     with open_bytes(path) as stream:
-        table = optional("pyarrow.parquet", TABLE_USE).read_table(stream)
+        table = pq.read_table(stream)
     return table, json.loads((table.schema.metadata or {}).get(b"cosim", b"{}"))
 
 

@@ -109,8 +109,7 @@ def sweep(
         k, of = _read_part(part)
         runs, home = runs[k - 1 :: of], folder / PARTS / f"{k}-of-{of}"
     inputs = [study.yaml.path, study.job.scenario, *study.files]
-    for library in ("pyarrow", "SALib"):  # missing libraries are reported before any run
-        optional(library, "cosim sweep")
+    optional("SALib", "cosim sweep")  # reported before any run if it is missing
     goes_on = resume or join or part is not None
     with ExitStack() as stack:
         home = stack.enter_context(new_run(home, study.name, "cosim sweep", force=force, goes_on=goes_on))

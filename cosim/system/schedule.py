@@ -102,7 +102,7 @@ class _Graph:
         return [edge for edge, _ in self.wired]
 
     @cached_property
-    def known(self) -> frozenset[str]:
+    def functions_of_time(self) -> frozenset[str]:
         """Return the components whose outputs are known functions of time.
 
         These are references, recordings and FMUs without inputs, and fixes fed only by them.
@@ -133,7 +133,7 @@ class _Graph:
             else:
                 pulls[target] += connection
         loops = (Loop(members, tuple(own)) for members, own in zip(plan.loops, solved, strict=True))
-        order = sorted(plan.order, key=lambda name: name not in self.known)  # Known signals come first.
+        order = sorted(plan.order, key=lambda name: name not in self.functions_of_time)  # Known signals come first.
         stages = (Stage(self.components[n], tuple(pulls[n]), self.every[n], tuple(late[n])) for n in order)
         return tuple(held), tuple(stages), tuple(loops)
 
@@ -144,7 +144,7 @@ class _Graph:
         """
         source, target, name, output = edge
         component, origin = self.components[target], self.components[source]
-        if source not in self.known or getattr(component, "is_sampled", False):
+        if source not in self.functions_of_time or getattr(component, "is_sampled", False):
             return ""
         if isinstance(component, Fixes):
             return "pulled"
@@ -289,7 +289,7 @@ def schedule(
                     )
                 )
     clock_wires = tuple((t.origin, t.name) for ends in transfers for t in ends if t.is_clock)
-    return Schedule(stages, held, clock_wires, loops, opened, bool(assumptions), graph.known)
+    return Schedule(stages, held, clock_wires, loops, opened, bool(assumptions), graph.functions_of_time)
 
 
 def _plan(

@@ -43,7 +43,7 @@ class Outcome:
         return [f"{r.test}: {message}" for r in self.results for message in r.warnings]
 
     def closing(self, out: Path) -> str:
-        """Return a text that names powertrain.yaml and the command that builds its FMU."""
+        """Return the sentence on powertrain.yaml and the command that builds an FMU of it."""
         file = out / "powertrain.yaml"
         return f"power-train: {file}, built by: cosim build --model {shell_path(file)}"
 
