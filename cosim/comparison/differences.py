@@ -299,8 +299,10 @@ def unit_conversion(of: RecordedRun, to: RecordedRun, name: str) -> Conversion |
 
 def is_held(a: RecordedRun, b: RecordedRun, name: str) -> bool:
     """Return whether a signal holds between rows: by the record of a run, else if it has whole numbers in both."""
-    known = [run.holds(name) for run in (a, b)]
-    return True in known or (known == [None, None] and all(name in run.results.whole for run in (a, b)))
+    recorded = [run for run in (a, b) if "discrete" in run.manifest]
+    if not recorded:
+        return all(name in run.results.whole for run in (a, b))
+    return any(name in {*r.results.whole, *r.results.exact, *r.manifest["discrete"]} for r in recorded)
 
 
 def criteria_of(runs: Sequence[RecordedRun]) -> dict[str, list[dict[str, Any] | None]]:
