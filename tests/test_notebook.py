@@ -22,7 +22,7 @@ from cosim.base.errors import InputError
 from cosim.base.notebook import shows_progress
 from cosim.calibration.fitted import Fitted
 from cosim.comparison.differences import compare_runs
-from cosim.comparison.several import ComparedRuns
+from cosim.comparison.page import drawn
 from cosim.refinement.refined_result import Refined
 from cosim.report.cell.cell import MAX_CURVES, rows_to_show
 from cosim.simulation.run_files import RecordedRun
@@ -117,9 +117,8 @@ def test_a_comparison_and_estimates_show_themselves(tmp_path: Path) -> None:
         return RecordedRun(Path(name), name, results, {})
 
     compared = compare_runs(ran("a", np.arange(9.0)), ran("b", np.arange(9.0) ** 2))
-    (frame,) = frames(compared._repr_html_())
+    (frame,) = frames(drawn(compared)._repr_html_())
     assert "x, b − a" in frame
-    assert hasattr(ComparedRuns, "_repr_html_")
     entry = {"start": 1.0, "value": 2.0, "unit": "kg", "ci95": [1.5, 2.5], "status": "estimated"}
     fitted = Fitted({"verdict": "improved", "sentence": "a < b", "parameters": {"mass": entry}})
     assert "a &lt; b" in fitted._repr_html_()
