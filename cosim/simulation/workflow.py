@@ -32,7 +32,6 @@ from cosim.simulation.stopped_run import (
     end_keeping,
     open_stopped,
     remove_checkpoints,
-    unsaved_names,
     write_run,
 )
 from cosim.simulation.undeclared import with_feedthrough
@@ -207,13 +206,12 @@ def run(
                 remove_checkpoints(place)
             kept = write_run(place, base(), prepared.rows_file, prepared.warnings)
             keeping = Keeping(kept, scenario_.checkpoint, start)
-            if start is None and (names := unsaved_names(system)):
-                tell(
-                    Note(
-                        f"no checkpoint has the state of {', '.join(names)}: a resumed run makes all steps again from "
-                        "the start, which takes as long as they took"
-                    )
-                )
+            again = system.fmus if system.reruns else {}
+            components = [stage.component for stage in system.stages]
+            names = [c.name for c in components if c.name in again or not getattr(c, "saves", False)]
+            if start is None and names:
+                cure = "a resumed run makes all steps again from the start, which takes as long as they took"
+                tell(Note(f"no checkpoint has the state of {', '.join(names)}: {cure}"))
         stepped = simulate_in(
             worker,
             system,
@@ -277,7 +275,6 @@ def _prepare_stopped(
         stack: Keeps the folder, and the permission to compile sources if the run began with it.
     """
     stopped = open_stopped(path, stack)
-    stopped.check_end(until)
     file = stopped.scenario(until)
     check_pinned(file)
     stack.enter_context(compiling(permission.get() or stopped.record.get(COMPILED) is True))
@@ -293,14 +290,10 @@ def _prepare_stopped(
         start, ended = without_ended_states(system, grid, start, stopped.end, worker, limits)
         if ended:
             time_ = file.scenario.start_time + stopped.end * file.scenario.step
-            tell(
-                Note(
-                    f"{', '.join(ended)}: the saved state does not go beyond t = {time_:g} s, the end that the FMU "
-                    "was told; so all steps are made again"
-                )
-            )
+            reason = f"the saved state does not go beyond t = {time_:g} s, the end that the FMU was told"
+            tell(Note(f"{', '.join(ended)}: {reason}; so all steps are made again"))
     check_writable(stopped.folder, (stopped.rows_file, MANIFEST, "report.html"), file.files)
-    if changes := stopped.changes:
+    if changes := [Change(point, values) for point, values in stopped.checkpoint.get("changes", ())]:
         system = replace(system, events=with_changes(system.events, changes))
         start = start and replace(start, changes=changes)
     record = stopped.base(system.warnings if until is not None or EXTRA not in stopped.record else None)
