@@ -185,7 +185,7 @@ class Tags(HTMLParser):
 
 
 @pytest.mark.thorough
-def test_the_page_is_whole_and_loads_nothing(cart: Refinement, tmp_path: Path) -> None:
+def test_the_page_is_whole_loads_nothing_and_hinders_nobody(cart: Refinement, tmp_path: Path) -> None:
     text = page(cart, tmp_path)
     tags = Tags()
     tags.feed(text)
@@ -196,21 +196,9 @@ def test_the_page_is_whole_and_loads_nothing(cart: Refinement, tmp_path: Path) -
     targets = re.findall(r'href="#(\w+)"', text)
     assert targets
     assert all(f'id="{t}"' in text for t in targets)
-
-
-@pytest.mark.thorough
-def test_names_from_files_never_become_markup(cart: Refinement, tmp_path: Path) -> None:
-    text = page(cart, tmp_path)
-    assert "<b>&" not in text
+    assert "<b>&" not in text  # names from files never become markup
     assert "Study &lt;b&gt;&amp;amp; co" in text
     assert "Cart &lt;of mine&gt;" in text
-
-
-@pytest.mark.thorough
-def test_nothing_serious_hinders_who_uses_keys_or_sees_little_in_the_page_of_a_refine(
-    cart: Refinement, tmp_path: Path
-) -> None:
-    page(cart, tmp_path)
     assert faults(tmp_path / "report.html") == []
 
 
