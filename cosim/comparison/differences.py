@@ -16,7 +16,7 @@ from cosim.base.times import rounding
 from cosim.base.units import Conversion, conversion, definition_of
 from cosim.blocks.component import Signal
 from cosim.comparison import signals
-from cosim.comparison.intermediate_rows import rows_at_jumps, rows_between, surroundings
+from cosim.comparison.intermediate_rows import surroundings
 from cosim.comparison.signals import Difference, Tolerance, format_share, format_size
 from cosim.simulation.run_files import RecordedRun
 from cosim.storage.results import is_rounded
@@ -186,9 +186,8 @@ def compare_runs(a: RecordedRun, b: RecordedRun, tolerance: float | None = None,
     between = jumps = held = None
     if not aligned:
         close = min(map(signals.time_tolerance, (of_a.time, of_b.time)))
-        between = rows_between(of_a.time, of_b.time, close)
-        jumps = rows_at_jumps(of_b.time, of_a.time, close)
         held = surroundings(of_a.time, of_b.time, close), surroundings(of_b.time, of_a.time, close)
+        between, jumps = held[0].only(), held[1].only(jumps=True)
 
     def difference(name: str) -> Difference:
         if not all(name in r and not (name in r.exact and is_rounded(r[name])) for r in (of_a, of_b)):

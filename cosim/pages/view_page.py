@@ -113,7 +113,10 @@ class Viewer:
         begin, end, most = _number(content, "from"), _number(content, "to"), int(_number(content, "width"))
 
         def plane(run: ViewedRun, x: str, y: str) -> list[Array]:
-            step, columns = run.rows.every([TIME, x, y], begin, end, max(2, min(most, MAX_POINTS)))
+            rows = run.rows
+            first, stop = max(0, rows.locate(begin) - 1), min(rows.rows, rows.locate(end, "right") + 1)
+            step = max(1, -(-(stop - first) // max(2, min(most, MAX_POINTS))))
+            columns = [rows.read(name, first, stop)[::step] for name in (TIME, x, y)]
             return [np.array([columns[0].size, float(step)]), *columns]
 
         curves, across = self._curves(content), self._curves(content, "across")
