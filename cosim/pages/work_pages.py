@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 import signal
 import threading
-import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from tempfile import mkdtemp
+from time import monotonic
 from typing import Any
 
 import numpy as np
@@ -60,7 +60,7 @@ class WorkPage(ServedPage):
 
     def __init__(self, title: str, port: int = 0, html: str = "", part: Part | None = None) -> None:
         self.report: Path | None = None
-        self._begin, self._has_begun = time.monotonic(), False
+        self._begin, self._has_begun = monotonic(), False
         about = {"heading": title, "activity": self.activity, "version": __version__, "data": "{}"}
         html = html or render(TEMPLATE, about, is_report=False)
         super().__init__(html, port, part, phase="starting", title=title, message="", report=False)
@@ -96,7 +96,7 @@ class WorkPage(ServedPage):
     def state(self) -> dict[str, Any]:
         """Return the whole state, as JSON allows it."""
         with self._lock:
-            elapsed = self._state.get("elapsed") or time.monotonic() - self._begin
+            elapsed = self._state.get("elapsed") or monotonic() - self._begin
             if self.has_ended:
                 self._state["elapsed"] = elapsed
             is_there = self.has_ended and self.report is not None and self.report.is_file()
@@ -161,7 +161,7 @@ class LiveRun(WorkPage, Observer):
     def rows(self, time: Array, values: Array) -> None:
         """Keep new rows."""
         if not self._rows.rows:
-            self._rate = time.monotonic(), float(time[0])
+            self._rate = monotonic(), float(time[0])
             self.update(phase="running")
         self._rows.append(np.vstack((time, values.T)))
 
@@ -182,7 +182,7 @@ class LiveRun(WorkPage, Observer):
         state, run, control = super().state(), self._run, self._control
         rows, now = self._rows.rows, self._rows.span()[1] if self._rows.rows else run.start
         since, first = self._rate
-        duration = time.monotonic() - since
+        duration = monotonic() - since
         if state["phase"] == "running":
             speed = (now - first) / duration if rows > 1 and duration > 0.0 else None
             self._state["speed"] = state["speed"] = speed
@@ -280,7 +280,7 @@ class LiveSweep(WorkPage, RunsObserver):
 
     def begin(self, title: str, count: int, limits: Sequence[CriterionLimit], earlier: Iterable[RunResult]) -> None:
         """Prepare for the runs of a sweep, some of which an earlier call has made."""
-        self._limits, self._total, self._since = limits, count, time.monotonic()
+        self._limits, self._total, self._since = limits, count, monotonic()
         self._values, self._met = [[] for _ in limits], [0 for _ in limits]
         self.add([*earlier])
         self._earlier = self._done
@@ -319,7 +319,7 @@ class LiveSweep(WorkPage, RunsObserver):
                 about = {"name": limit.name, "max": limit.max, "unit": limit.unit, "met": met, "of": of}
                 about |= {"low": low, "high": high, "undefined": of - values.size}
                 criteria.append({**about, "counts": counts, "ends": [*ends]})
-            made, passed = self._done - self._earlier, time.monotonic() - self._since
+            made, passed = self._done - self._earlier, monotonic() - self._since
             rate = made / passed if made and not self.has_ended else None
             return {
                 **state,
@@ -353,7 +353,7 @@ class LiveRefine(WorkPage, Watcher):
         with self._lock:
             number, _ = stage_number(stage)
             while len(self._times) < number:
-                self._times.append(time.monotonic())
+                self._times.append(monotonic())
             self._number, self._words, self._share = max(number, self._number), stage, share
         self.update(phase="running")
 
