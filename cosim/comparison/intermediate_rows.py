@@ -70,8 +70,8 @@ class RowsBetween:
     def only(self, *, jumps: bool = False) -> RowsBetween:
         """Return the rows between rows of a, or at a time at which a or b has several rows; or at such times only."""
         chosen = (self.first < self.last) & (self.is_jump | (not jumps))
-        parts = (self.rows, self.time, self.first, self.last, self.is_jump)
-        return RowsBetween(*(part[chosen] for part in parts))
+        first, last = self.first[chosen], self.last[chosen]
+        return RowsBetween(self.rows[chosen], self.time[chosen], first, last, self.is_jump[chosen])
 
 
 def surroundings(a: Array, b: Array, tolerance: float) -> RowsBetween:

@@ -62,7 +62,7 @@ def compare(
         elif shorts[0] == shorts[1] or shorts != [run.name for run in runs]:
             labels, _ = label_runs(runs, shorts, [source.longer or source.short for source in ordered])
             runs = [replace(run, name=label) for run, label in zip(runs, labels, strict=True)]
-        comparison = compare_runs(*runs, tolerance, absolute)
+        comparison = compare_runs(runs[0], runs[1], tolerance, absolute)
     else:
         comparison = compare_several(sources, baseline, tolerance, absolute)
     if not write:

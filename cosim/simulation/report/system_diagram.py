@@ -129,17 +129,17 @@ class Graph:
             x += box.width + SLOT * (3 + len(gaps[number]))
         bottom = top + max(box.height for box in boxes.values()) + 12
         parts = [_drawn_box(box, top) for box in boxes.values()]
-        for number, (link, (start, end)) in enumerate(zip(self.links, wires, strict=True)):
+        for number, (link, (before, after)) in enumerate(zip(self.links, wires, strict=True)):
             (out_name, _, output), (in_name, _, variable) = link.source.partition("."), link.target.partition(".")
             source, target = boxes[out_name], boxes[in_name]
             x1, y1 = source.left + source.width, top + source.port_y(1, output)
             x2, y2 = target.left, top + target.port_y(0, variable)
-            out = x1 + SLOT * (1.5 + gaps[start + 1].index((number, "out")))
-            if end == start + 1:
+            out = x1 + SLOT * (1.5 + gaps[before + 1].index((number, "out")))
+            if after == before + 1:
                 points = [(x1, y1), (out, y1), (out, y2), (x2, y2)]
             else:
                 lane = top - 10 - LANE * above[number] if number in above else bottom + LANE * below[number]
-                into = x2 - SLOT * (len(gaps[end]) - gaps[end].index((number, "in")) + 0.5)
+                into = x2 - SLOT * (len(gaps[after]) - gaps[after].index((number, "in")) + 0.5)
                 points = [(x1, y1), (out, y1), (out, lane), (into, lane), (into, y2), (x2, y2)]
             start_value = "the value of the step's start" if link.held else ""
             title = "; ".join(filter(None, [f"{link.source} → {link.target}", *link.acting, start_value]))
