@@ -226,7 +226,7 @@ def _several_values(c: several.ComparedRuns, charts: Charts) -> dict[str, Any]:
 def _run_rows(c: several.ComparedRuns, styles: Mapping[int, str]) -> list[dict[str, Any]]:
     by_run, rows = dict(zip(c.others, c.comparisons, strict=True)), []
     for k, run in enumerate(c.runs):
-        row = {"label": run.name, "style": styles.get(k, ""), "path": str(run.path)}
+        row: dict[str, Any] = {"label": run.name, "style": styles.get(k, ""), "path": str(run.path)}
         row |= {"most": "baseline", "same": None, "note": ""}
         if k in by_run:
             d, missing = max(by_run[k].differences, key=lambda d: d.share), len(by_run[k].only_a)

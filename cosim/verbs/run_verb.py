@@ -105,7 +105,7 @@ def run(
         _refuse_options(Path(str(scenario)), {**given, "nearest": nearest})
     place = nullcontext() if goes_on else results_in(out, "cosim run", force=force)
     with compiling(compile), place as folder, _scenario_file(scenario) as path:
-        pages = partial(write_pages, report=report, figures=figures) if goes_on or out is not None else False
+        pages: Any = partial(write_pages, report=report, figures=figures) if goes_on or out is not None else False
         steps = partial(run_file, in_process=in_process, progress=progress, observers=observers, inputs=inputs)
         if goes_on:
             outcome = steps(path, report=pages, resume=resume, until=until)
