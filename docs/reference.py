@@ -13,7 +13,7 @@ import typer.main
 import cosim.model
 from cosim.base.registry import resolve
 from cosim.calibration.fitted import Fitted
-from cosim.comparison.differences import Compared
+from cosim.comparison.page import Compared
 from cosim.refinement.refined_result import Refined
 from cosim.residuals.replay_signals import Replay
 from cosim.simulation.run_signals import Run, Signals

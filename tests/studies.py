@@ -13,7 +13,7 @@ from cosim.estimation.problem import Problem
 from cosim.logs.log import Log
 from cosim.refinement.proof.measure import Evidence, replay_logs
 from cosim.refinement.proof.refined_models import Variant
-from cosim.refinement.record import SCHEMA
+from cosim.refinement.record import schema
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.workflow import refine
 from cosim.subject.interface import Workplace
@@ -41,7 +41,7 @@ def proven(study: Path, folder: Path) -> Refinement:
     """Refine a study; check that its results fit the schema and are consistent, for any verdict."""
     r = refine(study, folder)
     written = json.loads((folder / "refine.json").read_text())
-    jsonschema.validate(written, json.loads(SCHEMA.read_text()))
+    jsonschema.validate(written, schema())
     said = contradictions(written, folder)
     assert not said, said
     return r

@@ -1,16 +1,22 @@
-"""Two runs held against each other, and the page of a run made again."""
+"""Two runs held against each other: tolerances, units, times, texts; and the page of a run made again."""
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.comparison.differences import Compared, compare_runs
+from cosim.comparison.several import RunSource
+from cosim.comparison.workflow import compare
 from cosim.simulation.run_files import RecordedRun
 from cosim.storage.artefact import kind_by_keys
 from cosim.storage.results import Results
@@ -18,16 +24,16 @@ from tests.test_first_steps import told
 from tests.typed import typed_fmu
 
 TIME = np.linspace(0, 1, 101)
+EPS = float(np.finfo(float).eps)
 
 
-def ran(
-    name: str = "a", time: np.ndarray = TIME, units: dict[str, str] | None = None, **signals: np.ndarray
-) -> RecordedRun:
-    values = np.column_stack(list(signals.values()))
-    return RecordedRun(Path(name), name, Results(time, tuple(signals), values, units or {}))
+def ran(name: str = "a", time: Array = TIME, /, text: Any = None, units: Any = None, **signals: Any) -> RecordedRun:
+    columns = [np.broadcast_to(values, time.shape) for values in signals.values()]
+    table = np.column_stack(columns) if columns else np.zeros((time.size, 0))
+    return RecordedRun(Path(name), name, Results(time, tuple(signals), table, units or {}, exact=text or {}))
 
 
-def held(a: np.ndarray, b: np.ndarray, tolerance: float | None = None, absolute: float = 0.0) -> Compared:
+def held(a: Any, b: Any, tolerance: float | None = None, absolute: float = 0.0) -> Compared:
     return compare_runs(ran(x=a), ran("b", x=b), tolerance, absolute)
 
 
@@ -188,7 +194,7 @@ COARSE = np.array([0.0, 1.0, 2.0])
 def test_rows_between_those_of_the_other_are_held_against_what_these_span(
     times: list[float], values: list[float], largest: float, at: float
 ) -> None:
-    found = compare_runs(ran(time=COARSE, x=COARSE + 1.0), ran("b", time=np.array(times), x=np.array(values)), 1e-6)
+    found = compare_runs(ran("a", COARSE, x=COARSE + 1.0), ran("b", np.array(times), x=np.array(values)), 1e-6)
     (d,) = found.differences
     assert (d.largest, d.at if largest else 0.0, d.beyond) == (largest, at, largest > 0)
     assert ("between rows of a" in d.note) == (largest > 0)
@@ -196,9 +202,7 @@ def test_rows_between_those_of_the_other_are_held_against_what_these_span(
 
 def test_text_between_rows_may_change_a_row_early_and_say_nothing_else() -> None:
     def spoken_run(name: str, time: list[float], words: list[str]) -> RecordedRun:
-        return RecordedRun(
-            Path(name), name, Results(np.array(time), (), np.zeros((len(time), 0)), {}, exact={"s": words})
-        )
+        return ran(name, np.array(time), text={"s": words})
 
     a = spoken_run("a", [0.0, 1.0, 2.0], ["x", "x", "y"])
     assert compare_runs(a, spoken_run("b", [0.0, 1.0, 1.5, 2.0], ["x", "x", "y", "y"]), 0.0).same
@@ -214,9 +218,79 @@ def test_without_a_tolerance_the_same_is_what_is_equal_and_nothing_is_beyond() -
     other = held(TIME, 2.0 * TIME)
     assert (other.same, other.beyond, other.reasons) == (False, [], ["1 signal differs"])
     assert other.as_json()["within"] is None
-
-    def spoken_run(word: str) -> RecordedRun:
-        return RecordedRun(Path(word), word, Results(COARSE, (), np.zeros((3, 0)), {}, exact={"s": [word] * 3}))
-
-    found = compare_runs(spoken_run("x"), spoken_run("y"))
+    found = compare_runs(*(ran(word, COARSE, text={"s": [word] * 3}) for word in "xy"))
     assert (found.same, found.beyond) == (False, [])
+
+
+# -- edges ----------------------------------------------------------------------------------------
+
+
+def test_a_difference_of_the_tolerance_itself_is_within_it() -> None:
+    a = 4.0 * TIME
+    b = a + np.where(TIME == 0.0, 1.0, 0.0)
+    for tolerance, absolute in ((0.25, 0.0), (0.0, 1.0), (0.125, 0.5)):
+        assert held(a, b, tolerance, absolute).same
+        assert not held(a, b, tolerance * (1 - 1e-9), absolute * (1 - 1e-9)).same
+
+
+def test_largest_rms_scale_and_share_are_their_formulas() -> None:
+    rows = np.arange(101.0)
+    (found,) = held(0.04 * rows - 1.0, 0.04 * rows - 1.0 + np.where(rows % 10 == 0, -0.5, 0.0)).differences
+    assert (found.largest, found.scale, found.share, found.at) == (
+        pytest.approx(0.5), pytest.approx(4.0), pytest.approx(0.125), found.at,
+    )  # fmt: skip
+    assert round(100 * found.at) % 10 == 0
+    assert found.rms == pytest.approx(0.5 * math.sqrt(11 / 101))
+    assert held(np.full(101, -3.0), np.full(101, -3.3)).differences[0].share == pytest.approx(0.1)
+    assert held(0.0, 0.25).differences[0].share == 0.25  # a signal that is zero has no size: 1 in its unit
+    (found,) = held(np.where(TIME > 0.5, np.nan, 2.0 * TIME), TIME).differences
+    assert (found.scale, found.largest, found.rms) == (pytest.approx(1.0), math.inf, math.inf)
+
+
+def test_a_change_of_unit_there_and_back_is_no_difference_and_a_little_more_is() -> None:
+    degrees = np.linspace(1.0, 100.0, 101)
+    radians = ran("a", units={"x": "rad"}, x=np.radians(degrees))
+    assert compare_runs(radians, ran("b", units={"x": "deg"}, x=degrees), 0.0).same
+    found = compare_runs(radians, ran("b", units={"x": "deg"}, x=degrees * (1.0 + 20 * EPS)), 0.0)
+    assert not found.same
+    assert found.differences[0].note == "deg in b, converted"
+    for size in (1e-6, 1e6):  # rounding is a share of the value, however large that is
+        small = ran("a", units={"x": "rad"}, x=size * np.radians(degrees))
+        assert compare_runs(small, ran("b", units={"x": "deg"}, x=size * degrees), 0.0).same
+        off = size * degrees * (1.0 + 20 * EPS)
+        assert not compare_runs(small, ran("b", units={"x": "deg"}, x=off), 0.0).same
+    # without a change of unit the last bit counts
+    assert not held(degrees, degrees * (1.0 + EPS), 0.0).same
+
+
+def test_signals_after_one_that_cannot_be_compared_are_compared() -> None:
+    a = ran("a", text={"mode": ["on"] * 101}, units={"x": "m", "y": "s"}, x=TIME, y=TIME)
+    b = ran("b", text={"mode": ["on"] * 50 + ["off"] * 51}, units={"x": "kg", "y": "s"}, x=TIME, y=TIME + 1.0)
+    found = compare_runs(a, b, 0.1)
+    assert [d.name for d in found.differences] == ["x", "y", "mode"]
+    x, y, mode = found.differences
+    assert (x.alike, x.beyond, y.largest, y.beyond) == (False, True, 1.0, True)
+    assert (mode.largest, mode.at, mode.rms, mode.share, mode.beyond) == (1.0, 0.5, 1.0, 1.0, True)
+    assert [d.beyond for d in compare_runs(a, b).differences] == [False, False, False]
+    assert found.reasons == ["2 signals beyond the tolerance", "x is in m in one, in kg in the other"]
+
+
+def test_a_spike_between_rows_counts_by_its_size_and_its_time() -> None:
+    fine = np.linspace(0.0, 1.0, 1001)
+    spike = 2.0 * fine + np.where(np.arange(1001) == 505, 0.5, 0.0)
+    found = compare_runs(ran("a", x=2.0 * TIME), ran("b", fine, x=spike), 0.2)
+    (one,) = found.differences
+    # the rows of a around 0.505 s say 1.00 … 1.02
+    assert (one.largest, one.at, one.share, one.beyond) == (pytest.approx(0.49), 0.505, pytest.approx(0.245), True)
+    assert one.note == "between rows of a"
+    assert compare_runs(ran("a", x=2.0 * TIME), ran("b", fine, x=spike), 0.25).same
+    assert compare_runs(ran("a", x=2.0 * TIME), ran("b", fine, x=spike), 0.0, 0.5).same
+
+
+@pytest.mark.parametrize("value", [-0.1, math.nan, math.inf])
+def test_a_tolerance_that_is_none_is_refused(value: float, tmp_path: Path) -> None:
+    sources = [RunSource(name, Path(name), partial(ran, name, x=TIME)) for name in "abc"]
+    for count, option in itertools.product((2, 3), ("tolerance", "absolute")):
+        with pytest.raises(InputError):
+            compare(sources[:count], tmp_path / "out", as_pair=count == 2, **{option: value})  # type: ignore[arg-type]
+    assert not (tmp_path / "out").exists()

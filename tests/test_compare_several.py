@@ -13,8 +13,8 @@ from typer.testing import CliRunner
 
 import cosim
 from cosim.base.errors import CriterionMissed, InputError
+from cosim.comparison.page import comparison_page
 from cosim.comparison.several import ComparedRuns, RunSource, compare_several
-from cosim.comparison.several_page import several_page
 from cosim.simulation.run_files import RecordedRun
 from cosim.storage.results import Results
 from cosim.verbs.cli import app
@@ -80,7 +80,7 @@ def test_a_run_that_a_pattern_matched_is_left_out_with_the_reason() -> None:
     found = compare_several([_source("a", 1.0), lost, _source("c", 2.0)])
     assert found.labels == ["a", "c"]
     assert found.left_out == ("b: no such folder or file",)
-    assert "no such folder or file" in several_page(found, "", [])
+    assert "no such folder or file" in comparison_page(found)
     with pytest.raises(InputError, match="b: no such folder"):
         compare_several([_source("a", 1.0), lost])
     with pytest.raises(InputError, match="b: no such folder"):

@@ -9,7 +9,8 @@ import pytest
 
 from cosim.isolation.rows import CALLS, NOTHING
 from cosim.isolation.watch import ComponentTimes
-from cosim.simulation.report.time_rows import time_sentence
+from cosim.simulation.report import write_pages
+from cosim.simulation.report.run_rows import time_sentence
 from cosim.simulation.workflow import run
 from tests.walker import walker_scenario
 
@@ -39,7 +40,7 @@ def test_a_run_tells_its_slow_component_in_manifest_and_report(tmp_path: Path) -
     # 1 ms of each step, and 25 ms from t = 0.5 s on
     scenario = walker_scenario(tmp_path, pause=1000.0)
     slow = ["events=[{at: 0.5, set: {saving.pause: 25000}}]"]
-    outcome = run(scenario, tmp_path / "out", slow)
+    outcome = run(scenario, tmp_path / "out", slow, report=write_pages)
     timings = json.loads((tmp_path / "out" / "manifest.json").read_text())["timings"]
     assert next(iter(timings["components"])) == "saving"
     assert timings["components"]["saving"]["step"] > 1.0

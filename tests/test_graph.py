@@ -9,9 +9,9 @@ from xml.etree import ElementTree
 
 import pytest
 
-from cosim.authoring.graph import graph_of
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.system.system import build_system
+from cosim.verbs.graph_verb import graph_of
 from tests.test_first_steps import told
 from tests.typed import typed_fmu
 

@@ -21,7 +21,7 @@ from cosim.verbs.cli import entry
 from tests.conftest import ROOT
 from tests.tank import MODEL
 
-SCHEMA = ROOT / "cosim" / "linearization" / "linear.schema.json"
+SCHEMA = ROOT / "docs" / "schemas" / "linear_result.schema.json"
 EIGHT = ("x", "vx", "y", "vy", "psi", "psi_dot", "phi", "phi_dot")  # eq 5.11
 FOUR = ("duty_right", "duty_left", "tilt_right", "tilt_left")
 LAGS = ("thrust_right", "thrust_left", "tilt_right", "tilt_left")

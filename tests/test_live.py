@@ -95,14 +95,8 @@ def test_rows_are_read_while_they_appear_and_wrong_requests_are_refused(tmp_path
         assert numbers[:3].tolist() == [61, 1, 1]
         assert numbers[64:125].tolist() == ran["mill.r_out"].tolist()
         assert numbers[128:].tolist() == ran["mill.h"].tolist()
-        for path_, content in (
-            ("set", {"mill.gain": 2}),
-            ("pause", True),
-            ("stop", True),
-            ("pause", "yes"),
-            ("set", [1]),
-        ):
-            assert ask(page, path_, content)[0] == 400
+        requests = [("set", {"mill.gain": 2}), ("pause", True), ("stop", True), ("pause", "yes"), ("set", [1])]
+        assert [ask(page, *request)[0] for request in requests] == [400] * 5
         status, report = ask(page, "report.html")
         assert (status, report[:15]) == (200, b"<!DOCTYPE html>")
     finally:
@@ -207,16 +201,3 @@ def test_the_example_runs_with_a_page_and_without_a_display_its_address_is_print
         assert (last["phase"], last["rows"], last["title"]) == ("finished", 1001, "oven")
         assert {*last["values"]} == {"oven.power", "oven.fan", "oven.room"}
         assert process.wait(30) == 0  # its page is closed
-
-
-def test_a_port_in_use_is_told_before_anything_runs(tmp_path: Path) -> None:
-    page = LiveRun("x")
-    try:
-        command = [sys.executable, "-m", "cosim", "run", "mill.yaml", "--port", str(page.port)]
-        slow_scenario(tmp_path)
-        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60)
-        assert done.returncode == 2
-        assert f"--port: port {page.port} is in use" in done.stderr
-        assert not (tmp_path / "results").exists()
-    finally:
-        page.close()

@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.authoring.graph import graph_of
 from cosim.base.errors import InputError
 from cosim.loading.file import load_model, without_execution
 from cosim.sweeps.workflow import sweep as run_sweep
 from cosim.verbs.check_verb import check as check_files
+from cosim.verbs.graph_verb import graph_of
 from tests.conftest import ROOT
 from tests.logs import write_log
 from tests.warm import cosim

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import html
-import importlib.util
-import os
 import re
-import subprocess
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -22,14 +19,12 @@ from cosim.base.errors import InputError
 from cosim.base.notebook import shows_progress
 from cosim.calibration.fitted import Fitted
 from cosim.comparison.differences import compare_runs
-from cosim.comparison.several import ComparedRuns
+from cosim.comparison.page import drawn
 from cosim.refinement.refined_result import Refined
 from cosim.report.cell.cell import MAX_CURVES, rows_to_show
 from cosim.simulation.run_files import RecordedRun
 from cosim.simulation.run_signals import Signals
 from cosim.storage.results import Results
-from tests.conftest import ROOT
-from tests.seen import CHROMIUM
 from tests.test_python import turning
 
 PEAK = 123_457  # row of a single high value
@@ -83,17 +78,11 @@ def test_integers_of_64_bits_are_drawn_and_texts_are_named() -> None:
     assert "fmu.mode not drawn: texts; fmu.id above 2⁵³ drawn as the nearest doubles." in shown
     assert f"<td>fmu.id</td><td></td><td>{2**60}</td>" in shown
     assert "<td>fmu.mode</td><td></td><td>on</td>" in shown
-    assert len(frames(made.chart("fmu.id")._repr_html_())) == 1
-    with pytest.raises(KeyError, match=r"fmu\.mode"):
-        made.chart("fmu.mode")
-
-
-def test_named_signals_are_drawn_alone_and_unknown_ones_are_refused() -> None:
-    (frame,) = frames(signals(50, 5).chart("tank.s3")._repr_html_())
-    assert "tank.s3" in frame
-    assert "tank.s2" not in frame
-    with pytest.raises(KeyError, match=r"tank\.s9"):
-        signals(50, 5).chart("tank.s9")
+    (frame,) = frames(made.chart("fmu.id")._repr_html_())
+    assert ("fmu.id" in frame, "fmu.x" in frame) == (True, False)
+    for name in ("fmu.mode", "fmu.none"):
+        with pytest.raises(KeyError, match=name):
+            made.chart(name)
 
 
 @pytest.mark.parametrize("rows", [0, 1])
@@ -117,9 +106,8 @@ def test_a_comparison_and_estimates_show_themselves(tmp_path: Path) -> None:
         return RecordedRun(Path(name), name, results, {})
 
     compared = compare_runs(ran("a", np.arange(9.0)), ran("b", np.arange(9.0) ** 2))
-    (frame,) = frames(compared._repr_html_())
+    (frame,) = frames(drawn(compared)._repr_html_())
     assert "x, b − a" in frame
-    assert hasattr(ComparedRuns, "_repr_html_")
     entry = {"start": 1.0, "value": 2.0, "unit": "kg", "ci95": [1.5, 2.5], "status": "estimated"}
     fitted = Fitted({"verdict": "improved", "sentence": "a < b", "parameters": {"mass": entry}})
     assert "a &lt; b" in fitted._repr_html_()
@@ -186,65 +174,6 @@ def test_runs_within_a_running_event_loop_and_beside_it(tmp_path: Path) -> None:
         return [float(made["a.r_out"][-1]) for made in (here, beside)]
 
     assert asyncio.run(cell()) == [2.0, 3.0]
-
-
-CELL = """
-import asyncio, cosim
-from cosim.base import notebook
-notebook.AFTER = notebook.EVERY = 0.0
-await asyncio.sleep(0)
-made = cosim.run({scenario!r})
-made
-"""
-
-
-@pytest.mark.thorough
-def test_a_kernel_shows_the_chart_and_one_line_of_progress(tmp_path: Path) -> None:
-    if any(importlib.util.find_spec(name) is None for name in ("nbclient", "ipykernel")):
-        pytest.skip("no nbclient or no ipykernel")
-    scenario = turning(tmp_path, duration=200)
-    code = (
-        "import nbformat, nbclient\n"
-        f"cell = nbformat.v4.new_code_cell({CELL.format(scenario=scenario)!r})\n"
-        "nb = nbformat.v4.new_notebook(cells=[cell])\n"
-        "nbclient.NotebookClient(nb, timeout=60, kernel_name='python3').execute()\n"
-        "for output in nb.cells[0].outputs: print(output.output_type, output.get('data', output))"
-    )
-    done = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=120,
-        env={**os.environ, "PYTHONPATH": str(ROOT), "PYDEVD_DISABLE_FILE_VALIDATION": "1"},
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    kinds = [line.split()[0] for line in done.stdout.splitlines() if line.startswith(("display", "execute", "stream"))]
-    assert kinds == ["display_data", "execute_result"]
-    assert re.search(r"run: \d+\.\d s", done.stdout)  # the line of progress at its end
-    assert "<iframe" in done.stdout
-
-
-@pytest.mark.thorough
-@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
-def test_the_charts_in_a_cell_follow_the_pointer(tmp_path: Path) -> None:
-    api = pytest.importorskip("playwright.sync_api", reason="no playwright")
-    path = tmp_path / "cell.html"
-    path.write_text(f"<!DOCTYPE html><body>{signals(500, 3)._repr_html_()}", encoding="utf-8")
-    with api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
-        page = browser.new_page(viewport={"width": 1000, "height": 600})
-        faults: list[str] = []
-        page.on("pageerror", lambda error: faults.append(str(error)))
-        page.goto(path.as_uri())
-        frame = page.frames[1]
-        frame.wait_for_function("document.documentElement.dataset.ready === 'yes'")
-        box = frame.locator("[data-box]").first.bounding_box()
-        assert box is not None
-        page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
-        frame.wait_for_function("document.querySelector('.when').textContent.startsWith('2.')")
-        first = frame.locator("output").first.inner_text()
-        assert float(first.replace("\u2212", "-")) == pytest.approx(np.sin(2.5 / 3.0), abs=0.01)
-        with pytest.raises(api.Error, match=r"cross-origin|SecurityError|Blocked a frame"):
-            frame.evaluate("parent.document.title")
-        browser.close()
-    assert faults == []
 
 
 def test_a_faulty_input_is_a_message_in_a_notebook_without_the_frames_of_the_package() -> None:

@@ -157,7 +157,9 @@ def test_a_data_frame_has_the_time_as_index_or_says_what_is_missing(tmp_path: Pa
 # -- schemas --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", ["scenario", "study", "fit", "model", "sweep", "protocol", "design"])
+@pytest.mark.parametrize(
+    "kind", ["scenario", "study", "fit", "model", "sweep", "protocol", "design", "refine_result", "fit_result"]
+)
 def test_the_schema_that_is_shipped_is_the_one_that_is_printed(kind: str) -> None:
     shipped = (ROOT / "docs" / "schemas" / f"{kind}.schema.json").read_text(encoding="utf-8")
     assert told("schema", kind) == shipped, f"cosim schema {kind} > docs/schemas/{kind}.schema.json"

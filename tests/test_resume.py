@@ -215,78 +215,40 @@ def test_a_longer_run_that_fails_keeps_the_rows_of_the_finished_one(checkpoint: 
 # -- bad input ------------------------------------------------------------------------------------
 
 
-def changed_version(folder: Path) -> None:
-    record = json.loads((folder / "checkpoint" / "run.json").read_text())
-    (folder / "checkpoint" / "run.json").write_text(json.dumps({**record, "cosim_version": "0.1"}))
+def edited(record: bytes, **changes: Any) -> bytes:
+    return json.dumps({**json.loads(record), **changes}).encode()
 
 
-def half_written(folder: Path) -> None:
-    state = folder / "checkpoint" / "state"
-    state.write_bytes(state.read_bytes()[:-100])
+def with_other_fmu(record: bytes) -> bytes:
+    content = json.loads(record)
+    content["scenario"]["components"]["other"]["fmu"] = __file__
+    return json.dumps(content).encode()
 
 
-def other_format(folder: Path) -> None:
-    state = folder / "checkpoint" / "state"
-    state.write_bytes(pack({**unpack(state.read_bytes()), "format": 99}))
+DAMAGES: dict[str, tuple[str, Callable[[bytes], bytes | None]]] = {  # file, change of its content; None removes it
+    "version": ("checkpoint/run.json", lambda record: edited(record, cosim_version="0.1")),
+    "keys": ("checkpoint/run.json", lambda record: edited(record, files=[])),
+    "fmu": ("checkpoint/run.json", with_other_fmu),
+    "cut record": ("checkpoint/run.json", lambda record: record[:-100]),
+    "format": ("checkpoint/state", lambda state: pack({**unpack(state), "format": 99})),
+    "cut state": ("checkpoint/state", lambda state: state[:-100]),
+    "row": ("results.csv", lambda rows: rows.replace(b"\n0.05,", b"\n0.05,7", 1)),
+    "no rows": ("results.csv", lambda rows: None),
+    "short rows": ("checkpoint/rows", lambda _: bytes(20)),  # as of a run that was killed
+    "nothing": ("*", lambda _: None),
+}
 
 
-def changed_row(folder: Path) -> None:
-    rows = folder / "results.csv"
-    rows.write_text(rows.read_text().replace("\n0.05,", "\n0.05,7", 1))
-
-
-def changed_fmu(folder: Path) -> None:
-    record = json.loads((folder / "checkpoint" / "run.json").read_text())
-    other = folder.parent / "elsewhere.fmu"
-    other.write_bytes(b"another")
-    record["scenario"]["components"]["other"]["fmu"] = str(other)
-    (folder / "checkpoint" / "run.json").write_text(json.dumps(record))
-
-
-def removed_rows(folder: Path) -> None:
-    (folder / "results.csv").unlink()
-
-
-def cut_rows(folder: Path) -> None:
-    (folder / "checkpoint" / "rows").write_bytes(bytes(20))  # as of a run that was killed, but short
-
-
-def damaged_record(folder: Path) -> None:
-    record = folder / "checkpoint" / "run.json"
-    record.write_text(record.read_text()[:-100])
-
-
-def edited_record(folder: Path) -> None:
-    record = json.loads((folder / "checkpoint" / "run.json").read_text())
-    (folder / "checkpoint" / "run.json").write_text(json.dumps({**record, "files": []}))
-
-
-def removed_all(folder: Path) -> None:
-    for path in [*folder.rglob("*.*"), folder / "checkpoint" / "state"]:
-        path.unlink()
-
-
-@pytest.mark.parametrize(
-    "damage",
-    [
-        changed_version,
-        other_format,
-        half_written,
-        changed_row,
-        changed_fmu,
-        removed_rows,
-        cut_rows,
-        damaged_record,
-        edited_record,
-        removed_all,
-    ],
-)
+@pytest.mark.parametrize("damage", DAMAGES)
 @pytest.mark.parametrize("options", [{"resume": True}, {"until": 2.0}])
 def test_a_folder_that_does_not_belong_together_is_refused_and_left_alone(
-    in_c: Walk, tmp_path: Path, damage: Callable[[Path], None], options: dict[str, Any]
+    in_c: Walk, tmp_path: Path, damage: str, options: dict[str, Any]
 ) -> None:
     part = shutil.copytree(in_c[2], tmp_path / "part")
-    damage(part)
+    pattern, change = DAMAGES[damage]
+    for path in [each for each in part.rglob("*") if each.is_file()] if pattern == "*" else [part / pattern]:
+        content = change(path.read_bytes() if path.is_file() else b"")
+        path.unlink() if content is None else path.write_bytes(content)
     before = {path: path.read_bytes() for path in part.rglob("*") if path.is_file()}
     with pytest.raises(InputError) as refused:
         run(part, report=False, **options)

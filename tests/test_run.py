@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from cosim.base.errors import InputError
+from cosim.simulation.report import write_pages
 from cosim.simulation.workflow import run
 from cosim.storage.table import read_columns
 from tests.warm import cosim
@@ -157,7 +158,7 @@ def test_a_duty_outside_the_fitted_thrust_line_is_warned_of_once(project: Path) 
 
 def test_a_run_without_a_report_leaves_none_of_other_results(project: Path) -> None:
     scenario, folder = project / "scenarios" / "regulate.yaml", project / "once"
-    run(scenario, folder, ["duration=0.2"])
+    run(scenario, folder, ["duration=0.2"], report=write_pages)
     assert (folder / "report.html").exists()
     run(scenario, folder, ["duration=0.2"], report=False)
     assert not (folder / "report.html").exists()

@@ -22,7 +22,7 @@ from cosim.kernel.kernel import DISTURBANCE, MEMORY, Data, Filtered, Kernel, Lay
 from cosim.logs.log import Log
 from cosim.model import Quantity, parameter
 from cosim.model.quantities import Parameter
-from cosim.refinement.record import SCHEMA
+from cosim.refinement.record import schema
 from cosim.refinement.study import study_of
 from cosim.residuals.windows import Replay
 from cosim.subject.base_parameters import base_parameter
@@ -268,7 +268,7 @@ def test_the_error_is_proven_on_the_sealed_log_by_its_own_replayer(refined: cosi
 def test_what_needs_a_model_is_left_out_and_the_page_says_so(refined: cosim.Refined) -> None:
     assert sorted(p.name for p in refined.folder.iterdir()) == ["refine.json", "report.html"]
     written = json.loads((refined.folder / "refine.json").read_text())
-    jsonschema.validate(written, json.loads(SCHEMA.read_text()))
+    jsonschema.validate(written, schema())
     page = (refined.folder / "report.html").read_text()
     assert "cosim run scenario.yaml" not in page
 

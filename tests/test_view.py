@@ -28,8 +28,9 @@ from cosim.pages import tables
 from cosim.pages.layouts import Layouts
 from cosim.pages.rows import TIME, Recording, Store
 from cosim.pages.runs import RunPlace, ViewedRun, find_runs, open_runs
+from cosim.pages.server import ServedPage
 from cosim.pages.tables import ColumnTypes, open_rows
-from cosim.pages.view_page import ViewPage
+from cosim.pages.view_page import view_page
 from cosim.storage.results import Results
 from cosim.verbs.cli import app
 
@@ -327,18 +328,18 @@ def test_prepared_runs_are_told(folder: Path) -> None:
 
 
 @pytest.fixture
-def page(tmp_path: Path) -> Iterator[tuple[ViewPage, Ask]]:
+def page(tmp_path: Path) -> Iterator[tuple[ServedPage, Ask]]:
     """The page of two runs, and a function for requests."""
     runs = []
     for k in range(2):
         file = tmp_path / f"r{k}.csv"
         file.write_text(f"time,x [m],y\n0,{k},1\n1,{k + 1},\n1,{k + 2},3\n")
         runs.append(ViewedRun(RunPlace(f"r{k}", f"run {k}", file)))
-    with ViewPage("2 runs", runs, Layouts(tmp_path / "view.json")) as made:
+    with view_page("2 runs", runs, Layouts(tmp_path / "view.json")) as made:
         yield made, asking(made)
 
 
-def asking(page: ViewPage) -> Ask:
+def asking(page: ServedPage) -> Ask:
     """A function that sends a request to a page and returns the answer."""
 
     def ask(path: str, content: Any = None) -> Any:
@@ -364,7 +365,7 @@ def values_at(ask: Ask, at: float, *curves: list[Any]) -> list[float]:
     return found
 
 
-def test_points_values_planes_and_tables_come_from_the_server(page: tuple[ViewPage, Ask]) -> None:
+def test_points_values_planes_and_tables_come_from_the_server(page: tuple[ServedPage, Ask]) -> None:
     _, ask = page
     about = ask("about")
     assert [(run["name"], run["set"], run["rows"]) for run in about["runs"]] == [("r0", 0, 3), ("r1", 0, 3)]
@@ -386,7 +387,7 @@ def test_points_values_planes_and_tables_come_from_the_server(page: tuple[ViewPa
 
 
 def test_an_export_that_is_too_large_asks_for_a_zoom(
-    page: tuple[ViewPage, Ask], monkeypatch: pytest.MonkeyPatch
+    page: tuple[ServedPage, Ask], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("cosim.pages.view_page.MAX_CELLS", 5)
     refusal(
@@ -394,7 +395,7 @@ def test_an_export_that_is_too_large_asks_for_a_zoom(
     )
 
 
-def test_a_derived_signal_is_a_signal_of_its_run_and_never_derived_from_itself(page: tuple[ViewPage, Ask]) -> None:
+def test_a_derived_signal_is_a_signal_of_its_run_and_never_derived_from_itself(page: tuple[ServedPage, Ask]) -> None:
     _, ask = page
     of = {"a": [1, "x"], "b": [0, "x"]}
     for formula, stated, unit in (("a", "", "m"), (" b", "mm", "mm"), ("a - b", "m", "m"), ("a - b", "", "")):
@@ -444,7 +445,7 @@ def test_a_derived_signal_is_a_signal_of_its_run_and_never_derived_from_itself(p
         ("export.csv?of=nothing", None),
     ],
 )
-def test_a_wrong_request_is_refused_and_the_page_stays(page: tuple[ViewPage, Ask], path: str, content: Any) -> None:
+def test_a_wrong_request_is_refused_and_the_page_stays(page: tuple[ServedPage, Ask], path: str, content: Any) -> None:
     made, ask = page
     if isinstance(content, bytes):
         request = urllib.request.Request(made.url + path, content, {"Content-Type": "application/json"})
@@ -458,7 +459,7 @@ def test_a_wrong_request_is_refused_and_the_page_stays(page: tuple[ViewPage, Ask
 def test_names_with_control_characters_are_shown_as_escapes(tmp_path: Path) -> None:
     file = tmp_path / "r.csv"
     file.write_text("time,x\x1b[31m\u202e [m]\n0,1\n1,2\n")
-    with ViewPage("run", [ViewedRun(RunPlace("\udfff", "r\x1b", file))], Layouts(tmp_path / "view.json")) as page:
+    with view_page("run", [ViewedRun(RunPlace("\udfff", "r\x1b", file))], Layouts(tmp_path / "view.json")) as page:
         ask = asking(page)
         about = ask("about")
         assert about["runs"][0]["label"] == r"r\u001b"
@@ -471,7 +472,9 @@ def test_texts_come_at_the_cursor_and_in_exports(tmp_path: Path) -> None:
     file = tmp_path / "results.csv"
     results = with_texts(file, 4)
     rows = open_rows(file, ColumnTypes(text=[*results.exact], words=frozenset({"fmu.word", "fmu.raw"})))
-    with ViewPage("run 0", [ViewedRun(RunPlace("r0", "run 0", file), rows=rows)], Layouts(tmp_path / "v.json")) as page:
+    with view_page(
+        "run 0", [ViewedRun(RunPlace("r0", "run 0", file), rows=rows)], Layouts(tmp_path / "v.json")
+    ) as page:
         ask = asking(page)
         names = [[0, name] for name in ("fmu.id", "fmu.mode", "fmu.raw")]
         assert ask("texts", {"at": 0.25, "curves": names}) == [str(2**64 - 1), "run, fast", "ff02"]
@@ -495,7 +498,7 @@ def test_texts_come_at_the_cursor_and_in_exports(tmp_path: Path) -> None:
     ],
 )
 def test_layouts_are_kept_in_a_file_and_one_that_is_none_is_refused_by_its_place(
-    page: tuple[ViewPage, Ask], tmp_path: Path, layout: Any, place: str
+    page: tuple[ServedPage, Ask], tmp_path: Path, layout: Any, place: str
 ) -> None:
     _, ask = page
     assert ask("layouts", {"name": "good", "layout": {"plots": []}}) == {"good": {"plots": []}}
@@ -512,7 +515,7 @@ def test_layouts_are_kept_in_a_file_and_one_that_is_none_is_refused_by_its_place
 
 
 def test_a_run_that_grows_is_followed_and_one_that_is_removed_is_told(
-    page: tuple[ViewPage, Ask], tmp_path: Path
+    page: tuple[ServedPage, Ask], tmp_path: Path
 ) -> None:
     made, ask = page
     ask("derive", {"name": "d", "formula": "2 * a", "of": {"a": [1, "x"]}})

@@ -16,7 +16,8 @@ from benchmarks.view import write_layout
 from cosim.pages.layouts import Layouts
 from cosim.pages.rows import TIME, Recording
 from cosim.pages.runs import RunPlace, ViewedRun
-from cosim.pages.view_page import ViewPage
+from cosim.pages.server import ServedPage
+from cosim.pages.view_page import view_page
 from tests.test_live_browser import CHROMIUM, browser, opened, until
 
 if TYPE_CHECKING:
@@ -29,7 +30,7 @@ DRAWN = "document.documentElement.dataset.view === 'drawn'"
 
 
 @pytest.fixture
-def page_of_runs(tmp_path: Path) -> Iterator[ViewPage]:
+def page_of_runs(tmp_path: Path) -> Iterator[ServedPage]:
     """Two runs of 10⁵ rows with a peak in a single row, and one of 10 000 signals."""
     at = np.arange(ROWS) * 1e-3
     runs = []
@@ -43,7 +44,7 @@ def page_of_runs(tmp_path: Path) -> Iterator[ViewPage]:
     wide = {name: np.array([0.0, 1.0]) for name in names}
     recording = Recording({TIME: np.array([0.0, 100.0]), **wide}, dict.fromkeys(names, ""), 2)
     runs.append(_run(tmp_path / "wide.csv", 2, recording))
-    with ViewPage("3 runs", runs, Layouts(tmp_path / "view.json")) as page:
+    with view_page("3 runs", runs, Layouts(tmp_path / "view.json")) as page:
         yield page
 
 
@@ -55,7 +56,7 @@ def _names(page: Page) -> list[str]:
     return page.locator(".legend .entry > button.entry").all_inner_texts()
 
 
-def test_signals_are_searched_dragged_and_added_by_keys(browser: Browser, page_of_runs: ViewPage) -> None:
+def test_signals_are_searched_dragged_and_added_by_keys(browser: Browser, page_of_runs: ServedPage) -> None:
     faults: list[str] = []
     page = opened(browser, page_of_runs.url, faults, viewport={"width": 1300, "height": 1000})
     page.wait_for_selector("html[data-ready=view]", state="attached")
@@ -102,7 +103,7 @@ def test_signals_are_searched_dragged_and_added_by_keys(browser: Browser, page_o
     assert faults == []
 
 
-def test_zoom_cursor_files_and_layouts(browser: Browser, page_of_runs: ViewPage, tmp_path: Path) -> None:
+def test_zoom_cursor_files_and_layouts(browser: Browser, page_of_runs: ServedPage, tmp_path: Path) -> None:
     faults: list[str] = []
     page = opened(browser, page_of_runs.url, faults, viewport={"width": 1300, "height": 1000})
     page.wait_for_selector("html[data-ready=view]", state="attached")
@@ -205,7 +206,7 @@ def test_derived_signals_of_a_layout_stand_in_any_order_and_texts_are_read_at_th
     content = {"plots": [{"axes": [{"curves": curves}]}], "derived": derived}
     (tmp_path / "view.json").write_text(json.dumps({"schema_version": 1, "layouts": {"last": content}}))
     faults: list[str] = []
-    with ViewPage("3 runs", runs, Layouts(tmp_path / "view.json")) as served:
+    with view_page("3 runs", runs, Layouts(tmp_path / "view.json")) as served:
         for _ in range(2):  # the second time the server has the signals already
             page = opened(browser, served.url, faults, viewport={"width": 1300, "height": 900})
             page.wait_for_selector("html[data-ready=view]", state="attached")
@@ -244,7 +245,7 @@ def test_many_curves_are_painted_as_pixels_with_every_peak_and_printed_as_lines(
     run = _run(tmp_path / "r0.csv", 0, Recording({TIME: at, **columns}, dict.fromkeys(names, "m"), ROWS))
     write_layout(tmp_path / "view.json", "r0", 30)
     faults: list[str] = []
-    with ViewPage("a run", [run], Layouts(tmp_path / "view.json")) as served:
+    with view_page("a run", [run], Layouts(tmp_path / "view.json")) as served:
         page = opened(browser, served.url, faults, viewport={"width": 1300, "height": 900})
         until(page, DRAWN)
         inked = """() => {
@@ -264,7 +265,7 @@ def test_many_curves_are_painted_as_pixels_with_every_peak_and_printed_as_lines(
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_the_page_is_accessible_narrow_and_on_paper(browser: Browser, page_of_runs: ViewPage, scheme: str) -> None:
+def test_the_page_is_accessible_narrow_and_on_paper(browser: Browser, page_of_runs: ServedPage, scheme: str) -> None:
     axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="no axe").Axe()
     faults: list[str] = []
     page = opened(browser, page_of_runs.url, faults, viewport={"width": 1300, "height": 900}, color_scheme=scheme)
@@ -299,7 +300,7 @@ def test_names_that_end_in_a_blank_or_a_mark_are_derived_from_and_names_that_ste
         file.write_text(f"time,{name} [m]\n{rows}")
         run = ViewedRun(RunPlace("r\u202e", "run\u202e", file))
         faults: list[str] = []
-        with ViewPage("run\u202e", [run], Layouts(tmp_path / "view.json")) as served:
+        with view_page("run\u202e", [run], Layouts(tmp_path / "view.json")) as served:
             page = opened(browser, served.url, faults, viewport={"width": 1300, "height": 900})
             page.wait_for_selector("html[data-ready=view]", state="attached")
             page.locator("#tree").focus()

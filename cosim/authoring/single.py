@@ -6,14 +6,14 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from cosim.authoring.draft import write_single
 from cosim.authoring.parts import parts_of
 from cosim.base.errors import Fault, refuse
 from cosim.base.text import split_assignment
 from cosim.blocks.summary import read_fmus
-from cosim.simulation.workflow import Outcome, run
+from cosim.simulation.workflow import Outcome, WriteReport, run
 from cosim.storage.files import FilePath
 from cosim.storage.folders import new_run
 from cosim.storage.yaml_file import short
@@ -30,7 +30,7 @@ def simulate(
     step: float | None = None,
     record: Sequence[str] = (),
     interpolation: str = "held",
-    report: bool = True,
+    report: WriteReport | Literal[False] = False,
     force: bool = True,
     in_process: bool = False,
     format_: str = "csv",
@@ -38,7 +38,7 @@ def simulate(
 ) -> tuple[Outcome, tuple[str, ...]]:
     """Run an FMU over its default experiment.
 
-    Writes scenario.yaml, results.csv, manifest.json and report.html. After a failure the rows so far are written before
+    Writes scenario.yaml, results.csv, manifest.json and the report. After a failure the rows so far are written before
     the error is raised.
 
     Args:

@@ -1,4 +1,4 @@
-"""Progress of a function in a notebook: one line that replaces itself, below the cell."""
+"""Notebooks: HTML of results, and progress of a function in one line that replaces itself, below the cell."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import functools
 import inspect
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from html import escape
 from importlib import import_module
 from typing import Any, ParamSpec, TypeVar
@@ -55,3 +55,16 @@ def shows_progress(function: Callable[P, T]) -> Callable[P, T]:
                 put(f"{time.monotonic() - start:.1f} s")
 
     return call
+
+
+def heading(title: str, text: str = "") -> str:
+    """Return HTML of a line that begins with a title in bold."""
+    return f"<p><b>{escape(title)}</b>{': ' if text else ''}{escape(text)}</p>"
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[str]], omitted: int = 0) -> str:
+    """Return HTML of a table, and the number of omitted rows below it."""
+    head = "".join(f"<th>{escape(cell)}</th>" for cell in header)
+    lines = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows)
+    note = f"<p>… and {omitted} more</p>" if omitted > 0 else ""
+    return f"<table><tr>{head}</tr>{lines}</table>{note}"

@@ -18,7 +18,6 @@ from cosim.calibration.estimate import Estimate
 from cosim.calibration.replay_proof import Part
 from cosim.residuals.residual_statistics import FREE_RUN
 
-SCHEMA = Path(__file__).with_name("fit.schema.json")
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Verdict = Literal["improved", "unchanged", "worse", "stopped"]
 CLEAR = 0.95  # ratio of errors from which the model is better
@@ -298,9 +297,3 @@ def _part_errors(part: Part) -> PartErrors:
 
 def _finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
-
-
-if __name__ == "__main__":  # usage: python -m cosim.calibration.fit_record > cosim/calibration/fit.schema.json
-    import json
-
-    print(json.dumps(schema(), indent=2, ensure_ascii=False))

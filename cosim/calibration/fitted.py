@@ -80,7 +80,7 @@ class Fitted:
         return f"{self.sentence}\n  {values}".rstrip()
 
     def _repr_html_(self) -> str:
-        from cosim.report.cell.cell import heading, table
+        from cosim.base.notebook import heading, table
 
         rows = [
             (

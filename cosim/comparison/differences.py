@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -16,82 +16,34 @@ from cosim.base.times import rounding
 from cosim.base.units import Conversion, conversion, definition_of
 from cosim.blocks.component import Signal
 from cosim.comparison import signals
-from cosim.comparison.intermediate_rows import rows_at_jumps, rows_between, surroundings
+from cosim.comparison.intermediate_rows import surroundings
 from cosim.comparison.signals import Difference, Tolerance, format_share, format_size
 from cosim.simulation.run_files import RecordedRun
 from cosim.storage.results import is_rounded
 
 if TYPE_CHECKING:
     import pandas
-    from matplotlib.figure import Figure
 
-    from cosim.report.panels import Panel
-
-MAX_PLOTTED = 4  # signals in a figure by default
 MAX_LISTED = 12  # signals in a short text
 
 
 class Comparison:
-    """What comparisons of two and of several runs show: a text, the cell of a notebook and a figure.
-
-    Attributes:
-        time: Times of the curves [s].
-    """
-
-    time: Array
+    """What comparisons of two and of several runs have in common: a text."""
 
     @property
-    def _drawable(self) -> list[str]:
-        """Signals with curves, most different first."""
-        raise NotImplementedError
-
-    def _summary(self) -> str:
+    def summary(self) -> str:
         """Return the outcome in a sentence."""
         raise NotImplementedError
 
-    def _table_rows(self) -> list[tuple[str, ...]]:
-        """Return the headings, and a row for each signal, largest share first."""
-        raise NotImplementedError
-
-    def _curves_of(self, name: str) -> Sequence[Array]:
-        """Return the curves of a signal, one for each run."""
-        raise NotImplementedError
-
-    def _panels(self, name: str, curves: Sequence[Array]) -> list[Panel]:
-        """Return the panels of a signal."""
+    @property
+    def cells(self) -> list[tuple[str, ...]]:
+        """Return the headings of a table, and a row for each signal, largest share first."""
         raise NotImplementedError
 
     def __repr__(self) -> str:
-        rows = self._table_rows()[1:]
+        rows = self.cells[1:]
         more = [f"… and {len(rows) - MAX_LISTED} more"] if len(rows) > MAX_LISTED else []
-        return "\n  ".join([self._summary(), *("  ".join(row) for row in rows[:MAX_LISTED]), *more])
-
-    def _repr_html_(self) -> str:
-        from cosim.report.cell.cell import cell_of, heading, rows_to_show, table
-
-        heads, *cells = self._table_rows()
-        listed = table(heads, cells[:MAX_LISTED], len(cells) - MAX_LISTED)
-        drawn = {name: self._curves_of(name) for name in self._drawable[:MAX_PLOTTED]}
-        rows = rows_to_show([values for curves in drawn.values() for values in curves])
-        panels = [p for n, curves in drawn.items() for p in self._panels(n, [values[rows] for values in curves])]
-        omitted = len(cells) - len(drawn)
-        chart = cell_of(self.time[rows], panels, self._summary(), rows=len(self.time), omitted=omitted)
-        return heading(self._summary()) + listed + chart
-
-    def plot(self, *names: str) -> Figure:
-        """Return a matplotlib figure of all runs, by default for the most different signals.
-
-        Raises:
-            KeyError: A signal has no curves.
-        """
-        from cosim.simulation.report.figures import sheet
-        from cosim.storage.yaml_file import did_you_mean
-
-        for name in names:
-            if name not in self._drawable:
-                raise KeyError(f'no curves of "{name}"{did_you_mean(name, self._drawable)}')
-        shown = names or self._drawable[:MAX_PLOTTED]
-        return sheet(self.time, [panel for name in shown for panel in self._panels(name, self._curves_of(name))])
+        return "\n  ".join([self.summary, *("  ".join(row) for row in rows[:MAX_LISTED]), *more])
 
 
 @dataclass(frozen=True, repr=False)
@@ -165,24 +117,20 @@ class Compared(Comparison):
         return pandas.DataFrame([asdict(d) for d in self.ranking]).set_index("name")
 
     @property
-    def _drawable(self) -> list[str]:
+    def drawable(self) -> list[str]:
+        """Return the signals with curves, most different first."""
         return [d.name for d in self.ranking if d.name in self.values]
 
-    def _summary(self) -> str:
+    @property
+    def summary(self) -> str:
+        """Return the outcome in a sentence."""
         return f"{self.a.name} and {self.b.name}: {sentence(self)}"
 
-    def _table_rows(self) -> list[tuple[str, ...]]:
+    @property
+    def cells(self) -> list[tuple[str, ...]]:
+        """Return the headings of a table, and a row for each signal, largest share first."""
         cells = [(d.name, format_size(d, d.largest), f"{d.at:.6g} s", format_share(d)) for d in self.ranking]
         return [("signal", "largest", "at", "of its range"), *cells]
-
-    def _curves_of(self, name: str) -> Sequence[Array]:
-        return self.values[name]
-
-    def _panels(self, name: str, curves: Sequence[Array]) -> list[Panel]:
-        from cosim.comparison.signal_panels import panels_of
-
-        unit = next(d.unit for d in self.differences if d.name == name)
-        return panels_of(name, unit, (self.a.name, self.b.name), (curves[0], curves[1]))
 
     def verdict(self) -> dict[str, Any]:
         """Return the verdict and its reasons as plain data."""
@@ -238,9 +186,8 @@ def compare_runs(a: RecordedRun, b: RecordedRun, tolerance: float | None = None,
     between = jumps = held = None
     if not aligned:
         close = min(map(signals.time_tolerance, (of_a.time, of_b.time)))
-        between = rows_between(of_a.time, of_b.time, close)
-        jumps = rows_at_jumps(of_b.time, of_a.time, close)
         held = surroundings(of_a.time, of_b.time, close), surroundings(of_b.time, of_a.time, close)
+        between, jumps = held[0].only(), held[1].only(jumps=True)
 
     def difference(name: str) -> Difference:
         if not all(name in r and not (name in r.exact and is_rounded(r[name])) for r in (of_a, of_b)):
@@ -299,8 +246,10 @@ def unit_conversion(of: RecordedRun, to: RecordedRun, name: str) -> Conversion |
 
 def is_held(a: RecordedRun, b: RecordedRun, name: str) -> bool:
     """Return whether a signal holds between rows: by the record of a run, else if it has whole numbers in both."""
-    known = [run.holds(name) for run in (a, b)]
-    return True in known or (known == [None, None] and all(name in run.results.whole for run in (a, b)))
+    recorded = [run for run in (a, b) if "discrete" in run.manifest]
+    if not recorded:
+        return all(name in run.results.whole for run in (a, b))
+    return any(name in {*r.results.whole, *r.results.exact, *r.manifest["discrete"]} for r in recorded)
 
 
 def criteria_of(runs: Sequence[RecordedRun]) -> dict[str, list[dict[str, Any] | None]]:
@@ -308,15 +257,11 @@ def criteria_of(runs: Sequence[RecordedRun]) -> dict[str, list[dict[str, Any] | 
     by_title: dict[str, list[dict[str, Any] | None]] = {}
     for k, run in enumerate(runs):
         for entry in run.criteria:
-            by_title.setdefault(criterion_title(entry), [None] * len(runs))[k] = entry
+            title = f"{str(entry.get('kind', '?')).replace('_', ' ')} of {entry.get('of', '?')}"
+            for word in ("to", "band", "after", "until"):
+                title += f" {word} {entry[word]}" if entry.get(word) else ""
+            by_title.setdefault(title, [None] * len(runs))[k] = entry
     return by_title
-
-
-def criterion_title(entry: dict[str, Any]) -> str:
-    """Return a criterion without its limit as text."""
-    parts = [f"{str(entry.get('kind', '?')).replace('_', ' ')} of {entry.get('of', '?')}"]
-    parts += [f"{word} {entry[word]}" for word in ("to", "band", "after", "until") if entry.get(word)]
-    return " ".join(parts)
 
 
 def is_one_run(a: RecordedRun, b: RecordedRun) -> bool:
@@ -354,25 +299,3 @@ def describe_largest(d: Difference) -> str:
     if not math.isfinite(d.share):
         return f"most {d.name}, which has no number in one run at {d.at:.6g} s"
     return f"most {d.name}, by {amount(d.largest, d.unit)} at {d.at:.6g} s ({format_share(d)} of its range)"
-
-
-def criterion_limit(entry: Mapping[str, Any]) -> str:
-    """Return the limit of a criterion as text."""
-    return amount(float(entry.get("max", math.nan)), str(entry.get("unit") or ""))
-
-
-def criterion_cell(entry: Mapping[str, Any] | None, *, limit: bool = True) -> tuple[str, str]:
-    """Return the value as text, with its limit, and the tone of the outcome.
-
-    The tone is good, bad, or "" for a run without the criterion.
-    """
-    if entry is None:
-        return "not asked", ""
-    value = entry.get("value")
-    text = "never" if value is None else amount(float(value), str(entry.get("unit") or ""))
-    return f"{text} of {criterion_limit(entry)}" if limit else text, "good" if entry.get("met") else "bad"
-
-
-def tone_of(*, judged: bool, same: bool) -> str:
-    """Return the tone of a verdict on a page."""
-    return "plain" if not judged else "good" if same else "bad"

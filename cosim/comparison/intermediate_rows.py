@@ -17,12 +17,17 @@ from cosim.base.arrays import Array, Rows
 
 @dataclass(frozen=True)
 class RowsBetween:
-    """Rows of run b, and the rows of a from `first` to `last` whose range is allowed for each."""
+    """Rows of run b, and the rows of a from `first` to `last` whose range is allowed for each.
+
+    Attributes:
+        is_jump: Whether a or b has several rows at the time of a row.
+    """
 
     rows: Rows
     time: Array
     first: Rows
     last: Rows
+    is_jump: NDArray[np.bool_]
 
     def outside(self, a: Array, b: Array) -> tuple[float, float]:
         """Return the largest distance of b from the range spanned by the surrounding rows of a, and its time [s].
@@ -32,7 +37,7 @@ class RowsBetween:
         if not self.rows.size:
             return 0.0, 0.0
         low, high = self._range(a)
-        ends = self._ends()
+        ends = np.column_stack((self.first, self.last + 1)).ravel()
         gaps = np.add.reduceat(np.isnan(np.append(a, 0.0)), ends)[::2] > 0
         values = b[self.rows]
         with np.errstate(invalid="ignore"):
@@ -59,15 +64,14 @@ class RowsBetween:
     def _range(self, a: Array) -> tuple[Array, Array]:
         """Return the least and the largest values of a around each row."""
         padded = np.append(a, np.nan)  # A range may end with the last row.
-        low, high = (f.reduceat(padded, self._ends())[::2] for f in (np.fmin, np.fmax))
-        return low, high
+        ends = np.column_stack((self.first, self.last + 1)).ravel()
+        return np.fmin.reduceat(padded, ends)[::2], np.fmax.reduceat(padded, ends)[::2]
 
-    def _ends(self) -> Rows:
-        return np.column_stack((self.first, self.last + 1)).ravel()
-
-    def only(self, chosen: NDArray[np.bool_]) -> RowsBetween:
-        """Return some of the rows."""
-        return RowsBetween(self.rows[chosen], self.time[chosen], self.first[chosen], self.last[chosen])
+    def only(self, *, jumps: bool = False) -> RowsBetween:
+        """Return the rows between rows of a, or at a time at which a or b has several rows; or at such times only."""
+        chosen = (self.first < self.last) & (self.is_jump | (not jumps))
+        first, last = self.first[chosen], self.last[chosen]
+        return RowsBetween(self.rows[chosen], self.time[chosen], first, last, self.is_jump[chosen])
 
 
 def surroundings(a: Array, b: Array, tolerance: float) -> RowsBetween:
@@ -77,27 +81,10 @@ def surroundings(a: Array, b: Array, tolerance: float) -> RowsBetween:
         tolerance: Largest difference of equal times [s].
     """
     after, upto = np.searchsorted(a, b - tolerance, side="left"), np.searchsorted(a, b + tolerance, side="right")
-    matched = _alone(b, tolerance) & (upto - after == 1)
+    is_apart = np.diff(b) > tolerance
+    alone = np.append(True, is_apart) & np.append(is_apart, True)
+    matched = alone & (upto - after == 1)
     first, last = np.where(matched, after, after - 1), np.where(matched, after, upto)
     rows = np.flatnonzero((b >= a[0] - tolerance) & (b <= a[-1] + tolerance))
-    return RowsBetween(rows, b[rows], np.maximum(first[rows], 0), np.minimum(last[rows], a.size - 1))
-
-
-def rows_between(a: Array, b: Array, tolerance: float) -> RowsBetween:
-    """Return the rows of b between rows of a, or at a time at which a or b has several rows."""
-    every = surroundings(a, b, tolerance)
-    return every.only(every.first < every.last)
-
-
-def rows_at_jumps(a: Array, b: Array, tolerance: float) -> RowsBetween:
-    """Return the rows of b at a time at which a or b has several rows."""
-    every = rows_between(a, b, tolerance)
-    count = np.searchsorted(a, every.time + tolerance, side="right") - np.searchsorted(a, every.time - tolerance)
-    return every.only((count > 1) | ~_alone(b, tolerance)[every.rows])
-
-
-def _alone(times: Array, tolerance: float) -> NDArray[np.bool_]:
-    """Return whether each row is the only one at its time."""
-    is_apart = np.diff(times) > tolerance
-    alone: NDArray[np.bool_] = np.append(True, is_apart) & np.append(is_apart, True)
-    return alone
+    is_jump = ((upto - after > 1) | ~alone)[rows]
+    return RowsBetween(rows, b[rows], np.maximum(first[rows], 0), np.minimum(last[rows], a.size - 1), is_jump)

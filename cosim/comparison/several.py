@@ -23,8 +23,6 @@ from cosim.storage.results import Results, is_rounded
 if TYPE_CHECKING:
     import pandas
 
-    from cosim.report.panels import Panel
-
 MAX_RUNS, MAX_SIGNALS = 12, 12  # drawn
 MOST_CELLS = 50_000_000  # values of runs that stay in memory; beyond, drawn runs are read twice
 NOTHING = Results(np.zeros(0), (), np.zeros((0, 0)))
@@ -135,31 +133,26 @@ class ComparedRuns(Comparison):
         return criteria_of(self.runs)
 
     @property
-    def _drawable(self) -> list[str]:
+    def drawable(self) -> list[str]:
+        """Return the signals with curves, equal ones last."""
         equal = {*self.equal}
         return sorted(self.curves, key=lambda name: name in equal)
 
-    def _summary(self) -> str:
+    @property
+    def summary(self) -> str:
+        """Return the outcome in a sentence."""
         return sentence(self)
 
-    def _table_rows(self) -> list[tuple[str, ...]]:
+    @property
+    def cells(self) -> list[tuple[str, ...]]:
+        """Return the headings of a table, and a row for each signal, largest share first."""
+
         def text(d: Difference | None) -> str:
             if d is None:
                 return "–"
             return f"{format_size(d, d.largest)} ({format_share(d)})" if d.largest else "equal"
 
         return [("signal", *self.labels), *((name, *map(text, cells)) for name, cells in self.table.items())]
-
-    def _curves_of(self, name: str) -> Sequence[Array]:
-        return self.curves[name]
-
-    def _panels(self, name: str, curves: Sequence[Array]) -> list[Panel]:
-        from cosim.comparison.signal_panels import equal_panel, overlay
-
-        labels, base = [self.labels[k] for k in self.drawn], self.drawn.index(self.baseline)
-        if name in self.equal:
-            return [equal_panel(name, self.units[name], curves[base])]
-        return [overlay(name, self.units[name], labels, curves, base)]
 
     def to_pandas(self) -> pandas.DataFrame:
         """Return the largest difference of each signal (rows) in each run (columns); raise ImportError without pandas.
@@ -217,8 +210,20 @@ def compare_several(
     Raises:
         InputError: Every run that cannot be read, or that shares no signal or time with the baseline.
     """
-    reader = _Reader(sources)
-    base = reader[baseline]
+    in_memory, cells = dict[int, RecordedRun](), 0
+
+    def read(k: int) -> RecordedRun:
+        """Return a run, which stays in memory as far as there is room."""
+        nonlocal cells
+        if k in in_memory:
+            return in_memory[k]
+        run = sources[k].read()
+        cells += run.results.values.size
+        if cells <= MOST_CELLS:
+            in_memory[k] = run
+        return run
+
+    base = read(baseline)
     comparisons: dict[int, Compared] = {}
     faults: list[Fault] = []
     left_out: list[Fault] = []
@@ -226,7 +231,7 @@ def compare_several(
         if k == baseline:
             continue
         try:
-            found = compare_runs(base, reader[k], tolerance, absolute)
+            found = compare_runs(base, read(k), tolerance, absolute)
         except InputError as error:
             (left_out if source.is_optional else faults).extend(error.faults)
             continue
@@ -251,7 +256,7 @@ def compare_several(
     is_number = {n: n in numbers and not (n in numbers.exact and is_rounded(numbers[n])) for n in compared.ranking}
     curves: dict[str, list[Array]] = {n: [] for n in [n for n, is_so in is_number.items() if is_so][:MAX_SIGNALS]}
     for k in drawn:
-        found = compare_runs(base, reader[k])
+        found = compare_runs(base, read(k))
         first = int(np.searchsorted(compared.time, found.time[0]))
         for name, of_runs in curves.items():
             values = np.full(compared.time.size, np.nan)
@@ -267,24 +272,6 @@ def label_runs(
     """Return a label for each run, with the inputs that differ between the runs: `run 3 (mass = 440)`."""
     inputs = differing_inputs([run.manifest or replay_record(run.path) for run in runs])
     return labels_of(shorts, inputs, unique=[str(run.path) for run in runs], longer=longer, baseline=baseline), inputs
-
-
-class _Reader:
-    """Runs, read when they are needed; they stay in memory as far as there is room."""
-
-    def __init__(self, sources: Sequence[RunSource]) -> None:
-        self._sources = sources
-        self._kept: dict[int, RecordedRun] = {}
-        self._cells = 0
-
-    def __getitem__(self, k: int) -> RecordedRun:
-        if k in self._kept:
-            return self._kept[k]
-        run = self._sources[k].read()
-        self._cells += run.results.values.size
-        if self._cells <= MOST_CELLS:
-            self._kept[k] = run
-        return run
 
 
 def sentence(c: ComparedRuns) -> str:

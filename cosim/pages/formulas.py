@@ -5,11 +5,10 @@ from __future__ import annotations
 import ast
 import operator
 import threading
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, NoReturn
 
 import numpy as np
@@ -29,12 +28,12 @@ def derivative(time: Array, values: Array) -> Array:
     """Return the derivative by central differences; NaN at rows of one time, where the values may step."""
     if time.size < 2:
         return np.full(time.size, np.nan)
-    before, after = np.maximum(np.arange(time.size) - 1, 0), np.minimum(np.arange(time.size) + 1, time.size - 1)
-    steps = time[after] - time[before]
-    steps[time[after] == time] = np.where(after == np.arange(time.size), steps, 0.0)[time[after] == time]
-    steps[(time == time[before]) & (before != np.arange(time.size))] = 0.0
+    rows = np.arange(time.size)
+    before, after = np.maximum(rows - 1, 0), np.minimum(rows + 1, time.size - 1)
+    is_jump = ((time == time[before]) & (before != rows)) | ((time == time[after]) & (after != rows))
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(steps > 0.0, (values[after] - values[before]) / steps, np.nan)
+        slopes = (values[after] - values[before]) / (time[after] - time[before])
+    return np.where(is_jump, np.nan, slopes)
 
 
 def integral(time: Array, values: Array) -> Array:
@@ -63,31 +62,10 @@ def lowpass(time: Array, values: Array, constant: float) -> Array:
     return np.array(out)
 
 
-def over_rows_with_values(function: Callable[..., Array], time: Array, values: Array, *more: float) -> Array:
-    """Return a function of the rows that have a value, NaN in the other rows."""
-    good, out = np.isfinite(values), np.full(time.size, np.nan)
-    out[good] = function(time[good], values[good], *more)
-    return out
-
-
-PLAIN: dict[str, tuple[int, Callable[..., Any]]] = {  # number of arguments, function
-    "abs": (1, np.abs),
-    "sqrt": (1, np.sqrt),
-    "sin": (1, np.sin),
-    "cos": (1, np.cos),
-    "tan": (1, np.tan),
-    "asin": (1, np.arcsin),
-    "acos": (1, np.arccos),
-    "atan": (1, np.arctan),
-    "atan2": (2, np.arctan2),
-    "exp": (1, np.exp),
-    "log": (1, np.log),
-    "log10": (1, np.log10),
-    "hypot": (2, np.hypot),
-    "min": (2, np.minimum),
-    "max": (2, np.maximum),
-}
-OVER_TIME = {"der": 1, "integral": 1, "lowpass": 2}  # numbers of arguments
+UNARY = ["abs", "sqrt", "sin", "cos", "tan", "arcsin", "arccos", "arctan", "exp", "log", "log10"]
+BINARY = {"atan2": np.arctan2, "hypot": np.hypot, "min": np.minimum, "max": np.maximum}
+PLAIN: dict[str, Callable[..., Any]] = {name.replace("arc", "a"): getattr(np, name) for name in UNARY} | BINARY
+OVER_TIME: dict[str, Callable[..., Array]] = {"der": derivative, "integral": integral, "lowpass": lowpass}
 FUNCTIONS = (*OVER_TIME, *PLAIN)
 OPERATORS: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
     ast.Add: operator.add,
@@ -135,8 +113,16 @@ class Formula:
         match node:
             case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
                 return np.float64(number) if abs(number) < LARGEST else np.inf
-            case ast.Name(id=name):
-                return self._signal(name)
+            case ast.Name(id="t"):
+                return self._time
+            case ast.Name(id=letter) if letter in self._signals:
+                rows, name = self._signals[letter]
+                values = rows.read(name)
+                is_own = rows is self._rows
+                return values if is_own else np.interp(self._time, rows.read(TIME), values, np.nan, np.nan)
+            case ast.Name(id=letter):
+                names = ", ".join([*self._signals, "t"])
+                raise InputError.at(Path("formula"), f"{letter} stands for no signal; use {names}")
             case ast.UnaryOp(op=ast.UAdd(), operand=operand):
                 return self._value(operand, depth + 1)
             case ast.UnaryOp(op=ast.USub(), operand=operand):
@@ -148,39 +134,25 @@ class Formula:
         return self._refuse("a part of it is not allowed")
 
     def _call(self, name: str, given: Sequence[Any]) -> Any:
-        wanted = PLAIN[name][0] if name in PLAIN else OVER_TIME.get(name)
-        if wanted != len(given):
-            self._refuse(f"{name} is no function" if wanted is None else f"{name} takes {counted(wanted, 'argument')}")
+        if name not in FUNCTIONS:
+            self._refuse(f"{name} is no function")
+        count = 2 if name in BINARY or name == "lowpass" else 1
+        if len(given) != count:
+            self._refuse(f"{name} takes {counted(count, 'argument')}")
         if name in PLAIN:
-            return PLAIN[name][1](*given)
+            return PLAIN[name](*given)
         values = np.broadcast_to(np.asarray(given[0], dtype=np.float64), self._time.shape)
-        if name == "lowpass":
-            if np.ndim(given[1]) or not float(given[1]) >= 0.0:
-                self._refuse("the time constant of lowpass is a number of seconds")
-            return over_rows_with_values(lowpass, self._time, values, float(given[1]))
-        if name == "der":
-            return over_rows_with_values(derivative, self._time, values)
-        self._note_gaps(values)
-        return over_rows_with_values(integral, self._time, values)
-
-    def _note_gaps(self, values: Array) -> None:
-        """Note missing values between others, across which an integral goes on."""
-        good = np.flatnonzero(np.isfinite(values))
-        wide = np.flatnonzero(np.diff(good) > 1)
-        if wide.size:
-            longest = float(np.max(self._time[good[wide + 1]] - self._time[good[wide]]))
+        good, out = np.isfinite(values), np.full(self._time.size, np.nan)
+        if name == "lowpass" and (np.ndim(given[1]) or not float(given[1]) >= 0.0):
+            self._refuse("the time constant of lowpass is a number of seconds")
+        rows = np.flatnonzero(good)
+        wide = np.flatnonzero(np.diff(rows) > 1)
+        if name == "integral" and wide.size:
+            longest = float(np.max(self._time[rows[wide + 1]] - self._time[rows[wide]]))
             gaps = f"{counted(wide.size, 'gap')} without values, at most {longest:.3g} s"
             self.notes.append(f"{self._name}: {gaps}, are bridged by straight lines")
-
-    def _signal(self, letter: str) -> Array:
-        if letter == "t":
-            return self._time
-        if letter not in self._signals:
-            names = ", ".join([*self._signals, "t"])
-            raise InputError.at(Path("formula"), f"{letter} stands for no signal; use {names}")
-        rows, name = self._signals[letter]
-        values = rows.read(name)
-        return values if rows is self._rows else np.interp(self._time, rows.read(TIME), values, np.nan, np.nan)
+        out[good] = OVER_TIME[name](self._time[good], values[good], *map(float, given[1:]))
+        return out
 
     def _refuse(self, reason: str) -> NoReturn:
         cure = f"use + - * / **, numbers, the letters of signals and {', '.join(FUNCTIONS)}"
@@ -224,24 +196,22 @@ class Derivations:
         if name in run.rows.units or name in run.rows.texts or name == TIME:
             raise InputError.at(Path("name"), f"{name} is a signal of the run; give another name")
         with self._lock:
+            before = self._definitions.get(made)
+            self._definitions[made] = definition
             try:
-                self._ordered({made: definition})
-            except CycleError as error:
+                return self._compute([made, *self._dependents([made])])  # only the first one may be wrong
+            except (InputError, OSError, CycleError) as error:
+                if before is None:
+                    del self._definitions[made]
+                else:
+                    self._definitions[made] = before
+                if not isinstance(error, CycleError):
+                    raise
                 cycle: list[Signal] = error.args[1][:0:-1]  # each is derived from the next, and the last from the first
                 place = cycle.index(made)
                 chain = " ← ".join(signal for _, signal in (*cycle[place:], *cycle[:place], made))
-                raise InputError.at(
-                    Path("name"), f"{name} would be derived from itself: {chain}; give another name"
-                ) from None
-            changed = {made: definition}
-            changed |= {signal: self._definitions[signal] for signal in self._dependents(made)}
-            before = {signal: self._definitions[signal] for signal in changed if signal in self._definitions}
-            try:
-                return [self._compute(signal, definition) for signal, definition in changed.items()]
-            except InputError:
-                for signal, definition in before.items():
-                    self._compute(signal, definition)
-                raise
+                reason = f"{name} would be derived from itself: {chain}; give another name"
+                raise InputError.at(Path("name"), reason) from None
 
     def remove(self, number: int, name: str) -> None:
         """Remove a derived signal of a run.
@@ -253,7 +223,7 @@ class Derivations:
         with self._lock:
             if signal not in self._definitions:
                 raise InputError.at(Path("name"), f"{name} is no derived signal")
-            if others := [other for _, other in self._dependents(signal)]:
+            if others := [other for _, other in self._dependents([signal])]:
                 raise InputError.at(Path("name"), f"{', '.join(others)} is derived from {name}; remove that first")
             del self._definitions[signal], self._notes[signal]
             self._runs[number].rows.remove(name)
@@ -261,47 +231,43 @@ class Derivations:
     def renew(self, numbers: Collection[int]) -> None:
         """Compute the signals that depend on runs with new rows."""
         with self._lock:
-            changed = {(number, "") for number in numbers}
-            for signal in self._ordered():
-                definition = self._definitions[signal]
-                if any(number in numbers or (number, name) in changed for number, name in definition.of.values()):
-                    changed.add(signal)
-                    self._compute(signal, definition)
+            uses = [s for definition in self._definitions.values() for s in definition.of.values()]
+            self._compute(self._dependents([s for s in uses if s[0] in numbers and s not in self._definitions]))
 
     def of_run(self, number: int) -> list[dict[str, Any]]:
         """Return the derived signals of a run."""
         return [self._about(signal) for signal in self._definitions if signal[0] == number]
 
-    def _dependents(self, made: Signal) -> Iterator[Signal]:
-        """Yield the dependents of a signal in the order of their computation."""
-        changed = {made}
-        for signal in self._ordered():
-            if signal not in changed and changed & {*self._definitions[signal].of.values()}:
-                changed.add(signal)
-                yield signal
+    def _dependents(self, changed: Iterable[Signal]) -> list[Signal]:
+        """Return the derived signals that depend on changed ones, in the order of their computation.
 
-    def _ordered(self, more: Mapping[Signal, Definition] = MappingProxyType({})) -> list[Signal]:
-        """Return all derived signals, with further ones, in the order of their computation, or raise CycleError."""
-        definitions = {**self._definitions, **more}
-        uses = {made: [s for s in d.of.values() if s in definitions] for made, d in definitions.items()}
-        return [*TopologicalSorter(uses).static_order()]
+        Raises:
+            CycleError: A signal depends on itself.
+        """
+        uses = {made: [*definition.of.values()] for made, definition in self._definitions.items()}
+        affected, found = {*changed}, list[Signal]()
+        for signal in TopologicalSorter(uses).static_order():
+            if signal not in affected and affected & {*uses.get(signal, ())}:
+                affected.add(signal)
+                found.append(signal)
+        return found
 
-    def _compute(self, signal: Signal, definition: Definition) -> dict[str, Any]:
-        number, name = signal
-        signals = {letter: (self._runs[k].rows, other) for letter, (k, other) in definition.of.items()}
-        formula = Formula(definition.formula, signals, name)
-        values, unit = formula.evaluate(), definition.unit
-        if not unit and definition.formula.strip() in signals:
-            rows, other = signals[definition.formula.strip()]
-            unit = rows.unit(other)
-        self._runs[number].rows.add(name, values, unit)
-        self._definitions[signal] = definition
-        self._notes[signal] = list(formula.notes)
-        return self._about(signal)
+    def _compute(self, signals: Sequence[Signal]) -> list[dict[str, Any]]:
+        for number, name in signals:
+            definition = self._definitions[number, name]
+            of = {letter: (self._runs[k].rows, other) for letter, (k, other) in definition.of.items()}
+            formula, unit = Formula(definition.formula, of, name), definition.unit
+            values = formula.evaluate()
+            if not unit and definition.formula.strip() in of:
+                rows, other = of[definition.formula.strip()]
+                unit = rows.unit(other)
+            self._runs[number].rows.add(name, values, unit)
+            self._notes[number, name] = formula.notes
+        return [self._about(signal) for signal in signals]
 
     def _about(self, signal: Signal) -> dict[str, Any]:
         number, name = signal
-        definition, rows = self._definitions[signal], self._runs[number].rows
+        definition, unit = self._definitions[signal], self._runs[number].rows.added[name]
         of = {letter: list(other) for letter, other in definition.of.items()}
-        about = {"run": number, "name": name, "formula": definition.formula, "of": of, "unit": rows.added[name]}
+        about = {"run": number, "name": name, "formula": definition.formula, "of": of, "unit": unit}
         return {**about, "stated_unit": definition.unit, "notes": self._notes[signal]}

@@ -90,29 +90,14 @@ def check_layouts(file: Path, content: Any) -> dict[str, Any]:
     try:
         LayoutFile.model_validate(content)
     except ValidationError as error:
-        refuse(Fault(file, 0, 0, _message(fault)) for fault in error.errors(include_url=False)[:MOST_FAULTS])
+        cure = "correct it, or save this layout again in the page"
+        faults = []
+        for fault in error.errors(include_url=False)[:MOST_FAULTS]:
+            place = ".".join(str(part) for part in fault["loc"] if part != "[key]")
+            faults.append(Fault(file, 0, 0, f"{place}: {fault['msg']}; {cure}"))
+        refuse(faults)
     layouts: dict[str, Any] = content["layouts"]
     return layouts
-
-
-WORDS = {
-    "Input should be ": "it should be ",
-    "a valid dictionary": "an object",
-    "a valid list": "a list",
-    "a valid string": "text",
-    "Field required": "it is missing",
-    "Dictionary should have at least 1 item after validation, not 0": "it names no signal",
-    r"String should match pattern '\S'": "a name is not blank",
-}
-
-
-def _message(fault: Any) -> str:
-    """Return a message on a part of a file that is not as it should be."""
-    reason = fault["msg"]
-    for theirs, ours in WORDS.items():
-        reason = reason.replace(theirs, ours)
-    place = ".".join(str(part) for part in fault["loc"] if part != "[key]")
-    return f"{place}: {reason}; correct it, or save this layout again in the page"
 
 
 class Layouts:

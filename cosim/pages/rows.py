@@ -28,13 +28,17 @@ Side = Literal["low", "high"]
 Places = Rows | slice
 
 
-def join_blocks(low: Array, high: Array) -> tuple[Array, Array]:
-    """Return the extremes of each `FACTOR` blocks along the last axis; missing values do not count."""
-    missing = -low.shape[-1] % FACTOR
-    pad = [(0, 0)] * (low.ndim - 1) + [(0, missing)]
-    blocks = (np.pad(side, pad, constant_values=np.nan) if missing else side for side in (low, high))
-    first, second = (side.reshape((*side.shape[:-1], -1, FACTOR)) for side in blocks)
-    return np.fmin.reduce(first, axis=-1), np.fmax.reduce(second, axis=-1)
+def extremes_of(values: Array) -> list[tuple[Array, Array]]:
+    """Return least and largest values of the blocks of all levels along the last axis; missing values do not count."""
+    levels = [(finite(values), finite(values))]
+    for _ in range(LEVELS):
+        low, high = levels[-1]
+        missing = -low.shape[-1] % FACTOR
+        pad = [(0, 0)] * (low.ndim - 1) + [(0, missing)]
+        blocks = (np.pad(side, pad, constant_values=np.nan) if missing else side for side in (low, high))
+        first, second = (side.reshape((*side.shape[:-1], -1, FACTOR)) for side in blocks)
+        levels.append((np.fmin.reduce(first, axis=-1), np.fmax.reduce(second, axis=-1)))
+    return levels
 
 
 def finite(values: Array) -> Array:
@@ -136,26 +140,24 @@ class Recording:
         with self._lock:
             return _picked(self._columns[name], places)
 
-    def _blocks(self, side: Side, name: str, level: int, places: Places) -> Array:
-        """Return extremes of blocks of a level above the rows."""
+    def blocks(self, side: Side, name: str, level: int, places: Places) -> Array:
+        """Return extremes of blocks of a level, at level 0 of rows; infinite values are missing."""
+        if not level:
+            return finite(self.take(name, places))
         with self._lock:
             if name not in self._levels:
-                values = finite(self._columns[name])
-                levels = [(values, values)]
-                for _ in range(LEVELS):
-                    levels.append(join_blocks(*levels[-1]))
-                self._levels[name] = levels
+                self._levels[name] = extremes_of(self._columns[name])
             return _picked(self._levels[name][level][side == "high"], places)
 
     def locate(self, time: float, side: Literal["left", "right"] = "left") -> int:
         """Return the number of rows before a time [s], or with `right` up to it."""
         return int(np.searchsorted(self.read(TIME), time, side))
 
+    # -- from here on the same for every kind of store -------------------------------------------------
+
     def text(self, name: str, row: int) -> str:
         """Return a text of a row."""
         return str(self.texts[name][row])
-
-    # -- from here on the same for every kind of store -------------------------------------------------
 
     def exact(self, name: str, begin: int, end: int) -> Array | list[str]:
         """Return the rows of a column from `begin` up to `end`, as texts if doubles do not hold them."""
@@ -166,12 +168,6 @@ class Recording:
     def read(self, name: str, begin: int = 0, end: int | None = None) -> Array:
         """Return the rows of a column from `begin` up to `end`."""
         return self.take(name, slice(begin, self.rows if end is None else end))
-
-    def blocks(self, side: Side, name: str, level: int, places: Places) -> Array:
-        """Return extremes of blocks of a level, at level 0 of rows; infinite values are missing."""
-        if level:
-            return self._blocks(side, name, level, places)
-        return finite(self.take(name, places))
 
     def span(self) -> tuple[float, float]:
         """Return the first and the last time [s], zeros without rows."""
@@ -211,12 +207,6 @@ class Recording:
         inner = inner[inner * FACTOR ** (level - 1) < self.full]
         parts = [(level, numbers[~wide], since[~wide], until[~wide])] if not wide.all() else []
         return [*parts, *self._divide(level - 1, inner, pixel)]
-
-    def every(self, names: Sequence[str], begin: float, end: float, count: int) -> tuple[int, list[Array]]:
-        """Return the distance of rows, and about `count` rows of columns between two times [s]."""
-        first, stop = max(0, self.locate(begin) - 1), min(self.rows, self.locate(end, "right") + 1)
-        step = max(1, -(-(stop - first) // count))
-        return step, [self.read(name, first, stop)[::step] for name in names]
 
 
 class Store(Recording):
@@ -260,11 +250,8 @@ class Store(Recording):
                 self._write()
 
     def _write(self) -> None:
-        levels, kept = [(finite(self._rest),) * 2], list[Array]()
-        for _ in range(LEVELS):
-            levels.append(join_blocks(*levels[-1]))
-        for side in range(2):
-            kept += [level[side] for level in levels[1:]]
+        levels = extremes_of(self._rest)
+        kept = [level[side] for side in range(2) for level in levels[1:]]
         for name, part in (("rows", self._rest), ("blocks", np.concatenate(kept, axis=1))):
             with (self.folder / name).open("ab") as stream:
                 stream.write(part.tobytes())
@@ -305,10 +292,10 @@ class Store(Recording):
             values[~stored] = rest[places[~stored] - full]
             return values
 
-    def _blocks(self, side: Side, name: str, level: int, places: Places) -> Array:
-        """Return extremes of blocks of a level above the rows."""
-        if name in self.added:
-            return super()._blocks(side, name, level, places)
+    def blocks(self, side: Side, name: str, level: int, places: Places) -> Array:
+        """Return extremes of blocks of a level, at level 0 of rows; infinite values are missing."""
+        if not level or name in self.added:
+            return super().blocks(side, name, level, places)
         size, column = SIZES[level], self._places[name]
         begin = sum(SIZES[1:level]) + (sum(SIZES[1:]) if side == "high" else 0)
         with self._lock:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import asyncio
 import base64
-import errno
 import hashlib
 import html as html_text
 import json
@@ -24,7 +23,7 @@ import time
 import webbrowser
 from collections.abc import AsyncIterator, Callable, Mapping
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Protocol, Self
 
 import uvicorn
 from starlette.applications import Starlette
@@ -90,6 +89,16 @@ def html_response(page: str, *, alone: bool = False) -> Response:
     return Response(page, media_type="text/html", headers={"Content-Security-Policy": policy})
 
 
+class Part(Protocol):
+    """A part of a page with routes and a state of its own."""
+
+    def routes(self) -> Mapping[str, Handler]:
+        """Return method and path, e.g. `GET /rows`, to handler."""
+
+    def state(self) -> dict[str, Any]:
+        """Return the whole state, as JSON allows it."""
+
+
 class ServedPage:
     """A page whose state is sent to the browser at each change; a context manager, which listens from its creation.
 
@@ -98,6 +107,7 @@ class ServedPage:
     Args:
         page: HTML of the page.
         port: 0 for any free port.
+        part: Part of the page.
         state: State at the beginning.
 
     Attributes:
@@ -108,8 +118,8 @@ class ServedPage:
         InputError: The port cannot be used.
     """
 
-    def __init__(self, page: str, port: int = 0, **state: Any) -> None:
-        self._lock = threading.RLock()
+    def __init__(self, page: str, port: int = 0, part: Part | None = None, **state: Any) -> None:
+        self._lock, self._part = threading.RLock(), part
         self._state: dict[str, Any] = state
         self._version = 0
         self.streams, self.opened = 0, False
@@ -117,9 +127,10 @@ class ServedPage:
         self._socket = _listen(port)
         self.port: int = self._socket.getsockname()[1]
         routes = {"GET /": lambda request, _: html_response(page), **self.routes()}
-        found = [Route(path, _endpoint(handler), methods=[method]) for method, path, handler in _split(routes)]
+        found = [Route(route.split()[1], _endpoint(h), methods=[route.split()[0]]) for route, h in routes.items()]
         failures: Any = {HTTPException: _refused, CosimError: _refused, OSError: _refused, Exception: _refused}
-        app = Starlette(routes=[Route("/events", self._events), *found], exception_handlers=failures)
+        events = Route("/events", lambda _: StreamingResponse(self._states(), media_type="text/event-stream"))
+        app = Starlette(routes=[events, *found], exception_handlers=failures)
         settings = uvicorn.Config(
             _Guard(app, self),
             log_level="critical",
@@ -145,7 +156,7 @@ class ServedPage:
 
     def routes(self) -> Mapping[str, Handler]:
         """Return further routes: method and path, e.g. `GET /rows`, to handler."""
-        return {}
+        return {} if self._part is None else self._part.routes()
 
     def __enter__(self) -> Self:
         return self
@@ -170,21 +181,16 @@ class ServedPage:
     def state(self) -> dict[str, Any]:
         """Return the whole state, as JSON allows it."""
         with self._lock:
-            return {**self._state}
-
-    def version(self) -> Any:
-        """Return a value that changes with the state."""
-        return self._version
-
-    def _events(self, request: Request) -> Response:
-        return StreamingResponse(self._states(), media_type="text/event-stream")
+            state = {**self._state}
+        return state if self._part is None else {**state, **self._part.state()}
 
     async def _states(self) -> AsyncIterator[str]:
         last, sent = None, 0.0
         self.streams, self.opened = self.streams + 1, True
         try:
             while not self._server.should_exit:
-                if (version := await run_in_threadpool(self.version)) != last:
+                part = {} if self._part is None else await run_in_threadpool(self._part.state)
+                if (version := (self._version, part)) != last:
                     last, sent = version, time.monotonic()
                     yield f"data: {printable_json(json.dumps(await run_in_threadpool(self.state)))}\n\n"
                 elif time.monotonic() - sent > ALIVE:
@@ -243,10 +249,6 @@ class _Guard:
         await answer(scope, receive, send_safely)
 
 
-def _split(routes: Mapping[str, Handler]) -> list[tuple[str, str, Handler]]:
-    return [(*route.split(" ", 1), handler) for route, handler in routes.items()]  # type: ignore[misc]
-
-
 def _endpoint(handler: Handler) -> Callable[[Request], Any]:
     async def answer(request: Request) -> Response:
         content = None
@@ -277,7 +279,7 @@ def _refused(request: Request, error: Exception) -> Response:
 
 def _listen(port: int) -> socket.socket:
     """Return a socket that listens on a port."""
-    made, cure = socket.socket(), "give another one, or 0 for any free port"
+    made = socket.socket()
     if os.name == "posix":  # On Windows another program could then listen on the same port.
         made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
@@ -285,10 +287,9 @@ def _listen(port: int) -> socket.socket:
         made.listen(MAX_CONNECTIONS)
     except (OSError, OverflowError) as error:
         made.close()
-        is_used = isinstance(error, OSError) and error.errno == errno.EADDRINUSE
-        reason = "ports are numbers from 1 to 65535" if isinstance(error, OverflowError) else error.strerror
-        fault = "is in use by another program" if is_used else f"cannot be used: {reason}"
-        raise InputError.at(Path("--port"), f"port {port} {fault}; {cure}") from None
+        reason = error.strerror if isinstance(error, OSError) else "ports are numbers from 1 to 65535"
+        message = f"port {port} cannot be used: {reason}; give another one, or 0 for any free port"
+        raise InputError.at(Path("--port"), message) from None
     return made
 
 

@@ -20,7 +20,6 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import compute, csv, parquet
 
-from cosim.base.arrays import Array
 from cosim.base.drafts import is_full
 from cosim.base.errors import InputError
 from cosim.base.messages import printable
@@ -80,7 +79,14 @@ def open_rows(path: Path, columns: ColumnTypes, progress: Progress = None) -> Re
     """
     status = path.stat() if path.is_file() else None
     if status is None or status.st_size <= SMALL:
-        return _in_memory(columns.read(path))
+        results = columns.read(path)
+        shown = results.with_integers()
+        numbers = {TIME: shown.time, **{printable(name): shown[name] for name in shown.columns}}
+        units = {printable(name): printable(shown.units.get(name, "")) for name in shown.columns}
+        texts = {printable(name): values for name, values in shown.texts().items()}
+        recording = Recording(numbers, units, shown.time.size, texts)
+        recording.inexact = [name for name in results.columns if name in results.whole and is_rounded(results[name])]
+        return recording
     place = cache_folder() / FOLDER / _key(path, status, columns)
     if content_of(place / ABOUT):
         os.utime(place)
@@ -113,16 +119,6 @@ def _key(path: Path, status: os.stat_result, columns: ColumnTypes) -> str:
 def _state(status: os.stat_result) -> tuple[int, ...]:
     """Return numbers that differ after a change of a file; only the system sets the last one."""
     return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns
-
-
-def _in_memory(results: Results) -> Recording:
-    shown = results.with_integers()
-    columns = {TIME: shown.time, **{printable(name): shown[name] for name in shown.columns}}
-    units = {printable(name): printable(shown.units.get(name, "")) for name in shown.columns}
-    texts = {printable(name): values for name, values in shown.texts().items()}
-    recording = Recording(columns, units, shown.time.size, texts)
-    recording.inexact = [name for name in results.columns if name in results.whole and is_rounded(results[name])]
-    return recording
 
 
 # -- conversion -------------------------------------------------------------------------------------------
@@ -252,10 +248,11 @@ def _csv_table(path: Path, columns: ColumnTypes) -> _Table:
         with csv.open_csv(path, read_options=reading, convert_options=converting) as reader:
             for number, batch in enumerate(reader, 1):
                 parts = batch.columns
-                yield _doubles(parts[: len(numbers)]), parts[len(numbers) :], number * BLOCK
+                doubles = [column.to_numpy(zero_copy_only=False) for column in parts[: len(numbers)]]
+                yield doubles, parts[len(numbers) :], number * BLOCK
 
     is_number = [pa.types.is_floating(k) or pa.types.is_integer(k) or pa.types.is_null(k) for k in kinds]
-    return _Table(heads, is_number, _integers(kinds), batches)
+    return _Table(heads, is_number, {k for k, kind in enumerate(kinds) if pa.types.is_integer(kind)}, batches)
 
 
 def _parquet_table(path: Path, columns: ColumnTypes) -> _Table:
@@ -266,8 +263,7 @@ def _parquet_table(path: Path, columns: ColumnTypes) -> _Table:
         kinds.append(column.type.value_type if pa.types.is_dictionary(column.type) else column.type)
 
     def text_of(column: Any, kind: Any) -> Any:
-        is_binary = pa.types.is_binary(kind) or pa.types.is_large_binary(kind) or pa.types.is_fixed_size_binary(kind)
-        if is_binary:
+        if pa.types.is_binary(kind) or pa.types.is_large_binary(kind) or pa.types.is_fixed_size_binary(kind):
             return pa.array([(v or b"").hex() for v in column.to_pylist()], pa.string())
         return column.cast("string")
 
@@ -277,16 +273,9 @@ def _parquet_table(path: Path, columns: ColumnTypes) -> _Table:
             count = max(1, file.metadata.num_rows)
             for batch in file.iter_batches(ROWS):
                 done += batch.num_rows
-                doubles = _doubles([batch.column(k).cast("float64", safe=False) for k in numbers])
+                cast = [batch.column(k).cast("float64", safe=False) for k in numbers]
+                doubles = [column.to_numpy(zero_copy_only=False) for column in cast]
                 yield doubles, [text_of(batch.column(k), kinds[k]) for k in texts], size * done // count
 
     is_number = [pa.types.is_floating(k) or pa.types.is_integer(k) or pa.types.is_boolean(k) for k in kinds]
-    return _Table(heads, is_number, _integers(kinds), batches)
-
-
-def _doubles(columns: Sequence[Any]) -> list[Array]:
-    return [column.to_numpy(zero_copy_only=False) for column in columns]
-
-
-def _integers(kinds: Sequence[Any]) -> set[int]:
-    return {k for k, kind in enumerate(kinds) if pa.types.is_integer(kind)}
+    return _Table(heads, is_number, {k for k, kind in enumerate(kinds) if pa.types.is_integer(kind)}, batches)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -106,21 +106,23 @@ class Viewer:
             head = np.array([low.size, float(is_row), float(is_first)])
             return [head, *([picture.time] if is_first else []), low, *([] if is_row else [high])]
 
-        return _binary([part for curve in self._curves(content) for part in _unless_lost(curve[0], points, *curve)])
+        return self._arrays(points, self._curves(content))
 
     def _plane(self, request: Request, content: Any) -> Response:
         """Return for each pair of signals the number of points, the distance of their rows, then time, x and y."""
         begin, end, most = _number(content, "from"), _number(content, "to"), int(_number(content, "width"))
 
         def plane(run: ViewedRun, x: str, y: str) -> list[Array]:
-            step, columns = run.rows.every([TIME, x, y], begin, end, max(2, min(most, MAX_POINTS)))
+            rows = run.rows
+            first, stop = max(0, rows.locate(begin) - 1), min(rows.rows, rows.locate(end, "right") + 1)
+            step = max(1, -(-(stop - first) // max(2, min(most, MAX_POINTS))))
+            columns = [rows.read(name, first, stop)[::step] for name in (TIME, x, y)]
             return [np.array([columns[0].size, float(step)]), *columns]
 
         curves, across = self._curves(content), self._curves(content, "across")
         if [run for run, _ in curves] != [run for run, _ in across]:
             raise _refused("signals of one run for both axes")
-        pairs = [(run, x, y) for (run, x), (_, y) in zip(across, curves, strict=True)]
-        return _binary([part for pair in pairs for part in _unless_lost(pair[0], plane, *pair)])
+        return self._arrays(plane, [(run, x, y) for (run, x), (_, y) in zip(across, curves, strict=True)])
 
     def _values(self, request: Request, content: Any) -> Response:
         """Return time and value of each curve at its last row up to a time; NaN before the first."""
@@ -130,10 +132,7 @@ class Viewer:
             row = run.rows.locate(at, "right") - 1
             return [run.rows.read(each, row, row + 1) if row >= 0 else np.array([np.nan]) for each in (TIME, name)]
 
-        nothing = [np.full(2, np.nan)]
-        return _binary(
-            [p for curve in self._curves(content) for p in _unless_lost(curve[0], value, *curve, lost=nothing)]
-        )
+        return self._arrays(value, self._curves(content), [np.full(2, np.nan)])
 
     def _texts(self, request: Request, content: Any) -> Response:
         """Return the text of each signal at its last row up to a time; null before the first, and of a lost run."""
@@ -193,10 +192,36 @@ class Viewer:
             heads.append(f"{f'{run.place.label}: ' * several}{name}{f' [{unit}]' * bool(unit)}")
             columns.append(run.rows.exact(name, first, stop))
             places.append((at, np.arange(at.size) - np.searchsorted(at, at)))  # the number among rows of one time
+
+        def joined_rows() -> Iterator[list[Any]]:
+            """Yield a row for each time of any column; rows of one time stay several."""
+            if not places:
+                return
+            pairs = np.concatenate([np.column_stack(place) for place in places])
+            rows, at = np.unique(pairs, axis=0, return_inverse=True)
+            kind: Any = np.float64 if all(isinstance(values, np.ndarray) for values in columns) else object
+            table, first = np.full((len(rows), len(columns)), np.nan, kind), 0
+            for k, values in enumerate(columns):
+                table[at.ravel()[first : first + len(values)], k] = values
+                first += len(values)
+            for moment, row in zip(rows[:, 0].tolist(), table, strict=True):
+                yield [moment, *row.tolist()]
+
+        def cell(value: float | str) -> str:
+            return cell_text(value) if isinstance(value, str) else "" if math.isnan(value) else repr(value)
+
         file = process_folder() / f"view-{next(self._exports)}.csv"
-        write_table(file, ["time", *heads], _joined_rows(places, columns), _cell)
+        write_table(file, ["time", *heads], joined_rows(), cell)
         remove = BackgroundTask(file.unlink, missing_ok=True)
         return FileResponse(file, media_type="text/csv", filename="view.csv", background=remove)
+
+    def _arrays(
+        self, read: Callable[..., list[Array]], curves: Sequence[Any], lost: Sequence[Array] = LOST
+    ) -> Response:
+        """Return what is read of the curves, each of which begins with its run, as doubles."""
+        parts = [part for curve in curves for part in _unless_lost(curve[0], read, *curve, lost=lost)]
+        body = b"".join(np.ascontiguousarray(part, "<f8").tobytes() for part in parts)
+        return Response(body, media_type="application/octet-stream")
 
     # -- content of requests ----------------------------------------------------------------------------
 
@@ -220,31 +245,16 @@ class Viewer:
         raise _refused("a run and a signal that it has")
 
 
-class ViewPage(ServedPage):
-    """The page of finished runs.
+def view_page(
+    title: str, runs: Sequence[ViewedRun], layouts: Layouts, port: int = 0, *, notes: Sequence[str] = ()
+) -> ServedPage:
+    """Return the page of finished runs.
 
     Args:
         title: Heading.
         notes: Texts shown at the beginning.
     """
-
-    def __init__(
-        self, title: str, runs: Sequence[ViewedRun], layouts: Layouts, port: int = 0, *, notes: Sequence[str] = ()
-    ) -> None:
-        self.viewer = Viewer(runs, layouts, notes)
-        super().__init__(view_html(title, is_live=False), port)
-
-    def routes(self) -> Mapping[str, Handler]:
-        """Return further routes."""
-        return self.viewer.routes()
-
-    def state(self) -> dict[str, Any]:
-        """Return the whole state."""
-        return self.viewer.state()
-
-    def version(self) -> Any:
-        """Return a value that changes with the state."""
-        return self.state()
+    return ServedPage(view_html(title, is_live=False), port, Viewer(runs, layouts, notes))
 
 
 def view_html(title: str, *, is_live: bool) -> str:
@@ -253,7 +263,7 @@ def view_html(title: str, *, is_live: bool) -> str:
     return render(TEMPLATE, {**values, "data": "{}"}, is_report=False)
 
 
-def _unless_lost(run: ViewedRun, read: Callable[..., list[Any]], *of: Any, lost: Sequence[Any] = LOST) -> Any:
+def _unless_lost(run: ViewedRun, read: Callable[..., list[Any]], *of: Any, lost: Sequence[Any]) -> Any:
     """Return what is read of a run; without its file or a file of its cache, the sign of a lost run."""
     if run.check():
         try:
@@ -278,29 +288,3 @@ def _number(content: Any, key: str) -> float:
 
 def _refused(wanted: str) -> InputError:
     return InputError.at(Path("view"), f"the request is not understood: give {wanted}")
-
-
-def _binary(parts: Sequence[Array]) -> Response:
-    body = b"".join(np.ascontiguousarray(part, "<f8").tobytes() for part in parts)
-    return Response(body, media_type="application/octet-stream")
-
-
-def _joined_rows(places: Sequence[tuple[Array, Rows]], columns: Sequence[Array | list[str]]) -> Iterator[list[Any]]:
-    """Yield a row for each time of any column; rows of one time stay several."""
-    if not places:
-        return
-    pairs = np.concatenate([np.column_stack(place) for place in places])
-    rows, at = np.unique(pairs, axis=0, return_inverse=True)
-    kind: Any = np.float64 if all(isinstance(values, np.ndarray) for values in columns) else object
-    table, begin = np.full((len(rows), len(columns)), np.nan, kind), 0
-    for k, values in enumerate(columns):
-        table[at.ravel()[begin : begin + len(values)], k] = values
-        begin += len(values)
-    for moment, cells in zip(rows[:, 0].tolist(), table, strict=True):
-        yield [moment, *cells.tolist()]
-
-
-def _cell(value: float | str) -> str:
-    if isinstance(value, str):
-        return cell_text(value)
-    return "" if math.isnan(value) else repr(value)

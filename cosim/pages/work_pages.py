@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 import signal
 import threading
-import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from tempfile import mkdtemp
+from time import monotonic
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,7 @@ from cosim.master.inbox import Control
 from cosim.master.observer import ObservedRun, Observer
 from cosim.pages.rows import Store
 from cosim.pages.runs import RunPlace, ViewedRun
-from cosim.pages.server import FIRST_PAGE, RELOAD, Handler, Json, ServedPage, html_response
+from cosim.pages.server import FIRST_PAGE, RELOAD, Handler, Json, Part, ServedPage, html_response
 from cosim.pages.view_page import Viewer, view_html
 from cosim.refinement.stages import ORDER, Ranked, Watcher, stage_number
 from cosim.report.template import render
@@ -33,7 +33,6 @@ from cosim.simulation.workflow import Outcome
 from cosim.sweeps.run_statistics import share_interval
 from cosim.sweeps.runs import RunResult
 from cosim.sweeps.workflow import CriterionLimit, RunsObserver
-from cosim.system.events import Variable
 
 TEMPLATE = Path(__file__).with_name("templates") / "work.html.j2"
 FINAL = ("finished", "stopped", "failed")
@@ -59,16 +58,16 @@ class WorkPage(ServedPage):
 
     activity = "run"
 
-    def __init__(self, title: str, port: int = 0, html: str = "") -> None:
+    def __init__(self, title: str, port: int = 0, html: str = "", part: Part | None = None) -> None:
         self.report: Path | None = None
-        self._begin, self._has_begun = time.monotonic(), False
+        self._begin, self._has_begun = monotonic(), False
         about = {"heading": title, "activity": self.activity, "version": __version__, "data": "{}"}
         html = html or render(TEMPLATE, about, is_report=False)
-        super().__init__(html, port, phase="starting", title=title, message="", report=False)
+        super().__init__(html, port, part, phase="starting", title=title, message="", report=False)
 
     def routes(self) -> Mapping[str, Handler]:
         """Return further routes."""
-        return {"POST /stop": self._stop, "GET /report.html": self._show_report}
+        return {**super().routes(), "POST /stop": self._stop, "GET /report.html": self._show_report}
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, *_: object) -> None:
         if error is None:
@@ -97,11 +96,11 @@ class WorkPage(ServedPage):
     def state(self) -> dict[str, Any]:
         """Return the whole state, as JSON allows it."""
         with self._lock:
-            elapsed = self._state.get("elapsed") or time.monotonic() - self._begin
+            elapsed = self._state.get("elapsed") or monotonic() - self._begin
             if self.has_ended:
                 self._state["elapsed"] = elapsed
             is_there = self.has_ended and self.report is not None and self.report.is_file()
-            return {**self._state, "elapsed": elapsed, "report": is_there}
+        return {**super().state(), "elapsed": elapsed, "report": is_there}
 
     def check_running(self) -> None:
         """Raise InputError after the end of the work."""
@@ -139,10 +138,11 @@ class LiveRun(WorkPage, Observer):
         folder = Path(mkdtemp(dir=process_folder()))
         self._run = ObservedRun((), 0, 0.0, 1.0)
         self._rows, self._control = Store(folder, {}), None  # type: tuple[Store, Control | None]
-        self._viewer = Viewer([ViewedRun(RunPlace(title, title, folder), rows=self._rows)], None)
+        viewer = Viewer([ViewedRun(RunPlace(title, title, folder), rows=self._rows)], None)
+        self._runs = viewer.runs
         self._inputs: list[str] = []  # that can be changed
         self._rate = (0.0, 0.0)  # time of the first row on the clock [s], and its simulated time [s]
-        super().__init__(title, port, view_html(title, is_live=True))
+        super().__init__(title, port, view_html(title, is_live=True), viewer)
 
     # -- observer --------------------------------------------------------------------------------
 
@@ -153,7 +153,7 @@ class LiveRun(WorkPage, Observer):
         with self._lock:
             self._run, self._control = run, run.control
             self._rows = Store(folder, {name: run.units.get(name, "") for name in run.columns})
-            self._viewer.runs[:] = [ViewedRun(RunPlace(title, title, folder), rows=self._rows)]
+            self._runs[:] = [ViewedRun(RunPlace(title, title, folder), rows=self._rows)]
         names = {v.name for v in (run.control.variables if run.control is not None else ()) if v.is_input}
         self._inputs = [column for column in run.columns if column in names]
         self.update(phase="starting", total=run.rows, start=run.start, step=run.step, made=id(run))
@@ -161,7 +161,7 @@ class LiveRun(WorkPage, Observer):
     def rows(self, time: Array, values: Array) -> None:
         """Keep new rows."""
         if not self._rows.rows:
-            self._rate = _now(), float(time[0])
+            self._rate = monotonic(), float(time[0])
             self.update(phase="running")
         self._rows.append(np.vstack((time, values.T)))
 
@@ -177,16 +177,12 @@ class LiveRun(WorkPage, Observer):
 
     # -- state -----------------------------------------------------------------------------------
 
-    def version(self) -> Any:
-        """Return a value that changes with the state."""
-        return self._version, self._rows.rows, self._control is not None and self._control.paused
-
     def state(self) -> dict[str, Any]:
         """Return the whole state."""
-        state, run, control = {**super().state(), **self._viewer.state()}, self._run, self._control
+        state, run, control = super().state(), self._run, self._control
         rows, now = self._rows.rows, self._rows.span()[1] if self._rows.rows else run.start
         since, first = self._rate
-        duration = _now() - since
+        duration = monotonic() - since
         if state["phase"] == "running":
             speed = (now - first) / duration if rows > 1 and duration > 0.0 else None
             self._state["speed"] = state["speed"] = speed
@@ -200,7 +196,7 @@ class LiveRun(WorkPage, Observer):
             for change in (control.changes if control is not None else ())
         ]
         last = {name: float(self._rows.read(name, rows - 1)[0]) for name in self._inputs if rows}
-        state["values"] = {name: _finite(value) for name, value in last.items()}
+        state["values"] = {name: value if math.isfinite(value) else None for name, value in last.items()}
         return {**state, "rows": rows, "now": now, "end": run.start + run.step * max(0, run.rows - 1)}
 
     # -- requests ---------------------------------------------------------------------------------
@@ -208,24 +204,26 @@ class LiveRun(WorkPage, Observer):
     def routes(self) -> Mapping[str, Handler]:
         """Return further routes."""
         own = {"GET /variables": self._variables, "POST /set": self._set, "POST /pause": self._pause}
-        return {**super().routes(), **self._viewer.routes(), **own}
+        return {**super().routes(), **own}
 
     def _variables(self, request: Request, _: Any) -> Response:
         """Return the variables that can be changed."""
-        variables = [
-            {
+        variables = []
+        for v in self._control.variables if self._control is not None else ():
+            if v.shape:
+                continue
+            start = {str(number): name for name, number in v.items.items()}.get(str(v.start), v.start)
+            about = {
                 "name": v.name,
                 "input": v.is_input,
                 "kind": v.kind,
                 "unit": v.unit,
-                "start": _start(v),
-                "bounds": [_finite(bound) if abs(bound) < LARGEST_BOUND else None for bound in v.bounds],
+                "start": start if isinstance(start, int | float | str | bool | None) else str(start),
+                "bounds": [bound if abs(bound) < LARGEST_BOUND else None for bound in v.bounds],
                 "items": list(v.items),
                 "description": v.description,
             }
-            for v in (self._control.variables if self._control is not None else ())
-            if not v.shape
-        ]
+            variables.append(about)
         return Json(variables)
 
     def _controlled(self) -> Control:
@@ -252,21 +250,6 @@ class LiveRun(WorkPage, Observer):
         self._controlled().paused = is_pause
         self.update()
         return Json({"paused": is_pause})
-
-
-def _start(variable: Variable) -> Any:
-    """Return the start value as the page shows it: that of an enumeration by name."""
-    names = {str(number): name for name, number in variable.items.items()}
-    start = names.get(str(variable.start), variable.start)
-    return start if isinstance(start, (int, float, str, bool)) or start is None else str(start)
-
-
-def _now() -> float:
-    return time.monotonic()
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
 
 
 def _as_number(value: Any) -> Any:
@@ -297,7 +280,7 @@ class LiveSweep(WorkPage, RunsObserver):
 
     def begin(self, title: str, count: int, limits: Sequence[CriterionLimit], earlier: Iterable[RunResult]) -> None:
         """Prepare for the runs of a sweep, some of which an earlier call has made."""
-        self._limits, self._total, self._since = limits, count, _now()
+        self._limits, self._total, self._since = limits, count, monotonic()
         self._values, self._met = [[] for _ in limits], [0 for _ in limits]
         self.add([*earlier])
         self._earlier = self._done
@@ -320,9 +303,23 @@ class LiveSweep(WorkPage, RunsObserver):
 
     def state(self) -> dict[str, Any]:
         """Return the whole state."""
-        state = super().state()
+        state, criteria = super().state(), list[dict[str, Any]]()
         with self._lock:
-            made, passed = self._done - self._earlier, _now() - self._since
+            of = self._done - self._failed
+            for limit, met, given in zip(self._limits, self._met, self._values, strict=True):
+                low, high = share_interval(met, of)  # of the share of runs that meet the criterion
+                values = np.array(given)
+                values = values[np.isfinite(values)]
+                counts, ends = list[int](), (0.0, limit.max)
+                if values.size:
+                    least, most = min(limit.max, float(values.min())), max(limit.max, float(np.quantile(values, 0.98)))
+                    margin = 0.05 * (most - least) or 1.0
+                    ends = least - margin, most + margin
+                    counts = np.histogram(np.clip(values, *ends), BINS, ends)[0].tolist()
+                about = {"name": limit.name, "max": limit.max, "unit": limit.unit, "met": met, "of": of}
+                about |= {"low": low, "high": high, "undefined": of - values.size}
+                criteria.append({**about, "counts": counts, "ends": [*ends]})
+            made, passed = self._done - self._earlier, monotonic() - self._since
             rate = made / passed if made and not self.has_ended else None
             return {
                 **state,
@@ -331,25 +328,9 @@ class LiveSweep(WorkPage, RunsObserver):
                 "failed": self._failed,
                 "rate": rate,
                 "remaining": (self._total - self._done) / rate if rate else None,
-                "criteria": [self._criterion(k) for k in range(len(self._limits))],
+                "criteria": criteria,
                 "failures": [{"why": why, "count": n} for why, n in [*self._failures.items()][:MAX_FAILURES]],
             }
-
-    def _criterion(self, k: int) -> dict[str, Any]:
-        """Return the share of runs that meet a criterion, with its interval, and the histogram of its values."""
-        limit, of = self._limits[k], self._done - self._failed
-        low, high = share_interval(self._met[k], of)
-        values = np.array(self._values[k])
-        values = values[np.isfinite(values)]
-        about = {"name": limit.name, "max": limit.max, "unit": limit.unit, "met": self._met[k], "of": of}
-        about |= {"low": low, "high": high, "undefined": of - values.size}
-        if not values.size:
-            return {**about, "counts": [], "ends": [0.0, limit.max]}
-        least, most = min(limit.max, float(values.min())), max(limit.max, float(np.quantile(values, 0.98)))
-        margin = 0.05 * (most - least) or 1.0
-        ends = least - margin, most + margin
-        counts, _ = np.histogram(np.clip(values, *ends), BINS, ends)
-        return {**about, "counts": counts.tolist(), "ends": [*ends]}
 
 
 class LiveRefine(WorkPage, Watcher):
@@ -372,7 +353,7 @@ class LiveRefine(WorkPage, Watcher):
         with self._lock:
             number, _ = stage_number(stage)
             while len(self._times) < number:
-                self._times.append(_now())
+                self._times.append(monotonic())
             self._number, self._words, self._share = max(number, self._number), stage, share
         self.update(phase="running")
 

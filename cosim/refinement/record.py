@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -30,7 +29,6 @@ from cosim.subject.base_parameters import kind_within
 from cosim.subject.candidates import Candidate, Kind
 from cosim.subject.interface import Subject
 
-SCHEMA = Path(__file__).with_name("refine.schema.json")
 OTHER_HORIZONS: Mapping[Literal["0.5 s", "free run"], float] = {"0.5 s": 0.5, "free run": FREE_RUN}
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -515,9 +513,3 @@ def _score_text(h: Hypothesis, best: Hypothesis) -> str:
     if behind < 0.0:
         return f"gains {-behind:.1f} on {than}, but not with every part borne out"
     return f"its score is {behind:.1f} below that of {than}"
-
-
-if __name__ == "__main__":  # usage: python -m cosim.refinement.record > cosim/refinement/refine.schema.json
-    import json
-
-    print(json.dumps(schema(), indent=2, ensure_ascii=False))

@@ -89,7 +89,7 @@ class Refined:
         return f"{self.verdict}: {self.sentence}"
 
     def _repr_html_(self) -> str:
-        from cosim.report.cell.cell import heading, table
+        from cosim.base.notebook import heading, table
 
         rows = [
             (f"{effect['name']}.{name}", f"{p['value']:.5g}", p["unit"], " … ".join(f"{end:.5g}" for end in p["ci95"]))

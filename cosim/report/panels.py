@@ -9,10 +9,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cosim.base.arrays import Array
+from cosim.base.text import display
 
 OTHERS_PER_PANEL = 6
 WIDEST_RANGES = 20.0  # axis' range over the range of a signal without a unit; smaller signals would look constant
 CONSTANT = 1e-9  # range of a constant signal, relative to its size
+POINTS = ("dots", "crosses")  # words of a style
 NO_UNIT = ("", "1")
 NO_UNIT_TEXT = "no unit declared"  # in place of a unit on an axis; the script of a page reads it, too
 
@@ -47,12 +49,9 @@ class Trace:
     @property
     def form(self) -> str:
         """Return the kind of drawing for the page's script."""
-        words = self.style.split()
-        if self.upper is not None:
-            return "bars"
-        if self.stems:
-            return "stems"
-        return "dots" if "dots" in words else "crosses" if "crosses" in words else "held" if self.held else "line"
+        if self.upper is not None or self.stems:
+            return "stems" if self.upper is None else "bars"
+        return next((word for word in self.style.split() if word in POINTS), "held" if self.held else "line")
 
 
 @dataclass(frozen=True)
@@ -82,6 +81,12 @@ class Panel:
     symbol: str = ""
 
 
+def display_unit(unit: str) -> tuple[str, float]:
+    """Return the label of an axis for a unit, and the factor to the displayed values."""
+    shown, factor = display(unit)
+    return shown or unit or NO_UNIT_TEXT, factor
+
+
 def extent(signals: Sequence[Array]) -> tuple[float, float] | None:
     """Return the least and largest finite value."""
     finite = np.concatenate([np.zeros(0), *(values[np.isfinite(values)] for values in signals)])
@@ -95,41 +100,17 @@ def by_unit(
 
     Signals without a unit share a panel only if each is visible on the common axis.
     """
-    groups: list[tuple[str, list[str], _Range]] = []
+    groups: list[tuple[str, list[str], float, float, float]] = []  # unit, names, range, smallest range of a signal
     for name in names:
-        shared, extent = unit(name), _Range.of(values(name))
-        for k, (other, chosen, span) in enumerate(groups):
-            both = span.union(extent)
-            if shared == other and len(chosen) < OTHERS_PER_PANEL and (shared not in NO_UNIT or both.shows_all):
-                groups[k] = (other, [*chosen, name], both)
+        shared, around = unit(name), extent([values(name)])
+        low, high = around or (math.inf, -math.inf)
+        smallest = high - low if high - low > CONSTANT * max(abs(low), abs(high)) else math.inf
+        for k, (other, chosen, least, most, narrowest) in enumerate(groups):
+            least, most, narrowest = min(low, least), max(high, most), min(smallest, narrowest)
+            shows_all = shared not in NO_UNIT or most - least <= WIDEST_RANGES * narrowest
+            if shared == other and len(chosen) < OTHERS_PER_PANEL and shows_all:
+                groups[k] = other, [*chosen, name], least, most, narrowest
                 break
         else:
-            groups.append((shared, [name], extent))
-    return [(shared, chosen) for shared, chosen, _ in groups]
-
-
-@dataclass(frozen=True)
-class _Range:
-    """Range of the signals on an axis, and the smallest range of a varying signal."""
-
-    low: float
-    high: float
-    smallest: float
-
-    @classmethod
-    def of(cls, values: Array) -> _Range:
-        finite = values[np.isfinite(values)]
-        if not finite.size:
-            return cls(math.inf, -math.inf, math.inf)
-        low, high = float(finite.min()), float(finite.max())
-        constant = high - low <= CONSTANT * max(abs(low), abs(high))
-        return cls(low, high, math.inf if constant else high - low)
-
-    def union(self, other: _Range) -> _Range:
-        """Return the smallest range that contains both."""
-        return _Range(min(self.low, other.low), max(self.high, other.high), min(self.smallest, other.smallest))
-
-    @property
-    def shows_all(self) -> bool:
-        """Return whether every signal is large enough to see."""
-        return self.high - self.low <= WIDEST_RANGES * self.smallest
+            groups.append((shared, [name], low, high, smallest))
+    return [(shared, chosen) for shared, chosen, *_ in groups]

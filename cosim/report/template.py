@@ -23,16 +23,17 @@ def render(page: Path, values: Mapping[str, Any], folders: Sequence[Path] = (), 
     """
     # Only pages need jinja2: `import cosim.report` must not load it.
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
+    from markupsafe import Markup, escape
 
     environment = Environment(
         loader=FileSystemLoader([page.parent, *folders, TEMPLATES]),
         autoescape=True,
-        finalize=_printable,
+        finalize=lambda value: type(value)(printable(value)) if isinstance(value, str) else value,  # HTML stays HTML
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["code"] = _code
+    environment.filters["code"] = lambda text: Markup(re.sub("`([^`]+)`", r"<code>\1</code>", str(escape(text))))
     # A page's own style overrides the shared style.
     style = inline([TEMPLATES / "report.css", *sorted(page.parent.glob("*.css"))])
     scripts = [TEMPLATES / "chart.js", *sorted(page.parent.glob("*.js"))]
@@ -40,19 +41,7 @@ def render(page: Path, values: Mapping[str, Any], folders: Sequence[Path] = (), 
     return environment.get_template(page.name).render(**values, style=style, script=script)
 
 
-def _printable(value: Any) -> Any:
-    """Return a text of a page without control characters; HTML stays HTML."""
-    return type(value)(text) if isinstance(value, str) and (text := printable(value)) != value else value
-
-
 def inline(files: Sequence[Path]) -> str:
     """Return files' texts without indentation and comment lines."""
     text = "\n".join(file.read_text(encoding="utf-8") for file in files)
     return re.sub(r"^\s*(?://.*|/\*.*\*/)?\n|^[ \t]+", "", text, flags=re.MULTILINE)
-
-
-def _code(text: str) -> str:
-    """Return a text as HTML with marked code."""
-    from markupsafe import Markup, escape
-
-    return Markup(re.sub("`([^`]+)`", r"<code>\1</code>", str(escape(text))))

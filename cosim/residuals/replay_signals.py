@@ -17,13 +17,9 @@ class Replay(Signals):
     residual: Signals | None = None
     sentence: str = ""
 
-    def __repr__(self) -> str:
-        return f"{super().__repr__()}\n  {self.sentence}".rstrip()
-
-    def _html_more(self) -> str:
-        from html import escape
-
-        return f"<p>{escape(self.sentence)}</p>" if self.sentence else ""
+    @property
+    def _sentences(self) -> list[str]:
+        return [self.sentence] if self.sentence else []
 
 
 def read_replay(folder: Path, *, kept: bool = True) -> Replay | None:

@@ -88,11 +88,9 @@ def coupling_error(
             stepped = simulate_in(worker, system, steps * parts, step / parts, original.scenario.limits)
             if isinstance(stepped.failure, Interrupted):
                 raise stepped.failure
-            if stepped.failure is not None:
-                return str(stepped.failure)
-            if len(stepped.results.time) <= steps * parts:
+            if stepped.failure is None and len(stepped.results.time) <= steps * parts:
                 return f"the run ends early, at t = {stepped.results.time[-1]:g} s"
-            return stepped.results
+            return stepped.results if stepped.failure is None else str(stepped.failure)
 
         system = system_of(step)
         whole = run(system, 1)
@@ -102,17 +100,15 @@ def coupling_error(
             reason = "; ".join(fault.message.partition(": set ")[0] for fault in error.faults)  # a remedy for runs only
             halved = f"(halved by --coupling-error: {step / 2:g} s for {step:g} s) it cannot be run: {reason}"
         single = rollback_objection(system) or run(replace(system, halved=True), 1)
-    if isinstance(whole, str) or isinstance(halved, str):
-        return CouplingError({}, whole if isinstance(whole, str) else str(halved))
-    of = differences(whole, halved, list(dict.fromkeys(c.source for c in original.scenario.connections)))
+    if isinstance(whole, str):
+        return CouplingError({}, whole)
+    if isinstance(halved, str):
+        return CouplingError({}, halved)
+    rows = min(len(whole.time), (len(halved.time) + 1) // 2)  # at common communication points
+    sources = dict.fromkeys(c.source for c in original.scenario.connections)
+    columns = [c for name in sources for c in whole.columns if c == name or c.startswith(f"{name}[")]
+    of = {c: float(np.max(np.abs(whole[c][:rows] - halved[c][: 2 * rows : 2][:rows]))) for c in columns}
     if isinstance(single, str):
         return CouplingError(of, without=single)
-    rows = {name: int(np.argmax(single[name])) for name in of}
-    return CouplingError(of, steps={n: (float(single[n][row]), float(single.time[row])) for n, row in rows.items()})
-
-
-def differences(whole: Results, halved: Results, names: Sequence[str]) -> dict[str, float]:
-    """Return each signal's largest difference at common communication points."""
-    rows = min(len(whole.time), (len(halved.time) + 1) // 2)
-    columns = [c for name in names for c in whole.columns if c == name or c.startswith(f"{name}[")]
-    return {c: float(np.max(np.abs(whole[c][:rows] - halved[c][: 2 * rows : 2][:rows]))) for c in columns}
+    largest = {name: int(np.argmax(single[name])) for name in of}
+    return CouplingError(of, steps={n: (float(single[n][row]), float(single.time[row])) for n, row in largest.items()})

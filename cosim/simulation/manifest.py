@@ -31,17 +31,12 @@ def resolve_scenario(file: ScenarioFile, system: System) -> Scenario:
     The scenario has absolute paths and the hash of each file. It repeats the run from its record, as fast as possible:
     without `pace`.
     """
-    components, changes = dict[str, Any](), dict[str, Any]()
+    components = dict[str, Any](file.scenario.components)
     for name, component in file.scenario.components.items():
-        if isinstance(component, FmuComponent):
-            path = system.fmus[name][0]
-            changes = {"fmu": str(path), "sha256": sha256(path)}
-        elif component.block == "playback":
-            path = file.resolve(component.file)
-            changes = {"file": str(path), "sha256": sha256(path)}
-        else:
-            changes = {}
-        components[name] = component.model_copy(update=changes)
+        if isinstance(component, FmuComponent) or component.block == "playback":
+            key = key_of(component)
+            path = system.fmus[name][0] if key == "fmu" else file.resolve(getattr(component, key))
+            components[name] = component.model_copy(update={key: str(path), "sha256": sha256(path)})
     return file.scenario.model_copy(update={"components": components, "pace": None})
 
 

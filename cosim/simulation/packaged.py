@@ -141,10 +141,9 @@ def _times(structure: SspStructure, flat: Flat, warnings: list[str], overrides: 
 
     Defaulted values add a warning, unless `overrides` contains their key.
     """
-    experiments = [part.description.defaultExperiment for part in flat.parts]
 
     def read_positive(name: str) -> list[float]:
-        texts = (getattr(experiment, name, None) for experiment in experiments)
+        texts = (getattr(part.description.defaultExperiment, name, None) for part in flat.parts)
         return [value for text in texts if text is not None and (value := float(text)) > 0.0]
 
     start, stop, step = structure.start or 0.0, structure.stop, structure.step

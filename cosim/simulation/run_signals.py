@@ -132,17 +132,16 @@ class Signals:
     def _repr_html_(self) -> str:
         from html import escape
 
-        from cosim.report.cell.cell import heading, table
+        from cosim.base.notebook import heading, table
 
         texts = [*self.results.exact]
         shown = [*self.names[: 2 * MAX_LINES], *texts[:MAX_LINES]]
         rows = [(name, self.units.get(name, ""), *self._ends(name)) for name in shown]
-        listed = table(("signal", "unit", "first", "last"), rows, len(self.names) + len(texts) - len(rows))
-        chart = self.chart().html
-        signals = f"<details><summary>Signals</summary>{listed}</details>" if chart else listed
+        signals = table(("signal", "unit", "first", "last"), rows, len(self.names) + len(texts) - len(rows))
+        if chart := self.chart().html:
+            signals = f"<details><summary>Signals</summary>{signals}</details>"
         lines = "".join(f"<li>{escape(line)}</li>" for line in self._sentences)
-        more = f"<ul>{lines}</ul>" if lines else ""
-        return heading(self._heading()) + more + chart + signals
+        return heading(self._heading()) + (f"<ul>{lines}</ul>" if lines else "") + chart + signals
 
     @property
     def _sentences(self) -> list[str]:

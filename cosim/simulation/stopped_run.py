@@ -33,7 +33,6 @@ from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.model_exchange import LONGEST, ModelExchange2
 from cosim.isolation.rows import read_exact, read_table
 from cosim.master.checkpoint import BESIDE, FORMAT, ROWS, STATE, Continuation, RowsHash
-from cosim.master.inbox import Change
 from cosim.master.remote import IN_USE, read_state
 from cosim.scenario.scenario import Scenario
 from cosim.scenario.scenario_file import ScenarioFile
@@ -56,7 +55,6 @@ ROWS_OF_ANOTHER_RUN = (
     "its rows are not those of the checkpoint: a file was changed or removed; put it back, or run the scenario "
     "again from its start"
 )
-ALREADY_FINISHED = "its run is finished, at t = {time:g} s; --until T with a later time T extends it"
 STOPPED_BEFORE_ROWS = "its run was stopped before its first row or checkpoint; run the scenario again from its start"
 
 FOLDER, RUN, MANIFEST = "checkpoint", "run.json", "manifest.json"
@@ -104,18 +102,13 @@ class StoppedRun:
         """Return warnings from outside the scenario."""
         return list(self.record.get(EXTRA, {}).get("warnings", ()))
 
-    @property
-    def changes(self) -> Sequence[Change]:
-        """Return the changes by observers so far."""
-        return [Change(point, values) for point, values in self.checkpoint.get("changes", ())]
-
     def solver_steps(self, system: System) -> dict[str, float]:
         """Return the longest steps [s] that solvers of model exchange had so far, where they depend on the end."""
-        scenario = ScenarioFile(self.source).scenario
-        stop = scenario.start_time + scenario.step * scenario.steps  # as the master computes it
         calls = {s.component.name: s.component.calls for s in system.stages if isinstance(s.component, FmuBlock)}
         exchanged = {name: each for name, each in calls.items() if isinstance(each, ModelExchange2)}
-        return {n: (stop - scenario.start_time) / LONGEST for n, each in exchanged.items() if each.longest is None}
+        start = self._first.start_time
+        stop = start + self._first.step * self._first.steps  # as the master computes it
+        return {n: (stop - start) / LONGEST for n, each in exchanged.items() if each.longest is None}
 
     def scenario(self, until: float | None, solver_steps: Mapping[str, float] = MappingProxyType({})) -> ScenarioFile:
         """Return the scenario, ending at `until` [s] if given.
@@ -124,16 +117,19 @@ class StoppedRun:
             solver_steps: Component → longest step of its solver [s].
 
         Raises:
-            InputError: The end is between two communication points.
+            InputError: The end is not later than the run so far, or between two communication points.
         """
         start = self.record["scenario"].get("start_time", 0.0)
         overrides = [] if until is None else [f"duration={until - start!r}"]
         overrides += [f"components.{name}.solver_step={longest!r}" for name, longest in solver_steps.items()]
+        if until is not None and not self._reached < until < math.inf:
+            message = f"--until {until:g} s is not after t = {self._reached:g} s, which the run has reached"
+            raise InputError.at(self.folder, message)
         file = ScenarioFile(self.source, overrides, option="--until")
         step = file.scenario.step
         if until is not None and file.faults and (until - start) % step > 1e-9 * step:
             count = math.floor((until - start) / step)
-            ends = [end for end in (start + count * step, start + (count + 1) * step) if end > self.reached]
+            ends = [end for end in (start + count * step, start + (count + 1) * step) if end > self._reached]
             text = " or ".join(f"{end:.12g} s" for end in ends)
             raise InputError.at(
                 self.folder,
@@ -141,33 +137,30 @@ class StoppedRun:
             )
         return file
 
-    @cached_property
+    @property
     def end(self) -> int:
         """Return the last communication point of the run so far."""
-        return ScenarioFile(self.source).scenario.steps
+        return self._first.steps
 
     @cached_property
-    def results(self) -> Results:
-        """Return the results; raise InputError if there are none."""
+    def _first(self) -> Scenario:
+        """Scenario of the run so far."""
+        return ScenarioFile(self.source).scenario
+
+    @cached_property
+    def _results(self) -> Results:
+        """Results; InputError if there are none."""
         rows = rows_in(self.folder)
         if rows is None:
-            lost = NOTHING_TO_RESUME if self.state is None else ROWS_OF_ANOTHER_RUN
-            raise InputError.at(self.folder, lost)
+            raise InputError.at(self.folder, NOTHING_TO_RESUME if self.state is None else ROWS_OF_ANOTHER_RUN)
         return read_results(rows, {}, self.record.get("beside", ()))
 
     @property
-    def reached(self) -> float:
-        """Return the time [s] of the last checkpoint or row."""
+    def _reached(self) -> float:
+        """Time [s] of the last checkpoint or row."""
         if self.state is not None:
             return float(self.checkpoint["time"])
-        return float(self.results.time[-1]) if len(self.results.time) else -math.inf
-
-    def check_end(self, until: float | None) -> None:
-        """Raise InputError if the end is not later."""
-        if until is not None and not self.reached < until < math.inf:
-            raise InputError.at(
-                self.folder, f"--until {until:g} s is not after t = {self.reached:g} s, which the run has reached"
-            )
+        return float(self._results.time[-1]) if len(self._results.time) else -math.inf
 
     def start(self, system: System, scenario: Scenario) -> Continuation | None:
         """Return rows and state to go on from; None if the run begins again, because its rows are recorded in part.
@@ -176,35 +169,33 @@ class StoppedRun:
             InputError: The run is finished, or its files do not belong together.
         """
         kept = self.folder / FOLDER
-        width, checkpoint = len(system.columns), self.checkpoint
-        count = checkpoint["point"] + 1 if checkpoint else 0
+        count = self.checkpoint["point"] + 1 if self.checkpoint else 0
+        start = None
         if (kept / ROWS).is_file():
+            width = len(system.columns)
             if not count:
                 raise InputError.at(kept, STOPPED_BEFORE_ROWS)
             if (kept / ROWS).stat().st_size < 8 * count * width:
                 raise InputError.at(kept / ROWS, ROWS_OF_ANOTHER_RUN)
-            values = read_table(kept / ROWS, count, width)
-            start = Continuation(values, read_exact(kept / BESIDE, count), self.state)
-        elif system.recording is not None:
-            self._check_unfinished(scenario)
-            return None
-        else:
+            start = Continuation(read_table(kept / ROWS, count, width), read_exact(kept / BESIDE, count), self.state)
+        elif system.recording is None:
             start = self._from_results(system, scenario, count)
-        if checkpoint and RowsHash().of(start.values, start.exact, start.count) != checkpoint["rows"]:
+        if (
+            start is not None
+            and self.checkpoint
+            and RowsHash().of(start.values, start.exact, start.count) != self.checkpoint["rows"]
+        ):
             raise InputError.at(self.folder, ROWS_OF_ANOTHER_RUN)
-        if start.count > scenario.steps and rows_in(self.folder) is not None:
-            self._check_unfinished(scenario)
+        if start is None or (start.count > scenario.steps and rows_in(self.folder) is not None):
+            end, time_ = scenario.start_time + scenario.duration, self._results.time
+            if len(time_) and time_[-1] >= end - rounding(end, scenario.step):
+                message = f"its run is finished, at t = {end:g} s; --until T with a later time T extends it"
+                raise InputError.at(self.folder, message)
         return start
-
-    def _check_unfinished(self, scenario: Scenario) -> None:
-        """Raise InputError if the recorded rows reach the end."""
-        end = scenario.start_time + scenario.duration
-        if len(self.results.time) and self.results.time[-1] >= end - rounding(end, scenario.step):
-            raise InputError.at(self.folder, ALREADY_FINISHED.format(time=end))
 
     def _from_results(self, system: System, scenario: Scenario, count: int) -> Continuation:
         """Return the first rows of the results."""
-        results, rows = self.results, self.folder / self.rows_file
+        results, rows = self._results, self.folder / self.rows_file
         expected = scenario.start_time + scenario.step * np.arange(len(results.time), dtype=np.float64)
         on_grid = np.abs(results.time - expected) <= roundings(expected, scenario.step)
         complete = len(results.time) if on_grid.all() else int(np.argmin(on_grid))  # An FMU may end a run between.
@@ -244,7 +235,7 @@ def open_stopped(path: Path, stack: ExitStack) -> StoppedRun:
         raise InputError.at(source, OTHER_VERSION.format(version=version, own=__version__))
     stack.enter_context(new_run(folder, "", "cosim run", force=True))
     kept = folder / FOLDER
-    wait_for_worker(kept)
+    _wait_for_worker(kept)
     remove_drafts(kept, (STATE, BESIDE, RUN))
     lasted = record.get("timings", {}).get("simulate", 0.0)
     checkpoint: dict[str, Any] = {}
@@ -260,12 +251,11 @@ def open_stopped(path: Path, stack: ExitStack) -> StoppedRun:
             raise InputError.at(kept / STATE, DAMAGED_CHECKPOINT.format(reason=str(error))) from None
     rows = rows_in(folder)
     rows_file = record.get(EXTRA, {}).get("rows", "results.csv" if rows is None else rows.name)
-    return StoppedRun(
-        folder, source, record, rows_file, state, checkpoint, lasted if isinstance(lasted, float) else 0.0
-    )
+    lasted = lasted if isinstance(lasted, float) else 0.0
+    return StoppedRun(folder, source, record, rows_file, state, checkpoint, lasted)
 
 
-def wait_for_worker(kept: Path) -> None:
+def _wait_for_worker(kept: Path) -> None:
     """Wait for the end of a killed command's worker."""
     path = kept / IN_USE
     for _ in range(round(PATIENCE / PAUSE)):
@@ -281,7 +271,7 @@ def wait_for_worker(kept: Path) -> None:
 
 def remove_checkpoints(folder: Path) -> None:
     """Remove the checkpoints of another run, once its worker has ended."""
-    wait_for_worker(folder / FOLDER)
+    _wait_for_worker(folder / FOLDER)
     shutil.rmtree(folder / FOLDER, ignore_errors=True)
 
 
@@ -313,10 +303,3 @@ def end_keeping(folder: Path, *, is_kept: bool, keeps_rows: bool = False) -> Non
     for name in (IN_USE,) if keeps_rows else (ROWS, BESIDE, IN_USE):
         with suppress(OSError):
             (kept / name).unlink(missing_ok=True)
-
-
-def unsaved_names(system: System) -> Sequence[str]:
-    """Return the components whose state no checkpoint has."""
-    again = system.fmus if system.reruns else {}
-    components = [stage.component for stage in system.stages]
-    return [c.name for c in components if c.name in again or not getattr(c, "saves", False)]

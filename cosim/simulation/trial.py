@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from cosim.base import errors
 from cosim.base.errors import Fault, FmuError, InputError, refuse
@@ -56,7 +55,14 @@ def check_fmu(path: Path, worker: Worker | None = None, notes: list[str] | None 
         return [error.fault(path, path)]
     if worker is None:
         return []
-    start, step = _experiment(description)
+    experiment = description.defaultExperiment
+    start, stop, step = (
+        float(getattr(experiment, name, None) or 0.0) for name in ("startTime", "stopTime", "stepSize")
+    )
+    step = step if step > 0.0 else (stop - start) / STEPS if stop > start else STEP
+    inner = float(getattr(description.coSimulation, "fixedInternalStepSize", None) or 0.0)
+    if inner and takes_any_step(description):
+        step = min(step, MOST_INNER_STEPS * inner)
     times = {"start_time": start, "duration": step, "step": step}
     content = {"name": path.stem, **times, "components": {"fmu": {"fmu": str(path.resolve())}}}
     worker.start()
@@ -66,21 +72,10 @@ def check_fmu(path: Path, worker: Worker | None = None, notes: list[str] | None 
         file = ScenarioFile(scenario)
         faults, said = _run_once(file, build_system(file), path, worker)
         if notes is not None:
-            notes += [with_severity(text.removeprefix("fmu: ")) for text in _shown(said)]
+            notes += [with_severity(text.removeprefix("fmu: ")) for text in said if isinstance(text, CheckWarning)]
         return faults
     except InputError as error:
         return [replace(fault, file=path, line=0, column=0) for fault in error.faults]
-
-
-def _experiment(description: Any) -> tuple[float, float]:
-    """Return the default experiment's start time and step [s]."""
-    experiment = description.defaultExperiment
-    start, stop, step = (
-        float(getattr(experiment, name, None) or 0.0) for name in ("startTime", "stopTime", "stepSize")
-    )
-    step = step if step > 0.0 else (stop - start) / STEPS if stop > start else STEP
-    inner = float(getattr(description.coSimulation, "fixedInternalStepSize", None) or 0.0)
-    return start, min(step, MOST_INNER_STEPS * inner) if inner and takes_any_step(description) else step
 
 
 def check_scenario(path: Path, checking: Checking) -> list[str]:
@@ -99,8 +94,9 @@ def check_scenario(path: Path, checking: Checking) -> list[str]:
         system = with_feedthrough(file, system, worker)
         faults, said = _run_once(file, system, path, worker)
         refuse(faults)
+    shown = [text for text in (*system.warnings, *said) if isinstance(text, CheckWarning)]
     notes = recording_notes(file.scenario, system.columns, system.recording)
-    return [*map(with_severity, (*file.warnings, *_shown((*system.warnings, *said)), *notes))]
+    return [*map(with_severity, (*file.warnings, *shown, *notes))]
 
 
 def check_ssp(path: Path, checking: Checking) -> list[str]:
@@ -111,20 +107,15 @@ def check_ssp(path: Path, checking: Checking) -> list[str]:
     Raises:
         InputError: The SSP has faults.
     """
-    worker = checking.worker
     with temporary_folder("check") as folder:
         file, warnings = lay_out(path, folder)
         system = build_system(file)
         said: Sequence[str] = ()
-        if worker is not None:
-            faults, said = _run_once(file, system, path, worker)
+        if checking.worker is not None:
+            faults, said = _run_once(file, system, path, checking.worker)
             refuse(replace(f, message=f.message.replace(f"{file.path.parent}/", "")) for f in faults)
-        return [*map(with_severity, (*warnings, *_shown((*system.warnings, *said))))]
-
-
-def _shown(texts: Iterable[str]) -> list[str]:
-    """Return the warnings that a check shows: of loops, of processes and of hidden code."""
-    return [text for text in texts if isinstance(text, CheckWarning)]
+    shown = [text for text in (*system.warnings, *said) if isinstance(text, CheckWarning)]
+    return [*map(with_severity, (*warnings, *shown))]
 
 
 def _run_once(file: ScenarioFile, system: System, path: Path, worker: Worker) -> tuple[Sequence[Fault], Sequence[str]]:
@@ -137,9 +128,8 @@ def _run_once(file: ScenarioFile, system: System, path: Path, worker: Worker) ->
     except FmuError as error:
         return [error.fault(path, path.resolve())], ()
     except errors.DiskFull as error:
-        return [
-            Fault(path, 0, 0, f"cannot be tried: {error.reason}; --no-load checks it without", FmuError.exit_code)
-        ], ()
+        message = f"cannot be tried: {error.reason}; --no-load checks it without"
+        return [Fault(path, 0, 0, message, FmuError.exit_code)], ()
     if (failure := stepped.failure) is None:
         return [], stepped.log
     if isinstance(failure, (errors.Interrupted, errors.Signalled)):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from threading import Timer
 from typing import Any
@@ -18,7 +18,6 @@ from cosim.isolation.limits import LOADING, Limits
 from cosim.isolation.process import Worker
 from cosim.master.beforehand import Feedthrough, Pair, examine, measure_feedthrough, undeclared_inputs
 from cosim.master.remote import simulate_in
-from cosim.scenario.scenario import Scenario
 from cosim.scenario.scenario_file import ScenarioFile
 from cosim.system.schedule import Loop
 from cosim.system.system import System, build_system
@@ -45,75 +44,75 @@ def with_feedthrough(
         tell: Function that shows a note if it takes long.
     """
     undeclared = undeclared_inputs(system) if system.assumed else {}
-    if not undeclared:
-        return _with_notes(system, [])
-    limits, spent = _limits(file.scenario), [0.0]
-    note = Note(
-        f"measuring which outputs of {join_names([*undeclared])} follow their inputs at once, which these FMUs "
-        f"do not declare: at most {limits.total:g} s"
-    )
-    timer = Timer(SILENT, tell, (note,))
-    timer.daemon = True
-    timer.start()
-    try:
+    planned, opened = system, list[Loop]()
+    if undeclared:
+        given = file.scenario.limits or Limits()
+        total = min(given.total or LONGEST, LONGEST)
+        load = given.load or LOADING + (LIMIT if permission.get() else 0.0)
+        limits, spent = given.model_copy(update={"total": max(total, LEAST), "load": load}), [0.0]
+        note = Note(
+            f"measuring which outputs of {join_names([*undeclared])} follow their inputs at once, which these FMUs "
+            f"do not declare: at most {limits.total:g} s"
+        )
+        timer = Timer(SILENT, tell, (note,))
+        timer.daemon = True
+        timer.start()
         try:
-            measured = examine(measure_feedthrough, system, (1, file.scenario.step), worker, limits, spent=spent)
-        except (Interrupted, Signalled):
-            raise
-        except CosimError as error:
-            reason = str(error)
-            if isinstance(error, TimedOut) and spent[0] > (limits.total or LONGEST):
-                reason = Note(f"it takes longer than {limits.total:g} s in all, at last in {error.component}")
-            measured = Feedthrough(failure=f": {reason}")
-        followed = {name: sorted({i for _, i in measured.pairs if i in inputs}) for name, inputs in undeclared.items()}
-        known = measured.inputs - {entry for _, entry in measured.at_start}
-        declared = {  # where all inputs are known or some of them followed
-            n: [i.partition(".")[2] for i in followed[n]]
-            for n, inputs in undeclared.items()
-            if followed[n] or inputs <= known
-        }
-        planned, failure = _planned(file, system, worker, declared, spent) if declared else (system, "")
-    finally:
-        timer.cancel()
-    unknown = frozenset[str]().union(*undeclared.values()) - measured.inputs
-    held = {transfer.name for transfer in planned.held}
-    facts = measured, unknown & held, failure, held
-    loops = (replace(loop, left_open=_note(system, loop, *facts)) for loop in system.opened)
-    return _with_notes(planned, [loop for loop in loops if loop.left_open])
-
-
-def _limits(scenario: Scenario, spent: float = 0.0) -> Limits:
-    """Return the limits of a measurement that has already taken some seconds."""
-    limits = scenario.limits or Limits()
-    load = limits.load or LOADING + (LIMIT if permission.get() else 0.0)
-    return limits.model_copy(update={"total": max(min(limits.total or LONGEST, LONGEST) - spent, LEAST), "load": load})
+            try:
+                measured = examine(measure_feedthrough, system, (1, file.scenario.step), worker, limits, spent=spent)
+            except (Interrupted, Signalled):
+                raise
+            except CosimError as error:
+                reason = str(error)
+                if isinstance(error, TimedOut) and spent[0] > (limits.total or LONGEST):
+                    reason = Note(f"it takes longer than {limits.total:g} s in all, at last in {error.component}")
+                measured = Feedthrough(failure=f": {reason}")
+            followed = {n: sorted({i for _, i in measured.pairs if i in inputs}) for n, inputs in undeclared.items()}
+            known = measured.inputs - {entry for _, entry in measured.at_start}
+            declared = {  # where all inputs are known or some of them followed
+                n: [i.partition(".")[2] for i in followed[n]]
+                for n, inputs in undeclared.items()
+                if followed[n] or inputs <= known
+            }
+            failure = ""
+            if declared:
+                first_step = limits.model_copy(update={"total": max(total - spent[0], LEAST)})
+                planned, failure = _planned(file, system, worker, declared, first_step)
+        finally:
+            timer.cancel()
+        held = {transfer.name for transfer in planned.held}
+        unknown = (frozenset[str]().union(*undeclared.values()) - measured.inputs) & held
+        facts = measured, unknown, failure, held
+        loops = (replace(loop, left_open=_note(system, loop, *facts)) for loop in system.opened)
+        opened = [loop for loop in loops if loop.left_open]
+    names = [loop.name for loop in opened]
+    others = [loop for loop in planned.opened if loop.name not in names]
+    warnings = [warning for warning in planned.warnings if not isinstance(warning, Assumption)]
+    notes = [CheckWarning(loop.left_open) for loop in opened]
+    return replace(planned, opened=(*opened, *others), assumed=False, warnings=(*warnings, *notes))
 
 
 def _planned(
-    file: ScenarioFile,
-    system: System,
-    worker: Worker | None,
-    declared: Mapping[str, Sequence[str]],
-    spent: list[float],
+    file: ScenarioFile, system: System, worker: Worker | None, declared: dict[str, list[str]], limits: Limits
 ) -> tuple[System, str]:
     """Return the system with declared inputs, or the old one and why its new loops cannot be solved."""
     scenario = file.scenario
     components: dict[str, Any] = dict(scenario.components)
     for name, inputs in declared.items():
-        components[name] = components[name].model_copy(update={"feedthrough": list(inputs)})
+        components[name] = components[name].model_copy(update={"feedthrough": inputs})
     file.scenario = scenario.model_copy(update={"components": components})
     try:
         planned = build_system(file)
-        failure = ""
+        error = None
         if planned.loops != system.loops:
-            error = simulate_in(worker, planned, 1, scenario.step, _limits(scenario, spent[0])).failure
+            error = simulate_in(worker, planned, 1, scenario.step, limits).failure
             if isinstance(error, (Interrupted, Signalled)):
                 raise error
-            failure = "" if error is None else str(error)
+        if error is None:
+            return planned, ""
+        failure = str(error)
     except InputError as fault:
         failure = fault.faults[0].message
-    if not failure:
-        return planned, ""
     file.scenario = scenario
     return system, failure
 
@@ -137,9 +136,13 @@ def _note(
     def is_part(name: str) -> bool:
         return name.partition(".")[0] in loop.members
 
+    def facts(pairs: Sequence[Pair]) -> str:
+        more = f" and {len(pairs) - NAMED} more" if len(pairs) > NAMED else ""
+        return ", ".join(f"{output} follows {entry}" for output, entry in pairs[:NAMED]) + more
+
     if failure and (pairs := [pair for pair in measured.pairs if is_part(pair[1])]):
         return (
-            f"{loop.name} is an algebraic loop that no FMU declares: measured before the run, {_facts(pairs)}. "
+            f"{loop.name} is an algebraic loop that no FMU declares: measured before the run, {facts(pairs)}. "
             "It is left open, so that some inputs have the values of the step before, because solving it fails: "
             f"{failure}"
         )
@@ -158,7 +161,7 @@ def _note(
             )
         )
         return (
-            f"{loop.name} may be an algebraic loop that no FMU declares: in initialization {_facts(pairs)}, "
+            f"{loop.name} may be an algebraic loop that no FMU declares: in initialization {facts(pairs)}, "
             "later only with a step. It is left open, so that some inputs may have the values of the step "
             f"before; {cure}"
         )
@@ -170,18 +173,3 @@ def _note(
             "[...] states the order instead"
         )
     return ""
-
-
-def _with_notes(system: System, opened: Sequence[Loop]) -> System:
-    """Return a system with the loops that are left open, and their warnings in place of those of an assumption."""
-    names = [loop.name for loop in opened]
-    others = [loop for loop in system.opened if loop.name not in names]
-    warnings = [warning for warning in system.warnings if not isinstance(warning, Assumption)]
-    notes = [CheckWarning(loop.left_open) for loop in opened]
-    return replace(system, opened=(*opened, *others), assumed=False, warnings=(*warnings, *notes))
-
-
-def _facts(pairs: Sequence[Pair]) -> str:
-    """Return pairs in words, such as `b.y follows b.u`, at most six of them."""
-    more = f" and {len(pairs) - NAMED} more" if len(pairs) > NAMED else ""
-    return ", ".join(f"{output} follows {entry}" for output, entry in pairs[:NAMED]) + more

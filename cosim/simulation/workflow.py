@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from cosim.base.drafts import is_full
 from cosim.base.errors import DiskFull, SimulationError, Terminated, stop_error
@@ -23,7 +23,7 @@ from cosim.master.inbox import Change, with_changes
 from cosim.master.observer import InputFunctions, NamedFunctions, Observer, ProgressObserver
 from cosim.master.remote import MODULES, SteppedRun, simulate_in
 from cosim.scenario.scenario_file import ScenarioFile, sha256, take_nearest
-from cosim.simulation.criteria import evaluate, missed_tolerance
+from cosim.simulation.criteria import evaluate
 from cosim.simulation.manifest import add_changes, check_pinned, manifest, software_versions
 from cosim.simulation.packaged import is_ssp, lay_out
 from cosim.simulation.stopped_run import (
@@ -32,7 +32,6 @@ from cosim.simulation.stopped_run import (
     end_keeping,
     open_stopped,
     remove_checkpoints,
-    unsaved_names,
     write_run,
 )
 from cosim.simulation.undeclared import with_feedthrough
@@ -52,6 +51,7 @@ from cosim.storage.state_file import write_durable
 from cosim.system.system import System, build_system
 
 MANY_ROWS = 1_000_000  # rows of CSV, beyond which a note offers Parquet
+WriteReport = Callable[[Path, Results, dict[str, Any]], None]  # into a folder
 COMPILED = "compile"  # key of a manifest: sources of FMUs may be compiled when the run goes on
 
 
@@ -109,8 +109,7 @@ def run(
     *,
     force: bool = True,
     nearest: bool = False,
-    report: bool = True,
-    figures: bool = False,
+    report: WriteReport | Literal[False] = False,
     in_process: bool = False,
     format_: str = "csv",
     progress: Callable[[int, int], None] | None = None,
@@ -123,7 +122,7 @@ def run(
 ) -> Outcome:
     """Run a scenario or an SSP, repeat a manifest, or go on with a stopped run.
 
-    Writes results.csv, manifest.json and report.html. After a failure the rows so far are written before the error is
+    Writes results.csv, manifest.json and the report. After a failure the rows so far are written before the error is
     raised.
 
     Args:
@@ -132,6 +131,7 @@ def run(
             `system`.
         force: Whether `folder` may have files; results in it are replaced.
         nearest: Whether to use the nearest FMUs of a refine instead of its refined ones.
+        report: Function that writes the report of a run, False for none.
         inputs: Input → function that returns its value while the run goes on.
         observers: Receive rows during the run; `progress`, a function of (steps done, total), is added to them.
         format_: Format of the rows, e.g. parquet for results.parquet instead of results.csv.
@@ -206,13 +206,12 @@ def run(
                 remove_checkpoints(place)
             kept = write_run(place, base(), prepared.rows_file, prepared.warnings)
             keeping = Keeping(kept, scenario_.checkpoint, start)
-            if start is None and (names := unsaved_names(system)):
-                tell(
-                    Note(
-                        f"no checkpoint has the state of {', '.join(names)}: a resumed run makes all steps again from "
-                        "the start, which takes as long as they took"
-                    )
-                )
+            again = system.fmus if system.reruns else {}
+            components = [stage.component for stage in system.stages]
+            names = [c.name for c in components if c.name in again or not getattr(c, "saves", False)]
+            if start is None and names:
+                cure = "a resumed run makes all steps again from the start, which takes as long as they took"
+                tell(Note(f"no checkpoint has the state of {', '.join(names)}: {cure}"))
         stepped = simulate_in(
             worker,
             system,
@@ -240,7 +239,11 @@ def run(
         add_changes(record, scenario_, [*prepared.changes, *stepped.changes])
         record |= stepped.results.details
         if stepped.failure is None:
-            record["criteria"] = [*evaluate(scenario_, stepped.results), *missed_tolerance(stepped.results)]
+            record["criteria"] = evaluate(scenario_, stepped.results)
+            steps = stepped.results.details.get("steps", {})
+            if missed := steps.get("missed"):  # the shortest of controlled steps have a larger error
+                limits = {"value": missed["error"], "max": steps["tolerance"], "unit": ""}
+                record["criteria"].append({"kind": "step_error", "of": missed["signal"], **limits, "met": False})
         else:
             record["status"] = f"failed: {stepped.failure}"
         record["warnings"] += [*stepped.results.notes, *stepped.log]
@@ -252,7 +255,7 @@ def run(
         if worker is None and scenario_.limits is not None:
             record["warnings"].append("limits are not watched where FMUs run in this process")
         is_kept = keeping.folder is not None
-        failure = _write_files(prepared, stepped, record, base, is_kept=is_kept, report=report, figures=figures)
+        failure = _write_files(prepared, stepped, record, base, report, is_kept=is_kept)
     if failure is not None:
         failure.left = place
         raise failure
@@ -272,7 +275,6 @@ def _prepare_stopped(
         stack: Keeps the folder, and the permission to compile sources if the run began with it.
     """
     stopped = open_stopped(path, stack)
-    stopped.check_end(until)
     file = stopped.scenario(until)
     check_pinned(file)
     stack.enter_context(compiling(permission.get() or stopped.record.get(COMPILED) is True))
@@ -288,14 +290,10 @@ def _prepare_stopped(
         start, ended = without_ended_states(system, grid, start, stopped.end, worker, limits)
         if ended:
             time_ = file.scenario.start_time + stopped.end * file.scenario.step
-            tell(
-                Note(
-                    f"{', '.join(ended)}: the saved state does not go beyond t = {time_:g} s, the end that the FMU "
-                    "was told; so all steps are made again"
-                )
-            )
+            reason = f"the saved state does not go beyond t = {time_:g} s, the end that the FMU was told"
+            tell(Note(f"{', '.join(ended)}: {reason}; so all steps are made again"))
     check_writable(stopped.folder, (stopped.rows_file, MANIFEST, "report.html"), file.files)
-    if changes := stopped.changes:
+    if changes := [Change(point, values) for point, values in stopped.checkpoint.get("changes", ())]:
         system = replace(system, events=with_changes(system.events, changes))
         start = start and replace(start, changes=changes)
     record = stopped.base(system.warnings if until is not None or EXTRA not in stopped.record else None)
@@ -326,10 +324,9 @@ def _write_files(
     stepped: SteppedRun,
     record: dict[str, Any],
     base: Callable[[], dict[str, Any]],
+    report: WriteReport | Literal[False],
     *,
     is_kept: bool,
-    report: bool,
-    figures: bool,
 ) -> SimulationError | None:
     """Write all files of a run, or as many as fit on a full disk.
 
@@ -354,13 +351,7 @@ def _write_files(
             write_durable(write_run(rows.parent, base(), rows.name, prepared.warnings) / STATE, stepped.state)
         release_stops()
         if report:
-            from cosim.simulation.report import write_report
-
-            write_report(rows.with_name("report.html"), results, record)
-        if figures:
-            from cosim.simulation.report import write_figures
-
-            write_figures(rows.with_name("figures"), results, record)
+            report(rows.parent, results, record)
     except OSError as error:
         if not is_full(error):
             raise

@@ -16,8 +16,10 @@ from cosim.verbs.options import Force, Json, Open, Report, ResultsFolder, out_op
 from cosim.verbs.terminal import say, say_json, show, some, table, warn
 
 if TYPE_CHECKING:
-    from cosim.comparison.differences import Compared
-    from cosim.comparison.several import ComparedRuns, RunSource
+    from cosim.comparison.differences import Compared as ComparedPair
+    from cosim.comparison.page import Compared, ComparedRuns
+    from cosim.comparison.several import ComparedRuns as ComparedSeveral
+    from cosim.comparison.several import RunSource
     from cosim.history.selection import Selected
     from cosim.simulation.run_files import RecordedRun
     from cosim.simulation.run_signals import Signals
@@ -56,16 +58,16 @@ def compare(
     Raises:
         InputError: No such run, or runs without a common signal or a common time.
     """
+    from cosim.comparison.page import comparison_page, drawn
     from cosim.comparison.workflow import compare as compare_runs
 
-    options: dict[str, Any] = {"tolerance": tolerance, "absolute": absolute, "write": out is not None, "force": force}
-    if isinstance(a, (list, tuple)):
-        sources, place = _sources([*a, *([] if b is None else [b])], baseline)
-        return compare_runs(sources, out, baseline=place, **options)[0]
-    sources, place = _sources([a, *([] if b is None else [b])], baseline)
-    if len(sources) > 2:
+    is_list = isinstance(a, (list, tuple))
+    sources, place = _sources([*(a if isinstance(a, (list, tuple)) else [a]), *([] if b is None else [b])], baseline)
+    if len(sources) > 2 and not is_list:
         raise InputError.at(Path(str(a)), f"{len(sources)} runs match; give a list to compare them all")
-    return compare_runs(sources, out, baseline=place, as_pair=True, **options)[0]
+    options: dict[str, Any] = {"tolerance": tolerance, "absolute": absolute, "write": out is not None, "force": force}
+    options |= {"baseline": place, "as_pair": not is_list, "report": comparison_page}
+    return drawn(compare_runs(sources, out, **options)[0])
 
 
 def _sources(sides: Sequence[Any], baseline: Any = None, results: Path | None = None) -> tuple[list[RunSource], int]:
@@ -173,12 +175,14 @@ def command(
     Example: cosim compare results/one results/two --tol 1e-3
     """
     from cosim.comparison.differences import Compared
+    from cosim.comparison.page import comparison_page
     from cosim.comparison.workflow import compare as compare_runs
 
     sources, place = _sources(runs, baseline, results)
     if absolute and tolerance is None:
         tolerance = 0.0
-    options: dict[str, Any] = {"tolerance": tolerance, "absolute": absolute, "report": report, "force": force}
+    options: dict[str, Any] = {"tolerance": tolerance, "absolute": absolute, "force": force}
+    options["report"] = report and comparison_page
     comparison, folder = compare_runs(sources, out, baseline=place, as_pair=len(sources) == 2, **options)
     if isinstance(comparison, Compared):
         warn(*comparison.a.warnings, *comparison.b.warnings)
@@ -199,7 +203,7 @@ def command(
         raise CriterionMissed("; ".join(comparison.reasons))
 
 
-def _lines_of_several(c: ComparedRuns) -> list[str]:
+def _lines_of_several(c: ComparedSeveral) -> list[str]:
     """Return the lines to print: verdict, runs, inputs that differ, signals with the largest differences."""
     from cosim.comparison.several import sentence
     from cosim.comparison.signals import format_share, format_size
@@ -222,7 +226,7 @@ def _lines_of_several(c: ComparedRuns) -> list[str]:
     return lines
 
 
-def _lines(comparison: Compared) -> list[str]:
+def _lines(comparison: ComparedPair) -> list[str]:
     """Return the lines to print: verdict, signals with the largest differences, signals in a single run."""
     from cosim.comparison.differences import sentence
     from cosim.comparison.signals import format_share, format_size

@@ -2,14 +2,26 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from cosim.base.errors import InputError
 from cosim.verbs.options import Json, Open, Overrides
 from cosim.verbs.terminal import echo, say, say_json, show
+
+if TYPE_CHECKING:
+    from cosim.simulation.report.system_diagram import Graph
+
+HEAD = 4096  # characters that contain the subject of a diagram
+MERMAID = "flowchart LR\n  n1["
+DIAGRAM = re.compile(
+    r'\A<svg [^>]*class="diagram"[^>]* aria-label="\d+ components? of (.*?) in the order in which they step'
+)
 
 
 def command(
@@ -35,7 +47,6 @@ def command(
 
     Example: cosim graph scenario.yaml
     """
-    from cosim.authoring.graph import check_picture, graph_of
     from cosim.storage.files import write_text
 
     graph = graph_of(scenario, set_ or ())
@@ -48,9 +59,52 @@ def command(
     if path.suffix.lower() not in (".svg", ".mmd"):
         raise InputError.at(path, "name an .svg or .mmd file")
     if not force:
-        check_picture(path, graph)
+        _check_picture(path, graph)
     write_text(path, graph.mermaid() if path.suffix.lower() == ".mmd" else graph.svg())
     say(f"graph: {path}")
     if as_json:
         say_json({"graph": str(path)})
     show(path, open_=open_)
+
+
+def graph_of(path: Path, overrides: Sequence[str] = ()) -> Graph:
+    """Return the block diagram of a scenario, a manifest or an SSP.
+
+    Raises:
+        InputError: The input is faulty.
+        FmuError: An FMU is invalid.
+    """
+    from cosim.base.scratch import temporary_folder
+    from cosim.scenario.scenario import resolve_defaults
+    from cosim.scenario.scenario_file import ScenarioFile
+    from cosim.simulation.packaged import is_ssp, lay_out
+    from cosim.simulation.report.system_diagram import graph_from
+    from cosim.system.system import build_system
+
+    with ExitStack() as stack:
+        if is_ssp(path):
+            file, _ = lay_out(path, stack.enter_context(temporary_folder("graph")), overrides)
+        else:
+            file = ScenarioFile(path, overrides)
+        system = build_system(file)
+    units = {name: signal.unit for name, signal in system.signals.items()}
+    arrays = {f"{n.partition('.')[0]}.{s.array}": s.unit for n, s in system.signals.items() if s.array}
+    held = {transfer.name for transfer in system.held if not transfer.of}
+    return graph_from(resolve_defaults(file.scenario), system.names, held, {**arrays, **units})
+
+
+def _check_picture(path: Path, graph: Graph) -> None:
+    """Raise InputError for an existing file that is no diagram."""
+    if not path.exists():
+        return
+    with path.open(encoding="utf-8", errors="replace") as stream:
+        head = stream.read(HEAD)
+    if path.suffix.lower() == ".mmd":
+        is_earlier = head.startswith(MERMAID)
+    else:
+        titles = [DIAGRAM.findall(text) for text in (head, graph.svg())]
+        is_earlier = titles[0] != [] and titles[0] == titles[1]
+    if not is_earlier:
+        raise InputError.at(
+            path, f"is there, and no picture of {graph.name}; name another file as --out, or write over it by --force"
+        )

@@ -7,8 +7,15 @@ from typing import Annotated
 
 import typer
 
+from cosim.base.errors import InputError
+from cosim.storage.files import check_writable
+from cosim.storage.folders import newest_run, warnings_on
+from cosim.storage.kinds import check_given
+from cosim.storage.results import rows_in
 from cosim.verbs.options import Json, Open
 from cosim.verbs.terminal import say, say_json, show, warn
+
+OTHERS = {"refine.json": "refine", "fit.json": "fit", "replay.json": "replay", "comparison.json": "compare"}
 
 
 def command(
@@ -21,9 +28,31 @@ def command(
 
     Example: cosim report results/one --open
     """
-    from cosim.simulation.run_files import report_of
+    from cosim.simulation.report import write_pages
+    from cosim.simulation.run_files import read_ran
 
-    page = report_of(folder, figures=figures, tell=warn)
+    path = newest_run(folder)
+    if not path.is_dir():
+        check_given(path, "a folder that a run left")
+        raise InputError.at(path, "is a file; give the folder with the results of `cosim run`")
+    if not (path / "manifest.json").is_file():
+        verb = next((v for name, v in OTHERS.items() if (path / name).is_file()), None)
+        own = "has no manifest.json; give the folder with the results of `cosim run`"
+        other = f"holds no manifest.json; it is of `cosim {verb}`, which writes its page itself"
+        raise InputError.at(path, other if verb else own)
+    run = read_ran(path)
+    if not isinstance(run.manifest.get("scenario"), dict):
+        raise InputError.at(
+            path / "manifest.json", "is no manifest of a run: there is no scenario in it, or it is torn; run it again"
+        )
+    if not run.results.time.size:
+        raise InputError.at(rows_in(path) or path, "has no rows: the run stopped before its first; run it again")
+    check_writable(path, ("report.html",))
+    warn(*run.warnings)
+    about_rows = [text for text in run.warnings if text not in warnings_on(path)]
+    manifest = {**run.manifest, "warnings": [*run.manifest.get("warnings", ()), *about_rows]}
+    write_pages(path, run.results, manifest, figures=figures)
+    page = path / "report.html"
     say(f"report:  {page}")
     if as_json:
         say_json({"report": str(page)})

@@ -94,6 +94,7 @@ def run(
         SimulationError: The simulation failed; the rows so far are in `out`.
     """
     from cosim.blocks.compiling import compiling
+    from cosim.simulation.report import write_pages
     from cosim.simulation.run_signals import run_of
     from cosim.simulation.workflow import run as run_file
 
@@ -104,12 +105,12 @@ def run(
         _refuse_options(Path(str(scenario)), {**given, "nearest": nearest})
     place = nullcontext() if goes_on else results_in(out, "cosim run", force=force)
     with compiling(compile), place as folder, _scenario_file(scenario) as path:
+        pages: Any = partial(write_pages, report=report, figures=figures) if goes_on or out is not None else False
         steps = partial(run_file, in_process=in_process, progress=progress, observers=observers, inputs=inputs)
         if goes_on:
-            outcome = steps(path, report=report, figures=figures, resume=resume, until=until)
+            outcome = steps(path, report=pages, resume=resume, until=until)
         else:
-            leaves = partial(steps, report=report and out is not None, figures=figures and out is not None)
-            outcome = leaves(path, folder, overrides, nearest=nearest, format_=format)
+            outcome = steps(path, folder, overrides, report=pages, nearest=nearest, format_=format)
     return run_of(outcome.results, outcome.manifest, outcome.folder if goes_on or out is not None else None)
 
 
@@ -197,6 +198,7 @@ def command(
     Example: cosim run scenario.yaml --set noise=off --seed 7
     """
     from cosim.blocks.compiling import compiling
+    from cosim.simulation.report import write_pages
     from cosim.simulation.workflow import run as run_scenario
 
     overrides = [*(set_ or []), *_options(seed=seed, pace=pace)]
@@ -208,7 +210,8 @@ def command(
         observers = () if page is None else (page,)
         steps = partial(run_scenario, nearest=nearest, in_process=in_process, progress=progress, observers=observers)
         steps = partial(steps, resume=resume, until=until, tell=warn)
-        outcome = steps(scenario, out, overrides, force=force, report=report, figures=figures, format_=format_)
+        pages = partial(write_pages, report=report, figures=figures)
+        outcome = steps(scenario, out, overrides, force=force, report=pages, format_=format_)
         if page is not None:
             page.show_outcome(outcome)
     if coupling:
@@ -226,7 +229,7 @@ def say_outcome(
 ) -> None:
     """Print warnings, `lines`, criteria and files of a run; raise CriterionMissed if a criterion is not met."""
     from cosim.simulation.criteria import sentence
-    from cosim.simulation.report.time_rows import time_sentence
+    from cosim.simulation.report.run_rows import time_sentence
 
     criteria: list[dict[str, Any]] = outcome.manifest["criteria"]
     page = outcome.folder / "report.html"

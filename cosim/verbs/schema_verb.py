@@ -17,24 +17,33 @@ if TYPE_CHECKING:
     from pydantic import BaseModel
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
+RESULTS = {  # kind of result → function that returns its schema
+    "refine_result": "cosim.refinement.record:schema",
+    "fit_result": "cosim.calibration.fit_record:schema",
+}
 KEY = re.compile(r"^\s*`?(\w+)`?:\s+(\S.*)$")
 
 
 def command(
-    kind: Annotated[str, typer.Argument(help="Kind of file: scenario, study, model, sweep, or one of a package.")],
+    kind: Annotated[
+        str,
+        typer.Argument(help="Kind of file: scenario, study, model, refine_result, …, or one of a package."),
+    ],
 ) -> None:
     """Print the JSON schema of a kind of file, for editors.
 
     Example: cosim schema scenario
     """
-    say_json(schema_of(kind))
+    say_json(resolve(RESULTS[kind])() if kind in RESULTS else schema_of(kind))
 
 
 def schema_of(name: str) -> dict[str, Any]:
     """Return the JSON schema of a kind of file, each key with its meaning; raise InputError for an unknown kind."""
     kinds = {a.schema_name: a for a in artefacts() if a.schema}
     if name not in kinds:
-        raise InputError.at(Path(name), f"is no kind of file that has a schema; give one of {', '.join(sorted(kinds))}")
+        raise InputError.at(
+            Path(name), f"is no kind of file that has a schema; give one of {', '.join(sorted((*kinds, *RESULTS)))}"
+        )
     model: type[BaseModel] = resolve(kinds[name].schema)
     schema = model.model_json_schema(by_alias=True)
     for part in (schema, *schema.get("$defs", {}).values()):

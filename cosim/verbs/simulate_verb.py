@@ -76,11 +76,13 @@ def simulate(
     """
     from cosim.authoring.single import simulate as simulate_fmu
     from cosim.blocks.compiling import compiling
+    from cosim.simulation.report import write_pages
     from cosim.simulation.run_signals import run_of
 
     with compiling(compile), results_in(out, "cosim simulate", force=force) as folder:
         steps = partial(simulate_fmu, stop=stop, step=step, in_process=in_process, progress=progress)
-        leaves = partial(steps, report=report and out is not None, format_=format, interpolation=interpolation)
+        pages = report and out is not None and write_pages
+        leaves = partial(steps, report=pages, format_=format, interpolation=interpolation)
         outcome, notes = leaves(fmu, folder, start=normalize_settings(set), recorded=input, record=record)
     manifest = {**outcome.manifest, "warnings": [*notes, *outcome.manifest["warnings"]]}
     return run_of(outcome.results, manifest, None if out is None else outcome.folder)
@@ -130,10 +132,12 @@ def command(
     """
     from cosim.authoring.single import simulate as simulate_fmu
     from cosim.blocks.compiling import compiling
+    from cosim.simulation.report import write_pages
 
     with compiling(compile_), progress_bar() as progress:
         steps = partial(simulate_fmu, stop=stop, step=step, in_process=in_process, progress=progress)
-        leaves = partial(steps, report=report, force=force, format_=format_, interpolation=interpolation.value)
+        pages = report and write_pages
+        leaves = partial(steps, report=pages, force=force, format_=format_, interpolation=interpolation.value)
         outcome, notes = leaves(fmu, out, start=set_ or (), recorded=recorded, record=record or ())
     warn(*notes)
     if not as_json:

@@ -48,7 +48,7 @@ def command(
     from cosim.pages.layouts import Layouts
     from cosim.pages.runs import find_runs, open_runs
     from cosim.pages.server import open_page
-    from cosim.pages.view_page import ViewPage
+    from cosim.pages.view_page import view_page
 
     root = results or RESULTS
     layouts = Layouts(layout or root / LAYOUTS)
@@ -65,7 +65,7 @@ def command(
             say_json(about)
         return
     title = labels[0] if len(labels) == 1 else counted(len(labels), "run")
-    page = ViewPage(title, opened, layouts, port, notes=[*notes, *warnings])
+    page = view_page(title, opened, layouts, port, notes=[*notes, *warnings])
     if as_json:
         say_json({"url": page.url, **about})
     is_open = browser and open_page(page.url, title)

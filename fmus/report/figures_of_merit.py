@@ -11,7 +11,6 @@ import numpy as np
 from cosim.base.text import MISSING, amount, length, percent
 from cosim.report.html_tables import Grid, Row
 from cosim.simulation.report.recorded import Run, mappings, number
-from cosim.simulation.report.verdicts import has_failed
 from fmus.report.account import SYMBOLS
 from fmus.report.figures_of_run import BAND, Response, effort, error_rms, responses, saturation
 from fmus.report.lines import QUANTITIES
@@ -40,7 +39,7 @@ def tiles(run: Run, crafts: Sequence[Craft]) -> list[Row]:
     """Return the key figures of the first craft."""
     rows: list[Row] = []
     for variable in ("x", "psi"):
-        answers = responses(crafts[0], variable) if crafts and not has_failed(run) else []
+        answers = responses(crafts[0], variable) if crafts and not run.has_failed else []
         if answers:
             rows.append(_settling_of_criterion(run, crafts[0], variable) or _settling_of_step(answers[-1]))
     if rows and (answers := responses(crafts[0], "x")):

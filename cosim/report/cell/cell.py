@@ -22,26 +22,23 @@ ROW_HEIGHT, MAX_HEIGHT = 330, 700  # of two charts side by side, and of the fram
 
 
 def rows_to_show(curves: Sequence[Array]) -> Rows:
-    """Return the rows that a frame has of some curves: all, or those that keep each peak and gap of each curve."""
-    limit = max(MIN_POINTS, min(MAX_POINTS, MAX_VALUES // max(1, len(curves)) ** 2))
-    return np.unique(np.concatenate([np.empty(0, np.intp), *(thin(values, limit) for values in curves)]))
+    """Return the rows that a frame has of some curves: all, or those that keep each peak and gap of each curve.
 
-
-def thin(values: Array, limit: int) -> Rows:
-    """Return about `limit` row numbers of a signal that keep every peak and gap.
-
-    Each bucket keeps its least and largest value, and its first gap.
+    Each bucket of rows keeps the least and the largest value of each curve, and its first gap.
     """
-    count = values.size
+    limit = max(MIN_POINTS, min(MAX_POINTS, MAX_VALUES // max(1, len(curves)) ** 2))
+    count = curves[0].size if curves else 0
     if count <= limit:
         return np.arange(count)
-    chosen, good = {0, count - 1}, np.isfinite(values)
-    for rows in np.array_split(np.arange(count), max(1, limit // 2)):
-        some = rows[good[rows]]
-        if some.size:
-            chosen.update((int(some[np.argmin(values[some])]), int(some[np.argmax(values[some])])))
-        if some.size < rows.size:
-            chosen.add(int(rows[~good[rows]][0]))
+    chosen = {0, count - 1}
+    for values in curves:
+        good = np.isfinite(values)
+        for rows in np.array_split(np.arange(count), max(1, limit // 2)):
+            some = rows[good[rows]]
+            if some.size:
+                chosen.update((int(some[np.argmin(values[some])]), int(some[np.argmax(values[some])])))
+            if some.size < rows.size:
+                chosen.add(int(rows[~good[rows]][0]))
     return np.array(sorted(chosen), dtype=np.intp)
 
 
@@ -62,26 +59,9 @@ def cell_of(time: Array, panels: Sequence[Panel], title: str, *, rows: int, omit
     page = render(PAGE, {"plots": drawing.plots(panels), "data": charts.data(), "title": title})
     height = min(MAX_HEIGHT, ROW_HEIGHT * -(-len(panels) // 2))
     style = f"width:100%;height:{height}px;border:0;resize:vertical"
+    parts = [f"{time.size:,} of {rows:,} rows, which keep each peak"] if time.size < rows else []
+    parts += [f"{counted(omitted, 'more signal')} not drawn"] if omitted else []
+    note = f"<p><small>{'; '.join(parts)}.</small></p>" if parts else ""
     # without allow-same-origin the frame can neither read nor change the notebook
     frame = f'<iframe title="{escape(title)}" sandbox="allow-scripts allow-downloads" style="{style}"'
-    return f'{frame} srcdoc="{escape(page)}"></iframe>{_note(time.size, rows, omitted)}'
-
-
-def heading(title: str, text: str = "") -> str:
-    """Return HTML of a line that begins with a title in bold."""
-    return f"<p><b>{escape(title)}</b>{': ' if text else ''}{escape(text)}</p>"
-
-
-def table(header: Sequence[str], rows: Sequence[Sequence[str]], omitted: int = 0) -> str:
-    """Return HTML of a table, and the number of omitted rows below it."""
-    head = "".join(f"<th>{escape(cell)}</th>" for cell in header)
-    lines = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows)
-    note = f"<p>… and {omitted} more</p>" if omitted > 0 else ""
-    return f"<table><tr>{head}</tr>{lines}</table>{note}"
-
-
-def _note(shown: int, count: int, omitted: int) -> str:
-    """Return a note on rows and signals that the frame omits, "" for none."""
-    parts = [f"{shown:,} of {count:,} rows, which keep each peak"] if shown < count else []
-    parts += [f"{counted(omitted, 'more signal')} not drawn"] if omitted else []
-    return f"<p><small>{'; '.join(parts)}.</small></p>" if parts else ""
+    return f'{frame} srcdoc="{escape(page)}"></iframe>{note}'

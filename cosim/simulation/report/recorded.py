@@ -24,9 +24,9 @@ def mappings(value: Any) -> list[Mapping[str, Any]]:
 
 def texts(value: Any) -> list[str]:
     """Return the items of a list as texts; a single text counts as a list of one."""
-    if isinstance(value, str):
-        return [value]
-    return [str(item) for item in value] if isinstance(value, list | tuple) else []
+    return [
+        str(item) for item in ([value] if isinstance(value, str) else value if isinstance(value, list | tuple) else ())
+    ]
 
 
 def number(value: Any, default: float = float("nan")) -> float:
@@ -44,35 +44,50 @@ class Run:
     results: Results
     manifest: Mapping[str, Any]
 
-    @property
-    def time(self) -> Array:
-        """Return the communication points [s]."""
-        return self.results.time
-
-    @property
+    @cached_property
     def scenario(self) -> Mapping[str, Any]:
         """Return the scenario of the manifest."""
         return mapping(self.manifest.get("scenario"))
 
+    @cached_property
+    def components(self) -> dict[str, Mapping[str, Any]]:
+        """Return component → its entry in the scenario."""
+        return {str(name): mapping(c) for name, c in mapping(self.scenario.get("components")).items()}
+
+    @cached_property
+    def connections(self) -> list[Mapping[str, Any]]:
+        """Return the connections of the scenario."""
+        return mappings(self.scenario.get("connections"))
+
+    @cached_property
+    def links(self) -> list[tuple[str, str]]:
+        """Return the connections as pairs of `component.variable`."""
+        pairs = ((link.get("from"), link.get("to")) for link in self.connections)
+        return [(source, target) for source, target in pairs if isinstance(source, str) and isinstance(target, str)]
+
     @property
     def algorithm(self) -> str:
-        """Return the coupling algorithm's name, or the default."""
+        """Return the name of the coupling algorithm, or the default."""
         return str(self.scenario.get("algorithm") or (DEFAULT.name if self.links else ""))
 
     @cached_property
     def variables(self) -> dict[str, set[str]]:
-        """Return component → variables."""
+        """Return component → recorded variables."""
         variables: dict[str, set[str]] = {}
         for column in self.results.columns:
             component, _, variable = column.partition(".")
             variables.setdefault(component, set()).add(variable)
         return variables
 
-    @cached_property
-    def links(self) -> list[tuple[str, str]]:
-        """Return the connections as pairs of `component.variable`."""
-        pairs = ((link.get("from"), link.get("to")) for link in mappings(self.scenario.get("connections")))
-        return [(source, target) for source, target in pairs if isinstance(source, str) and isinstance(target, str)]
+    @property
+    def time(self) -> Array:
+        """Return the communication points [s]."""
+        return self.results.time
+
+    @property
+    def has_failed(self) -> bool:
+        """Return whether the simulation stopped early."""
+        return str(self.manifest.get("status") or "ok") != "ok"
 
     def signal(self, column: str) -> Array | None:
         """Return a column of the results, None if not recorded."""
@@ -86,7 +101,7 @@ class Run:
 
     def start(self, component: str | None) -> Mapping[str, Any]:
         """Return a component's start values in the scenario."""
-        return mapping(mapping(mapping(self.scenario.get("components")).get(component or "")).get("start"))
+        return mapping(self.components.get(component or "", {}).get("start"))
 
     def source(self, target: str) -> str | None:
         """Return the output connected to an input, if any."""

@@ -1,11 +1,13 @@
-"""Rows of the page of any run: badges, connections, start values and provenance."""
+"""Rows of the page of any run: badges, connections, components, events, times and provenance."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator, Mapping, Sequence
+from io import BytesIO
 from itertools import islice
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,77 +15,60 @@ import numpy as np
 from cosim.base.text import amount, counted, plain
 from cosim.blocks.coupling import algorithms
 from cosim.report.html_tables import Badge, Row
+from cosim.scenario.scenario_file import sha256
 from cosim.simulation.report.recorded import Run, mapping, mappings, number, texts
-from cosim.simulation.report.step_rows import loop_rows, pace_rows, step_rows
-from cosim.simulation.report.verdicts import CriterionText, has_failed
+from cosim.storage.archive import BadArchive, description_of
 from cosim.storage.yaml_file import short
 
 MAX_SPELLED, MAX_CHANGES = 200, 8  # signals on a page, and changes of each
+STEP = "time between two exchanges of values among the components"
+MIN_READINGS = 100  # about half a second, below which shares of the wall time say little
+MIN_SHARE = 0.01  # of the wall time of a component with a row
+CO_SIMULATION, MODEL_EXCHANGE = "co-simulation", "model exchange"
+INTERFACES = {  # element of modelDescription.xml → interface; the last two are those of FMI 1.0
+    "CoSimulation": CO_SIMULATION,
+    "ModelExchange": MODEL_EXCHANGE,
+    "CoSimulation_StandAlone": CO_SIMULATION,
+    "CoSimulation_Tool": CO_SIMULATION,
+}
+CHOSEN = {"co-simulation": CO_SIMULATION, "model-exchange": MODEL_EXCHANGE}  # key of a component → interface
+VARIABLES = "ModelVariables"  # element after which FMI 2.0 and 3.0 have no interfaces
 
 
-@dataclass(frozen=True)
-class EventRow:
-    """Events of a component with one cause: their number, and the time of the first."""
-
-    component: str
-    cause: str
-    count: str
-    first: str
-
-
-def event_rows(run: Run) -> list[EventRow]:
-    """Return the events of a run with event mode, by component and cause."""
-    events = run.manifest.get("first_events")
-    firsts: dict[tuple[str, str], float] = {}
-    for event in events if isinstance(events, list) else []:
-        time, *cause = event if isinstance(event, list) else [None]
-        if isinstance(time, int | float) and len(cause) == 2:
-            firsts.setdefault((str(cause[0]), str(cause[1])), float(time))
-    return [
-        EventRow(
-            component, cause, str(count), f"{firsts[component, cause]:.6g} s" if (component, cause) in firsts else "–"
-        )
-        for component, counts in mapping(run.manifest.get("event_counts")).items()
-        for cause, count in mapping(counts).items()
-    ]
-
-
-@dataclass(frozen=True)
-class ConnectionRow:
-    """A connection with its noise and faults."""
-
-    source: str
-    target: str
-    noise: str
-
-
-def badges(run: Run, judged: Sequence[CriterionText]) -> list[Badge]:
+def badges(run: Run, judged: Sequence[Mapping[str, Any]]) -> list[Badge]:
     """Return badges: status, criteria, algorithm, noise, seed and warnings."""
-    met = sum(criterion.met for criterion in judged)
+    met = sum(criterion["met"] for criterion in judged)
     seed, warnings = run.manifest.get("seed"), texts(run.manifest.get("warnings"))
+    sensors = [mapping(c.get("signals")).values() for c in run.components.values()]
+    sources = [*run.connections, *(signal for signals in sensors for signal in signals)]
+    has_noise = bool(run.scenario.get("noise", True)) and any(mapping(mapping(s).get("noise")) for s in sources)
+    algorithm = algorithms().get(run.algorithm)
+    title = algorithm.title if algorithm else run.algorithm.replace("_", "-").title()
     badges = (
-        (True, Badge("failed", "bad") if has_failed(run) else Badge("completed", "good" if judged else "plain")),
+        (True, Badge("failed", "bad") if run.has_failed else Badge("completed", "good" if judged else "plain")),
         (judged, Badge(f"{met} of {counted(len(judged), 'criterion')} met", "good" if met == len(judged) else "bad")),
-        (run.algorithm and run.links, Badge(_title(run.algorithm))),
-        (run.links, Badge("noise on" if _has_noise(run.scenario) else "noise off")),
-        (seed is not None and _has_noise(run.scenario), Badge(f"seed {seed}")),
+        (run.algorithm and run.links, Badge(title)),
+        (run.links, Badge("noise on" if has_noise else "noise off")),
+        (seed is not None and has_noise, Badge(f"seed {seed}")),
         (warnings, Badge(counted(len(warnings), "warning"), "warn")),
         (mapping(run.manifest.get("git")).get("dirty"), Badge("uncommitted changes", "warn")),
     )
     return [badge for applies, badge in badges if applies]
 
 
-def _has_noise(scenario: Mapping[str, Any]) -> bool:
-    """Return whether any connection or fix sensor adds noise."""
-    sensors = (mapping(mapping(c).get("signals")) for c in mapping(scenario.get("components")).values())
-    sources = (*mappings(scenario.get("connections")), *(signal for signals in sensors for signal in signals.values()))
-    return bool(scenario.get("noise", True)) and any(mapping(mapping(source).get("noise")) for source in sources)
-
-
-def _title(algorithm: str) -> str:
-    """Return an algorithm's title, derived from its name if not installed."""
-    entry = algorithms().get(algorithm)
-    return entry.title if entry else algorithm.replace("_", "-").title()
+def event_rows(run: Run) -> list[dict[str, str]]:
+    """Return the events of a run with event mode, by component and cause."""
+    events = run.manifest.get("first_events")
+    firsts: dict[tuple[str, str], str] = {}
+    for event in events if isinstance(events, list) else []:
+        time, *cause = event if isinstance(event, list) else [None]
+        if isinstance(time, int | float) and len(cause) == 2:
+            firsts.setdefault((str(cause[0]), str(cause[1])), f"{time:.6g} s")
+    return [
+        {"component": c, "cause": cause, "count": str(count), "first": firsts.get((c, cause), "–")}
+        for c, counts in mapping(run.manifest.get("event_counts")).items()
+        for cause, count in mapping(counts).items()
+    ]
 
 
 def items_of(run: Run) -> dict[str, dict[float, str]]:
@@ -97,40 +82,44 @@ def spelled_values(run: Run) -> list[Row]:
 
     These are text, 64-bit integers, binary data and enumeration items.
     """
-    rows = []
-    for column, items in islice(mapping(run.manifest.get("items")).items(), MAX_SPELLED):
+    columns: list[tuple[str, list[int], list[str]]] = []
+    for column, names in islice(items_of(run).items(), MAX_SPELLED):
         if column in run.results and run.time.size:
-            names, numbers = {value: name for name, value in mapping(items).items()}, run.results[column]
+            numbers = run.results[column]
             points = [0, *(np.flatnonzero(np.diff(numbers)) + 1).tolist()]
-            texts = [str(names.get(numbers[k], f"{numbers[k]:g}")) for k in points[: MAX_CHANGES + 1]]
-            rows.append(Row(column, _over_time(run, points, texts)))
+            columns.append((column, points, [names.get(numbers[k], f"{numbers[k]:g}") for k in points]))
     for column, values in islice(run.results.exact.items(), MAX_SPELLED):
         points = [k for k in range(min(len(values), run.time.size)) if not k or values[k] != values[k - 1]]
-        first = (values[k] for k in points[: MAX_CHANGES + 1])
-        texts = [short(value.hex() if isinstance(value, bytes) else value) for value in first]
-        rows.append(Row(column, _over_time(run, points, texts)))
+        shown = (values[k] for k in points[: MAX_CHANGES + 1])
+        columns.append((column, points, [short(v.hex() if isinstance(v, bytes) else v) for v in shown]))
+    rows = []
+    for column, points, words in columns:
+        some = zip(points[: MAX_CHANGES + 1], words, strict=False)
+        parts = [f"from {run.time[k]:g} s {text}" if k else text for k, text in some]
+        more = len(points) - len(parts)
+        rows.append(Row(column, "; ".join([*parts, *([f"and {counted(more, 'more change')}"] if more > 0 else [])])))
     return rows
 
 
-def _over_time(run: Run, points: Sequence[int], texts: Sequence[str]) -> str:
-    """Return a value's first changes with their times."""
-    parts = [f"from {run.time[k]:g} s {text}" if k else text for k, text in zip(points, texts, strict=False)]
-    more = len(points) - len(parts)
-    return "; ".join([*parts, *([f"and {counted(more, 'more change')}"] if more > 0 else [])])
-
-
-def connections(run: Run) -> list[ConnectionRow]:
-    """Return the connections of the scenario."""
+def connections(run: Run) -> list[dict[str, str]]:
+    """Return source, target and disturbances of the connections of the scenario."""
     return [
-        ConnectionRow(str(link.get("from", "?")), str(link.get("to", "?")), "; ".join(disturbances(run, link)))
-        for link in mappings(run.scenario.get("connections"))
+        {"source": str(c.get("from", "?")), "target": str(c.get("to", "?")), "noise": "; ".join(disturbances(run, c))}
+        for c in run.connections
     ]
 
 
 def disturbances(run: Run, link: Mapping[str, Any]) -> list[str]:
-    """Return a connection's noise and injected faults as text."""
-    faults = (fault_text(fault) for fault in faults_on(run, [str(link.get("to"))]))
-    return [*filter(None, [_noise(run, link)]), *faults]
+    """Return a connection's noise, with its standard deviation, and injected faults as text."""
+    parts, noise, target = list[str](), mapping(link.get("noise")), str(link.get("to"))
+    if noise:
+        unit = run.unit(target) or run.unit(str(link.get("from")))
+        variance, bias = number(noise.get("variance"), 0.0), number(noise.get("bias"), 0.0)
+        parts += [f"σ\u00a0=\u00a0{amount(math.sqrt(variance), unit)}"] if variance > 0 else []
+        parts += [f"bias {amount(bias, unit)}"] if bias else []
+        parts += [f"{key} {value}" for key, value in noise.items() if key not in ("variance", "bias")]
+        parts = [", ".join(parts) or "none"]
+    return [*parts, *(fault_text(fault) for fault in faults_on(run, [target]))]
 
 
 def faults_on(run: Run, inputs: Sequence[str]) -> list[Mapping[str, Any]]:
@@ -148,69 +137,101 @@ def fault_text(fault: Mapping[str, Any]) -> str:
     return " ".join([f"fault: {fault.get('kind', '?')}", *sizes, *times])
 
 
-def _noise(run: Run, link: Mapping[str, Any]) -> str:
-    """Return a connection's noise with its standard deviation. The manifest holds the variance."""
-    noise = mapping(link.get("noise"))
-    if not noise:
-        return ""
-    unit = run.unit(str(link.get("to"))) or run.unit(str(link.get("from")))
-    variance, bias = number(noise.get("variance"), 0.0), number(noise.get("bias"), 0.0)
-    parts = [f"σ\u00a0=\u00a0{amount(math.sqrt(variance), unit)}"] if variance > 0 else []
-    parts += [f"bias {amount(bias, unit)}"] if bias else []
-    parts += [f"{key} {value}" for key, value in noise.items() if key not in ("variance", "bias")]
-    return ", ".join(parts) or "none"
-
-
-@dataclass(frozen=True)
-class ComponentRow:
-    """A component of the scenario.
-
-    Attributes:
-        source: Its FMU or block.
-        kind: FMI version and interface, "built-in block", or "".
-        settings: Start values and settings.
-    """
-
-    label: str
-    source: str
-    kind: str
-    settings: str
-
-
-def component_rows(run: Run, kinds: Mapping[str, str]) -> list[ComponentRow]:
-    """Return the scenario's components.
+def component_rows(run: Run, kinds: Mapping[str, str]) -> list[dict[str, str]]:
+    """Return name, FMU or block, kind and settings of the scenario's components.
 
     Args:
         kinds: Component → FMI version and interface, as far as known.
     """
+
+    def notation(value: object) -> str:
+        """Return a setting in scenario notation on one line."""
+        if isinstance(value, bool):
+            return "true" if value else "false"
+        if isinstance(value, Mapping):
+            return "{" + ", ".join(f"{key}: {notation(v)}" for key, v in value.items()) + "}"
+        return "[" + ", ".join(map(notation, value)) + "]" if isinstance(value, list | tuple) else str(value)
+
     rows = []
-    for name, value in mapping(run.scenario.get("components")).items():
-        component = mapping(value)
-        chosen = {key: setting for key, setting in component.items() if setting != {} and setting is not False}
-        settings = {**chosen, **mapping(component.get("start"))}.items()
+    for name, component in run.components.items():
         hidden = {"start", "fmu", "block", "sha256", *(("interface",) if name in kinds else ())}
-        texts = [_setting_text(k, v) for k, v in settings if k not in hidden]
-        kind = kinds.get(str(name), "block of cosim" if component.get("block") else "")
+        chosen = {key: setting for key, setting in component.items() if setting != {} and setting is not False}
+        settings = []
+        for key, value in {**chosen, **mapping(component.get("start"))}.items():
+            if key not in hidden:
+                own = " s (communication step of its own)" if key == "step" else ""
+                settings.append(f"{key} = {notation(value)}{own}")
+        kind = kinds.get(name, "block of cosim" if component.get("block") else "")
         source = str(component.get("fmu") or component.get("block") or "")
-        rows.append(ComponentRow(str(name), source, kind, ", ".join(texts)))
+        rows.append({"label": name, "source": source, "kind": kind, "settings": ", ".join(settings)})
     return rows
 
 
-def _setting_text(key: str, value: object) -> str:
-    """Return a setting as text; a step of its own is named in full."""
-    text = f"{key} = {_format_setting(value)}"
-    return f"{text} s (communication step of its own)" if key == "step" else text
+# -- FMI version and interface, which the manifest does not hold ------------------------------------------
 
 
-def _format_setting(value: object) -> str:
-    """Return a setting in scenario notation on one line."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{key}: {_format_setting(v)}" for key, v in value.items()) + "}"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(map(_format_setting, value)) + "]"
-    return str(value)
+def fmi_kinds(run: Run) -> dict[str, str]:
+    """Return component → version and interface of the executed FMU, e.g. `FMI 2.0, co-simulation`.
+
+    Components with a missing or changed FMU are omitted.
+    """
+    kinds = {}
+    for name, entry in mapping(run.manifest.get("fmus")).items():
+        fmu, chosen = mapping(entry), str(run.components.get(str(name), {}).get("interface"))
+        path = Path(str(fmu.get("path") or ""))
+        version, interfaces = "", set[str]()
+        try:
+            if not path.is_file() or sha256(path) != fmu.get("sha256"):
+                continue
+            for _, element in ET.iterparse(BytesIO(description_of(path)), events=("start",)):
+                version = version or element.get("fmiVersion", "")
+                interfaces |= {INTERFACES[element.tag]} if element.tag in INTERFACES else set()
+                if element.tag == VARIABLES and not version.startswith("1"):
+                    break
+        except (OSError, ValueError, BadArchive, ET.ParseError):
+            continue
+        if version:
+            used = CO_SIMULATION if CO_SIMULATION in interfaces else MODEL_EXCHANGE
+            kinds[str(name)] = f"FMI {version}, {CHOSEN.get(chosen, used)}"
+    return kinds
+
+
+# -- wall time -----------------------------------------------------------------------------------------------
+
+
+def time_rows(run: Run) -> list[dict[str, str]]:
+    """Return the measured wall times of components by calls, and of waiting."""
+    timings = mapping(run.manifest.get("timings"))
+    if not number(timings.get("readings")) >= MIN_READINGS:
+        return []
+    rows, calls = [], ("step", "set", "get", "other")
+    for name, entry in mapping(timings.get("components")).items():
+        times = mapping(entry)
+        if (share := number(times.get("share"))) >= MIN_SHARE:
+            seconds = {call: f"{plain(number(times.get(call)), 2)} s" for call in calls}
+            rows.append({"label": str(name), "share": f"{share:.0%}", **seconds})
+    if (waiting := number(timings.get("waiting"), 0.0)) > 0.0:
+        empty = dict.fromkeys(calls, "") | {"other": f"{plain(waiting, 2)} s"}
+        rows.append({"label": "waiting for the pace, or in a pause", "share": "not counted", **empty})
+    return rows
+
+
+def time_sentence(timings: Mapping[str, Any]) -> str:
+    """Return a sentence on the slowest component, if measured."""
+    components = mapping(timings.get("components"))
+    if not components or not number(timings.get("readings")) >= MIN_READINGS:
+        return ""
+    name, entry = next(iter(components.items()))
+    times = mapping(entry)
+    steps = sum(number(times.get(call)) for call in ("step", "set", "get"))
+    words = f"{plain(steps, 2)} s in steps, {plain(number(times.get('other')), 2)} s in loading"
+    sentence = f"{name} takes {number(times.get('share')):.0%} of the time, loading included ({words})"
+    if (waiting := number(timings.get("waiting"), 0.0)) > 0.0:
+        sentence += f"; {plain(waiting, 2)} s of waiting for the pace or in a pause are not counted"
+    return f"{sentence}."
+
+
+# -- provenance ----------------------------------------------------------------------------------------------
 
 
 def provenance(run: Run, kinds: Mapping[str, str]) -> list[Row]:
@@ -219,33 +240,100 @@ def provenance(run: Run, kinds: Mapping[str, str]) -> list[Row]:
     Args:
         kinds: Component → FMI version and interface, as far as known.
     """
-    manifest, scenario = run.manifest, run.scenario
+    manifest, rows = run.manifest, list[Row]()
+    keys = ("model_name", "version", "guid", "sha256", "generation_tool")
+    for name, entry in mapping(manifest.get("fmus")).items():
+        fmu, kind = mapping(entry), kinds.get(str(name), "")
+        lines = [*filter(None, [kind]), *(f"{key.replace('_', ' ')} {fmu[key]}" for key in keys if fmu.get(key))]
+        rows.append(Row(f"FMU {name}", "\n".join(lines), str(fmu.get("path") or "")))
     git, timings, seed = mapping(manifest.get("git")), mapping(manifest.get("timings")), manifest.get("seed")
-    dirty = git.get("dirty")
     wall = [f"{key} {amount(number(timings[key]), 's')}" for key in ("load", "simulate") if key in timings]
     if math.isfinite(speed := number(timings.get("real_time_factor"))):
         wall.append(f"{plain(speed, 2)} times as fast as real time")
+    versions = ", ".join(f"{key} {value}" for key, value in mapping(manifest.get("versions")).items())
+    duration = run.scenario.get("duration")
     facts = (
         Row("cosim", str(manifest.get("cosim_version") or "")),
-        Row("Versions", _pairs(mapping(manifest.get("versions")), " ")),
-        Row("Git revision", str(git.get("revision") or ""), "with uncommitted changes" if dirty else "clean"),
-        Row("Simulated time", f"{number(scenario['duration']):g} s" if "duration" in scenario else ""),
-        *step_rows(run),
+        Row("Versions", versions),
+        Row(
+            "Git revision", str(git.get("revision") or ""), "with uncommitted changes" if git.get("dirty") else "clean"
+        ),
+        Row("Simulated time", "" if duration is None else f"{number(duration):g} s"),
+        Row("Communication step", _step_text(run), STEP),
         Row("Coupling algorithm", run.algorithm),
         Row("Seed", "" if seed is None else str(seed)),
         Row("Wall time", ", ".join(wall)),
     )
-    entries = mapping(manifest.get("fmus")).items()
-    fmus = (_fmu_row(name, mapping(fmu), kinds.get(str(name), "")) for name, fmu in entries)
-    return [*fmus, *(fact for fact in facts if fact.value), *loop_rows(run), *pace_rows(run)]
+    return [*rows, *(fact for fact in facts if fact.value), *_loop_rows(run), *_pace_rows(run)]
 
 
-def _pairs(facts: Mapping[str, Any], between: str) -> str:
-    return ", ".join(f"{key}{between}{value}" for key, value in facts.items())
+def _step_text(run: Run) -> str:
+    """Return the communication step, or the sizes and errors of controlled steps, in lines."""
+    step, control = run.scenario.get("step"), mapping(run.scenario.get("step"))
+    if not control:
+        return "" if step is None else f"{number(step):g} s"
+    row = number(control.get("rows"), number(control.get("max")))
+    limits = f"{amount(number(control.get('min')), 's')} to {amount(number(control.get('max')), 's')}"
+    lines = [f"controlled, {limits}; a row every {amount(row, 's')}"]
+    if steps := mapping(run.manifest.get("steps")):
+        error, tolerance = number(steps.get("largest_error")), number(steps.get("tolerance"))
+        if error > tolerance > 0.0:
+            count = f"{steps.get('above_tolerance')} of {steps.get('accepted')} steps"
+            excess = f"the largest error is {error / tolerance:.3g} times the tolerance"
+            lines.append(f"TOLERANCE NOT MET in {count}: {excess}")
+        sizes = ", ".join(f"{share} {amount(number(size), 's')}" for share, size in mapping(steps.get("sizes")).items())
+        lines += [
+            f"estimator {steps.get('estimator')}, tolerance {tolerance:g}, largest error {error:.2g}",
+            f"{steps.get('accepted')} steps accepted, {steps.get('rejected')} taken back, "
+            f"{steps.get('communication_points')} exchanges of values in all",
+            f"sizes by share of steps that are shorter: {sizes}",
+        ]
+    return "\n".join(lines)
 
 
-def _fmu_row(name: str, fmu: Mapping[str, Any], kind: str) -> Row:
-    """Return an FMU's identity, a line per fact."""
-    keys = ("model_name", "version", "guid", "sha256", "generation_tool")
-    lines = [*filter(None, [kind]), *(f"{key.replace('_', ' ')} {fmu[key]}" for key in keys if fmu.get(key))]
-    return Row(f"FMU {name}", "\n".join(lines), str(fmu.get("path") or ""))
+def _loop_rows(run: Run) -> Iterator[Row]:
+    """Yield a row for each algebraic loop."""
+    for loop in mappings(run.manifest.get("loops")):
+        counts, names = mapping(loop.get("iterations")), texts(loop.get("components"))
+        repeated, unsolved = ", ".join(texts(loop.get("repeated"))), mapping(loop.get("not_solved"))
+        lines = [
+            f"{str(loop.get('method', '')).title()}, relative tolerance {number(loop.get('tolerance')):g}, "
+            f"unknowns {', '.join(texts(loop.get('unknowns')))}",
+            f"iterations: {counts.get('start')} at the start, at most {counts.get('most')} at a communication point, "
+            f"{counts.get('total')} at {loop.get('points')} points",
+            *([f"repeated steps: {repeated}"] if repeated else []),
+        ]
+        if unsolved:
+            lines = lines if number(counts.get("most")) > 1 else []
+            if worst := mapping(unsolved.get("largest")):
+                shares, last = mapping(unsolved.get("relative")), mapping(unsolved.get("last"))
+                lines = [
+                    f"residual at the end of a step: at most {number(worst.get('residual')):+.3g} of "
+                    f"{worst.get('signal')} at t = {number(worst.get('time')):g} s, at last "
+                    f"{number(last.get('residual')):+.3g}",
+                    f"relative to the signal: {number(shares.get('median')):.2g} at half of the points, "
+                    f"{number(shares.get('last')):.2g} at the last",
+                    *lines,
+                ]
+            lines.insert(0, f"NOT SOLVED: {unsolved.get('reason')}")
+        yield Row(f"Algebraic loop {' → '.join((*names, *names[:1]))}", "\n".join(lines))
+
+
+def _pace_rows(run: Run) -> Iterator[Row]:
+    """Yield a row on the pace of a run."""
+
+    def milliseconds(seconds: object) -> str:
+        value = 1e3 * number(seconds)
+        return "below 0.001 ms" if 0.0 < value < 1e-3 else f"{value:.3g} ms"
+
+    if not (pacing := mapping(run.manifest.get("pacing"))):
+        return
+    overruns, jitter, points = mapping(pacing.get("overruns")), mapping(pacing.get("jitter")), pacing.get("points")
+    lines = [f"{overruns.get('count')} of {points} communication points missed, as the steps took too long"]
+    if "worst" in overruns:
+        lines[0] += f", at worst {milliseconds(overruns['worst'])} at t = {number(overruns.get('at')):g} s"
+    if jitter:
+        names = {"p50": "median", "p99": "99 % of the points", "p999": "99.9 %", "max": "largest"}
+        delays = ", ".join(f"{name} {milliseconds(jitter.get(k))}" for k, name in names.items())
+        lines.append(f"delay of a point: {delays}")
+    yield Row("Pace", "\n".join((f"{number(pacing.get('pace')):g} × real time", *lines)))

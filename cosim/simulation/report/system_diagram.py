@@ -1,9 +1,10 @@
-"""Diagram of a system: components in stepping order, signals, units, noise and faults."""
+"""Diagram of a system: components in stepping order, signals, units, noise and faults; as SVG or Mermaid."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from html import escape
 from pathlib import PurePath
 from typing import Any
 
@@ -11,8 +12,8 @@ import numpy as np
 
 from cosim.base.text import counted, written
 from cosim.blocks.coupling import DEFAULT, Algorithm, algorithms
-from cosim.report.diagram import Box, DiagramPort, Wire, diagram
-from cosim.simulation.report.recorded import Run, mapping, mappings
+from cosim.report.template import TEMPLATES, inline
+from cosim.simulation.report.recorded import Run
 from cosim.simulation.report.run_rows import disturbances
 from cosim.storage.results import Results
 from cosim.storage.yaml_file import short
@@ -26,6 +27,11 @@ FACTS = {  # key of a component → its text in the diagram
     "latency": "{:g} s late",
     "dropout": "{:.2g} lost",
 }
+CHARACTER, BOLD, SMALL = 7.0, 9.2, 6.2  # [px] width of a character of 12.5, 13.5 and 11 px text
+HEAD, LINE, NOTE = 46, 22, 15  # [px] height of a box's head, of a port, of a note below a port
+SLOT, LANE, MARGIN = 13, 15, 24  # [px] between parallel wires, between lanes above and below, around the diagram
+MIN_WIDTH, RADIUS = 150, 6  # [px] of a box; of a corner
+STYLES = ("diagram.css", "diagram_alone.css")
 
 
 @dataclass(frozen=True)
@@ -38,10 +44,51 @@ class DiagramLink:
     acting: tuple[str, ...]
     held: bool
 
+
+@dataclass
+class _Box:
+    """A component in the SVG: inputs on the left, outputs on the right, each with its height [px]."""
+
+    name: str
+    about: str
+    ports: tuple[dict[str, _Port], dict[str, _Port]]
+    left: float = 0.0
+
     @property
-    def ends(self) -> tuple[str, str]:
-        """Return the connected components."""
-        return self.source.partition(".")[0], self.target.partition(".")[0]
+    def width(self) -> float:
+        """Return the width [px]."""
+        sides = sum(max((port.width for port in side.values()), default=0.0) for side in self.ports)
+        return max(MIN_WIDTH, sides + 40, BOLD * len(self.name) + 24, SMALL * len(self.about) + 24)
+
+    @property
+    def height(self) -> float:
+        """Return the height [px]."""
+        return HEAD + 12 + max(sum(port.height for port in side.values()) for side in self.ports)
+
+    def port_y(self, side: int, variable: str) -> float:
+        """Return the height of a port below the top of the box [px]."""
+        names = list(self.ports[side])
+        return HEAD + 17 + sum(self.ports[side][name].height for name in names[: names.index(variable)])
+
+
+@dataclass(frozen=True)
+class _Port:
+    """An input or output in the SVG: its name, its unit, and notes on noise and faults below it."""
+
+    name: str
+    unit: str
+    notes: tuple[str, ...]
+
+    @property
+    def height(self) -> int:
+        """Return the height [px]."""
+        return LINE + NOTE * len(self.notes)
+
+    @property
+    def width(self) -> float:
+        """Return the width [px]."""
+        characters = len(self.name) + (len(self.unit) + 3 if self.unit else 0)
+        return max([CHARACTER * characters, *(SMALL * len(text) for text in self.notes)])
 
 
 @dataclass(frozen=True)
@@ -56,54 +103,91 @@ class Graph:
     def svg(self, *, alone: bool = True) -> str:
         """Return the diagram as SVG.
 
+        Boxes stand from left to right. Wires back run below the boxes, wires past a box above.
+
         Args:
-            alone: Whether for a file of its own.
+            alone: Whether for a file of its own, with light and dark colours.
         """
-        ports: dict[str, tuple[dict[str, DiagramPort], dict[str, DiagramPort]]] = {
-            name: ({}, {}) for name in self.about
-        }
+        if not self.about:
+            return ""
+        boxes = {name: _Box(f"{k} {name}", text, ({}, {})) for k, (name, text) in enumerate(self.about.items(), 1)}
+        place = {name: k for k, name in enumerate(boxes)}
+        wires = []  # numbers of the boxes at both ends
         for link in self.links:
             for side, (end, unit) in enumerate(zip((link.target, link.source), link.units[::-1], strict=True)):
                 owner, _, variable = end.partition(".")
-                notes = tuple((text, "bad" if text.startswith("fault") else "warn") for text in link.acting)
-                port = DiagramPort(_cut(variable), written(unit), notes if side == 0 else ())
-                ports[owner][side].setdefault(variable, port)
-        boxes = [
-            Box(f"{k} {name}", self.about[name], tuple(inputs.values()), tuple(outputs.values()))
-            for k, (name, (inputs, outputs)) in enumerate(ports.items(), 1)
-        ]
-        place = {name: k for k, name in enumerate(ports)}
-        wires = [self._wire(link, ports, place) for link in self.links]
-        title = f"{counted(len(boxes), 'component')} of {self.name} in the order in which they step"
-        return diagram(boxes, wires, f"{title}, {counted(len(wires), 'connection')}", self._keys(), alone=alone)
-
-    def _wire(self, link: DiagramLink, ports: Mapping[str, Any], place: Mapping[str, int]) -> Wire:
-        ends = []
-        for side, end in ((1, link.source), (0, link.target)):
-            owner, _, variable = end.partition(".")
-            ends.append((place[owner], list(ports[owner][side]).index(variable)))
-        return Wire(ends[0], ends[1], link.held, _title(link))
-
-    def _keys(self) -> list[str]:
-        held = [link.held for link in self.links]
+                port = _Port(_cut(variable), written(unit), link.acting if side == 0 else ())
+                boxes[owner].ports[side].setdefault(variable, port)
+            wires.append((place[link.source.partition(".")[0]], place[link.target.partition(".")[0]]))
+        gaps = [_order(gap, wires) for gap in range(len(boxes) + 1)]
+        # Wires past a box run in lanes above, wires back in lanes below.
+        above = {k: lane for lane, k in enumerate(reversed([k for k, (a, b) in enumerate(wires) if b > a + 1]))}
+        below = {k: lane for lane, k in enumerate(reversed([k for k, (a, b) in enumerate(wires) if b <= a]))}
+        top, x = MARGIN + LANE * len(above), float(MARGIN + SLOT * (1 + len(gaps[0])))
+        for number, box in enumerate(boxes.values(), 1):
+            box.left = x
+            x += box.width + SLOT * (3 + len(gaps[number]))
+        bottom = top + max(box.height for box in boxes.values()) + 12
+        parts = [_drawn_box(box, top) for box in boxes.values()]
+        for number, (link, (before, after)) in enumerate(zip(self.links, wires, strict=True)):
+            (out_name, _, output), (in_name, _, variable) = link.source.partition("."), link.target.partition(".")
+            source, target = boxes[out_name], boxes[in_name]
+            x1, y1 = source.left + source.width, top + source.port_y(1, output)
+            x2, y2 = target.left, top + target.port_y(0, variable)
+            out = x1 + SLOT * (1.5 + gaps[before + 1].index((number, "out")))
+            if after == before + 1:
+                points = [(x1, y1), (out, y1), (out, y2), (x2, y2)]
+            else:
+                lane = top - 10 - LANE * above[number] if number in above else bottom + LANE * below[number]
+                into = x2 - SLOT * (len(gaps[after]) - gaps[after].index((number, "in")) + 0.5)
+                points = [(x1, y1), (out, y1), (out, lane), (into, lane), (into, y2), (x2, y2)]
+            start_value = "the value of the step's start" if link.held else ""
+            title = "; ".join(filter(None, [f"{link.source} → {link.target}", *link.acting, start_value]))
+            style = "wire held" if link.held else "wire"
+            tip = f'<path class="tip" d="M{x2:.1f} {y2:.1f}l-8 -4v8z"/>'
+            path = f'<path class="{style}" d="{_rounded_path(points)}"/>{tip}'
+            parts.append(f"<g><title>{escape(title)}</title>{path}</g>")
+        held, key = [link.held for link in self.links], ""
         if not self.algorithm.sequential:
-            return [f"{self.algorithm.title}: every component sees the values of the step's start."] if held else []
-        order = "Numbers are the order in which components step."
-        if not any(held):
-            return [order]
-        return [f"{order} A dashed line passes on the value of the step's start, all others that of its end."]
+            if held:
+                key = f"{self.algorithm.title}: every component sees the values of the step's start."
+        else:
+            key = "Numbers are the order in which components step."
+            if any(held):
+                key += " A dashed line passes on the value of the step's start, all others that of its end."
+        key_top = bottom + LANE * len(below) + 22
+        parts += [f'<text class="key" x="{MARGIN}" y="{key_top:.0f}">{escape(key)}</text>'] if key else []
+        width = max(x - SLOT + MARGIN / 2, MARGIN * 2 + SMALL * len(key) if key else 0.0)
+        height = key_top + (15 if key else 0)
+        summary = f"{counted(len(boxes), 'component')} of {self.name} in the order in which they step"
+        summary += f", {counted(len(wires), 'connection')}"
+        size = f'width="{width:.0f}" height="{height:.0f}" viewBox="0 0 {width:.0f} {height:.0f}"'
+        paper = '<rect class="paper" width="100%" height="100%"/>' if alone else ""
+        return (
+            f'<svg xmlns="http://www.w3.org/2000/svg" class="diagram" {size} role="img" aria-label="{escape(summary)}">'
+            f"<style>{inline([TEMPLATES / name for name in STYLES[: 2 if alone else 1]])}</style>"
+            f"{paper}{''.join(parts)}</svg>"
+        )
 
     def mermaid(self) -> str:
         """Return the diagram as Mermaid text for GitHub, GitLab and editors."""
+
+        def safe(text: str) -> str:
+            return text.replace("&", "#amp;").replace('"', "#quot;").replace("<", "#lt;").replace(">", "#gt;")
+
         place = {name: f"n{k}" for k, name in enumerate(self.about, 1)}
         lines = ["flowchart LR"]
         lines += [
-            f'  {place[name]}["{k} · {_safe(name)}<br/>{_safe(about)}"]'
+            f'  {place[name]}["{k} · {safe(name)}<br/>{safe(about)}"]'
             for k, (name, about) in enumerate(self.about.items(), 1)
         ]
         pairs: dict[tuple[str, str, bool], list[str]] = {}
         for link in self.links:
-            pairs.setdefault((*link.ends, link.held), []).append(_safe(_label(link)))
+            (source, _, output), (target, _, entry) = link.source.partition("."), link.target.partition(".")
+            units = list(dict.fromkeys(written(u) for u in link.units if u))
+            label = short(output if output == entry else f"{output} → {entry}")
+            label += f" [{' → '.join(units)}]" if units else ""
+            pairs.setdefault((source, target, link.held), []).append(safe(", ".join([label, *link.acting])))
         for (source, target, held), labels in pairs.items():
             start, end = ("-. ", " .->") if held else ("-- ", " -->")
             lines.append(f'  {place[source]} {start}"{"<br/>".join(labels)}"{end} {place[target]}')
@@ -113,8 +197,7 @@ class Graph:
 def graph_of_run(run: Run) -> Graph | None:
     """Return a run's diagram, None for an incomplete manifest."""
     order, held = run.manifest.get("order"), run.manifest.get("held")
-    components = mapping(run.scenario.get("components"))
-    if not isinstance(order, list) or not isinstance(held, list) or set(order) != set(components):
+    if not isinstance(order, list) or not isinstance(held, list) or set(order) != set(run.components):
         return None
     return graph_from(run.scenario, [str(name) for name in order], {str(h) for h in held}, run.results.units)
 
@@ -126,44 +209,76 @@ def graph_from(scenario: Mapping[str, Any], order: Sequence[str], held: set[str]
         order: Components in stepping order.
         held: Inputs that see the value from the step's start.
     """
-    components = mapping(scenario.get("components"))
-    about = {name: _about(mapping(components.get(name))) for name in order}
     run = Run(Results(np.empty(0), (), np.empty((0, 0)), units), {"scenario": scenario})
-    silent = scenario.get("noise") is False
-    arrays = {name.partition("[")[0] for name in held}
+    about = {}
+    for name in order:
+        component = run.components.get(name, {})
+        facts = {**component, "file": PurePath(str(component.get("fmu") or component.get("file") or "")).name}
+        about[name] = ", ".join(_cut(text.format(facts[key])) for key, text in FACTS.items() if facts.get(key))
+    silent, arrays = scenario.get("noise") is False, {name.partition("[")[0] for name in held}
     links = []
-    for link in mappings(scenario.get("connections")):
+    for link in run.connections:
         source, target = str(link.get("from")), str(link.get("to"))
         texts = ((text, text.startswith("fault")) for text in disturbances(run, link))
         acting = tuple(text if is_fault else f"noise {text}" for text, is_fault in texts if is_fault or not silent)
-        pair = units.get(source, ""), units.get(target, "")
-        edge = DiagramLink(source, target, pair, acting, target in held | arrays)
-        links += [edge] if about.keys() >= {*edge.ends} else []
+        if about.keys() >= {source.partition(".")[0], target.partition(".")[0]}:
+            pair = units.get(source, ""), units.get(target, "")
+            links.append(DiagramLink(source, target, pair, acting, target in held | arrays))
     algorithm = algorithms().get(str(scenario.get("algorithm")), DEFAULT)
     return Graph(str(scenario.get("name") or ""), about, links, algorithm)
-
-
-def _about(component: Mapping[str, Any]) -> str:
-    facts = {**component, "file": PurePath(str(component.get("fmu") or component.get("file") or "")).name}
-    return ", ".join(_cut(text.format(facts[key])) for key, text in FACTS.items() if facts.get(key))
 
 
 def _cut(text: str) -> str:
     return text if len(text) <= MAX_NAME else f"{text[: MAX_NAME - 1]}…"
 
 
-def _title(link: DiagramLink) -> str:
-    parts = [f"{link.source} → {link.target}", *link.acting, "the value of the step's start" if link.held else ""]
-    return "; ".join(filter(None, parts))
+def _order(gap: int, wires: Sequence[tuple[int, int]]) -> list[tuple[int, str]]:
+    """Return the wires in the gap before a box from left to right, each with its end "out" or "in".
+
+    In this order, wires of neighbouring ports do not cross.
+    """
+    out: dict[str, list[int]] = {"on": [], "near": [], "back": []}
+    into: dict[str, list[int]] = {"from the right": [], "from the left": []}
+    for number, (source, target) in enumerate(wires):
+        if source + 1 == gap:
+            out["back" if target < gap else "near" if target == gap else "on"].append(number)
+        elif target == gap:
+            into["from the left" if source < gap else "from the right"].append(number)
+    left = out["on"] + out["near"] + out["back"][::-1]
+    right = into["from the right"] + into["from the left"][::-1]
+    return [*((number, "out") for number in left), *((number, "in") for number in right)]
 
 
-def _label(link: DiagramLink) -> str:
-    names = [end.partition(".")[2] for end in (link.source, link.target)]
-    name = names[0] if names[0] == names[1] else " → ".join(names)
-    units = list(dict.fromkeys(written(u) for u in link.units if u))
-    return short(name) + (f" [{' → '.join(units)}]" if units else "") + "".join(f", {text}" for text in link.acting)
+def _drawn_box(box: _Box, y: float) -> str:
+    x, w = box.left, box.width
+    parts = [
+        f'<rect class="box" x="{x:.1f}" y="{y:.1f}" width="{w:.1f}" height="{box.height:.1f}" rx="{RADIUS}"/>',
+        f'<path class="head" d="M{x:.1f} {y + HEAD:.1f}h{w:.1f}"/>',
+        f'<text class="name" x="{x + 12:.1f}" y="{y + 20:.1f}">{escape(box.name)}</text>',
+        f'<text class="about" x="{x + 12:.1f}" y="{y + 37:.1f}">{escape(box.about)}</text>',
+    ]
+    for ports, at, side in zip(box.ports, (x + 12, x + w - 12), ("", " right"), strict=True):
+        down = y + HEAD + 21
+        for port in ports.values():
+            unit = f' <tspan class="unit">[{escape(port.unit)}]</tspan>' if port.unit else ""
+            parts.append(f'<text class="port{side}" x="{at:.1f}" y="{down:.1f}">{escape(port.name)}{unit}</text>')
+            for k, text in enumerate(port.notes, 1):
+                tone, note_y = "bad" if text.startswith("fault") else "warn", down + NOTE * k
+                parts.append(f'<text class="note-{tone}{side}" x="{at:.1f}" y="{note_y:.1f}">{escape(text)}</text>')
+            down += port.height
+    return "".join(parts)
 
 
-def _safe(text: str) -> str:
-    """Return text escaped for Mermaid quotes."""
-    return text.replace("&", "#amp;").replace('"', "#quot;").replace("<", "#lt;").replace(">", "#gt;")
+def _rounded_path(points: Sequence[tuple[float, float]]) -> str:
+    """Return a path along right-angled points with rounded corners."""
+    path = [f"M{points[0][0]:.1f} {points[0][1]:.1f}"]
+    for (ax, ay), (bx, by), (cx, cy) in zip(points, points[1:], points[2:], strict=False):
+        before, after = abs(bx - ax) + abs(by - ay), abs(cx - bx) + abs(cy - by)
+        r = min(RADIUS, before / 2, after / 2)
+        if r < 0.5:
+            path.append(f"L{bx:.1f} {by:.1f}")
+            continue
+        from_x, from_y = bx - r * (bx - ax) / before, by - r * (by - ay) / before
+        to_x, to_y = bx + r * (cx - bx) / after, by + r * (cy - by) / after
+        path.append(f"L{from_x:.1f} {from_y:.1f}Q{bx:.1f} {by:.1f} {to_x:.1f} {to_y:.1f}")
+    return "".join([*path, f"L{points[-1][0]:.1f} {points[-1][1]:.1f}"])
