@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from cosim.simulation.run_signals import Signals
 from cosim.storage.folders import replay_record
@@ -12,18 +13,18 @@ from cosim.storage.results import read_results, rows_in
 
 @dataclass(frozen=True, repr=False)
 class Replay(Signals):
-    """Signals of an FMU and a log, and `residual` for each horizon."""
+    """Signals of an FMU and a log, and `residual` for each horizon.
+
+    Attributes:
+        comparison: Errors of each channel; None if the result was read from a folder.
+    """
 
     residual: Signals | None = None
     sentence: str = ""
+    comparison: Any = None
 
     def __repr__(self) -> str:
         return f"{super().__repr__()}\n  {self.sentence}".rstrip()
-
-    def _html_more(self) -> str:
-        from html import escape
-
-        return f"<p>{escape(self.sentence)}</p>" if self.sentence else ""
 
 
 def read_replay(folder: Path, *, kept: bool = True) -> Replay | None:

@@ -3,21 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
-import typer
-
-from cosim.verbs.options import Json, Open
 from cosim.verbs.terminal import say, say_json, show, warn
 
 
-def command(
-    folder: Annotated[Path, typer.Argument(help="Folder of a run.")],
-    figures: Annotated[bool, typer.Option("--figures", help="Write figures/*.png too.")] = False,
-    open_: Open = False,
-    as_json: Json = False,
-) -> None:
+def command(folder: Path, *, figures: bool = False, open: bool = False, json: bool = False) -> None:
     """Write the report of a run again from its results.
+
+    Args:
+        folder: Folder of a run.
 
     Example: cosim report results/one --open
     """
@@ -25,6 +19,6 @@ def command(
 
     page = report_of(folder, figures=figures, tell=warn)
     say(f"report:  {page}")
-    if as_json:
+    if json:
         say_json({"report": str(page)})
-    show(page, open_=open_)
+    show(page, open)
