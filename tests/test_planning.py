@@ -12,7 +12,7 @@ import pytest
 
 from cosim.authoring import parts
 from cosim.authoring.matching import match_ports
-from cosim.authoring.parts import RequestedTimes, times_of
+from cosim.authoring.parts import times_of
 from cosim.blocks.component import Signal
 from cosim.scenario.scenario import Criterion
 from cosim.scenario.start_values import Misfit, convert_value, with_elements
@@ -48,8 +48,7 @@ def planned(monkeypatch: pytest.MonkeyPatch, *experiments: dict[str, float], own
     listed = [SimpleNamespace(name=f"p{k}", path=Path(f"p{k}.fmu"), description=e) for k, e in enumerate(experiments)]
     monkeypatch.setattr(parts, "experiment_of", lambda description: description)
     monkeypatch.setattr(parts, "_own_step", lambda part: (own or {}).get(part.name, 0.0))
-    most = {"most": asked.pop("most")} if "most" in asked else {}
-    return times_of(listed, RequestedTimes(**asked) if asked else None, **most)  # type: ignore[arg-type]
+    return times_of(listed, **asked)  # type: ignore[arg-type]
 
 
 def test_a_run_is_that_of_the_longest_experiment_in_the_finest_step(monkeypatch: pytest.MonkeyPatch) -> None:

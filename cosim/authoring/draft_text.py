@@ -11,10 +11,13 @@ from typing import Any
 
 from cosim.authoring.matching import Match, Matches, text
 from cosim.authoring.parts import DraftPart, Times
+from cosim.base.errors import Fault, InputError
 from cosim.base.text import NOT_IN_YAML, as_yaml, counted
 from cosim.blocks.coupling import DEFAULT, Algorithm
 from cosim.blocks.description import unit_of
+from cosim.scenario.scenario_file import ScenarioFile
 from cosim.scenario.start_values import settable
+from cosim.system.system import System, build_system
 
 BY = "# Written by `cosim {}`."
 MAX_PARAMETERS = 12  # shown per FMU
@@ -123,7 +126,8 @@ def _why(m: Match) -> str:
     a, b = m.source[1].unit, m.target[1].unit
     parts = [f"guess: {m.guess}" if m.guess else "same name"]
     if a and b:
-        parts.append(f"{a} to {b}, converted" if m.factor != (1.0, 0.0) else b)
+        is_converted = (m.source[1].conversion(m.target[1]) or (1.0, 0.0)) != (1.0, 0.0)
+        parts.append(f"{a} to {b}, converted" if is_converted else b)
     elif a or b:
         parts.append(f"{a or b} on one side, no unit on the other")
     parts += [f"or from {', '.join(m.others)}"] if m.others else []
@@ -131,7 +135,7 @@ def _why(m: Match) -> str:
 
 
 def _more(parts: Sequence[DraftPart]) -> list[str]:
-    first = next((text(o) for part in parts for o in part.ports[1] if o[1].kind in ("Real", "Float64")), None)
+    first = next((text(o) for part in parts for o in part.outputs if o[1].kind in ("Real", "Float64")), None)
     if first is None:
         return []
     return [
@@ -160,3 +164,15 @@ def scalar(value: Any, literal: bool = False) -> str:
 
 def _comment(value: str) -> str:
     return " ".join(NOT_IN_YAML.sub(" ", value).split())
+
+
+def write_sound(path: Path, lines: str, fmu: Path) -> System:
+    """Write a scenario and return its system.
+
+    If the scenario has faults, InputError names the FMU as their place, because the user has not written the scenario.
+    """
+    path.write_text(lines, encoding="utf-8")
+    try:
+        return build_system(ScenarioFile(path))
+    except InputError as error:
+        raise InputError([Fault(fmu, 0, 0, f.message, f.exit_code) for f in error.faults]) from None

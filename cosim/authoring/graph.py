@@ -28,10 +28,13 @@ def graph_of(path: Path, overrides: Sequence[str] = ()) -> Graph:
         InputError: The input is faulty.
         FmuError: An FMU is invalid.
     """
-    if not is_ssp(path):
-        return _graph(ScenarioFile(path, overrides))
     with temporary_folder("graph") as folder:
-        return _graph(lay_out(path, folder, overrides)[0])
+        file = lay_out(path, folder, overrides)[0] if is_ssp(path) else ScenarioFile(path, overrides)
+        system = build_system(file)
+        units = {name: signal.unit for name, signal in system.signals.items()}
+        arrays = {f"{n.partition('.')[0]}.{s.array}": s.unit for n, s in system.signals.items() if s.array}
+        held = {transfer.name for transfer in system.held if not transfer.of}
+        return graph_from(resolve_defaults(file.scenario), system.names, held, {**arrays, **units})
 
 
 def check_picture(path: Path, graph: Graph) -> None:
@@ -49,12 +52,3 @@ def check_picture(path: Path, graph: Graph) -> None:
         raise InputError.at(
             path, f"is there, and no picture of {graph.name}; name another file as --out, or write over it by --force"
         )
-
-
-def _graph(file: ScenarioFile) -> Graph:
-    system = build_system(file)
-    units = {name: signal.unit for name, signal in system.signals.items()}
-    arrays = {f"{n.partition('.')[0]}.{s.array}": s.unit for n, s in system.signals.items() if s.array}
-    held = {transfer.name for transfer in system.held if not transfer.of}
-    order = system.names
-    return graph_from(resolve_defaults(file.scenario), order, held, {**arrays, **units})

@@ -218,7 +218,7 @@ def _simulate(source: EquationSource, start: Mapping[str, Any], time: Array, inp
                 text = f"the equations have no value there: {error}"
                 raise SimulationError(source.name, float(time[k]), text) from None
         states.append(np.array(moment.state, float))
-        outputs.append(source.evaluate(float(time[k]), states[k], inputs[k])[1])
+        outputs.append(source.evaluate(float(time[k]), states[k], inputs[k])[len(source.states) :])
     return np.array(states), np.array(outputs)
 
 

@@ -89,7 +89,7 @@ def linearize(
             stack.enter_context(new_run(folder, "", "cosim linearize", force=force))
             check_writable(folder, (*FILES, "report.html"), source.files)
         if where.scenario is None:
-            points, notes = [source.start()], list[str]()
+            points, notes = [source.start], list[str]()
         else:
             source, points, notes = points_along(source, where.scenario, where.times, component, values)
         points = [move(source, point, where.values) for point in points]
