@@ -22,14 +22,12 @@ from cosim.base.errors import InputError
 from cosim.base.notebook import shows_progress
 from cosim.calibration.fitted import Fitted
 from cosim.comparison.differences import compare_runs
-from cosim.comparison.several import ComparedRuns
 from cosim.refinement.refined_result import Refined
 from cosim.report.cell.cell import MAX_CURVES, rows_to_show
 from cosim.simulation.run_files import RecordedRun
 from cosim.simulation.run_signals import Signals
 from cosim.storage.results import Results
 from tests.conftest import ROOT
-from tests.seen import CHROMIUM
 from tests.test_python import turning
 
 PEAK = 123_457  # row of a single high value
@@ -119,7 +117,6 @@ def test_a_comparison_and_estimates_show_themselves(tmp_path: Path) -> None:
     compared = compare_runs(ran("a", np.arange(9.0)), ran("b", np.arange(9.0) ** 2))
     (frame,) = frames(compared._repr_html_())
     assert "x, b − a" in frame
-    assert hasattr(ComparedRuns, "_repr_html_")
     entry = {"start": 1.0, "value": 2.0, "unit": "kg", "ci95": [1.5, 2.5], "status": "estimated"}
     fitted = Fitted({"verdict": "improved", "sentence": "a < b", "parameters": {"mass": entry}})
     assert "a &lt; b" in fitted._repr_html_()
@@ -219,32 +216,6 @@ def test_a_kernel_shows_the_chart_and_one_line_of_progress(tmp_path: Path) -> No
     assert kinds == ["display_data", "execute_result"]
     assert re.search(r"run: \d+\.\d s", done.stdout)  # the line of progress at its end
     assert "<iframe" in done.stdout
-
-
-@pytest.mark.thorough
-@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
-def test_the_charts_in_a_cell_follow_the_pointer(tmp_path: Path) -> None:
-    api = pytest.importorskip("playwright.sync_api", reason="no playwright")
-    path = tmp_path / "cell.html"
-    path.write_text(f"<!DOCTYPE html><body>{signals(500, 3)._repr_html_()}", encoding="utf-8")
-    with api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
-        page = browser.new_page(viewport={"width": 1000, "height": 600})
-        faults: list[str] = []
-        page.on("pageerror", lambda error: faults.append(str(error)))
-        page.goto(path.as_uri())
-        frame = page.frames[1]
-        frame.wait_for_function("document.documentElement.dataset.ready === 'yes'")
-        box = frame.locator("[data-box]").first.bounding_box()
-        assert box is not None
-        page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
-        frame.wait_for_function("document.querySelector('.when').textContent.startsWith('2.')")
-        first = frame.locator("output").first.inner_text()
-        assert float(first.replace("\u2212", "-")) == pytest.approx(np.sin(2.5 / 3.0), abs=0.01)
-        with pytest.raises(api.Error, match=r"cross-origin|SecurityError|Blocked a frame"):
-            frame.evaluate("parent.document.title")
-        browser.close()
-    assert faults == []
 
 
 def test_a_faulty_input_is_a_message_in_a_notebook_without_the_frames_of_the_package() -> None:
