@@ -37,7 +37,7 @@ from cosim.sweeps.reading import Sweep, read_sweep
 from cosim.sweeps.run_statistics import share_interval
 from cosim.sweeps.runs import RunResult, assemble, make_run, sampled_rows
 from cosim.sweeps.store import DATABASE, RECORD, TABLE, Database, read_table, write_table
-from cosim.sweeps.sweep_result import Swept, criterion_names
+from cosim.sweeps.sweep_result import Swept
 
 PARTS = "parts"  # folder of the parts made by --part, as parts/17-of-200
 REPORT = "report.html"
@@ -148,11 +148,7 @@ def sweep(
             if join and missing:
                 text = f"{len(missing)} of {counted(study.count, 'run')} are missing, the first is run {missing[0]}"
                 raise InputError.at(folder, f"{text}; repeat the parts that did not end, or make the runs by --resume")
-            limits = []  # of the criteria
-            for name, (kind, _, goal) in zip(criterion_names(study), study.scenario.goals, strict=True):
-                unit = study.system.units.get(goal.of, "")
-                unit = {"settling_time": "s", "effort": f"{unit}.s".lstrip(".")}.get(kind, unit)
-                limits.append(CriterionLimit(name, goal.max, unit))
+            limits = _limits(study)
             for observer in observers:
                 observer.begin(study.name, len(runs), limits, _all_runs(databases))
             begin, why = time.perf_counter(), ""
@@ -241,6 +237,20 @@ def _all_runs(databases: Sequence[Database]) -> Iterator[RunResult]:
         if run.run != last:
             yield run
         last = run.run
+
+
+def _limits(study: Sweep) -> list[CriterionLimit]:
+    """Return the limits of the criteria, with unique names for table columns."""
+    limits: list[CriterionLimit] = []
+    for kind, _, goal in study.scenario.goals:
+        ends = (("after", goal.after), ("until", goal.until))
+        window = "".join(f" {word} {at:g} s" for word, at in ends if at)
+        name = f"{kind.replace('_', ' ')} of {goal.of}{window}"
+        same = sum(limit.name == name or limit.name.startswith(f"{name} (") for limit in limits)
+        unit = study.system.units.get(goal.of, "")
+        unit = {"settling_time": "s", "effort": f"{unit}.s".lstrip(".")}.get(kind, unit)
+        limits.append(CriterionLimit(f"{name} ({same + 1})" if same else name, goal.max, unit))
+    return limits
 
 
 def _record(study: Sweep, limits: Sequence[CriterionLimit], runs: Iterable[RunResult]) -> dict[str, Any]:

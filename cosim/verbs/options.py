@@ -67,29 +67,30 @@ def _seconds(text: str) -> float:
         raise typer.BadParameter(f"{text!r}: {error}") from None
 
 
-TIME = {"parser": _seconds, "metavar": "TIME"}
-TYPES: dict[str, tuple[Any, dict[str, Any]]] = {  # first type of an annotation → type and settings of the option
-    "bool": (bool, {}),
-    "int": (int, {}),
-    "float": (float, {}),
-    "str": (str, {}),
-    "list[str]": (list[str], {}),
-    "Path": (Path, {}),
-    "list[Path]": (list[Path], {}),
-    "FilePath": (Path, {}),
-    "ModelName": (str, {}),
-    "Files": (list[Path], {}),
-    "Given": (list[str], {}),
-    "Names": (list[str], {}),
-    "Values": (list[str], {}),
-    "Seconds": (float, TIME),
-    "PositiveSeconds": (float, TIME),
-    "Positive": (float, {}),
-    "NotNegative": (float, {"min": 0.0}),
-    "Seed": (int, {"min": 0}),
-    "Whole": (int, {"min": 0}),
-    "Count": (int, {"min": 1}),
-    "Port": (int, {"min": 0, "max": 65535}),
+TYPES: dict[str, Any] = {  # first type of an annotation → type of the option
+    "bool": bool,
+    "str": str,
+    "list[str]": list[str],
+    "Path": Path,
+    "list[Path]": list[Path],
+    "FilePath": Path,
+    "ModelName": str,
+    "Files": list[Path],
+    "Given": list[str],
+    "Names": list[str],
+    "Values": list[str],
+    **dict.fromkeys(("int", "Seed", "Whole", "Count", "Port"), int),
+    **dict.fromkeys(("float", "Seconds", "PositiveSeconds", "Positive", "NotNegative"), float),
+}
+TIME: dict[str, Any] = {"parser": _seconds, "metavar": "TIME"}
+SETTINGS: dict[str, dict[str, Any]] = {
+    "Seconds": TIME,
+    "PositiveSeconds": TIME,
+    "NotNegative": {"min": 0.0},
+    "Seed": {"min": 0},
+    "Whole": {"min": 0},
+    "Count": {"min": 1},
+    "Port": {"min": 0, "max": 65535},
 }
 
 
@@ -123,8 +124,9 @@ def _option(parameter: Parameter, names: str = "", meaning: str = "") -> Paramet
         names: Names on the command line and metavar.
     """
     types = parameter.annotation.split(" | ")
-    kind, settings = TYPES["Files" if "Files" in types else types[0]]
-    settings = {**settings, "help": " ".join(meaning.split()) or MEANINGS[parameter.name]}
+    name = "Files" if "Files" in types else types[0]
+    kind, settings = TYPES[name], {**SETTINGS.get(name, {}), "help": " ".join(meaning.split())}
+    settings["help"] = settings["help"] or MEANINGS[parameter.name]
     flags = [word for word in names.split() if word.startswith("-")]
     if metavar := " ".join(word for word in names.split() if not word.startswith("-")):
         settings["metavar"] = metavar
