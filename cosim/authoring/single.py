@@ -83,23 +83,19 @@ def simulate(
     (part,) = parts_of([path], values)
     with new_run(folder, part.name, "cosim simulate", force=force) as place:
         scenario, csv = place / "scenario.yaml", None if recorded is None else Path(recorded)
-        first = experiment_of(description).get("start")
-        matches, notes = Matches((), ()), list[str]()
-        if csv is None:
-            _check_end(path, first, stop)
-            times = times_of([part], start=first, stop=stop, step=step, most=MAX_STEPS)
-        else:
+        first, matches, notes = experiment_of(description).get("start"), Matches((), ()), list[str]()
+        source, end, more = path, stop, dict[str, Any]()
+        if csv is not None:
             matches, unused, time = _read_recording(csv, part)
             if unused:
                 notes.append(Note(f"{csv.name}: {part.name} has no inputs {', '.join(unused)}: they drive nothing"))
             begin, last = float(time[0]), float(time[-1])
             declared, first = first, begin if first is None else max(first, begin)
-            end = last if stop is None else stop
+            source, end = csv, last if stop is None else stop
             if first > begin:
                 notes.append(Note(f"{csv.name}: begins at {begin:g} s, the run at {first:g} s as {part.name} says"))
             elif first > (declared or 0.0):
                 notes.append(Note(f"the run begins at {first:g} s, where {csv.name} does"))
-            _check_end(csv, first, end)
             if end > last * (1 + SLACK):
                 notes.append(Note(f"{csv.name}: ends at {last:g} s; its last row is held until {end:g} s"))
             steps = np.diff(time)
@@ -108,16 +104,15 @@ def simulate(
             if steps.size:  # without the digits that the times do not hold
                 far = float(np.max(np.abs(time)))
                 usual = difference(far + float(np.median(steps)), far) or float(np.median(steps))
-            times = times_of(
-                [part],
-                start=first,
-                stop=end,
-                step=step,
-                usual_step=float(f"{usual:.6g}"),
-                why_stop=f"the end of {csv.name}" if stop is None else "given",
-                why_start=f"{csv.name} begins" if first == begin else "",
-                most=MAX_STEPS,
-            )
+            more = {
+                "usual_step": float(f"{usual:.6g}"),
+                "why_stop": f"the end of {csv.name}" if stop is None else "given",
+                "why_start": f"{csv.name} begins" if first == begin else "",
+            }
+        if end is not None and end <= (first or 0.0):
+            text_ = f"ends at {end:g} s, the run begins at {first or 0.0:g} s; give a later --stop"
+            raise InputError.at(source, text_)
+        times = times_of([part], start=first, stop=end, step=step, most=MAX_STEPS, **more)
         check_writable(place, (scenario.name,), [path, *([csv] if csv else [])])
         text_ = scenario_text(place, [part], matches, times, DEFAULT, played=(csv, interpolation), verb="simulate")
         names = [n if n.startswith(f"{part.name}.") else f"{part.name}.{n}" for n in record]
@@ -126,11 +121,6 @@ def simulate(
         settings: dict[str, Any] = {"in_process": in_process, "format_": format_, "progress": progress}
         outcome = run(scenario, place, report=report, command="cosim simulate", **settings)
     return outcome, (*notes, *times.notes)
-
-
-def _check_end(source: Path, start: float | None, end: float | None) -> None:
-    if end is not None and end <= (start or 0.0):
-        raise InputError.at(source, f"ends at {end:g} s, the run begins at {start or 0.0:g} s; give a later --stop")
 
 
 def _read_recording(path: Path, part: DraftPart) -> tuple[Matches, list[str], Array]:

@@ -222,10 +222,7 @@ def _maker(study: Sweep, workers: int | None, dask: str | None, *, in_process: b
     elif address is None:
         yield partial(make_runs_here, study.job, workers)
     else:
-
-        def place(text: str) -> Fault:
-            return study.yaml.fault(("dask",), text) if dask is None else Fault(Path("--dask"), 0, 0, text)
-
+        place = partial(study.yaml.fault, ("dask",)) if dask is None else partial(Fault, Path("--dask"), 0, 0)
         with dask_cluster(study, address, place) as make_runs:
             yield make_runs
 
