@@ -77,7 +77,10 @@ def export_ssp(
             else _model(file, name, system)
             for name, component in s.components.items()
         ]
-        ends = [tuple(end.partition(".")[::2] for end in (c.source, c.target)) for c in s.connections]
+        ends = []
+        for c in s.connections:
+            (source, _, output), (component, _, input_) = c.source.partition("."), c.target.partition(".")
+            ends.append(((source, output), (component, input_)))
         descriptions = {name: description for name, (_, description) in system.fmus.items()}
         units = defined_units((descriptions.get(m.name), port.unit) for m in models for port in m.ports)
         stop = s.start_time + s.duration

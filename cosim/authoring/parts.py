@@ -104,7 +104,8 @@ def parts_of(paths: Sequence[Path], start: Mapping[str, Any] | None = None) -> l
                     firsts.setdefault(signal.array or signal.name, signal)
             ports.append([(name, firsts[n]) for n in sorted(firsts, key=lambda n: order.get(n, 0))])
         sizes = Counter(f"{name}.{s.array}" for side in sides for s in side if s.array and not s.local)
-        parts.append(DraftPart(name, path, description, start or {}, block, *ports, sizes))
+        inputs, outputs = ports
+        parts.append(DraftPart(name, path, description, start or {}, block, inputs, outputs, sizes))
     return parts
 
 
