@@ -137,7 +137,7 @@ def _worst(swept: Swept, table: Any, values: Mapping[str, Array]) -> list[Mappin
     far = np.where(np.isfinite(reached), reached, np.inf)
     failing = np.flatnonzero(completed & (far > criterion["max"]))
     unit, factor = display(criterion["unit"])
-    rows = []
+    rows: list[Mapping[str, Any]] = []
     for k in failing[np.argsort(-far[failing], kind="stable")][:MOST_LISTED]:
         run = runs[k]
         cells = {name: column[run] for name, column in swept.sweep.columns.items()}
