@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
-import typer
-
+from cosim.base.settings import Seed
 from cosim.storage.files import write_json, write_text
 from cosim.storage.folders import new_run, remove_earlier
-from cosim.verbs.options import Force, Json, Open, Report, out_option
 from cosim.verbs.terminal import progress_bar, say, say_json, show, table
 
 VERB, FILES = "cosim consistency", ("consistency.json", "report.html")
@@ -17,20 +14,24 @@ VERB, FILES = "cosim consistency", ("consistency.json", "report.html")
 
 def command(
     *,
-    runs: Annotated[
-        int, typer.Option("--runs", min=2, help="Number of Monte Carlo runs of each case, at least 2.")
-    ] = 50,
-    steps: Annotated[int, typer.Option("--steps", min=100, help="Number of samples of each run, at least 100.")] = 500,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed for all random numbers.")] = 1,
-    out: Annotated[Path | None, out_option("a new number in results/consistency")] = None,
-    report: Report = True,
-    open_: Open = False,
-    force: Force = False,
-    as_json: Json = False,
+    runs: int = 50,
+    steps: int = 500,
+    seed: Seed = 1,
+    out: Path | None = None,
+    report: bool = True,
+    open: bool = False,
+    force: bool = False,
+    json: bool = False,
 ) -> None:
     """Test the estimators of the hovercraft by Monte Carlo runs.
 
     Compares the normalised errors (NEES) and innovations (NIS) with their 95 % regions.
+
+    Args:
+        runs: Number of Monte Carlo runs of each case, at least 2.
+        steps: Number of samples of each run, at least 100.
+        seed: Seed for all random numbers.
+        out: Folder for the results (default: a new number in results/consistency).
 
     Example: cosim consistency --runs 50 --seed 1
     """
@@ -47,8 +48,8 @@ def command(
             from controller.consistency_page import page
 
             write_text(out / FILES[1], page(rows, steps, seed))
-    show(out / "report.html", open_=report and open_)
-    if as_json:
+    show(out / "report.html", open)
+    if json:
         say_json([row.as_json() for row in rows])
         return
     say(headline(rows))

@@ -19,12 +19,6 @@ from tests.deeds import deeds_fmu
 from tests.logs import times, write_log
 
 
-def faults_of(*files: Path) -> list[str]:
-    with pytest.raises(InputError) as refused:
-        check_files(files)
-    return [str(f) for f in refused.value.faults]
-
-
 @pytest.mark.thorough
 @pytest.mark.parametrize("encoding", ["cp1252", "latin-1", "utf-8"])
 def test_any_terminal_can_be_written_to(tmp_path: Path, encoding: str) -> None:
@@ -41,17 +35,22 @@ def test_any_terminal_can_be_written_to(tmp_path: Path, encoding: str) -> None:
     assert ("−1.00" if encoding == "utf-8" else "\\u22121.00") in run.stdout.decode(encoding)
 
 
-@pytest.mark.parametrize("text", ["model: base\nnoise: {}\n", "candidates: [mass]\n"])
-def test_a_study_without_logs_is_told_what_a_study_lacks(tmp_path: Path, text: str) -> None:
-    (tmp_path / "study.yaml").write_text(text)
-    assert faults_of(tmp_path / "study.yaml") == [f'{tmp_path / "study.yaml"}:1:1: "logs" is missing; add it']
-
-
-def test_an_answer_is_no_study(tmp_path: Path) -> None:
-    (tmp_path / "refine.json").write_text('{"study": "study.yaml", "verdict": "no_effect", "candidates": []}')
-    (line,) = faults_of(tmp_path / "refine.json")
-    assert "refine.json: is an answer of `cosim refine`, in which there is nothing to check: `cosim excite " in line
-    assert line.endswith("check the study or model.yaml beside it")
+@pytest.mark.parametrize(
+    ("name", "text", "place"),
+    [
+        ("study.yaml", "model: base\nnoise: {}\n", (1, 1)),  # without logs
+        ("study.yaml", "candidates: [mass]\n", (1, 1)),
+        ("refine.json", '{"study": "study.yaml", "verdict": "no_effect", "candidates": []}', (0, 0)),  # an answer
+    ],
+)
+def test_a_file_that_is_no_study_is_refused_at_its_place(
+    tmp_path: Path, name: str, text: str, place: tuple[int, int]
+) -> None:
+    (tmp_path / name).write_text(text)
+    with pytest.raises(InputError) as refused:
+        check_files([tmp_path / name])
+    (fault,) = refused.value.faults
+    assert (fault.file.name, (fault.line, fault.column)) == (name, place)
 
 
 def test_what_is_faulty_in_a_study_does_not_hide_the_rest(tmp_path: Path) -> None:
@@ -59,14 +58,10 @@ def test_what_is_faulty_in_a_study_does_not_hide_the_rest(tmp_path: Path) -> Non
     path.write_text(
         "noise: {psi: 0, psy: 1}\ncandidates: [masss]\nlogs:\n  estimation: [none.csv]\n  validaton: [b.csv]\n"
     )
-    told_of = [line.removeprefix(f"{tmp_path}/").partition(";")[0] for line in faults_of(path)]
-    assert told_of == [
-        "study.yaml:1:14: noise.psi is 0: it should be greater than 0",
-        'study.yaml:1:17: no output "psy"',
-        'study.yaml:2:14: no candidate "masss"',
-        "study.yaml:4:16: none.csv: no such file beside the study",
-        'study.yaml:5:3: unknown key "validaton"',
-    ]
+    with pytest.raises(InputError) as refused:
+        check_files([path])
+    places = [(f.line, f.column) for f in refused.value.faults]
+    assert places == [(1, 14), (1, 17), (2, 14), (4, 16), (5, 3)]  # psi 0, psy, masss, none.csv, validaton
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="names of files are text there")

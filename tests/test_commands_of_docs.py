@@ -21,7 +21,7 @@ from tests.logs import write_log
 from tests.motor import motor_file, motor_log
 from tests.native import NEEDS_COMPILER
 from tests.test_first_steps import told
-from tests.test_help import COMMANDS
+from tests.test_manners import COMMANDS
 
 LINE = re.compile(r"(?:\S*/)?cosim (.*)")
 DOCUMENTS = {

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -33,13 +32,6 @@ def told(*arguments: str | Path, code: int = 0) -> str:
         return str(done.exception)
     assert done.exit_code == code, done.output
     return done.stdout
-
-
-def connected(
-    outputs: Sequence[Port], inputs: Sequence[Port], sizes: dict[str, int] | None = None
-) -> dict[str, tuple[str, str]]:
-    found = match_ports(outputs, inputs, sizes or {}).connections
-    return {text(m.target): (text(m.source), m.guess) for m in found}
 
 
 def port(name: str, unit: str = "", kind: str = "Real") -> Port:
@@ -71,24 +63,30 @@ def test_info_lists_types_units_defaults_capabilities_platforms_and_states(tmp_p
 # -- which output goes to which input -------------------------------------------------------------
 
 
-def test_the_same_name_connects_and_is_no_guess() -> None:
-    found = connected([port("a.x", "m"), port("a.u", "V")], [port("b.u", "V"), port("b.x", "mm")])
-    assert found == {"b.u": ("a.u", ""), "b.x": ("a.x", "")}
-
-
-def test_similar_names_are_a_guess_the_likelier_with_one_unit() -> None:
-    found = connected(
-        [port("tank.level"), port("motor.speed", "rpm"), port("motor.torque", "N.m")],
-        [port("control.tankLevel"), port("load.motor_speed", "rad/s")],
-    )
-    assert found == {
-        "control.tankLevel": ("tank.level", "similar name"),
-        "load.motor_speed": ("motor.speed", "similar name, same unit"),
-    }
-
-
-def test_what_alone_is_left_to_fit_is_a_guess() -> None:
-    assert connected([port("a.y")], [port("b.u")]) == {"b.u": ("a.y", "nothing else is left that fits")}
+@pytest.mark.parametrize(
+    ("outputs", "inputs", "found"),
+    [
+        (
+            [port("a.x", "m"), port("b.x", "m"), port("a.u", "V")],  # of another component
+            [port("b.u", "V"), port("b.x", "mm")],
+            {"b.u": ("a.u", ""), "b.x": ("a.x", "")},
+        ),
+        (
+            [port("tank.level"), port("motor.speed", "rpm"), port("motor.torque", "N.m")],
+            [port("control.tankLevel"), port("load.motor_speed", "rad/s")],
+            {
+                "control.tankLevel": ("tank.level", "similar name"),
+                "load.motor_speed": ("motor.speed", "similar name, same unit"),
+            },
+        ),
+        ([port("a.y")], [port("b.u")], {"b.u": ("a.y", "nothing else is left that fits")}),
+    ],
+)
+def test_an_output_goes_to_the_input_of_its_name_or_by_a_guess(
+    outputs: list[Port], inputs: list[Port], found: dict[str, tuple[str, str]]
+) -> None:
+    made = match_ports(outputs, inputs).connections
+    assert {text(m.target): (text(m.source), m.guess) for m in made} == found
 
 
 def test_outputs_that_fit_alike_are_a_choice_that_is_left_to_the_user() -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import runpy
-import sys
 from pathlib import Path
 
 import jsonschema
@@ -17,7 +16,6 @@ from cosim.base.errors import InputError
 from cosim.linearization.linear_model import Linear
 from cosim.linearization.system_structure import structure
 from cosim.linearization.workflow import linearize
-from cosim.verbs.cli import entry
 from tests.conftest import ROOT
 from tests.tank import MODEL
 
@@ -88,9 +86,6 @@ def test_the_eight_states_are_three_chains_of_integrators() -> None:
     assert (pole.value, pole.count, found.controllable) == (0.0, 8, 8)
     ranks = [np.linalg.matrix_rank(np.linalg.matrix_power(linear.A, k)) for k in range(1, 5)]
     assert ranks == [5, 2, 1, 0]  # of Jordan blocks of sizes 4, 2 and 2
-
-
-# The time-invariant model of §5.5.
 
 
 # Other systems: every one by the same verb.
@@ -254,29 +249,3 @@ def test_what_does_not_fit_is_refused(tank: Path, project: Path, plant_fmu: Path
         with pytest.raises(InputError) as told:
             linearize(model or f"{tank}:Tank", at=at, **more)  # type: ignore[arg-type]
         assert (told.value.exit_code, len(told.value.faults)) == (2, faults), (model, at, more, str(told.value))
-
-
-def test_where_equations_have_no_value_it_fails_with_exit_code_4(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "tank.py").write_text(MODEL.replace("m.maximum(level, 1e-6)", "level"), encoding="utf-8")
-    monkeypatch.setattr(sys, "argv", ["cosim", "linearize", f"{tmp_path / 'tank.py'}:Tank", "--at", "level=-1"])
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(SystemExit) as ended:
-        entry()
-    assert ended.value.code == 4
-    assert "the equations have no value there" in capsys.readouterr().err
-    assert not (tmp_path / "linearized" / "linear.json").exists()
-
-
-def test_the_command_prints_json_for_scripts(
-    tank: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    arguments = ["cosim", "linearize", f"{tank}:Tank", "--at", "level=1", "--json", "--out", str(tmp_path / "o")]
-    monkeypatch.setattr(sys, "argv", arguments)
-    with pytest.raises(SystemExit) as ended:
-        entry()
-    assert ended.value.code == 0
-    content = json.loads(capsys.readouterr().out)
-    assert content["models"][0]["A"] == [[-0.02]]
-    assert content["structure"]["poles"][0]["real"] == -0.02

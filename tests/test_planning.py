@@ -11,35 +11,12 @@ import numpy as np
 import pytest
 
 from cosim.authoring import parts
-from cosim.authoring.matching import match_ports
-from cosim.authoring.parts import RequestedTimes, times_of
-from cosim.blocks.component import Signal
+from cosim.authoring.parts import times_of
 from cosim.scenario.scenario import Criterion
 from cosim.scenario.start_values import Misfit, convert_value, with_elements
 from cosim.simulation.criteria import evaluate
 from cosim.storage.results import Results
 from cosim.sweeps.sampling import drawn_rows, saltelli_base
-
-# -- names ------------------------------------------------------------------------------------------
-
-
-def port(owner: str, name: str, unit: str = "", **more: Any) -> tuple[str, Signal]:
-    return owner, Signal(name, unit, kind="Real", **more)
-
-
-def pairs(outputs: Any, inputs: Any, sizes: Any = None) -> dict[str, str]:
-    found = match_ports(outputs, inputs, sizes or {})
-    return {f"{m.target[0]}.{m.target[1].name}": f"{m.source[0]}.{m.source[1].name}" for m in found.connections}
-
-
-def test_an_input_is_fed_by_the_output_of_its_name_of_another_component() -> None:
-    outputs = [port("a", "x"), port("b", "x"), port("a", "y")]
-    assert pairs(outputs, [port("b", "x")]) == {"b.x": "a.x"}
-    found = match_ports(outputs, [port("c", "x")])
-    assert found.connections == ()
-    assert found.choices == {"c.x": ("a.x", "b.x")}
-    assert found.unconnected == ((port("c", "x"), ("a.x", "b.x", "a.y")),)
-
 
 # -- how long and how finely ------------------------------------------------------------------------
 
@@ -48,8 +25,7 @@ def planned(monkeypatch: pytest.MonkeyPatch, *experiments: dict[str, float], own
     listed = [SimpleNamespace(name=f"p{k}", path=Path(f"p{k}.fmu"), description=e) for k, e in enumerate(experiments)]
     monkeypatch.setattr(parts, "experiment_of", lambda description: description)
     monkeypatch.setattr(parts, "_own_step", lambda part: (own or {}).get(part.name, 0.0))
-    most = {"most": asked.pop("most")} if "most" in asked else {}
-    return times_of(listed, RequestedTimes(**asked) if asked else None, **most)  # type: ignore[arg-type]
+    return times_of(listed, **asked)  # type: ignore[arg-type]
 
 
 def test_a_run_is_that_of_the_longest_experiment_in_the_finest_step(monkeypatch: pytest.MonkeyPatch) -> None:

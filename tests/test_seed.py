@@ -18,7 +18,6 @@ from controller.design_model import design_model
 from controller.gains import Settings
 from controller.variants import PredictiveSettings
 from cosim.linearization.linear_model import Linear
-from cosim.linearization.system_structure import controllability
 from cosim.linearization.workflow import linearize
 from cosim.model import SCALAR
 from plant.bench import Bench
@@ -223,7 +222,7 @@ def test_the_equations_of_5_14_are_the_one_body_with_what_is_ours_switched_off()
 def test_the_controllability_matrix_of_eq_5_36() -> None:
     """5.35 prints AⁿB as the last block; 5.36 ends with A⁴B, ten columns of five states."""
     A, B = design_model(Settings())
-    found = controllability(A, B)
+    found = control.ctrb(A, B)
     assert found.shape == (5, 10)
     printed = [
         (0, 0, 0, 41.85, 40.07), (0, 0, 0, -41.85, 40.07), (0, 40.07, 41.85, 0, -453.3), (0, 40.07, -41.85, 0, -453.3),

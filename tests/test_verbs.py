@@ -5,7 +5,6 @@ A verb without --out writes to results/NAME/0001.
 
 from __future__ import annotations
 
-import inspect
 import os
 import shutil
 import subprocess
@@ -14,7 +13,6 @@ from pathlib import Path
 
 import pytest
 
-from cosim.base.registry import resolve
 from cosim.fmi.fmu_build import build
 from cosim.loading.file import load_model
 from cosim.verbs import verbs
@@ -84,17 +82,6 @@ def shipped(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
 
 def test_every_verb_has_a_case() -> None:
     assert set(CASES) == {name for name, verb in verbs() if verb.command}
-
-
-@pytest.mark.parametrize("name", [name for name, verb in verbs() if verb.command and verb.function])
-def test_an_option_has_the_default_of_the_function_in_python(name: str) -> None:
-    verb = dict(verbs())[name]
-    option, argument = (
-        {key.rstrip("_"): p.default for key, p in inspect.signature(resolve(place)).parameters.items()}
-        for place in (verb.command, verb.function)
-    )
-    both = [key for key in option if argument.get(key, inspect.Parameter.empty) is not inspect.Parameter.empty]
-    assert {key: option[key] or None for key in both} == {key: argument[key] or None for key in both}
 
 
 @pytest.mark.parametrize("verb", CASES)

@@ -9,12 +9,15 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from cosim.authoring.matching import Match, Matches, text
+from cosim.authoring.matching import Matches, text
 from cosim.authoring.parts import DraftPart, Times
+from cosim.base.errors import Fault, InputError
 from cosim.base.text import NOT_IN_YAML, as_yaml, counted
 from cosim.blocks.coupling import DEFAULT, Algorithm
 from cosim.blocks.description import unit_of
+from cosim.scenario.scenario_file import ScenarioFile
 from cosim.scenario.start_values import settable
+from cosim.system.system import System, build_system
 
 BY = "# Written by `cosim {}`."
 MAX_PARAMETERS = 12  # shown per FMU
@@ -70,7 +73,11 @@ def scenario_text(
             f"    file: {scalar(relative(recording, folder))}",
             *([f"    interpolation: {interpolation}"] if interpolation != "held" else []),
         ]
-    lines += _connections(matches) + _more(parts)
+    lines += _connections(matches)
+    signals = (o for part in parts for o in part.outputs if o[1].kind in ("Real", "Float64"))
+    if first := next(signals, None):
+        lines.append("# criteria: # what must hold; a missed one is told and exits 5")
+        lines.append(f"#   peak: {{of: {scalar(text(first))}, max: 1}}")
     return "\n".join(lines) + "\n"
 
 
@@ -93,51 +100,32 @@ def _component(folder: Path, part: DraftPart, times: Times) -> Iterator[str]:
     elif parameters:
         yield "    # start:"
     for v in [v for v in parameters if v.name not in part.start][:MAX_PARAMETERS]:
-        yield _parameter(v)
+        is_text, start = v.type == "String", "" if v.start is None else str(v.start)
+        value = scalar(start if is_text else start.strip(), literal=not is_text)
+        about = ", ".join(filter(None, (unit_of(v), _comment(v.description or "")[:80])))
+        yield f"    #   {scalar(v.name)}: {value}" + (f" # {_comment(about)}" if about else "")
     if len(parameters) > MAX_PARAMETERS:
         yield f"    #   … and {len(parameters) - MAX_PARAMETERS} more: cosim info {_comment(part.path.name)}"
 
 
-def _parameter(v: Any) -> str:
-    """Return a commented YAML line: name, start, unit, description."""
-    text, start = v.type == "String", "" if v.start is None else str(v.start)
-    about = ", ".join(filter(None, (unit_of(v), _comment(v.description or "")[:80])))
-    value = scalar(start if text else start.strip(), literal=not text)
-    return f"    #   {scalar(v.name)}: {value}" + (f" # {_comment(about)}" if about else "")
-
-
-def _connections(matches: Matches) -> list[str]:
-    lines = ["connections:" if matches.any_candidate else "connections: []"]
+def _connections(matches: Matches) -> Iterator[str]:
+    yield "connections:" if matches.any_candidate else "connections: []"
     for m in matches.connections:
-        lines.append(f"  - {{from: {scalar(text(m.source))}, to: {scalar(text(m.target))}}} # {_why(m)}")
+        a, b = m.source[1].unit, m.target[1].unit
+        why = [f"guess: {m.guess}" if m.guess else "same name"]
+        if a and b:
+            is_converted = (m.source[1].conversion(m.target[1]) or (1.0, 0.0)) != (1.0, 0.0)
+            why.append(f"{a} to {b}, converted" if is_converted else b)
+        elif a or b:
+            why.append(f"{a or b} on one side, no unit on the other")
+        why += [f"or from {', '.join(m.others)}"] if m.others else []
+        yield f"  - {{from: {scalar(text(m.source))}, to: {scalar(text(m.target))}}} # {_comment('; '.join(why))}"
     for port, candidates in matches.unconnected:
-        unit_text = f", {_comment(unit)}" if (unit := port[1].unit) else ""
+        unit = f", {_comment(port[1].unit)}" if port[1].unit else ""
         alike = len(matches.choices.get(text(port), ()))
         choice = f"; the first {alike} fit alike:" if alike else "; fits:" if candidates else ""
-        lines.append(f"  # {_comment(text(port))}{unit_text}: not connected, stays at its start value{choice}")
-        lines += [f"  # - {{from: {scalar(c)}, to: {scalar(text(port))}}}" for c in candidates]
-    return lines
-
-
-def _why(m: Match) -> str:
-    a, b = m.source[1].unit, m.target[1].unit
-    parts = [f"guess: {m.guess}" if m.guess else "same name"]
-    if a and b:
-        parts.append(f"{a} to {b}, converted" if m.factor != (1.0, 0.0) else b)
-    elif a or b:
-        parts.append(f"{a or b} on one side, no unit on the other")
-    parts += [f"or from {', '.join(m.others)}"] if m.others else []
-    return _comment("; ".join(parts))
-
-
-def _more(parts: Sequence[DraftPart]) -> list[str]:
-    first = next((text(o) for part in parts for o in part.ports[1] if o[1].kind in ("Real", "Float64")), None)
-    if first is None:
-        return []
-    return [
-        "# criteria: # what must hold; a missed one is told and exits 5",
-        f"#   peak: {{of: {scalar(first)}, max: 1}}",
-    ]
+        yield f"  # {_comment(text(port))}{unit}: not connected, stays at its start value{choice}"
+        yield from (f"  # - {{from: {scalar(c)}, to: {scalar(text(port))}}}" for c in candidates)
 
 
 def relative(path: Path, folder: Path) -> str:
@@ -160,3 +148,15 @@ def scalar(value: Any, literal: bool = False) -> str:
 
 def _comment(value: str) -> str:
     return " ".join(NOT_IN_YAML.sub(" ", value).split())
+
+
+def write_sound(path: Path, lines: str, fmu: Path) -> System:
+    """Write a scenario and return its system.
+
+    If the scenario has faults, InputError names the FMU as their place, because the user has not written the scenario.
+    """
+    path.write_text(lines, encoding="utf-8")
+    try:
+        return build_system(ScenarioFile(path))
+    except InputError as error:
+        raise InputError([Fault(fmu, 0, 0, f.message, f.exit_code) for f in error.faults]) from None

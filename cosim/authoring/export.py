@@ -8,7 +8,6 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.messages import Note
@@ -18,7 +17,7 @@ from cosim.base.units import computed_in
 from cosim.blocks.coupling import algorithms
 from cosim.blocks.description import enumeration_items, ways
 from cosim.blocks.fmu import FmuBlock
-from cosim.blocks.profile import Profile, profile_function
+from cosim.blocks.profile import profile_function
 from cosim.fmi.native.signal_source import CompilerFailed, NoCompiler, SignalChange, TimeSignal, build_source
 from cosim.scenario.scenario import Connection, FixComponent, FmuComponent, PlaybackComponent, ReferenceComponent
 from cosim.scenario.scenario_file import ScenarioFile, take_nearest
@@ -62,47 +61,31 @@ def export_ssp(
     if nearest:
         take_nearest(file)
     check_pinned(file)
-    system = build_system(file)
+    system, s = build_system(file), file.scenario
     refuse(_faults(file, system))
-    target = _target(file, Path() if path is None else named_path(path))
+    target = Path() if path is None else named_path(path)
+    if target.is_dir():
+        target = target / f"{re.sub(r'[^A-Za-z0-9_.-]+', '_', s.name) or 'system'}.ssp"
+    if target.suffix.lower() != ".ssp":
+        raise InputError.at(target, f"an SSP is known by its ending; name it so: {target.with_suffix('.ssp').name}")
+    if target.exists() and any(other.exists() and target.samefile(other) for other in (file.path, *file.files)):
+        raise InputError.at(target, "is read, and would be written over; give another file as --out")
     with temporary_folder("export") as folder:
         models = [
             _source(file, name, component, folder)
             if isinstance(component, ReferenceComponent | PlaybackComponent)
             else _model(file, name, system)
-            for name, component in file.scenario.components.items()
+            for name, component in s.components.items()
         ]
-        s = file.scenario
+        ends = []
+        for c in s.connections:
+            (source, _, output), (component, _, input_) = c.source.partition("."), c.target.partition(".")
+            ends.append(((source, output), (component, input_)))
+        descriptions = {name: description for name, (_, description) in system.fmus.items()}
+        units = defined_units((descriptions.get(m.name), port.unit) for m in models for port in m.ports)
         stop = s.start_time + s.duration
-        ends = [(_split(c.source), _split(c.target)) for c in s.connections]
-        whole = Whole(
-            s.name,
-            s.description,
-            models,
-            ends,
-            defined_units((_description(system, m.name), port.unit) for m in models for port in m.ports),
-            s.start_time,
-            stop,
-            s.step,
-        )
-        write_ssp(target, whole)
+        write_ssp(target, Whole(s.name, s.description, models, ends, units, s.start_time, stop, s.step))
     return Exported(target, tuple(_notes(file)))
-
-
-def _target(file: ScenarioFile, path: Path) -> Path:
-    """Return the SSP file to write, in a folder with the scenario's name; raise InputError for an unsuitable path."""
-    if path.is_dir():
-        path = path / f"{re.sub(r'[^A-Za-z0-9_.-]+', '_', file.scenario.name) or 'system'}.ssp"
-    if path.suffix.lower() != ".ssp":
-        raise InputError.at(path, f"an SSP is known by its ending; name it so: {path.with_suffix('.ssp').name}")
-    if path.exists() and any(other.exists() and path.samefile(other) for other in (file.path, *file.files)):
-        raise InputError.at(path, "is read, and would be written over; give another file as --out")
-    return path
-
-
-def _split(signal: str) -> tuple[str, str]:
-    name, _, variable = signal.partition(".")
-    return name, variable
 
 
 def _notes(file: ScenarioFile) -> Iterator[str]:
@@ -160,26 +143,22 @@ def _faults(file: ScenarioFile, system: System) -> Iterator[Fault]:
 
 def _objections(file: ScenarioFile, system: System, connection: Connection) -> Iterator[str]:
     """Yield reasons why importing tools cannot hold a connection."""
-    signals = system.signals
-    if connection.source not in signals or connection.target not in signals:
+    signals, (from_, to) = system.signals, (connection.source, connection.target)
+    if from_ not in signals or to not in signals:
         yield "arrays are not what SSP 1.0 can connect; connect their elements"
         return
-    source, target = signals[connection.source], signals[connection.target]
-    for end, signal in ((connection.source, source), (connection.target, target)):
+    source, target = signals[from_], signals[to]
+    for end, signal in ((from_, source), (to, target)):
         if signal.kind not in {"", *TYPES}:
             yield f"{end} is {signal.kind}; importers connect {', '.join(TYPES)}"
-    names = {"source": connection.source, "target": connection.target}
     if source.kind and target.kind and source.kind != target.kind:
-        yield (
-            "{source} is {source_type}, {target} {target_type}: importers of SSPs convert no types; give both one type"
-        ).format(**names, source_type=source.kind, target_type=target.kind)
+        text = f"{from_} is {source.kind}, {to} {target.kind}: importers of SSPs convert no types"
+        yield f"{text}; give both one type"
     assumed = assumed_conversion(file, connection, source, target)
     conversion = connection.conversion or source.conversion(target)
     if (conversion if assumed is None else (assumed.factor, assumed.offset)) != (1.0, 0.0):
-        yield (
-            "the connection converts: {source} [{source_unit}] to {target} [{target_unit}]; not all importers "
-            "of SSPs convert; let both ends have one unit, or an FMU between them convert"
-        ).format(**names, source_unit=source.unit, target_unit=target.unit)
+        text = f"the connection converts: {from_} [{source.unit}] to {to} [{target.unit}]; not all importers of SSPs"
+        yield f"{text} convert; let both ends have one unit, or an FMU between them convert"
 
 
 # -- models ---------------------------------------------------------------------------------------
@@ -193,75 +172,50 @@ def _model(file: ScenarioFile, name: str, system: System) -> SspFmu:
     ports = [SspConnector(s.name, "input", s.kind, s.unit) for s in block.inputs if f"{name}.{s.name}" in targets]
     ports += [SspConnector(s.name, "output", s.kind, s.unit) for s in block.outputs if s.kind in TYPES and not s.local]
     variables = {v.name: v for v in block.description.modelVariables}
-    values = {n: (variables[n], value) for n, value in block.start_values.items()}
-    start = {n: _convert_value(*value) for n, value in values.items() if not _is_default(*value)}
+    start: dict[str, tuple[str, Value]] = {}
+    for n, value in block.start_values.items():
+        v = variables[n]
+        if v.type == "Enumeration":  # items become names
+            items = {number: item for item, number in enumeration_items(v).items()}
+            start[n] = v.type, items.get(value, str(value))
+            continue
+        is_default = v.start is not None  # the start value of the FMU need not be exported
+        if is_default and v.type == "Boolean":
+            is_default = (str(v.start) in {"true", "1", "True"}) == bool(value)
+        elif is_default:
+            is_default = v.start == value if v.type == "String" else float(v.start) == float(value)
+        if not is_default:
+            start[n] = v.type, value
     return SspFmu(name, block.path, ports, start)
-
-
-def _is_default(variable: Any, value: Any) -> bool:
-    """Return whether a start value equals the FMU's own start value, so that it need not be exported."""
-    if variable.start is None or variable.type == "Enumeration":
-        return False
-    if variable.type == "String":
-        return bool(variable.start == value)
-    if variable.type == "Boolean":
-        return (str(variable.start) in {"true", "1", "True"}) == bool(value)
-    return float(variable.start) == float(value)
-
-
-def _convert_value(variable: Any, value: Any) -> tuple[str, Value]:
-    """Return the SSP type and the value of a variable; items of enumerations become names."""
-    if variable.type == "Enumeration":
-        items = {number: name for name, number in enumeration_items(variable).items()}
-        return "Enumeration", items.get(value, str(value))
-    return variable.type, value
 
 
 def _source(file: ScenarioFile, name: str, component: ReferenceComponent | PlaybackComponent, folder: Path) -> SspFmu:
     """Return a reference or recording as a C FMU."""
+    signals: dict[str, TimeSignal] = {}
     if isinstance(component, ReferenceComponent):
-        signals = {signal: _profile(profile) for signal, profile in component.signals.items()}
+        for signal, profile in component.signals.items():  # as steps and ramps
+            unit, factor = computed_in(profile.unit)
+            changes = []
+            for k, change in enumerate(profile.changes):
+                before = profile_function(profile.model_copy(update={"changes": profile.changes[:k]}))(change.at)
+                rate = abs(factor) * (change.rate or 0.0)
+                changes.append(SignalChange(change.at, factor * before, factor * change.to, rate))
+            signals[signal] = TimeSignal(unit, factor * profile.start, changes)
     else:
         columns = {s.partition(".")[2] for c in file.scenario.connections if (s := c.source).startswith(f"{name}.")}
-        signals = _recording_signals(
-            file.resolve(component.file), columns, is_linear=component.interpolation == "linear"
-        )
+        table, is_linear = read_columns(file.resolve(component.file), columns), component.interpolation == "linear"
+        for column in (c for c in table.columns if c.name in columns):
+            unit, factor = computed_in(column.unit)
+            values = [factor * v for v in table[column.name].tolist()]
+            rows = [(t, v) for t, v in zip(table["time"].tolist(), values, strict=True) if math.isfinite(v)]
+            changes = [SignalChange(t, v, v) for t, v in rows]
+            for k, ((t, v), (after, to)) in enumerate(itertools.pairwise(rows)):
+                if is_linear and after > t and to != v:
+                    changes[k] = SignalChange(t, v, to, abs(to - v) / (after - t))
+            signals[column.name] = TimeSignal(unit, values[0], changes)
     try:
         fmu = build_source(name, signals, folder / f"{name}.fmu", file.scenario.step, file.scenario.duration)
     except (NoCompiler, CompilerFailed) as error:
-        raise InputError(
-            [file.fault(("components", name), f"becomes an FMU of C, which cannot be compiled: {error}")]
-        ) from None
+        text = f"becomes an FMU of C, which cannot be compiled: {error}"
+        raise InputError([file.fault(("components", name), text)]) from None
     return SspFmu(name, fmu, [SspConnector(n, "output", "Real", s.unit) for n, s in signals.items()])
-
-
-def _profile(profile: Profile) -> TimeSignal:
-    """Return a reference profile as steps and ramps [rad]."""
-    unit, factor = computed_in(profile.unit)
-    changes = []
-    for k, change in enumerate(profile.changes):
-        before = profile_function(profile.model_copy(update={"changes": profile.changes[:k]}))(change.at)
-        changes.append(SignalChange(change.at, factor * before, factor * change.to, abs(factor) * (change.rate or 0.0)))
-    return TimeSignal(unit, factor * profile.start, changes)
-
-
-def _recording_signals(path: Path, names: set[str], *, is_linear: bool) -> dict[str, TimeSignal]:
-    """Return columns of a recording, held or linear between rows."""
-    table = read_columns(path, names)
-    times = table["time"].tolist()
-    signals = {}
-    for column in (c for c in table.columns if c.name in names):
-        unit, factor = computed_in(column.unit)
-        values = [factor * v for v in table[column.name].tolist()]
-        rows = [(t, v) for t, v in zip(times, values, strict=True) if math.isfinite(v)]
-        changes = [SignalChange(t, v, v) for t, v in rows]
-        for k, ((t, v), (after, to)) in enumerate(itertools.pairwise(rows)):
-            if is_linear and after > t and to != v:
-                changes[k] = SignalChange(t, v, to, abs(to - v) / (after - t))
-        signals[column.name] = TimeSignal(unit, values[0], changes)
-    return signals
-
-
-def _description(system: System, name: str) -> Any:
-    """Return the model description of a component; None for a source in C."""
-    return system.fmus[name][1] if name in system.fmus else None

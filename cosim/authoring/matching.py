@@ -41,11 +41,6 @@ class Match:
     guess: str = ""
     others: tuple[str, ...] = ()
 
-    @property
-    def factor(self) -> tuple[float, float]:
-        """Return factor and offset of the unit conversion."""
-        return self.source[1].conversion(self.target[1]) or (1.0, 0.0)
-
 
 @dataclass(frozen=True)
 class Matches:
@@ -83,7 +78,16 @@ def match_ports(
         sizes: Number of elements of each array, by name `component.variable`.
     """
     open_ = {text(i): i for i in inputs}  # without a decision
-    candidates = {name: [o for o in outputs if o[0] != i[0] and fits(o, i, sizes)] for name, i in open_.items()}
+    candidates: dict[str, list[Port]] = {}
+    for name, (owner, signal) in open_.items():  # outputs whose type, unit and size agree
+        candidates[name] = [
+            o
+            for o in outputs
+            if o[0] != owner
+            and sizes.get(text(o), 1) == sizes.get(name, 1)
+            and is_compatible(o[1].kind, signal.kind)
+            and o[1].conversion(signal) is not None
+        ]
     connections: dict[str, Match] = {}
     choices: dict[str, Sequence[Port]] = {}  # likely outputs, from which the user must choose
     used: set[str] = set()
@@ -101,10 +105,7 @@ def match_ports(
         elif same:
             choices[name] = same
             del open_[name]
-    scores = {
-        name: [(similarity(o[1].name, i[1].name) + _unit_score(o[1], i[1]), o) for o in candidates[name]]
-        for name, i in open_.items()
-    }
+    scores = {name: [(_score(o[1], i[1]), o) for o in candidates[name]] for name, i in open_.items()}
     while True:
         likely = {name: ranked for name in open_ if (ranked := _likely(scores[name], used))}
         clear = [name for name, ranked in likely.items() if len(_alike(ranked)) == 1]
@@ -151,20 +152,14 @@ def _alike(ranked: Sequence[tuple[float, Port]]) -> list[Port]:
     return [source for score, source in ranked if ranked[0][0] - score < MIN_LEAD]
 
 
-def fits(source: Port, target: Port, sizes: Mapping[str, int]) -> bool:
-    """Return whether types, dimensions and array sizes agree."""
-    a, b = source[1], target[1]
-    same_size = sizes.get(text(source), 1) == sizes.get(text(target), 1)
-    return same_size and is_compatible(a.kind, b.kind) and a.conversion(b) is not None
-
-
-def similarity(a: str, b: str) -> float:
-    """Return the similarity of two names, 0 … 1."""
-    first, second = sorted((_words(a), _words(b)), key=len)
-    if not first or _is_reference(a) != _is_reference(b):
-        return 0.0
+def _score(a: Signal, b: Signal) -> float:
+    """Return the score of a connection: similarity of the names, 0 … 1, and agreement of the units."""
+    unit = SAME_UNIT if _units_agree(a, b) else ONE_UNIT if bool(a.unit) != bool(b.unit) else 0.0
+    first, second = sorted((_words(a.name), _words(b.name)), key=len)
+    if not first or _is_reference(a.name) != _is_reference(b.name):
+        return unit
     scores = [max(_word_similarity(x, y) for y in second) for x in first]
-    return sum(scores) / len(scores) * (0.75 + 0.25 * len(first) / len(second))
+    return unit + sum(scores) / len(scores) * (0.75 + 0.25 * len(first) / len(second))
 
 
 @cache
@@ -184,15 +179,9 @@ def _word_similarity(a: str, b: str) -> float:
         return 1.0
     if a.isdigit() or b.isdigit():
         return 0.0
-    return (
-        PREFIX_SIMILARITY
-        if a.startswith(b) or b.startswith(a)
-        else LETTER_SIMILARITY * SequenceMatcher(None, a, b).ratio()
-    )
-
-
-def _unit_score(a: Signal, b: Signal) -> float:
-    return SAME_UNIT if _units_agree(a, b) else ONE_UNIT if bool(a.unit) != bool(b.unit) else 0.0
+    if a.startswith(b) or b.startswith(a):
+        return PREFIX_SIMILARITY
+    return LETTER_SIMILARITY * SequenceMatcher(None, a, b).ratio()
 
 
 def _units_agree(a: Signal, b: Signal) -> bool:

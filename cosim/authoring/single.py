@@ -2,22 +2,37 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal
 
-from cosim.authoring.draft import write_single
-from cosim.authoring.parts import parts_of
-from cosim.base.errors import Fault, refuse
+import numpy as np
+
+from cosim.authoring.draft_text import scenario_text, write_sound
+from cosim.authoring.matching import Match, Matches, text
+from cosim.authoring.parts import SLACK, STEPS, STOP, DraftPart, parts_of, times_of
+from cosim.base.arrays import Array
+from cosim.base.drafts import draft_of
+from cosim.base.errors import Fault, InputError, refuse
+from cosim.base.messages import Note
 from cosim.base.text import split_assignment
-from cosim.blocks.summary import read_fmus
+from cosim.base.times import difference
+from cosim.base.units import computed_in
+from cosim.blocks.component import Signal
+from cosim.blocks.coupling import DEFAULT
+from cosim.blocks.sources import read_recording
+from cosim.blocks.summary import experiment_of, read_fmus
 from cosim.simulation.workflow import Outcome, WriteReport, run
-from cosim.storage.files import FilePath
+from cosim.storage.files import FilePath, check_writable
 from cosim.storage.folders import new_run
+from cosim.storage.kinds import LOG, check_given
 from cosim.storage.yaml_file import short
 from cosim.storage.yaml_nodes import Document, NotYaml
+
+MAX_STEPS = 1_000_000  # requested by the FMU's own times
 
 
 def simulate(
@@ -57,26 +72,84 @@ def simulate(
         SimulationError: The simulation stopped early.
     """
     path = Path(fmu)
-    _check_times(path, stop, step)
-    (description,) = read_fmus([path])
-    values = start if isinstance(start, Mapping) else start_pairs(path, start, description)
-    csv = None if recorded is None else Path(recorded)
-    with new_run(folder, parts_of([path])[0].name, "cosim simulate", force=force) as place:
-        scenario, notes = write_single(
-            place, path, values, csv, stop=stop, step=step, record=record, interpolation=interpolation
-        )
-        settings: dict[str, Any] = {"in_process": in_process, "format_": format_, "progress": progress}
-        outcome = run(scenario, place, report=report, command="cosim simulate", **settings)
-    return outcome, notes
-
-
-def _check_times(fmu: Path, stop: float | None, step: float | None) -> None:
     faults = []
     if stop is not None and not math.isfinite(stop):
-        faults.append(Fault(fmu, 0, 0, f"--stop {stop:g}: give a number of seconds"))
+        faults.append(Fault(path, 0, 0, f"--stop {stop:g}: give a number of seconds"))
     if step is not None and not (math.isfinite(step) and step > 0):
-        faults.append(Fault(fmu, 0, 0, f"--step {step:g}: give a number of seconds above 0"))
+        faults.append(Fault(path, 0, 0, f"--step {step:g}: give a number of seconds above 0"))
     refuse(faults)
+    (description,) = read_fmus([path])
+    values = start if isinstance(start, Mapping) else start_pairs(path, start, description)
+    (part,) = parts_of([path], values)
+    with new_run(folder, part.name, "cosim simulate", force=force) as place:
+        scenario, csv = place / "scenario.yaml", None if recorded is None else Path(recorded)
+        first, matches, notes = experiment_of(description).get("start"), Matches((), ()), list[str]()
+        source, end, more = path, stop, dict[str, Any]()
+        if csv is not None:
+            matches, unused, time = _read_recording(csv, part)
+            if unused:
+                notes.append(Note(f"{csv.name}: {part.name} has no inputs {', '.join(unused)}: they drive nothing"))
+            begin, last = float(time[0]), float(time[-1])
+            declared, first = first, begin if first is None else max(first, begin)
+            source, end = csv, last if stop is None else stop
+            if first > begin:
+                notes.append(Note(f"{csv.name}: begins at {begin:g} s, the run at {first:g} s as {part.name} says"))
+            elif first > (declared or 0.0):
+                notes.append(Note(f"the run begins at {first:g} s, where {csv.name} does"))
+            if end > last * (1 + SLACK):
+                notes.append(Note(f"{csv.name}: ends at {last:g} s; its last row is held until {end:g} s"))
+            steps = np.diff(time)
+            steps = steps[steps > 0.0]  # Equal times are a jump.
+            usual = STOP / STEPS
+            if steps.size:  # without the digits that the times do not hold
+                far = float(np.max(np.abs(time)))
+                usual = difference(far + float(np.median(steps)), far) or float(np.median(steps))
+            more = {
+                "usual_step": float(f"{usual:.6g}"),
+                "why_stop": f"the end of {csv.name}" if stop is None else "given",
+                "why_start": f"{csv.name} begins" if first == begin else "",
+            }
+        if end is not None and end <= (first or 0.0):
+            text_ = f"ends at {end:g} s, the run begins at {first or 0.0:g} s; give a later --stop"
+            raise InputError.at(source, text_)
+        times = times_of([part], start=first, stop=end, step=step, most=MAX_STEPS, **more)
+        check_writable(place, (scenario.name,), [path, *([csv] if csv else [])])
+        text_ = scenario_text(place, [part], matches, times, DEFAULT, played=(csv, interpolation), verb="simulate")
+        names = [n if n.startswith(f"{part.name}.") else f"{part.name}.{n}" for n in record]
+        with draft_of(scenario) as draft:
+            write_sound(draft, text_ + (f"record: {json.dumps(names)}\n" if names else ""), path)
+        settings: dict[str, Any] = {"in_process": in_process, "format_": format_, "progress": progress}
+        outcome = run(scenario, place, report=report, command="cosim simulate", **settings)
+    return outcome, (*notes, *times.notes)
+
+
+def _read_recording(path: Path, part: DraftPart) -> tuple[Matches, list[str], Array]:
+    """Return the connections of a recording's columns to inputs, its other columns, and its times [s].
+
+    Raises:
+        InputError: No column is an input, or one has a start value.
+    """
+    check_given(path, LOG)
+    inputs = {text(port).partition(".")[2]: port for port in part.inputs}
+    kinds = {signal.name: signal.kind for signal in part.block.exact_inputs}
+    log, exact = read_recording(path, inputs, kinds)
+    columns = [*(column.name for column in log.columns if column.name != "time"), *exact]
+    driving = [name for name in columns if name in inputs]
+    if not driving:
+        names = f"its columns: {', '.join(columns) or 'none'}; inputs of {part.name}: {', '.join(inputs) or 'none'}"
+        raise InputError([Fault(path, 1, 1, f"no column is an input of {part.path.name} ({names}); rename a column")])
+    refuse(
+        Fault(part.path, 0, 0, f"--set {n}={part.start[n]}: {path.name} plays it; leave out --set, or the column")
+        for n in driving
+        if n in part.start
+    )
+    source, connections = "recorded" if part.name != "recorded" else "played", []
+    for name in driving:
+        signal = Signal(name, kind=kinds[name]) if name in exact else None
+        signal = signal or Signal(name, computed_in(log.by_name[name].unit)[0], relative=True)
+        connections.append(Match((source, signal), inputs[name]))
+    unused = [*(name for name in columns if name not in driving), *sorted(log.spoiled)]
+    return Matches(tuple(connections), ()), unused, log["time"]
 
 
 def start_pairs(fmu: Path, texts: Sequence[str], description: Any) -> dict[str, Any]:
@@ -85,10 +158,10 @@ def start_pairs(fmu: Path, texts: Sequence[str], description: Any) -> dict[str, 
     words = {v.name for v in description.modelVariables if v.type in {"String", "Binary"}}
     values: dict[str, Any] = {}
     faults = []
-    for text in texts:
-        name, sign, value = split_assignment(text, names)
+    for assignment in texts:
+        name, sign, value = split_assignment(assignment, names)
         if not sign or not name:
-            faults.append(Fault(fmu, 0, 0, f'--set "{short(text)}" is not NAME=VALUE; for example --set mass=2'))
+            faults.append(Fault(fmu, 0, 0, f'--set "{short(assignment)}" is not NAME=VALUE; for example --set mass=2'))
             continue
         values[name] = value
         if name not in words:

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ParamSpec, TypeVar
 
-from annotated_types import Ge, Gt
+from annotated_types import Ge, Gt, Le
 
 from cosim.base.errors import Fault, refuse
 from cosim.base.registry import resolve
@@ -116,7 +116,9 @@ Seconds = Annotated[float, Converted(_seconds)]  # or text with a unit: 4 min
 PositiveSeconds = Annotated[float, Gt(0), Converted(_seconds)]
 Positive = Annotated[float, Gt(0)]
 NotNegative = Annotated[float, Ge(0)]
-Seed = Annotated[int, Ge(0)]
+Whole = Annotated[int, Ge(0)]
+Seed = Whole
+Port = Annotated[int, Ge(0), Le(65535)]
 Count = Annotated[int, Ge(1)]
 LATER = {  # types of rooms above, which modules of verbs import for type checkers only
     "NamedFunctions": "cosim.master.observer:NamedFunctions",

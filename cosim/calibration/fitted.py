@@ -20,10 +20,12 @@ class Fitted:
 
     Attributes:
         folder: Folder of the files; None if nothing was written.
+        warnings: Warnings and notes of the estimate.
     """
 
     record: Mapping[str, Any]
     folder: Path | None = None
+    warnings: tuple[str, ...] = ()
 
     @property
     def verdict(self) -> str:

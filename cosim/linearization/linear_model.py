@@ -68,10 +68,6 @@ class Linear:
         rows = self.states if name in "AB" else self.outputs
         return getattr(self, name), rows, self.states if name in "AC" else self.inputs
 
-    def unit(self, name: str) -> str:
-        """Return the unit of a state, input or output."""
-        return self.units.get(name, "")
-
 
 def residualize(linear: Linear, fast: Sequence[str]) -> Linear:
     """Return the model with fast states eliminated at their steady state.

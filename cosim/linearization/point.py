@@ -179,10 +179,8 @@ def _component(results: Results, source: Source, scenario: Path, name: str) -> s
     owners = dict.fromkeys(column.partition(".")[0] for column in results.columns)
     missing = {owner: [n for n in signals if f"{owner}.{n}" not in columns] for owner in owners}
     fitting = [owner for owner, names in missing.items() if not names]
-    if name in fitting:
-        return name
-    if not name and len(fitting) == 1:
-        return fitting[0]
+    if name in fitting or (not name and len(fitting) == 1):
+        return name or fitting[0]
     if not name and fitting:
         names = ", ".join(fitting)
         raise InputError.at(AT, f"several components fit the model: {names}; choose one as --component NAME")
@@ -218,7 +216,7 @@ def _simulate(source: EquationSource, start: Mapping[str, Any], time: Array, inp
                 text = f"the equations have no value there: {error}"
                 raise SimulationError(source.name, float(time[k]), text) from None
         states.append(np.array(moment.state, float))
-        outputs.append(source.evaluate(float(time[k]), states[k], inputs[k])[1])
+        outputs.append(source.evaluate(float(time[k]), states[k], inputs[k])[len(source.states) :])
     return np.array(states), np.array(outputs)
 
 

@@ -56,7 +56,7 @@ def page(outcome: Outcome) -> str:
     stable = "asymptotically stable" if linear.at_rest else "all poles to the left"
     rates = [number(v) for v in linear.rates]
     at_point = [
-        {"name": n, "unit": written(linear.unit(n)), "value": number(v), "rate": rate}
+        {"name": n, "unit": written(linear.units.get(n, "")), "value": number(v), "rate": rate}
         for n, v, rate in zip(
             (*linear.states, *linear.inputs),
             (*linear.point.states, *linear.point.inputs),

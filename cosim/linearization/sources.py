@@ -61,10 +61,10 @@ class EquationSource:
 
         self._loaded, self.model = loaded, (model := loaded.model)
         self.title, self.name = model.title, name
-        self.states, self.inputs, self.outputs = (
-            tuple(q.name for q in group) for group in (model.states, model.inputs, model.outputs)
-        )
+        groups = model.states, model.inputs, model.outputs
+        self.states, self.inputs, self.outputs = (tuple(q.name for q in group) for group in groups)
         self.units = {q.name: q.unit for q in (*model.outputs, *model.inputs, *model.states)}
+        self.start = Point(0.0, np.array(model.start(), float), np.array(model.start_command(), float))
         self._equations = model.acting(SCALAR)
         self._linearizer = Linearizer(model)
 
@@ -76,21 +76,16 @@ class EquationSource:
             return self
         return EquationSource(replace(self._loaded, model=with_parameters(self.model, texts)), self.name)
 
-    def start(self) -> Point:
-        """Return the model's start."""
-        return Point(0.0, np.array(self.model.start(), float), np.array(self.model.start_command(), float))
-
-    def evaluate(self, t: float, x: Array, u: Array) -> tuple[Array, Array]:
-        """Return derivatives and outputs."""
+    def evaluate(self, t: float, x: Array, u: Array) -> Array:
+        """Return derivatives and outputs in one array."""
         state, command = tuple(x.tolist()), tuple(u.tolist())
-        derivative, output = self._equations
         try:
-            return np.array(derivative(t, state, command), float), np.array(output(t, state, command), float)
+            return np.array([value for f in self._equations for value in f(t, state, command)], float)
         except (ArithmeticError, ValueError) as error:
-            raise SimulationError(self.name, t, f"the equations have no value there: {error}") from None
+            raise self._no_value(t, error) from None
 
-    def _values(self, time: float, states: Array, inputs: Array) -> Array:
-        return np.concatenate(self.evaluate(time, states, inputs))
+    def _no_value(self, t: float, error: Exception) -> SimulationError:
+        return SimulationError(self.name, t, f"the equations have no value there: {error}")
 
     def linear(self, points: Sequence[Point]) -> list[Linear]:
         """Return the linear model at each point.
@@ -98,27 +93,27 @@ class EquationSource:
         Raises:
             SimulationError: The model has no finite derivatives.
         """
-        shaping = overrides(self.model.awake, "shape", Effect)
+        shaping, names = overrides(self.model.awake, "shape", Effect), (self.states, self.inputs, self.outputs)
         shaped = [f"{e.name} ({e.equation}) acts on the inputs before they get here and is left out" for e in shaping]
         models = []
         for point in points:
-            time, notes = point.time, list(shaped)
-            rates, values = self.evaluate(time, point.states, point.inputs)
+            time, notes, n = point.time, list(shaped), len(self.states)
+            values = self.evaluate(time, point.states, point.inputs)
             try:
                 slopes = self._linearizer(tuple(point.states), tuple(point.inputs), time)
             except (ArithmeticError, ValueError) as error:
-                raise SimulationError(self.name, time, f"the equations have no value there: {error}") from None
+                raise self._no_value(time, error) from None
             matrices = slopes.A, slopes.B, slopes.C, slopes.D
-            if not all(np.isfinite(m).all() for m in (*matrices, rates, values)):
+            if not all(np.isfinite(m).all() for m in (*matrices, values)):
                 text = "the derivatives, the outputs or their slopes are not finite at this point"
                 raise SimulationError(self.name, time, f"{text}; choose another operating point")
             try:
-                kinks = kinks_at(partial(self._values, time), point, self.states, self.inputs, self.outputs)
+                kinks = kinks_at(partial(self.evaluate, time), point, *names)
             except SimulationError:
                 kinks = {}
                 notes.append("the equations end at this point: to one side of it they have no value")
-            names = self.states, self.inputs, self.outputs
-            models.append(Linear(*matrices, *names, point, rates, values, self.units, EXACT, tuple(notes), kinks))
+            results = values[:n], values[n:]
+            models.append(Linear(*matrices, *names, point, *results, self.units, EXACT, tuple(notes), kinks))
         return models
 
 
@@ -158,15 +153,14 @@ class ExchangeSource:
         start = typed_values(self._path, self._description, {n: v for n, v in values.items() if n in names})
         return ExchangeSource(self._worker, self._path, self._description, {**start, **self._start}, self._step)
 
+    @property
     def start(self) -> Point:
         """Return the start after the FMU's initialization."""
-        states, inputs = self._call(read, "current_point")
-        return Point(0.0, states, inputs)
+        return Point(0.0, *self._call(read, "current_point"))
 
     def linear(self, points: Sequence[Point]) -> list[Linear]:
         """Return the linear model at each point; raise SimulationError without finite derivatives."""
-        step = self._step or DIFFERENCE_STEP
-        models: list[Linear] = self._call(differentiate, list(points), step, self._directional)
+        models: list[Linear] = self._call(differentiate, list(points), self._step or DIFFERENCE_STEP, self._directional)
         return models
 
     def _call(self, function: Any, *more: Any) -> Any:
@@ -228,8 +222,9 @@ def _differentiate(block: DifferentiableFmu, point: Point, step: float, directio
     point = replace(point, states=after)
     kinks = kinks_at(block.rates, point, states, inputs, outputs)
     block.rates(after, point.inputs)
-    method = DIRECTIONAL
+    method = f"central differences of the FMU, step {step:g} of each value or of 1"
     if directional:
+        method = DIRECTIONAL
         differences, _, _ = slopes_at(block, point.time, after, point.inputs, step, directional=False)
         size = np.maximum(np.abs(differences).max(axis=1, initial=0.0), np.abs(slopes).max(axis=1, initial=0.0))
         deviates = np.abs(slopes - differences).max(axis=1, initial=0.0) > MAX_SLOPE_DEVIATION * np.maximum(size, 1e-9)
@@ -237,12 +232,10 @@ def _differentiate(block: DifferentiableFmu, point: Point, step: float, directio
             rows = ", ".join(compress(_row_names(states, outputs), deviates))
             notes.append(f"differences of step {step:g} are taken for {rows}: the FMU's own slopes of these differ")
             slopes = np.where(deviates[:, None], differences, slopes)
-    else:
-        method = f"central differences of the FMU, step {step:g} of each value or of 1"
     matrices = slopes[:n, :n], slopes[:n, n:], slopes[n:, :n], slopes[n:, n:]
     units = {name: unit for group in signals for name, unit in units_of(group).items()}
-    about: tuple[Any, ...] = rates[:n], rates[n:], units, method, tuple(notes), kinks
-    return Linear(*matrices, states, inputs, outputs, point, *about)
+    names, results = (states, inputs, outputs), (rates[:n], rates[n:])
+    return Linear(*matrices, *names, point, *results, units, method, tuple(notes), kinks)
 
 
 def _open(path: Path, description: Any, start: Mapping[str, Any]) -> DifferentiableFmu:
@@ -271,24 +264,24 @@ def kinks_at(
         values: Rates and outputs as a function of states and inputs.
     """
     z, n = np.concatenate([point.states, point.inputs]), len(states)
-    rows, kinks, center = [*_row_names(states, outputs)], dict[str, list[str]](), values(point.states, point.inputs)
+    rows, kinks, center = _row_names(states, outputs), dict[str, list[str]](), values(point.states, point.inputs)
 
-    def beside(k: int, h: float) -> tuple[Array, Array]:
-        """Return the differences to both sides, divided by the step."""
-        moved = [z.copy(), z.copy()]
-        moved[0][k] += h
-        moved[1][k] -= h
-        up, down = (values(m[:n], m[n:]) for m in moved)
-        return (up - center) / h, (center - down) / h
+    def slopes(k: int, h: float) -> Array:
+        """Return the slopes to both sides."""
+        sides = []
+        for step in (h, -h):
+            moved = z.copy()
+            moved[k] += step
+            sides.append((values(moved[:n], moved[n:]) - center) / step)
+        return np.array(sides)
 
     for k, name in enumerate((*states, *inputs)):
         h = KINK_STEP * max(1.0, abs(float(z[k])))
-        ahead, behind = beside(k, h)
+        ahead, behind = slopes(k, h)
         size = np.maximum(np.maximum(np.abs(ahead), np.abs(behind)), 1e-6)
         bent = np.abs(ahead - behind) > MAX_SLOPE_CHANGE * size + 1e-8 * np.abs(center) / h + 1e-9 / h
-        if bent.any():
-            # Closer to the point, a curve becomes straight and a kink does not.
-            near_ahead, near_behind = beside(k, h / KINK_REFINEMENT)
+        if bent.any():  # Closer to the point, a curve becomes straight and a kink does not.
+            near_ahead, near_behind = slopes(k, h / KINK_REFINEMENT)
             bent &= np.abs(near_ahead - near_behind) > 0.5 * np.abs(ahead - behind)
         if bent.any():
             kinks[name] = [*compress(rows, bent)]

@@ -6,6 +6,7 @@ of several blocks is then equal to rounding in each, without the spread ε^(1/k)
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,27 +22,21 @@ Poles = NDArray[np.complex128]
 
 @dataclass(frozen=True)
 class Pole:
-    """A pole with multiplicity, controllability and observability."""
+    """A pole with multiplicity, controllability and observability.
+
+    Attributes:
+        natural_frequency: |λ| [rad/s].
+        damping_ratio: −Re λ/|λ|, NaN at 0.
+        time_constant: −1/Re λ [s], infinite on the imaginary axis.
+    """
 
     value: complex
     count: int
+    natural_frequency: float
+    damping_ratio: float
+    time_constant: float
     controllable: bool
     observable: bool
-
-    @property
-    def natural_frequency(self) -> float:
-        """Return |λ| [rad/s]."""
-        return abs(self.value)
-
-    @property
-    def damping_ratio(self) -> float:
-        """Return −Re λ/|λ|, NaN at 0."""
-        return -self.value.real / abs(self.value) if self.value else float("nan")
-
-    @property
-    def time_constant(self) -> float:
-        """Return −1/Re λ [s], infinite on the imaginary axis."""
-        return -1.0 / self.value.real if self.value.real else float("inf")
 
 
 @dataclass(frozen=True)
@@ -61,6 +56,8 @@ class Structure:
 
 def structure(linear: Linear) -> Structure:
     """Return the poles of a linear model, and its ranks of controllability and observability."""
+    import control
+
     A, B, C = linear.A, linear.B, linear.C
     values = poles(A)
     distance = POLE_TOLERANCE * float(np.abs(values).max(initial=0.0))
@@ -75,9 +72,12 @@ def structure(linear: Linear) -> Structure:
     for group in groups:
         value = complex(np.mean(group))
         value = complex(value.real, value.imag if abs(value.imag) >= distance else 0.0)
-        every.append(Pole(value, len(group), _is_controllable(A, B, value), _is_controllable(A.T, C.T, value)))
+        size, real = abs(value), value.real
+        ratio, time = -real / size if size else math.nan, -1.0 / real if real else math.inf
+        reached, shown = _is_controllable(A, B, value), _is_controllable(A.T, C.T, value)
+        every.append(Pole(value, len(group), size, ratio, time, reached, shown))
     rank = controllable_rank(A, B)
-    condition = float(np.linalg.cond(controllability(A, B))) if rank == len(A) > 0 else float("inf")
+    condition = float(np.linalg.cond(control.ctrb(A, B))) if rank == len(A) > 0 else float("inf")
     stable = all(p.value.real < -distance for p in every)
     return Structure(tuple(every), rank, controllable_rank(A.T, C.T), condition, stable)
 
@@ -90,13 +90,6 @@ def poles(A: Array) -> Poles:
     blocks = (np.flatnonzero(label == k) for k in range(count))
     values = [complex(v) for block in blocks for v in np.linalg.eigvals(A[np.ix_(block, block)])]
     return np.array(sorted(values, key=lambda v: (round(abs(v), 12), v.real, -v.imag)), dtype=complex)
-
-
-def controllability(A: Array, B: Array) -> Array:
-    """Return (B, AB, A²B, …, Aⁿ⁻¹B); eq 5.35 has one power more."""
-    import control
-
-    return np.asarray(control.ctrb(A, B))
 
 
 def controllable_rank(A: Array, B: Array) -> int:

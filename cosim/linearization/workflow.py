@@ -14,7 +14,7 @@ from cosim.base.errors import Fault, InputError, refuse
 from cosim.base.registry import BASE, is_model
 from cosim.base.settings import Given, Names, Positive, texts
 from cosim.blocks.compiling import compiling
-from cosim.linearization.linear_model import Linear, Point, missing_states, select
+from cosim.linearization.linear_model import missing_states, select
 from cosim.linearization.linear_model import residualize as residualize_states
 from cosim.linearization.point import AT, move, points_along, read_at
 from cosim.linearization.sources import (
@@ -82,18 +82,52 @@ def linearize(
     with ExitStack() as stack:
         stack.enter_context(compiling(compile))
         source = _source(stack, Path(model), values, step)
-        _check_names(source, states, inputs, outputs, residualize)
+        faults: list[Fault] = []
+        for option, chosen, names in (
+            ("states", states, source.states),
+            ("inputs", inputs, source.inputs),
+            ("outputs", outputs, source.outputs),
+            ("residualize", residualize, source.states),
+        ):
+            kind = "state" if names is source.states else option.removesuffix("s")
+            for name in dict.fromkeys(chosen):
+                if name not in names:
+                    text = f'{source.title} has no {kind} "{name}"{did_you_mean(name, names)}'
+                    faults.append(Fault(Path(f"--{option}"), 0, 0, text))
+                if list(chosen).count(name) > 1:
+                    faults.append(Fault(Path(f"--{option}"), 0, 0, f"{name} is named twice; name it once"))
+        text = "is also selected by --states; name it in one of the two"
+        faults += [Fault(Path("--residualize"), 0, 0, f"{name} {text}") for name in residualize if name in states]
+        refuse(faults)
         states = states or [n for n in source.states if n not in residualize]
         inputs, outputs = inputs or source.inputs, outputs or source.outputs
         if folder is not None:
             stack.enter_context(new_run(folder, "", "cosim linearize", force=force))
             check_writable(folder, (*FILES, "report.html"), source.files)
         if where.scenario is None:
-            points, notes = [source.start()], list[str]()
+            points, notes = [source.start], list[str]()
         else:
             source, points, notes = points_along(source, where.scenario, where.times, component, values)
-        points = [move(source, point, where.values) for point in points]
-        linear = _linear(source, points, (states, inputs, outputs), residualize)
+        try:
+            points = [settle(source, move(source, point, where.values), residualize) for point in points]
+            whole = source.linear(points)
+            rows = {*(f"the rate of {name}" for name in (*states, *residualize)), *outputs}
+            bent: dict[str, str] = {}
+            for each in whole:
+                for name, concerned in each.kinks.items():
+                    affected = [row for row in concerned if row in rows]
+                    if name in {*states, *residualize, *inputs} and affected:
+                        bent.setdefault(name, ", ".join(affected))
+            cure = "no derivative; give a point next to it"
+            refuse(Fault(AT, 0, 0, f"{name} is at a kink or jump of {of}: {cure}") for name, of in bent.items())
+            reduced = [residualize_states(each, residualize) for each in whole]
+        except ValueError as error:
+            raise InputError.at(Path("--residualize"), str(error)) from None
+        if others := dict.fromkeys(n for each in reduced for n in missing_states(each, states)):
+            text = f"the selected states depend on {', '.join(others)}"
+            cure = "add them, or, if they settle at once, name them as --residualize"
+            raise InputError.at(Path("--states"), f"{text}; {cure}")
+        linear = [select(each, states, inputs, outputs) for each in reduced]
         effects = np.max([np.abs(np.vstack([m.B, m.D])).max(axis=0, initial=0.0) for m in linear], axis=0)
         idle = [name for name, effect in zip(inputs, effects, strict=True) if effect == 0.0]
         notes += [f"{name} moves nothing at this point: a dead band or a stop, perhaps" for name in idle]
@@ -131,55 +165,3 @@ def _source(stack: ExitStack, path: Path, values: Sequence[str], step: float | N
     else:
         loaded = load_model(str(refined_file(path) if names_refine(path) else text), Path())
     return EquationSource(replace(loaded, model=with_parameters(loaded.model, values)), text)
-
-
-def _check_names(
-    source: Source, states: Sequence[str], inputs: Sequence[str], outputs: Sequence[str], fast: Sequence[str]
-) -> None:
-    """Raise InputError with every unknown, repeated and contradictory name."""
-    faults: list[Fault] = []
-    for option, chosen, names in (
-        ("states", states, source.states),
-        ("inputs", inputs, source.inputs),
-        ("outputs", outputs, source.outputs),
-        ("residualize", fast, source.states),
-    ):
-        kind = "state" if names is source.states else option.removesuffix("s")
-        for name in dict.fromkeys(chosen):
-            if name not in names:
-                text = f'{source.title} has no {kind} "{name}"{did_you_mean(name, names)}'
-                faults.append(Fault(Path(f"--{option}"), 0, 0, text))
-            if list(chosen).count(name) > 1:
-                faults.append(Fault(Path(f"--{option}"), 0, 0, f"{name} is named twice; name it once"))
-    for name in fast:
-        if name in states:
-            text = f"{name} is also selected by --states; name it in one of the two"
-            faults.append(Fault(Path("--residualize"), 0, 0, text))
-    refuse(faults)
-
-
-def _linear(
-    source: Source, points: Sequence[Point], selection: tuple[Sequence[str], ...], fast: Sequence[str]
-) -> list[Linear]:
-    """Return the reduced linear model at every point; raise InputError at a kink of selected signals."""
-    states, inputs, outputs = selection
-    try:
-        whole = source.linear([settle(source, point, fast) for point in points])
-        rows = {*(f"the rate of {name}" for name in (*states, *fast)), *outputs}
-        bent: dict[str, list[str]] = {}
-        for each in whole:
-            for name, concerned in each.kinks.items():
-                if name in {*states, *fast, *inputs} and (chosen := [row for row in concerned if row in rows]):
-                    bent.setdefault(name, chosen)
-        refuse(
-            Fault(AT, 0, 0, f"{name} is at a kink or jump of {', '.join(of)}: no derivative; give a point next to it")
-            for name, of in bent.items()
-        )
-        reduced = [residualize_states(each, fast) for each in whole]
-    except ValueError as error:
-        raise InputError.at(Path("--residualize"), str(error)) from None
-    if names := dict.fromkeys(n for each in reduced for n in missing_states(each, states)):
-        text = f"the selected states depend on {', '.join(names)}"
-        cure = "add them, or, if they settle at once, name them as --residualize"
-        raise InputError.at(Path("--states"), f"{text}; {cure}")
-    return [select(each, states, inputs, outputs) for each in reduced]

@@ -66,11 +66,17 @@ def write(folder: Path, outcome: Outcome) -> None:
 
 
 def content(outcome: Outcome) -> dict[str, Any]:
-    """Return the content of linear.json, with matrices as lists of rows."""
-    first = outcome.first
-    models = []
-    for m in outcome.linear:
-        models.append({"time": m.point.time, **{name: values.tolist() for name, values in _arrays(m).items()}})
+    """Return the content of linear.json, with matrices as lists of rows; a number that is not finite is null."""
+    first, structure = outcome.first, outcome.structure
+    poles = [
+        {
+            "real": p.value.real,
+            "imag": p.value.imag,
+            **{key: v if math.isfinite(v) else None for key, v in asdict(p).items() if key != "value"},
+        }
+        for p in structure.poles
+    ]
+    condition = structure.condition if math.isfinite(structure.condition) else None
     return {
         "schema_version": 1,
         "version": __version__,
@@ -79,36 +85,15 @@ def content(outcome: Outcome) -> dict[str, Any]:
         "method": first.method,
         "notes": list(outcome.notes),
         **{group: list(getattr(first, group)) for group in GROUPS},
-        "units": {n: first.unit(n) for group in GROUPS for n in getattr(first, group)},
-        "models": models,
-        "structure": _plain(outcome.structure),
+        "units": {n: first.units.get(n, "") for group in GROUPS for n in getattr(first, group)},
+        "models": [{"time": m.point.time, **{n: v.tolist() for n, v in _arrays(m).items()}} for m in outcome.linear],
+        "structure": {**asdict(structure), "poles": poles, "condition": condition},
     }
 
 
 def _arrays(m: Linear) -> dict[str, Array]:
     point = {"x0": m.point.states, "u0": m.point.inputs, "y0": m.values, "f0": m.rates}
     return {**point, "A": m.A, "B": m.B, "C": m.C, "D": m.D}
-
-
-def _plain(structure: Structure) -> dict[str, Any]:
-    def number(value: float) -> float | None:
-        return value if math.isfinite(value) else None
-
-    poles = [
-        {
-            "real": p.value.real,
-            "imag": p.value.imag,
-            "count": p.count,
-            "natural_frequency": p.natural_frequency,
-            "damping_ratio": number(p.damping_ratio),
-            "time_constant": number(p.time_constant),
-            "controllable": p.controllable,
-            "observable": p.observable,
-        }
-        for p in structure.poles
-    ]
-    rest = {k: v for k, v in asdict(structure).items() if k != "poles"}
-    return {"poles": poles, **rest, "condition": number(structure.condition)}
 
 
 def mat(linear: Sequence[Linear]) -> bytes:
@@ -118,11 +103,10 @@ def mat(linear: Sequence[Linear]) -> bytes:
     """
     from scipy.io import savemat
 
-    def stack(matrices: Sequence[Any]) -> Any:
-        return np.asarray(matrices[0]) if len(matrices) == 1 else np.stack(matrices, axis=-1)
-
-    values: dict[str, Any] = {n: stack([getattr(m, n) for m in linear]) for n in "ABCD"}
-    values |= {n: np.array([_arrays(m)[n] for m in linear]).T for n in ("x0", "u0", "y0", "f0")}
+    values: dict[str, Any] = {}
+    for name in ("A", "B", "C", "D", "x0", "u0", "y0", "f0"):
+        stacked = np.stack([_arrays(m)[name] for m in linear], axis=-1)
+        values[name] = stacked[..., 0] if stacked.ndim == 3 and len(linear) == 1 else stacked
     values["time"] = np.array([[m.point.time for m in linear]])
     values |= {group: np.array(getattr(linear[0], group), dtype=object) for group in GROUPS}
     stream = io.BytesIO()

@@ -18,7 +18,7 @@ PLANT = "plant.fmu"
 
 
 def build(
-    folder: FilePath,
+    folder: FilePath = Path("build"),
     model: ModelName | None = None,
     *,
     nearest: bool = False,

@@ -25,11 +25,13 @@ class Refined:
 
     Attributes:
         subject: The refined object; None if the result was read from a folder.
+        details: Study, fits and verdict as objects; None if the result was read from a folder.
     """
 
     record: Mapping[str, Any]
     folder: Path
     subject: Subject | None = None
+    details: Any = None
 
     @property
     def verdict(self) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from cosim.simulation.run_signals import Signals
 from cosim.storage.folders import replay_record
@@ -12,10 +13,15 @@ from cosim.storage.results import read_results, rows_in
 
 @dataclass(frozen=True, repr=False)
 class Replay(Signals):
-    """Signals of an FMU and a log, and `residual` for each horizon."""
+    """Signals of an FMU and a log, and `residual` for each horizon.
+
+    Attributes:
+        comparison: Errors of each channel; None if the result was read from a folder.
+    """
 
     residual: Signals | None = None
     sentence: str = ""
+    comparison: Any = None
 
     @property
     def _sentences(self) -> list[str]:

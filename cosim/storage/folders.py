@@ -27,6 +27,7 @@ from cosim.storage.files import FilePath, check_writable, delay_stops, named_pat
 from cosim.storage.record_types import sound_part
 
 RESULTS = Path("results")
+NUMBERED = RESULTS / "NAME"  # output folder that the workflow chooses: a new number, for which it knows the name
 RUN_NUMBER = re.compile(r"\d{4,15}")  # name of the folder of a run
 STARTED = "started.json"
 COMMAND, STATUS = "command", "status"  # keys of each record
@@ -297,11 +298,16 @@ def replay_record(folder: Path) -> dict[str, Any]:
 
 
 @contextmanager
-def results_in(out: FilePath | None, verb: str, *, force: bool = False) -> Iterator[Path]:
-    """Yield the folder `out`, which must be empty without `force`, or a temporary folder."""
-    if out is not None:
-        with new_run(out, "", verb, force=force) as folder:
+def results_in(out: FilePath | None, verb: str, name: str = "", *, force: bool = False) -> Iterator[Any]:
+    """Yield the folder `out`, which must be empty without `force`, or a temporary folder.
+
+    For NUMBERED it is a new number in results/NAME, or None if the workflow knows the name.
+    """
+    if out is NUMBERED and not name:
+        yield None
+    elif out is not None:
+        with new_run(None if out is NUMBERED else out, name, verb, force=force) as folder:
             yield folder
-        return
-    with temporary_folder("run") as scratch:
-        yield scratch
+    else:
+        with temporary_folder("run") as scratch:
+            yield scratch

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from cosim.scenario.scenario_file import ScenarioFile, keys_of
 from cosim.scenario.start_values import Misfit, convert_quantity, convert_value, settable
 from cosim.storage.yaml_file import YamlFile, did_you_mean, short
 from cosim.sweeps.sampling import MOST_RUNS, Factor, are_numbers, distribution, drawn_rows, saltelli_base
-from cosim.sweeps.sweep_file import SweepFile, Varied
+from cosim.sweeps.sweep_file import DISTRIBUTIONS, SweepFile, Varied
 from cosim.system.system import System, build_system
 
 FIXED = ("duration", "start_time", "criteria", "name", "description", "limits")  # keys common to all runs
@@ -38,7 +39,7 @@ def resolve_file_name(sweep: Path, name: str, value: Any) -> Any:
 
 
 class Factors:
-    """Factors of a sweep file with their faults; too many runs raise InputError."""
+    """Factors of a sweep file with their faults and warnings; too many runs raise InputError."""
 
     def __init__(
         self, yaml: YamlFile, file: SweepFile, scenario: ScenarioFile, system: System, overrides: tuple[str, ...]
@@ -47,14 +48,14 @@ class Factors:
         self.blocks = {s.component.name: s.component for s in system.stages if isinstance(s.component, FmuBlock)}
         self.faults: list[Fault] = []
         self.warnings: list[str] = []
-        sizes = {
-            name: len(v.values) if v.values is not None else v.grid.count if v.grid is not None else v.count
-            for name, v in file.vary.items()
-        }
-        listed = {name: size for name, size in sizes.items() if size is not None}
-        seeds = sum(v.each is not None for v in file.vary.values())
-        sampled = len(sizes) - len(listed) - seeds
-        count = math.prod(listed.values()) * drawn_rows(sampled, seeds > 0, file.runs, file.sampling)
+        listed: dict[str, int] = {}
+        for name, v in file.vary.items():
+            size = len(v.values) if v.values is not None else v.grid.count if v.grid is not None else v.count
+            if size is not None:
+                listed[name] = size
+        sampled = sum(v.way in DISTRIBUTIONS for v in file.vary.values())
+        rows = drawn_rows(sampled, any(v.each is not None for v in file.vary.values()), file.runs, file.sampling)
+        count = math.prod(listed.values()) * rows
         if count > MOST_RUNS:  # before anything is allocated
             largest = max(listed, key=lambda n: listed[n], default="")
             in_list = bool(listed) and (not sampled or listed[largest] > file.runs)
@@ -62,54 +63,54 @@ class Factors:
             text = f"{count:.3g} runs are more than the {MOST_RUNS:,} that a sweep may have; give fewer values or runs"
             raise InputError([yaml.fault(where, text, key=in_list)])
         if file.sampling == "saltelli" and (listed or not sampled):
-            text = (
-                "saltelli takes only distributions, no listed values; vary by distributions, or choose another sampling"
-            )
-            self._note(("sampling",), text)
+            text = "saltelli takes only distributions, no listed values"
+            self._note(("sampling",), f"{text}; vary by distributions, or choose another sampling")
         elif file.sampling == "saltelli" and not saltelli_base(file.runs, sampled):
             least = f"with {sampled} distributions saltelli needs {sampled + 2} runs at least"
             self._note(("runs",), f"{file.runs} runs are too few: {least}")
+        read = (self._factor(name, varied) for name, varied in file.vary.items())
+        self.factors = [factor for factor in read if factor is not None]
+        for k, signal in enumerate(file.signals):
+            if signal not in system.columns:
+                self._note(("signals", k), f'no signal "{short(signal)}"{did_you_mean(signal, system.columns)}')
+        self._note_overlaps()
 
     def _note(self, where: Location, text: str, *, key: bool = False, exit_code: int = 2) -> None:
         self.faults.append(self.yaml.fault(where, text, key=key, exit_code=exit_code))
 
-    def factor(self, name: str, varied: Varied) -> Factor | None:
+    def _factor(self, name: str, varied: Varied) -> Factor | None:
         """Return a factor; note faults and return None if invalid."""
-        before = len(self.faults)
+        before, where = len(self.faults), ("vary", name)
         first, _, variable = name.partition(".")
         if name == "seed":
-            factor = self._seed(varied)
-        elif varied.way in {"count", "each"}:
-            self._note(
-                ("vary", name, varied.way), f"{varied.way} is for `seed` only; give values, a grid or a distribution"
-            )
-            factor = None
-        elif first in self.scenario.scenario.components:
+            start, values = self.scenario.scenario.seed, varied.values
+            if varied.each is not None:
+                return Factor(name, first=varied.each)
+            if varied.count is not None:
+                return Factor(name, values=list(range(start, start + varied.count)))
+            if values is not None and all(type(v) is int and v >= 0 for v in values):
+                return Factor(name, values=values)
+            text = "seeds are whole numbers that are not negative: values: [1, 2], count: 20 or each: 1"
+            self._note(where, text)
+            return None
+        if varied.way in {"count", "each"}:
+            text = f"{varied.way} is for `seed` only; give values, a grid or a distribution"
+            self._note((*where, varied.way), text)
+            return None
+        if first in self.scenario.scenario.components:
             factor = self._of_variable(name, varied, first, variable)
         else:
             factor = self._of_path(name, varied)
         return None if len(self.faults) > before else factor
-
-    def _seed(self, varied: Varied) -> Factor | None:
-        first, values = self.scenario.scenario.seed, varied.values
-        if varied.each is not None:
-            return Factor("seed", first=varied.each)
-        if varied.count is not None:
-            return Factor("seed", values=list(range(first, first + varied.count)))
-        if values is None or any(isinstance(v, bool) or not isinstance(v, int) or v < 0 for v in values):
-            text = "seeds are whole numbers that are not negative: values: [1, 2], count: 20 or each: 1"
-            self._note(("vary", "seed"), text)
-            return None
-        return Factor("seed", values=values)
 
     def _of_variable(self, name: str, varied: Varied, component: str, variable_name: str) -> Factor | None:
         block = self.blocks.get(component)
         variables = {} if block is None else {v.name: v for v in block.description.modelVariables}
         variable = variables.get(variable_name)
         if block is None or variable is None or not settable(variable) or variable.shape:
-            text = "takes no number here; vary a path of the scenario, such as components.NAME.…, by values"
+            text = f"{name} takes no number here; vary a path of the scenario, such as components.NAME.…, by values"
             faults, _ = self._test_variant(f"components.{component}.start.{variable_name}=0")  # says why
-            self._note(("vary", name), faults[0].message if faults else f"{name} {text}", key=True)
+            self._note(("vary", name), faults[0].message if faults else text, key=True)
             return None
         if variable_name in block.connected:
             self._note(("vary", name), "is an input that is connected; vary what feeds it", key=True)
@@ -133,11 +134,10 @@ class Factors:
 
     def _of_path(self, name: str, varied: Varied) -> Factor | None:
         first = name.partition(".")[0]
-        keys = [field.alias or name for name, field in Scenario.model_fields.items()]
+        keys = [field.alias or key for key, field in Scenario.model_fields.items()]
         if first not in keys:
             hint = did_you_mean(first, [*keys, *self.scenario.scenario.components])
-            text = f'no component and no key of the scenario is "{short(first)}"{hint}'
-            self._note(("vary", name), text, key=True)
+            self._note(("vary", name), f'no component and no key of the scenario is "{short(first)}"{hint}', key=True)
             return None
         if first in FIXED:
             self._note(("vary", name), f"{first} is one for all runs; give it by `set`", key=True)
@@ -207,7 +207,7 @@ class Factors:
     def _make_factor(
         self, name: str, varied: Varied, value: Any, unit: str = "", *, is_real: bool = True
     ) -> Factor | None:
-        """Return a factor, with values converted by `value`."""
+        """Return a factor, with values converted by `value`, a function of (place, entry)."""
         way = varied.way
         entries: Any = getattr(varied, way)
         if way == "values":
@@ -229,16 +229,9 @@ class Factors:
             self._note(("vary", name, way), str(error))
             return None
 
-    def signal_faults(self) -> Iterator[Fault]:
-        """Yield a fault for each unknown signal."""
-        for k, signal in enumerate(self.file.signals):
-            if signal not in self.system.columns:
-                hint = did_you_mean(signal, self.system.columns)
-                yield self.yaml.fault(("signals", k), f'no signal "{short(signal)}"{hint}')
-
-    def drawn_faults(self, factors: Sequence[Factor], columns: Mapping[str, list[Any]]) -> Iterator[Fault]:
-        """Yield faults of each factor's extreme drawn values."""
-        for name in (f.name for f in factors if f.drawn is not None):
+    def check_drawn(self, columns: Mapping[str, list[Any]]) -> None:
+        """Refuse factors whose extreme drawn values do not fit."""
+        for name in (f.name for f in self.factors if f.drawn is not None):
             way = self.file.vary[name].way
             cure = "cut it by within: [low, high]" if way == "normal" else "move its ends"
             component, _, variable = name.partition(".")
@@ -246,45 +239,36 @@ class Factors:
             for value in (min(columns[name]), max(columns[name])):
                 for fault in self._test_variant(f"{path}={json.dumps(value)}")[0]:
                     text = f"{name} would be {value:g}: {fault.message}; {cure}"
-                    yield self.yaml.fault(("vary", name, way), text, exit_code=fault.exit_code)
+                    self._note(("vary", name, way), text, exit_code=fault.exit_code)
+        refuse(self.faults)
 
+    def _note_overlaps(self) -> None:
+        """Note each entry of `vary` and `set` that another entry overrides.
 
-def overlap_faults(yaml: YamlFile, file: SweepFile, components: Collection[str]) -> Iterator[Fault]:
-    """Yield a fault for each entry of `vary` and `set` that another entry overrides.
-
-    In a run, start values override paths, and `vary` overrides `set`. A path includes everything below it. Setting a
-    whole and varying a part of it is allowed.
-    """
-    places: dict[tuple[str, str], tuple[str, ...]] = {}  # entry → its place in the scenario
-    for section, names in (("set", file.set), ("vary", file.vary)):
-        for name in names:
-            component, _, variable = name.partition(".")
-            if section == "vary" and component in components:
-                places[section, name] = ("components", component, "start", variable)
+        In a run, start values override paths, and `vary` overrides `set`. A path includes everything below it. Setting
+        a whole and varying a part of it is allowed.
+        """
+        places: list[tuple[Location, tuple[str, ...]]] = []  # entry, and its place in the scenario
+        for section, names in (("set", self.file.set), ("vary", self.file.vary)):
+            for name in names:
+                component, _, variable = name.partition(".")
+                if section == "vary" and component in self.scenario.scenario.components:
+                    place: tuple[str, ...] = ("components", component, "start", variable)
+                else:
+                    place = tuple(str(int(k)) if k.isascii() and k.isdigit() else k for k in keys_of(name.strip()))
+                places.append(((section, name), place))
+        for (first, one), (second, two) in itertools.combinations(places, 2):
+            is_part, is_whole, entry, other = one == two[: len(one)], two == one[: len(two)], second, first
+            counted = second == ("vary", "seed") and self.file.vary["seed"].count is not None
+            if first[0] == second[0] == "vary" and (is_part or is_whole):
+                cure = "vary one of them"
+            elif first[0] == second[0] == "set" and is_whole:
+                cure = "set the whole first and its part after it"
+            elif first[0] != second[0] and is_whole and not counted:  # Counted seeds start from the seed in `set`.
+                cure, entry, other = "the varied value replaces this one; remove this one", first, second
             else:
-                keys = keys_of(name.strip())
-                places[section, name] = tuple(str(int(k)) if k.isascii() and k.isdigit() else k for k in keys)
-    order, at = [*places], dict[tuple[str, ...], list[tuple[str, str]]]()
-    for entry, place in places.items():
-        at.setdefault(place, []).append(entry)
-    reported = set()
-    for inner, place in places.items():
-        for whole in (entry for length in range(1, len(place) + 1) for entry in at.get(place[:length], ())):
-            first, second = sorted((inner, whole), key=order.index)
-            ways = inner[0], whole[0]
-            if ways == ("vary", "set") or first == second or (first, second) in reported:
                 continue
-            if ways == ("set", "set") and whole != second:
-                continue  # the whole before its part
-            if ways == ("set", "vary") and whole[1] == "seed" and file.vary["seed"].count is not None:
-                continue  # Counted seeds start from the seed in `set`.
-            reported.add((first, second))
-            entry, other = (first, second) if ways == ("set", "vary") else (second, first)
-            line = yaml.place(other, key=True)[0]
-            cure = {
-                ("set", "vary"): "the varied value replaces this one; remove this one",
-                ("vary", "vary"): "vary one of them",
-                ("set", "set"): "set the whole first and its part after it",
-            }[ways]
+            line = self.yaml.place(other, key=True)[0]
+            place = one if is_whole and not is_part else two
             text = f'{entry[1]} and "{other[1]}" of line {line} both give {".".join(place)}; {cure}'
-            yield yaml.fault(entry, text, key=True)
+            self._note(entry, text, key=True)

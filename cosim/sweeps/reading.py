@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from cosim.simulation.undeclared import with_feedthrough
 from cosim.storage.artefact import Checking
 from cosim.storage.kinds import SWEEP, check_given
 from cosim.storage.yaml_file import YamlFile, short
-from cosim.sweeps.factors import FILES, Factors, overlap_faults, resolve_file_name
+from cosim.sweeps.factors import FILES, Factors, resolve_file_name
 from cosim.sweeps.runs import Job, RunRequest
 from cosim.sweeps.sampling import Factor, columns_of
 from cosim.sweeps.sweep_file import SweepFile
@@ -35,7 +35,15 @@ MAX_DEFAULT_SIGNALS = 8  # recorded by default
 
 @dataclass(frozen=True)
 class Sweep:
-    """A valid sweep: file, scenario, system, and factor values by run."""
+    """A valid sweep: file, scenario, system, and factor values by run.
+
+    Attributes:
+        name: Name of the sweep, by default that of the scenario.
+        count: Number of runs.
+        key: Hash of everything that determines the rows. A sweep of the same key can be continued.
+        component_files: File of each component by its path in the scenario, such as `components.plant.fmu`.
+        files: Files of all runs, also those that vary.
+    """
 
     yaml: YamlFile
     file: SweepFile
@@ -45,35 +53,12 @@ class Sweep:
     columns: Mapping[str, list[Any]]
     job: Job
     resolved: Mapping[str, Any]
-    warnings: tuple[str, ...] = ()
-
-    @property
-    def name(self) -> str:
-        """Return the sweep's name, by default the scenario's."""
-        return self.file.name or self.scenario.name
-
-    @property
-    def count(self) -> int:
-        """Return the number of runs."""
-        return len(next(iter(self.columns.values())))
-
-    @property
-    def key(self) -> str:
-        """Return a hash of everything that determines the rows. Sweeps with equal keys can be continued."""
-        content = [__version__, self.resolved, self.job.signals, self.job.samples, self.columns]
-        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
-
-    @property
-    def component_files(self) -> dict[str, str]:
-        """Return the file of each component by its path in the scenario, such as `components.plant.fmu`."""
-        components = self.resolved["components"].items()
-        return {f"components.{name}.{key}": c[key] for name, c in components for key in FILES if c.get(key)}
-
-    @property
-    def files(self) -> list[Path]:
-        """Return the files of all runs, also those that vary."""
-        varied = [v for name, values in self.columns.items() if name.rpartition(".")[2] in FILES for v in values]
-        return [*map(Path, dict.fromkeys([*self.component_files.values(), *varied]))]
+    warnings: tuple[str, ...]
+    name: str
+    count: int
+    key: str
+    component_files: Mapping[str, str]
+    files: Sequence[Path]
 
     def request_run(self, run: int) -> RunRequest:
         """Return the request for a run."""
@@ -127,10 +112,9 @@ def read_sweep(path: Path, *, loads: bool = False) -> Sweep:
             if inputs is not None
         )
     reading = Factors(yaml, file, scenario_file, system, overrides)
-    factors = [factor for name, varied in file.vary.items() if (factor := reading.factor(name, varied)) is not None]
-    refuse([*faults, *reading.faults, *reading.signal_faults(), *overlap_faults(yaml, file, scenario.components)])
-    columns = columns_of(factors, file.runs, file.sampling, file.seed)
-    refuse(reading.drawn_faults(factors, columns))
+    refuse([*faults, *reading.faults])
+    columns = columns_of(reading.factors, file.runs, file.sampling, file.seed)
+    reading.check_drawn(columns)
     blocks = [stage.component for stage in system.stages]
     signals = file.signals or list(dict.fromkeys(criterion.of for _, _, criterion in scenario.goals))
     if not signals:
@@ -149,6 +133,28 @@ def read_sweep(path: Path, *, loads: bool = False) -> Sweep:
         scenario.step,
         8 * len(system.columns),
     )
-    content = resolve_defaults(resolve_scenario(scenario_file, system))
-    warnings = (*scenario_file.warnings, *system.warnings, *reading.warnings)
-    return Sweep(yaml, file, scenario, system, tuple(factors), columns, job, content, warnings)
+    resolved = resolve_defaults(resolve_scenario(scenario_file, system))
+    content = [__version__, resolved, job.signals, job.samples, columns]
+    component_files = {
+        f"components.{name}.{key}": component[key]
+        for name, component in resolved["components"].items()
+        for key in FILES
+        if component.get(key)
+    }
+    varied = [v for name, values in columns.items() if name.rpartition(".")[2] in FILES for v in values]
+    return Sweep(
+        yaml,
+        file,
+        scenario,
+        system,
+        tuple(reading.factors),
+        columns,
+        job,
+        resolved,
+        (*scenario_file.warnings, *system.warnings, *reading.warnings),
+        name=file.name or scenario.name,
+        count=len(next(iter(columns.values()))),
+        key=hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest(),
+        component_files=component_files,
+        files=[*map(Path, dict.fromkeys([*component_files.values(), *varied]))],
+    )

@@ -16,10 +16,10 @@ from cosim.report.html_tables import Badge
 from cosim.report.panels import Band, Panel, Trace
 from cosim.report.template import render
 from cosim.storage.kinds import shell_path
-from cosim.sweeps.run_statistics import MIN_RUNS, Sensitivity, quantiles, sensitivity
-from cosim.sweeps.sampling import are_numbers
+from cosim.sweeps.run_statistics import MIN_RUNS, QUANTILES, Sensitivity, sensitivity
+from cosim.sweeps.sampling import Factor, are_numbers
 from cosim.sweeps.store import TABLE, read_table, signal_of
-from cosim.sweeps.sweep_file import Grid
+from cosim.sweeps.sweep_file import DISTRIBUTIONS, Grid, SweepFile
 from cosim.sweeps.sweep_result import Swept, hardest, headline, repeat_command
 
 TEMPLATE = Path(__file__).with_name("templates") / "sweep.html.j2"
@@ -28,7 +28,6 @@ MOST_RUNS = 20_000  # at most, for a band
 MOST_POINTS = 2000  # runs in a scatter plot
 MOST_SCATTERED = 4  # criteria with scatter plots, each over two factors
 NEVER = "never"
-LISTED = {"values", "grid"}  # ways of variation without a distribution
 MOST_LISTED = 10  # runs farthest from meeting a criterion
 WIDE = 0.2  # half-width of a sensitivity's interval; the page asks for more runs above
 
@@ -37,15 +36,29 @@ def page(swept: Swept) -> str:
     """Return the self-contained HTML page of a sweep."""
     table, _ = read_table(swept.folder / TABLE)
     record, charts, study = swept.record, Charts(), swept.sweep
-    names = study.job.signals[:MOST_BANDS]
+    names, criteria = study.job.signals[:MOST_BANDS], record["criteria"]
     drawing = charts.over(np.array(record["times"], float))
     failed, completed = record["failed"], record["runs"] - record["failed"]
-    values = {c["name"]: np.array(table.column(c["name"]).to_pylist(), float) for c in record["criteria"]}
-    indices = _sensitivities(swept, table, values)
+    values = {c["name"]: np.array(table.column(c["name"]).to_pylist(), float) for c in criteria}
+    outcomes = dict(values)
+    for name in names:
+        last = [np.nan if row is None else row[-1] for row in table.column(name).to_pylist()]
+        outcomes[f"{name} at the end"] = np.array(last)
+    varied, saltelli = {n: v for n, v in study.columns.items() if n != "seed"}, study.file.sampling == "saltelli"
+    estimates = (sensitivity(n, v, varied, saltelli=saltelli, seed=study.file.seed) for n, v in outcomes.items())
+    indices = [s for s in estimates if s is not None]
     # Criteria that every completed run meets are left out of the sensitivities. Without others, the signals come first.
-    missed = {c["name"] for c in record["criteria"] if c["met"] != c["of"]}
+    missed = {c["name"] for c in criteria if c["met"] != c["of"]}
     first = [s for s in indices if s.outcome in missed]
     others = [s for s in indices if s.outcome not in values]
+    warnings = [*record["warnings"]]
+    if completed < MIN_RUNS:
+        warnings.append(f"Too few runs for sensitivities: {completed} completed, {MIN_RUNS} are needed.")
+    widths = {s.outcome: max(half for _, half in (*s.first, *s.total)) for s in indices}
+    widest = max(widths, key=lambda n: widths[n], default="")
+    if widths and widths[widest] > WIDE:
+        reach = f"intervals of its indices reach ±{plain(widths[widest], 2)}"
+        warnings.append(f"Too few runs to rank the factors of {widest}: {reach}. Take more runs.")
     context = {
         "name": record["name"],
         "description": study.file.description,
@@ -54,12 +67,12 @@ def page(swept: Swept) -> str:
             Badge(counted(record["runs"], "run")),
             Badge(f"{failed} aborted", "bad") if failed else Badge("all completed"),
         ],
-        "warnings": [*record["warnings"], *_limits_of_conclusions(completed, indices)],
+        "warnings": warnings,
         "tone": "plain",
         "criteria": [],
         "worst": [],
-        "scatters": _scatters(swept, table, values, indices, charts),
-        "factors": [_factor(swept, k) for k in range(len(study.factors))],
+        "scatters": _scatters(swept, table, values, {s.outcome: s.factors for s in indices}, charts),
+        "factors": [_factor(swept, factor) for factor in study.factors],
         "plots": drawing.plots([_band(name, signal_of(table, name, MOST_RUNS), record) for name in names]),
         "data": charts.data(),  # after all drawings
         "always_met": [s.outcome for s in indices if s.outcome in values.keys() - missed],
@@ -68,11 +81,11 @@ def page(swept: Swept) -> str:
         "more_sensitivities": [_indices(s) for s in others] if first else [],
         "failures": record["failures"],
         "more_failures": max(0, failed - len(record["failures"])),
-        "sampling_note": _sampling_note(swept),
+        "sampling_note": _sampling_note(study.file),
         "repeat": f"cosim sweep {shell_path(study.yaml.path)}",
         "version": __version__,
     }
-    if record["criteria"]:
+    if criteria:
         worst, name = _worst(swept, table, values), hardest(record)["name"]
         equal = bool(worst) and worst[-1]["value"] == NEVER  # none of the listed runs is worse than another
         context |= {
@@ -81,23 +94,22 @@ def page(swept: Swept) -> str:
             "worst_note": "The first of the runs that never settle." if equal else "Farthest from its limit first.",
             "hardest_name": name,
             "tone": "good" if record["met_all"] == record["runs"] else "bad",
-            "criteria": [_criterion(c) for c in record["criteria"]],
-            "values": [_spread(c, values[c["name"]]) for c in record["criteria"]],
+            "criteria": [_criterion(c) for c in criteria],
+            "values": [_spread(c, values[c["name"]]) for c in criteria],
         }
     return render(TEMPLATE, context)
 
 
 def _criterion(c: Mapping[str, Any]) -> Mapping[str, Any]:
     unit, factor = display(c["unit"])
-    low, high = c["ci95"]
     share = c["met"] / c["of"] if c["of"] else 0.0
     return {
         "name": c["name"],
         "max": append_unit(plain(c["max"] * factor, None), unit),
         "met": f"{c['met']} of {c['of']}",
         "share": percent(share) if c["of"] else "–",
-        "interval": f"{percent(low)} … {percent(high)}",
-        "bar": _bar(share, low, high),
+        "interval": " … ".join(map(percent, c["ci95"])),
+        "bar": _bar(share, *c["ci95"]),
     }
 
 
@@ -107,57 +119,39 @@ def _bar(value: float, low: float, high: float) -> Mapping[str, float]:
     return {"value": value, "low": low, "width": round(high - low, 2)}
 
 
-def _limits_of_conclusions(completed: int, indices: Sequence[Sensitivity]) -> list[str]:
-    texts = []
-    if completed < MIN_RUNS:
-        texts.append(f"Too few runs for sensitivities: {completed} completed, {MIN_RUNS} are needed.")
-    widths = {s.outcome: max(half for _, half in (*s.first, *s.total)) for s in indices}
-    widest = max(widths, key=lambda n: widths[n], default="")
-    if widths and widths[widest] > WIDE:
-        reach = f"intervals of its indices reach ±{plain(widths[widest], 2)}"
-        texts.append(f"Too few runs to rank the factors of {widest}: {reach}. Take more runs.")
-    return texts
-
-
-def _sampling_note(swept: Swept) -> str:
+def _sampling_note(file: SweepFile) -> str:
     """Return how the values of several factors are combined."""
-    ways = {varied.way for varied in swept.sweep.file.vary.values()}
-    drawn, listed = ways - LISTED - {"each", "count"}, ways & LISTED
-    text = f"Distributions are sampled together ({swept.sweep.file.sampling})" if drawn else ""
-    if listed:
-        text += "; each sample is combined with every listed value" if drawn else "Every combination is run"
-    return f"{text}." if text else ""
+    ways = {varied.way for varied in file.vary.values()}
+    drawn, listed = not ways.isdisjoint(DISTRIBUTIONS), not ways.isdisjoint({"values", "grid"})
+    if not drawn:
+        return "Every combination is run." if listed else ""
+    text = f"Distributions are sampled together ({file.sampling})"
+    return f"{text}; each sample is combined with every listed value." if listed else f"{text}."
 
 
 def _worst(swept: Swept, table: Any, values: Mapping[str, Array]) -> list[Mapping[str, Any]]:
     """Return the worst runs by the hardest criterion."""
     criterion = hardest(swept.record)
-    reached, runs = values[criterion["name"]], np.array(table.column("run").to_pylist(), int)
-    completed = np.array([status == "ok" for status in table.column("status").to_pylist()])
+    reached, runs = values[criterion["name"]], table.column("run").to_pylist()
+    completed = np.array(table.column("status").to_pylist()) == "ok"
     far = np.where(np.isfinite(reached), reached, np.inf)
     failing = np.flatnonzero(completed & (far > criterion["max"]))
     unit, factor = display(criterion["unit"])
-
-    def cell(value: Any) -> str:
-        return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-    return [
-        {
-            "run": run,
-            "value": append_unit(plain(float(reached[k]) * factor, 3), unit) if np.isfinite(reached[k]) else NEVER,
-            "factors": ", ".join(f"{name} = {cell(column[run])}" for name, column in swept.sweep.columns.items()),
-            "command": repeat_command(swept.sweep, run),
-        }
-        for k in failing[np.argsort(-far[failing], kind="stable")][:MOST_LISTED]
-        for run in [int(runs[k])]
-    ]
+    rows: list[Mapping[str, Any]] = []
+    for k in failing[np.argsort(-far[failing], kind="stable")][:MOST_LISTED]:
+        run = runs[k]
+        cells = {name: column[run] for name, column in swept.sweep.columns.items()}
+        texts = (f"{name} = {f'{v:.4g}' if isinstance(v, float) else v}" for name, v in cells.items())
+        value = append_unit(plain(float(reached[k]) * factor, 3), unit) if np.isfinite(reached[k]) else NEVER
+        command = repeat_command(swept.sweep, run)
+        rows.append({"run": run, "value": value, "factors": ", ".join(texts), "command": command})
+    return rows
 
 
 def _scatters(
-    swept: Swept, table: Any, values: Mapping[str, Array], indices: Sequence[Sensitivity], charts: Charts
+    swept: Swept, table: Any, values: Mapping[str, Array], ranked: Mapping[str, Sequence[str]], charts: Charts
 ) -> list[Plot]:
     """Draw criteria over their most important factors, criteria that every run meets only if there are no others."""
-    ranked = {s.outcome: s.factors for s in indices}
     units = {factor.name: factor.unit for factor in swept.sweep.factors}
     columns = {name: column for name, column in swept.sweep.columns.items() if name != "seed" and are_numbers(column)}
     criteria = swept.record["criteria"]
@@ -184,52 +178,36 @@ def _scatters(
 
 
 def _spread(c: Mapping[str, Any], values: Array) -> Mapping[str, Any]:
+    """Return the quantiles of a criterion, and the number of runs without a value."""
     unit, factor = display(c["unit"])
     good = values[np.isfinite(values)]
-    never = c["of"] - good.size
-    return {
-        "name": c["name"],
-        "quantiles": [
-            append_unit(plain(float(v) * factor, 3), unit)
-            for v in (quantiles(good) if good.size else np.full(5, np.nan))
-        ],
-        "never": str(never) if never else "–",
-    }
+    rows = np.quantile(good, QUANTILES) if good.size else np.full(5, np.nan)
+    texts = [append_unit(plain(float(v) * factor, 3), unit) for v in rows]
+    return {"name": c["name"], "quantiles": texts, "never": str(c["of"] - good.size or "–")}
 
 
-def _factor(swept: Swept, k: int) -> Mapping[str, str]:
-    factor = swept.sweep.factors[k]
+def _factor(swept: Swept, factor: Factor) -> Mapping[str, str]:
     varied, values = swept.sweep.file.vary[factor.name], swept.sweep.columns[factor.name]
     entries: Any = getattr(varied, varied.way)
     if isinstance(entries, Grid):
-        text = ", ".join(f"{key} {value}" for key, value in entries.model_dump(by_alias=True).items())
-    elif isinstance(entries, list | tuple):
-        text = ", ".join(map(str, entries[:8])) + (", …" if len(entries) > 8 else "")
-    else:
-        text = str(entries)
-    way, different = varied.way.replace("_", " "), counted(len(set(map(str, values))), "value")
-    return {"name": factor.name, "unit": written(factor.unit), "way": way, "values": text, "different": different}
+        entries = [f"{key} {value}" for key, value in entries.model_dump(by_alias=True).items()]
+    listed = entries if isinstance(entries, list | tuple) else [entries]
+    return {
+        "name": factor.name,
+        "unit": written(factor.unit),
+        "way": varied.way.replace("_", " "),
+        "values": ", ".join(map(str, listed[:8])) + (", …" if len(listed) > 8 else ""),
+        "different": counted(len(set(map(str, values))), "value"),
+    }
 
 
 def _band(name: str, values: Array, record: Mapping[str, Any]) -> Panel:
     unit, factor = display(record["units"].get(name, ""))
     if not values.size or values.shape[1] != len(record["times"]):  # no run is complete
         return Panel(name, unit or "1", ())
-    q = quantiles(values) * factor
+    q = np.quantile(values, QUANTILES, axis=0) * factor
     traces = (Trace("median", q[2], "true"), Trace("25 %", q[1], "reference"), Trace("75 %", q[3], "reference"))
     return Panel(name, unit or "1", traces, Band("5 … 95 % of the runs", q[0], q[4]))
-
-
-def _sensitivities(swept: Swept, table: Any, values: Mapping[str, Array]) -> list[Sensitivity]:
-    """Return the sensitivities of criteria and final signals."""
-    factors = {n: v for n, v in swept.sweep.columns.items() if n != "seed"}
-    outcomes = dict(values)
-    for name in swept.sweep.job.signals[:MOST_BANDS]:
-        last = [np.nan if row is None else row[-1] for row in table.column(name).to_pylist()]
-        outcomes[f"{name} at the end"] = np.array(last)
-    saltelli, seed = swept.sweep.file.sampling == "saltelli", swept.sweep.file.seed
-    indices = (sensitivity(n, v, factors, saltelli=saltelli, seed=seed) for n, v in outcomes.items())
-    return [s for s in indices if s is not None]
 
 
 def _indices(s: Sensitivity) -> Mapping[str, Any]:

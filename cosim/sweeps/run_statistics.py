@@ -31,12 +31,6 @@ def share_interval(hits: int, of: int) -> tuple[float, float]:
     return 0.0 if hits == 0 else middle - half, 1.0 if hits == of else middle + half
 
 
-def quantiles(values: Array) -> Array:
-    """Return 5, 25, 50, 75 and 95 % quantiles over runs. Shape (runs, …) becomes (5, …)."""
-    rows: Array = np.quantile(values, QUANTILES, axis=0)
-    return rows
-
-
 @dataclass(frozen=True)
 class Sensitivity:
     """Sensitivity of an outcome to each factor, most important first.
@@ -75,33 +69,24 @@ def sensitivity(
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
         if saltelli and good.all():
-            return _sobol(outcome, values, names, X, seed)
+            sobol = optional("SALib.analyze.sobol", SENSITIVITY_USE)
+            problem = _problem(names, X)
+            si = sobol.analyze(problem, values, calc_second_order=False, num_resamples=RESAMPLES, seed=seed)
+            order = np.argsort(-np.asarray(si["ST"]))
+            first, total = (tuple((float(si[n][k]), float(si[f"{n}_conf"][k])) for k in order) for n in ("S1", "ST"))
+            return Sensitivity(outcome, tuple(names[k] for k in order), first, total=total)
         rows = np.flatnonzero(good)
         if rows.size > MAX_RUNS:
             rows = np.sort(np.random.default_rng(seed).choice(rows, MAX_RUNS, replace=False))
-        return _rank_by_given_data(outcome, values[rows], names, X[rows], seed)
-
-
-def _sobol(outcome: str, values: Array, names: list[str], X: Array, seed: int) -> Sensitivity:
-    """Return the Sobol indices of an outcome; the runs must be drawn by Saltelli's scheme."""
-    sobol = optional("SALib.analyze.sobol", SENSITIVITY_USE)
-    indices = sobol.analyze(_problem(names, X), values, calc_second_order=False, num_resamples=RESAMPLES, seed=seed)
-    order = np.argsort(-np.asarray(indices["ST"]))
-    pairs = [tuple((float(indices[n][k]), float(indices[f"{n}_conf"][k])) for k in order) for n in ("S1", "ST")]
-    return Sensitivity(outcome, tuple(names[k] for k in order), pairs[0], total=pairs[1])
-
-
-def _rank_by_given_data(outcome: str, values: Array, names: list[str], X: Array, seed: int) -> Sensitivity:
-    """Return RBD-FAST and PAWN indices of any runs. An additional idle factor shows the level of chance."""
-    pawn, rbd_fast = (optional(f"SALib.analyze.{name}", SENSITIVITY_USE) for name in ("pawn", "rbd_fast"))
-    first = rbd_fast.analyze(_problem(names, X), X, values, num_resamples=RESAMPLES, seed=seed)
-    idle = np.random.default_rng([seed, 1]).random((len(X), 1))
-    both = np.hstack((X, idle))
-    moved = np.asarray(pawn.analyze(_problem([*names, ""], both), both, values, seed=seed)["median"], float)
+        values, X = values[rows], X[rows]
+        pawn, rbd_fast = (optional(f"SALib.analyze.{name}", SENSITIVITY_USE) for name in ("pawn", "rbd_fast"))
+        si = rbd_fast.analyze(_problem(names, X), X, values, num_resamples=RESAMPLES, seed=seed)
+        both = np.hstack((X, np.random.default_rng([seed, 1]).random((len(X), 1))))  # an idle factor shows chance
+        moved = np.asarray(pawn.analyze(_problem([*names, ""], both), both, values, seed=seed)["median"], float)
     order = np.argsort(-moved[:-1])
-    pairs = tuple((float(first["S1"][k]), float(first["S1_conf"][k])) for k in order)
+    first = tuple((float(si["S1"][k]), float(si["S1_conf"][k])) for k in order)
     shifts = tuple(float(moved[k]) for k in order)
-    return Sensitivity(outcome, tuple(names[k] for k in order), pairs, pawn=shifts, chance=float(moved[-1]))
+    return Sensitivity(outcome, tuple(names[k] for k in order), first, pawn=shifts, chance=float(moved[-1]))
 
 
 def _problem(names: Sequence[str], X: Array) -> dict[str, Any]:

@@ -44,20 +44,20 @@ def distribution(way: str, numbers: Sequence[float], within: Sequence[float] | N
     """Return the inverse of a distribution function; raise ValueError for invalid numbers."""
     from scipy.stats import norm, triang, truncnorm  # This import is slower than all others.
 
+    if way == "normal" and not numbers[1] > 0:
+        raise ValueError(f"a standard deviation of {numbers[1]:g} is not allowed; give one above 0")
+    if way == "normal" and not within:
+        return lambda u: norm.ppf(u, *numbers)
+    low, high = within if within and way == "normal" else (numbers[0], numbers[-1])
+    if not low < high:
+        text = "write the lower end first, the higher one second"
+        raise ValueError(f"between {low:g} and {high:g} there is nothing; {text}")
     if way == "normal":
         mean, deviation = numbers
-        if not deviation > 0:
-            raise ValueError(f"a standard deviation of {deviation:g} is not allowed; give one above 0")
-        if not within:
-            return lambda u: norm.ppf(u, mean, deviation)
-        low, high = within
-        _check_range(low, high)
         a, b = (low - mean) / deviation, (high - mean) / deviation
         if norm.cdf(b) - norm.cdf(a) < 1e-9:
             raise ValueError(f"within {low:g} … {high:g} there is nothing of the distribution; move its ends")
         return lambda u: truncnorm.ppf(u, a, b, mean, deviation)
-    low, high = numbers[0], numbers[-1]
-    _check_range(low, high)
     if way == "uniform":
         return lambda u: low + (high - low) * u
     if way == "triangular":
@@ -68,12 +68,6 @@ def distribution(way: str, numbers: Sequence[float], within: Sequence[float] | N
     if low <= 0:
         raise ValueError(f"{low:g} has no logarithm; give ends above 0")
     return lambda u: np.exp(math.log(low) + (math.log(high) - math.log(low)) * u)
-
-
-def _check_range(low: float, high: float) -> None:
-    if not low < high:
-        text = "write the lower end first, the higher one second"
-        raise ValueError(f"between {low:g} and {high:g} there is nothing; {text}")
 
 
 def drawn_rows(sampled: int, counted: bool, runs: int, sampling: Sampling) -> int:

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -34,7 +34,7 @@ COLUMNS = "run INTEGER PRIMARY KEY, status TEXT, met BLOB, signals INTEGER, numb
 
 
 class Database:
-    """Database of finished runs, consistent even after a kill; a context manager."""
+    """Database of finished runs, consistent even after a kill."""
 
     def __init__(self, path: Path, key: str) -> None:
         self.path = path
@@ -42,6 +42,7 @@ class Database:
             raise InputError.at(path, "is no file of a sweep; move it away, or give another --out")
         try:
             self._base = sqlite3.connect(path)
+            self.close = self._base.close
             self._base.execute("PRAGMA synchronous = NORMAL")
             with self._transaction():
                 self._base.execute(f"CREATE TABLE IF NOT EXISTS made ({COLUMNS})")
@@ -52,15 +53,9 @@ class Database:
         except sqlite3.Error as error:
             raise InputError.at(path, f"is no database of a sweep: {error}; --force begins anew") from None
         if stored not in {None, (key,)}:
-            self._base.close()
+            self.close()
             cure = "give another folder as --out, or begin anew by --force"
             raise InputError.at(path, f"holds the runs of another sweep, or of one with other FMUs; {cure}")
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._base.close()
 
     @contextmanager
     def _transaction(self) -> Iterator[None]:
@@ -93,7 +88,7 @@ class Database:
 
     def remove(self) -> None:
         """Close and delete the database, and the folder of a part."""
-        self._base.close()
+        self.close()
         self.path.unlink(missing_ok=True)
         with suppress(OSError):  # the folder of the sweep
             self.path.parent.rmdir()
@@ -118,7 +113,7 @@ def write_table(
 
     design = {name: _of_one_type(values) for name, values in design.items()}
     types: dict[str, Any] = {"run": pa.int64(), **{name: pa.array(values).type for name, values in design.items()}}
-    types |= {"status": pa.string(), "through": pa.string()}
+    types["status"] = pa.string()
     for name in criteria:
         types |= {name: pa.float64(), f"{name} met": pa.bool_()}
     types |= {name: pa.list_(pa.float64()) for name in signals}
@@ -126,7 +121,7 @@ def write_table(
 
     def row(m: RunResult) -> dict[str, Any]:
         cells: dict[str, Any] = {"run": m.run, **{name: values[m.run] for name, values in design.items()}}
-        cells |= {"status": m.status, "through": "fmus"}
+        cells["status"] = m.status
         if m.status == "ok":
             for name, value, is_met in zip(criteria, m.values, m.met, strict=True):
                 cells |= {name: None if np.isnan(value) else value, f"{name} met": is_met}

@@ -12,7 +12,8 @@ from cosim.storage.yaml_file import Part
 Whole = Annotated[int, Field(strict=True, ge=0)]
 Count = Annotated[int, Field(strict=True, ge=1)]
 MOST_TEXT = 1e308
-WAYS = ("values", "grid", "uniform", "log_uniform", "normal", "triangular", "count", "each")
+DISTRIBUTIONS = ("uniform", "log_uniform", "normal", "triangular")
+WAYS = ("values", "grid", *DISTRIBUTIONS, "count", "each")
 
 
 def _scalar(value: Any) -> Any:

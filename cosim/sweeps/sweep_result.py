@@ -75,15 +75,3 @@ def repeat_command(study: Sweep, run: int) -> str:
     words = ["cosim", "run", os.path.normpath(study.yaml.path.parent / study.file.scenario)]
     words += [word for text in (*study.job.overrides, *request.overrides, *starts) for word in ("--set", text)]
     return shlex.join([*words, *(["--seed", str(request.seed)] if request.seed is not None else [])])
-
-
-def criterion_names(study: Sweep) -> list[str]:
-    """Return unique names of the criteria for table columns."""
-    names: list[str] = []
-    for kind, _, goal in study.scenario.goals:
-        ends = (("after", goal.after), ("until", goal.until))
-        window = "".join(f" {word} {at:g} s" for word, at in ends if at)
-        name = f"{kind.replace('_', ' ')} of {goal.of}{window}"
-        same = sum(n == name or n.startswith(f"{name} (") for n in names)
-        names.append(f"{name} ({same + 1})" if same else name)
-    return names

@@ -21,14 +21,23 @@ from cosim.base.extras import optional
 from cosim.base.settings import Count
 from cosim.base.text import counted
 from cosim.base.version import __version__
-from cosim.storage.files import FilePath, atomic_write, check_writable, delay_stops, hold_stops, named_path, one_stop
+from cosim.storage.files import (
+    FilePath,
+    check_writable,
+    delay_stops,
+    hold_stops,
+    named_path,
+    one_stop,
+    write_json,
+    write_text,
+)
 from cosim.storage.folders import SCHEMA_VERSION, content_of, new_run, newest_run, remove_earlier, runs_named
 from cosim.sweeps.pool import MakeRuns, dask_cluster, make_runs_here
 from cosim.sweeps.reading import Sweep, read_sweep
 from cosim.sweeps.run_statistics import share_interval
 from cosim.sweeps.runs import RunResult, assemble, make_run, sampled_rows
 from cosim.sweeps.store import DATABASE, RECORD, TABLE, Database, read_table, write_table
-from cosim.sweeps.sweep_result import Swept, criterion_names
+from cosim.sweeps.sweep_result import Swept
 
 PARTS = "parts"  # folder of the parts made by --part, as parts/17-of-200
 REPORT = "report.html"
@@ -106,7 +115,10 @@ def sweep(
         folder = newest_run(runs_named(study.name) if folder is None else folder)
     runs, home = range(study.count), folder
     if part is not None and folder is not None:  # Parts are made at the same time, each in a folder of its own.
-        k, of = _read_part(part)
+        match = re.fullmatch(r"(\d{1,7})/(\d{1,7})", part.strip())
+        k, of = map(int, match.groups()) if match else (0, 0)
+        if not 1 <= k <= of:
+            raise InputError.at(Path("--part"), f"{part!r} is no part; give K/N with K from 1 to N, such as 17/200")
         runs, home = runs[k - 1 :: of], folder / PARTS / f"{k}-of-{of}"
     inputs = [study.yaml.path, study.job.scenario, *study.files]
     optional("SALib", "cosim sweep")  # reported before any run if it is missing
@@ -115,26 +127,31 @@ def sweep(
         home = stack.enter_context(new_run(home, study.name, "cosim sweep", force=force, goes_on=goes_on))
         check_writable(home, (TABLE, RECORD, REPORT, DATABASE), inputs)
         folder = home if part is None or folder is None else folder
+        stored = [*folder.glob(DATABASE), *sorted(folder.glob(f"{PARTS}/*/{DATABASE}"))]
         if not goes_on:
             remove_earlier(folder, read=inputs)
-            for file in _databases(folder):
+            for file in stored:
                 file.unlink(missing_ok=True)
+            stored = []
         made, record = 0, _read_completed(folder, study.key)
         if record is None:
             make_runs = stack.enter_context(_maker(study, workers, dask, in_process=in_process or join))
-            paths = [home / DATABASE] if part else _databases(folder)
-            if not join:
-                paths = [home / DATABASE, *(path for path in paths if path.parent != home)]
-            databases = [stack.enter_context(Database(path, study.key)) for path in paths]
-            stored = {number for database in databases for number in database.numbers()}
-            missing = [run for run in runs if run not in stored]
+            if part:
+                stored = [home / DATABASE]
+            elif not join:
+                stored = [home / DATABASE, *(path for path in stored if path.parent != home)]
+            databases = [Database(path, study.key) for path in stored]
+            for database in databases:
+                stack.callback(database.close)
+            done = {number for database in databases for number in database.numbers()}
+            missing = [run for run in runs if run not in done]
             if join and missing:
                 text = f"{len(missing)} of {counted(study.count, 'run')} are missing, the first is run {missing[0]}"
                 raise InputError.at(folder, f"{text}; repeat the parts that did not end, or make the runs by --resume")
             limits = _limits(study)
             for observer in observers:
                 observer.begin(study.name, len(runs), limits, _all_runs(databases))
-            begin = time.perf_counter()
+            begin, why = time.perf_counter(), ""
             try:
                 requests = (study.request_run(run) for run in missing)
                 for result in make_runs(requests):
@@ -147,13 +164,17 @@ def sweep(
                         progress(len(runs) - len(missing) + made, len(runs))
                 hold_stops()  # The table must still be written.
             except (KeyboardInterrupt, Terminated) as stop:
-                cure = "the same command" if part else "--resume"
-                raise _stopped(study, databases, "stopped", cure, getattr(stop, "exit_code", 130)) from None
+                why, cure, exit_code = "stopped", "", getattr(stop, "exit_code", 130)
             except OSError as error:
                 if not is_full(error):
                     raise
-                cure = f"make room, and {'the same command' if part else '--resume'}"
-                raise _stopped(study, databases, "the disk is full", cure, DiskFull.exit_code) from None
+                why, cure, exit_code = "the disk is full", "make room, and ", DiskFull.exit_code
+            if why:
+                kept = f"{sum(len(d.numbers()) for d in databases)} of {counted(study.count, 'run')} are kept"
+                cure += "the same command" if part else "--resume"
+                stopped = SweepStopped(f"{why}: {kept} in {databases[0].path}; {cure} goes on with them")
+                stopped.exit_code = exit_code
+                raise stopped
             seconds = time.perf_counter() - begin
             record = _record(study, limits, _all_runs(databases))
             record["runs_a_second"] = float(f"{made / seconds:.3g}") if made else None
@@ -163,33 +184,18 @@ def sweep(
             names, signals = [limit.name for limit in limits], study.job.signals
             about = {"key": study.key, "times": record["times"], "units": record["units"], "signals": signals}
             write_table(folder / TABLE, _all_runs(databases), study.columns, names, signals, about)
-            with atomic_write(folder / RECORD) as stream:
-                json.dump(record, stream, indent=1, ensure_ascii=False, allow_nan=False)
-                stream.write("\n")
+            write_json(folder / RECORD, record, indent=1, allow_nan=False)
             for database in databases:
                 database.remove()
         swept = Swept(study, folder, record, made)
         if report:
             from cosim.sweeps.report import page
 
-            with atomic_write(folder / REPORT) as stream:
-                stream.write(page(swept))
+            write_text(folder / REPORT, page(swept))
     if record["failed"] == record["runs"]:
         first = record["failures"][0]
         raise SweepFailed(f"all {counted(study.count, 'run')} failed; run {first['run']}: {first['why']}")
     return swept
-
-
-def _read_part(text: str) -> tuple[int, int]:
-    """Return the number of a part, counted from 1, and the number of parts."""
-    if (match := re.fullmatch(r"(\d{1,7})/(\d{1,7})", text.strip())) and 1 <= int(match[1]) <= int(match[2]):
-        return int(match[1]), int(match[2])
-    raise InputError.at(Path("--part"), f"{text!r} is no part; give K/N with K from 1 to N, such as 17/200")
-
-
-def _databases(folder: Path) -> list[Path]:
-    """Return the databases of a sweep and its parts."""
-    return [*folder.glob(DATABASE), *sorted(folder.glob(f"{PARTS}/*/{DATABASE}"))]
 
 
 def _read_completed(folder: Path, key: str) -> dict[str, Any] | None:
@@ -216,21 +222,9 @@ def _maker(study: Sweep, workers: int | None, dask: str | None, *, in_process: b
     elif address is None:
         yield partial(make_runs_here, study.job, workers)
     else:
-
-        def place(text: str) -> Fault:
-            return study.yaml.fault(("dask",), text) if dask is None else Fault(Path("--dask"), 0, 0, text)
-
+        place = partial(study.yaml.fault, ("dask",)) if dask is None else partial(Fault, Path("--dask"), 0, 0)
         with dask_cluster(study, address, place) as make_runs:
             yield make_runs
-
-
-def _stopped(study: Sweep, databases: Sequence[Database], why: str, cure: str, exit_code: int) -> SweepStopped:
-    stored = sum(len(database.numbers()) for database in databases)
-    error = SweepStopped(
-        f"{why}: {stored} of {counted(study.count, 'run')} are kept in {databases[0].path}; {cure} goes on with them"
-    )
-    error.exit_code = exit_code
-    return error
 
 
 def _all_runs(databases: Sequence[Database]) -> Iterator[RunResult]:
@@ -243,12 +237,16 @@ def _all_runs(databases: Sequence[Database]) -> Iterator[RunResult]:
 
 
 def _limits(study: Sweep) -> list[CriterionLimit]:
-    """Return the limits of all criteria."""
-    limits = []
-    for name, (kind, _, goal) in zip(criterion_names(study), study.scenario.goals, strict=True):
+    """Return the limits of the criteria, with unique names for table columns."""
+    limits: list[CriterionLimit] = []
+    for kind, _, goal in study.scenario.goals:
+        ends = (("after", goal.after), ("until", goal.until))
+        window = "".join(f" {word} {at:g} s" for word, at in ends if at)
+        name = f"{kind.replace('_', ' ')} of {goal.of}{window}"
+        same = sum(limit.name == name or limit.name.startswith(f"{name} (") for limit in limits)
         unit = study.system.units.get(goal.of, "")
         unit = {"settling_time": "s", "effort": f"{unit}.s".lstrip(".")}.get(kind, unit)
-        limits.append(CriterionLimit(name, goal.max, unit))
+        limits.append(CriterionLimit(f"{name} ({same + 1})" if same else name, goal.max, unit))
     return limits
 
 

@@ -27,39 +27,43 @@ if TYPE_CHECKING:  # signatures of the functions, for type checkers
     from cosim.verbs.run_verb import run as run
     from cosim.verbs.simulate_verb import simulate as simulate
 
-SIMULATE, INSPECT = "Simulate", "Compare and inspect"  # groups of `cosim -h`, in this order
-MEASURED, BUILD = "Measured data", "Build and export"
-
-
-def _verb(room: str, group: str, function: str = "") -> Verb:
-    """Return the verb of a module of cosim/verbs."""
-    return Verb(f"cosim.verbs.{room}_verb:command", function, group=group)
-
-
-VERBS = {  # in the order of `cosim -h`
-    "run": _verb("run", SIMULATE, "cosim.verbs.run_verb:run"),
-    "simulate": _verb("simulate", SIMULATE, "cosim.verbs.simulate_verb:simulate"),
-    "init": _verb("init", SIMULATE),
-    "sweep": _verb("sweep", SIMULATE, "cosim.sweeps.workflow:sweep"),
-    "compare": _verb("compare", INSPECT, "cosim.verbs.compare_verb:compare"),
-    "check": _verb("check", INSPECT, "cosim.verbs.check_verb:check"),
-    "info": _verb("info", INSPECT),
-    "graph": _verb("graph", INSPECT),
-    "report": _verb("report", INSPECT),
-    "list": _verb("list", INSPECT),
-    "open": _verb("open", INSPECT),
-    "view": _verb("view", INSPECT),
-    "gc": _verb("gc", INSPECT),
-    "linearize": _verb("linearize", INSPECT, "cosim.linearization.workflow:linearize"),
-    "replay": _verb("replay", MEASURED, "cosim.verbs.replay_verb:replay"),
-    "fit": _verb("fit", MEASURED, "cosim.verbs.fit_verb:fit"),
-    "refine": _verb("refine", MEASURED, "cosim.verbs.refine_verb:refine"),
-    "excite": _verb("excite", MEASURED, "cosim.experiment.excite:excite"),
-    "build": _verb("build", BUILD, "cosim.loading.build:build"),
-    "export-ssp": _verb("export_ssp", BUILD, "cosim.authoring.export:export_ssp"),
-    "schema": _verb("schema", BUILD),
-    "read": Verb(function="cosim.verbs.read_verb:read"),
+GROUPS = {  # groups and verbs in the order of `cosim -h`: name → place of the Python function
+    "Simulate": {
+        "run": "cosim.verbs.run_verb:run",
+        "simulate": "cosim.verbs.simulate_verb:simulate",
+        "init": "",
+        "sweep": "cosim.sweeps.workflow:sweep",
+    },
+    "Compare and inspect": {
+        "compare": "cosim.verbs.compare_verb:compare",
+        "check": "cosim.verbs.check_verb:check",
+        "info": "",
+        "graph": "",
+        "report": "",
+        "list": "",
+        "open": "",
+        "view": "",
+        "gc": "",
+        "linearize": "cosim.linearization.workflow:linearize",
+    },
+    "Measured data": {
+        "replay": "cosim.verbs.replay_verb:replay",
+        "fit": "cosim.verbs.fit_verb:fit",
+        "refine": "cosim.verbs.refine_verb:refine",
+        "excite": "cosim.experiment.excite:excite",
+    },
+    "Build and export": {
+        "build": "cosim.loading.build:build",
+        "export-ssp": "cosim.authoring.export:export_ssp",
+        "schema": "",
+    },
 }
+VERBS = {
+    name: Verb(f"cosim.verbs.{name.replace('-', '_')}_verb:command", function, group=group)
+    for group, functions in GROUPS.items()
+    for name, function in functions.items()
+}
+VERBS["read"] = Verb(function="cosim.verbs.read_verb:read")
 
 
 def verbs(only: str = "") -> Iterator[tuple[str, Verb]]:

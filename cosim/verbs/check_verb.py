@@ -6,7 +6,7 @@ import os
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Any
 
 import typer
 
@@ -28,7 +28,6 @@ from cosim.base.registry import resolve
 from cosim.base.settings import Files, ModelName, Values
 from cosim.storage.artefact import Checking, kind_by_keys, of_kind
 from cosim.storage.files import FilePath
-from cosim.verbs.options import Compile, Json, Texts
 from cosim.verbs.terminal import say, say_json
 
 CHECKED_KINDS = "a scenario, study, sweep, protocol, model, log, SSP or FMU"
@@ -68,10 +67,8 @@ def check(
     lines: list[str] = []
     with compiling(compile):
         if permission.get() and not load:
-            raise InputError.at(
-                Path("--compile"),
-                "is to load FMUs, which --no-load (in Python load=False) forbids; leave one of them out",
-            )
+            text = "is to load FMUs, which --no-load (in Python load=False) forbids; leave one of them out"
+            raise InputError.at(Path("--compile"), text)
         with Worker(*MODULES) if load else nullcontext() as worker:
             checking = Checking(model, dict(columns or {}), worker)
             for path in map(Path, [files] if isinstance(files, (str, os.PathLike)) else files):
@@ -125,46 +122,33 @@ def _check(path: Path, checking: Checking) -> list[str]:
     return notes
 
 
-def command(
-    files: Annotated[
-        list[Path],
-        typer.Argument(metavar="FILE", help="Scenario, study, sweep, protocol, model, log, SSP, FMU or manifest.json."),
-    ],
-    model: Annotated[
-        str | None,
-        typer.Option("--model", metavar="MODEL", help="Model of the logs: base, a model.yaml, or FILE.py:CLASS."),
-    ] = None,
-    load: Annotated[
-        bool, typer.Option("--load/--no-load", help="Load the FMUs and make one step in a separate process, or do not.")
-    ] = True,
-    column: Annotated[
-        Texts,
-        typer.Option("--column", metavar="COLUMN=VARIABLE", help="Name of a log's column in the model, or time."),
-    ] = None,
-    compile_: Compile = False,
-    as_json: Json = False,
-) -> None:
+def command(*, json: bool = False, **given: Any) -> None:
     """Find every fault of scenarios, studies, models, logs and FMUs.
+
+    Args:
+        files (FILE): Scenario, study, sweep, protocol, model, log, SSP, FMU or manifest.json.
+        model (MODEL): Model of the logs: base, a model.yaml, or FILE.py:CLASS.
+        load: Load the FMUs and make one step in a separate process, or do not.
+        columns (--column COLUMN=VARIABLE): Name of a log's column in the model, or time.
 
     Example: cosim check scenario.yaml build/*.fmu
     """
     from cosim.logs.log import read_column_names
 
+    files = given["files"]
     try:
-        lines = check(files, model, load=load, compile=compile_, columns=read_column_names(column or (), files[0]))
-    except Signalled as error:
-        raise FmuError(error.reason) from None
-    except Terminated as error:
-        raise FmuError(str(error)) from None
+        lines = check(**{**given, "columns": read_column_names(given["columns"] or (), files[0])})
+    except (Signalled, Terminated) as error:
+        raise FmuError(error.reason if isinstance(error, Signalled) else str(error)) from None
     except (Interrupted, KeyboardInterrupt):
         raise typer.Exit(STOPPED) from None
     except OSError as error:
         if not is_full(error):
             raise
         raise FmuError("the disk is full, so that no FMU can be tried; --no-load checks without") from None
-    say(*(lines if as_json else lines[:MOST_LINES]))
-    if len(lines) > MOST_LINES and not as_json:
+    say(*lines[:MOST_LINES])
+    if len(lines) > MOST_LINES:
         say(f"… and {len(lines) - MOST_LINES} more; --json lists all of them")
     say(f"no fault in {', '.join(map(str, files))}")
-    if as_json:
+    if json:
         say_json({"files": [str(file) for file in files], "findings": lines, "faults": []})

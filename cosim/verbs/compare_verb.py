@@ -5,14 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 from cosim.base.errors import CriterionMissed, InputError
 from cosim.base.settings import Count, NotNegative
 from cosim.storage.files import FilePath
-from cosim.verbs.options import Force, Json, Open, Report, ResultsFolder, out_option
 from cosim.verbs.terminal import say, say_json, show, some, table, warn
 
 if TYPE_CHECKING:
@@ -20,8 +17,6 @@ if TYPE_CHECKING:
     from cosim.comparison.page import Compared, ComparedRuns
     from cosim.comparison.several import ComparedRuns as ComparedSeveral
     from cosim.comparison.several import RunSource
-    from cosim.history.selection import Selected
-    from cosim.simulation.run_files import RecordedRun
     from cosim.simulation.run_signals import Signals
 
 MAX_SIGNALS = 12  # on the terminal
@@ -61,116 +56,105 @@ def compare(
     from cosim.comparison.page import comparison_page, drawn
     from cosim.comparison.workflow import compare as compare_runs
 
-    is_list = isinstance(a, (list, tuple))
-    sources, place = _sources([*(a if isinstance(a, (list, tuple)) else [a]), *([] if b is None else [b])], baseline)
-    if len(sources) > 2 and not is_list:
+    is_pair = not isinstance(a, (list, tuple))
+    first = [*a] if isinstance(a, (list, tuple)) else [a]
+    sources, place = _sources([*first, *([] if b is None else [b])], baseline)
+    if is_pair and len(sources) > 2:
         raise InputError.at(Path(str(a)), f"{len(sources)} runs match; give a list to compare them all")
-    options: dict[str, Any] = {"tolerance": tolerance, "absolute": absolute, "write": out is not None, "force": force}
-    options |= {"baseline": place, "as_pair": not is_list, "report": comparison_page}
-    return drawn(compare_runs(sources, out, **options)[0])
+    comparison, _ = compare_runs(
+        sources,
+        out,
+        baseline=place,
+        tolerance=tolerance,
+        absolute=absolute,
+        write=out is not None,
+        report=comparison_page,
+        force=force,
+        as_pair=is_pair,
+    )
+    return drawn(comparison)
 
 
 def _sources(sides: Sequence[Any], baseline: Any = None, results: Path | None = None) -> tuple[list[RunSource], int]:
     """Return the runs to compare, and the index of the baseline.
 
     Args:
-        sides: Paths, numbers, names and patterns of runs, and results of functions.
+        sides: Paths, numbers, names and patterns of runs, and results of functions. Results that a pattern matches
+            although they have no rows, as a sweep, are left out.
         results: Folder of results, by default `results`.
 
     Raises:
         InputError: Fewer than two runs, or a baseline that is not one run.
     """
+    from cosim.comparison.several import RunSource
+    from cosim.history.selection import Selected, select_groups
+    from cosim.simulation.run_files import RecordedRun, read_ran
+    from cosim.simulation.run_signals import Run, Signals
+    from cosim.storage.results import rows_in
+
+    def read(selected: Selected) -> RecordedRun:
+        """Return a recorded run; raise InputError if it was removed or replaced since it was listed."""
+        run = read_ran(selected.path)
+        if selected.entry is not None:
+            selected.entry.check_current()
+        return run
+
+    def runs_of(sides: Sequence[Any]) -> list[RunSource]:
+        groups = iter(select_groups([str(side) for side in sides if not isinstance(side, Signals)], results))
+        found = []
+        for side in sides:
+            if isinstance(side, Signals):
+                path, manifest = side.folder or Path(side.title), side.manifest if isinstance(side, Run) else {}
+                run = RecordedRun(path, side.title, side.results, manifest)
+                found.append(RunSource(side.title, path, partial(lambda run: run, run)))
+                continue
+            for s in next(groups):
+                if not s.by_pattern or rows_in(s.path) is not None:
+                    found.append(RunSource(s.short, s.path, partial(read, s), s.by_pattern, s.longer))
+        return found
+
     if not sides:
         raise InputError.at(Path("runs"), "no run is given; name at least two runs to compare")
-    sources, place = _runs_of(sides, results), 0
+    sources, place = runs_of(sides), 0
     if baseline is not None:
-        base = _runs_of([baseline], results)
+        base = runs_of([baseline])
         if len(base) != 1:
             raise InputError.at(Path(str(baseline)), f"{len(base)} runs match; name one as the baseline")
-        paths = [source.path.resolve() for source in sources]
-        if base[0].path.resolve() not in paths:
+        paths, path = [source.path.resolve() for source in sources], base[0].path.resolve()
+        if path not in paths:
             sources.insert(0, base[0])
         else:
-            place = paths.index(base[0].path.resolve())
+            place = paths.index(path)
             sources[place] = base[0]
     if len(sources) < 2:
-        raise InputError.at(
-            sources[0].path if sources else Path(str(sides[0])), "is one run; name at least two runs to compare"
-        )
+        path = sources[0].path if sources else Path(str(sides[0]))
+        raise InputError.at(path, "is one run; name at least two runs to compare")
     return sources, place
 
 
-def _runs_of(sides: Sequence[Any], results: Path | None) -> list[RunSource]:
-    """Return the runs of paths, numbers, names, patterns and results of functions, in this order.
-
-    Results that a pattern matched although they have no rows, as a sweep, are left out.
-    """
-    from cosim.comparison.several import RunSource
-    from cosim.history.selection import select_groups
-    from cosim.simulation.run_signals import Signals
-    from cosim.storage.results import rows_in
-
-    groups = iter(select_groups([str(side) for side in sides if not isinstance(side, Signals)], results))
-    sources = []
-    for side in sides:
-        if isinstance(side, Signals):
-            sources.append(_result_source(side))
-            continue
-        for s in next(groups):
-            if not s.by_pattern or rows_in(s.path) is not None:
-                sources.append(RunSource(s.short, s.path, partial(_read, s), s.by_pattern, s.longer))
-    return sources
-
-
-def _read(selected: Selected) -> RecordedRun:
-    """Return a recorded run; raise InputError if it was removed or replaced since it was listed."""
-    from cosim.simulation.run_files import read_ran
-
-    run = read_ran(selected.path)
-    if selected.entry is not None:
-        selected.entry.check_current()
-    return run
-
-
-def _result_source(side: Signals) -> RunSource:
-    from cosim.comparison.several import RunSource
-    from cosim.simulation.run_files import RecordedRun
-    from cosim.simulation.run_signals import Run
-
-    path = side.folder or Path(side.title)
-    run = RecordedRun(path, side.title, side.results, side.manifest if isinstance(side, Run) else {})
-    return RunSource(side.title, path, lambda: run)
-
-
 def command(
-    runs: Annotated[
-        list[str],
-        typer.Argument(
-            metavar="RUN...",
-            help="Folders of runs, their numbers, names or patterns in `cosim list`, or CSV files of rows.",
-        ),
-    ],
+    runs: list[str],
     *,
-    baseline: Annotated[
-        str | None, typer.Option("--baseline", metavar="RUN", help="Baseline (default: the first run).")
-    ] = None,
-    tolerance: Annotated[
-        float | None,
-        typer.Option("--tol", help="Allowed difference as a share of each signal's range; exit code 5 if exceeded."),
-    ] = None,
-    absolute: Annotated[
-        float, typer.Option("--abs", help="Allowed difference in each signal's unit, added to --tol.")
-    ] = 0.0,
-    results: ResultsFolder = None,
-    out: Annotated[Path | None, out_option("a new number in results/A-and-B")] = None,
-    report: Report = True,
-    open_: Open = False,
-    force: Force = False,
-    as_json: Json = False,
+    baseline: str | None = None,
+    tolerance: float | None = None,
+    absolute: float = 0.0,
+    results: Path | None = None,
+    out: Path | None = None,
+    report: bool = True,
+    force: bool = False,
+    open: bool = False,
+    json: bool = False,
 ) -> None:
     """Compare runs signal by signal with a baseline.
 
     Prints the largest differences. Writes comparison.json and a report that shows all runs in the same charts.
+
+    Args:
+        runs (RUN...): Folders of runs, their numbers, names or patterns in `cosim list`, or CSV files of rows.
+        baseline (RUN): Baseline (default: the first run).
+        tolerance (--tol): Allowed difference as a share of each signal's range; exit code 5 if exceeded.
+        absolute (--abs): Allowed difference in each signal's unit, added to --tol.
+        out: Folder for the results (default: a new number in results/A-and-B).
 
     Example: cosim compare results/one results/two --tol 1e-3
     """
@@ -181,24 +165,30 @@ def command(
     sources, place = _sources(runs, baseline, results)
     if absolute and tolerance is None:
         tolerance = 0.0
-    options: dict[str, Any] = {"tolerance": tolerance, "absolute": absolute, "force": force}
-    options["report"] = report and comparison_page
-    comparison, folder = compare_runs(sources, out, baseline=place, as_pair=len(sources) == 2, **options)
+    comparison, folder = compare_runs(
+        sources,
+        out,
+        baseline=place,
+        tolerance=tolerance,
+        absolute=absolute,
+        report=report and comparison_page,
+        force=force,
+        as_pair=len(sources) == 2,
+    )
     if isinstance(comparison, Compared):
         warn(*comparison.a.warnings, *comparison.b.warnings)
         lines = _lines(comparison)
     else:
         warn(*comparison.left_out, *(warning for run in comparison.runs for warning in run.warnings))
         lines = _lines_of_several(comparison)
-    if as_json:
+    if json:
         say_json(comparison.as_json())
-    else:
-        say(lines[0], met=comparison.same if comparison.judged else None)
-        say(*lines[1:])
-        say(f"differences: {folder / 'comparison.json'}")
-        if report:
-            say(f"report:      {folder / 'report.html'}")
-    show(folder / "report.html", open_=report and open_)
+    say(lines[0], met=comparison.same if comparison.judged else None)
+    say(*lines[1:])
+    say(f"differences: {folder / 'comparison.json'}")
+    if report:
+        say(f"report:      {folder / 'report.html'}")
+        show(folder / "report.html", open)
     if comparison.judged and not comparison.same:
         raise CriterionMissed("; ".join(comparison.reasons))
 

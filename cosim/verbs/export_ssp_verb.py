@@ -2,34 +2,27 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated
+from typing import Any
 
-import typer
-
-from cosim.verbs.options import Json, Nearest, Overrides
 from cosim.verbs.terminal import say, say_json, say_note
 
 
-def command(
-    scenario: Annotated[Path, typer.Argument(help="A scenario, or the manifest.json of a run.")],
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="SSP file (default: NAME.ssp in the current folder).")
-    ] = None,
-    set_: Overrides = None,
-    nearest: Nearest = False,
-    as_json: Json = False,
-) -> None:
+def command(*, json: bool = False, **given: Any) -> None:
     """Write a scenario as an SSP 1.0 for other simulators.
 
     Noise is off; references become FMUs.
+
+    Args:
+        scenario: A scenario, or the manifest.json of a run.
+        path (--out): SSP file (default: NAME.ssp in the current folder).
+        overrides (--set PATH=VALUE): Replace a value of the scenario, for example noise=off.
 
     Example: cosim export-ssp scenario.yaml --out system.ssp
     """
     from cosim.authoring.export import export_ssp
 
-    exported = export_ssp(scenario, out, tuple(set_ or ()), nearest=nearest)
+    exported = export_ssp(**given)
     say_note(*exported.notes)
     say(f"wrote {exported.path}")
-    if as_json:
+    if json:
         say_json({"ssp": str(exported.path), "notes": list(exported.notes)})

@@ -4,19 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 from cosim.base.settings import Files, Given, column_names, texts
 from cosim.storage.files import FilePath
-from cosim.storage.folders import name_of_file, new_run, results_in
-from cosim.verbs.options import Compile, Force, InProcess, Json, LimitsText, Open, Report, Texts, out_option
+from cosim.storage.folders import NUMBERED, name_of_file, results_in
 from cosim.verbs.terminal import files_in, say, say_json, show, stages, table, warn
 
 if TYPE_CHECKING:
-    from cosim.calibration.fit_record import Record
     from cosim.calibration.fitted import Fitted
 
 
@@ -77,108 +72,52 @@ def fit(
         columns=column_names(columns),
         limits=limits,
     )
-    with compiling(compile), results_in(out, "cosim fit", force=force) as folder:
-        record, _ = fit_logs(
+    name = name_of_file(request.fmu if request.yaml is None else request.yaml.path, "fit")
+    with compiling(compile), results_in(out, "cosim fit", name, force=force) as folder:
+        record, warnings = fit_logs(
             request,
             folder,
             in_process=in_process,
             report=report and out is not None,
-            progress=progress or _silent,
+            progress=progress or (lambda stage, share: None),
         )
-    return Fitted(record.model_dump(mode="json"), None if out is None else Path(out))
+    return Fitted(record.model_dump(mode="json"), None if out is None else folder, tuple(warnings))
 
 
-def _silent(stage: str, share: float) -> None:
-    """Show no progress."""
-
-
-def command(
-    logs: Annotated[
-        list[Path],
-        typer.Argument(help="Measured logs: CSV files with time, inputs and measured outputs; or a study."),
-    ],
-    *,
-    fmu: Annotated[
-        Path | None,
-        typer.Option("--fmu", metavar="FMU", help="FMU whose parameters are estimated, if no study names it."),
-    ] = None,
-    out: Annotated[Path | None, out_option("a new number in results/NAME-fit of the FMU or study")] = None,
-    vary: Annotated[
-        Texts,
-        typer.Option(
-            "--vary",
-            metavar="NAME[=BOUNDS]",
-            help="Parameter to estimate: NAME, NAME=20% (prior) or NAME=LOW..HIGH (default: all identifiable ones).",
-        ),
-    ] = None,
-    start: Annotated[
-        Texts,
-        typer.Option("--start", metavar="NAME=VALUE", help="Further value of the FMU, or first value of a parameter."),
-    ] = None,
-    sealed: Annotated[
-        list[Path] | None, typer.Option("--sealed", metavar="LOG", help="Log for the proof, not used by the estimate.")
-    ] = None,
-    column: Annotated[
-        Texts,
-        typer.Option(
-            "--column", metavar="COLUMN=VARIABLE", help="Variable that a column holds, for example stamp=time."
-        ),
-    ] = None,
-    report: Report = True,
-    in_process: InProcess = False,
-    compile_: Compile = False,
-    limits: LimitsText = "",
-    open_: Open = False,
-    force: Force = False,
-    as_json: Json = False,
-) -> None:
+def command(*, open: bool = False, json: bool = False, **given: Any) -> None:
     """Estimate parameters and start values of an FMU from measured logs.
 
     Writes fit.json, fitted.ssv, fitted.fmu (if the library of the FMU follows the start values of its file) and
     report.html.
 
+    Args:
+        logs: Measured logs: CSV files with time, inputs and measured outputs; or a study.
+        fmu (--fmu FMU): FMU whose parameters are estimated, if no study names it.
+        out: Folder for the results (default: a new number in results/NAME-fit of the FMU or study).
+        vary (NAME[=BOUNDS]): Parameter to estimate: NAME, NAME=20% (prior) or NAME=LOW..HIGH (default: all
+            identifiable ones).
+        start (NAME=VALUE): Further value of the FMU, or first value of a parameter.
+        sealed (LOG): Log for the proof, not used by the estimate.
+        columns (--column COLUMN=VARIABLE): Variable that a column holds, for example stamp=time.
+
     Example: cosim fit a.csv b.csv --fmu motor.fmu --vary mass=20% --sealed c.csv; or: cosim fit study.yaml
     """
-    from cosim.blocks.compiling import compiling
-    from cosim.calibration.fit_study import request_of
-    from cosim.calibration.workflow import fit as fit_logs
-
-    request = request_of(
-        logs,
-        fmu,
-        vary=vary or (),
-        start=start or (),
-        sealed=sealed or (),
-        columns=column or (),
-        limits=limits,
-    )
-    name = name_of_file(request.fmu if request.yaml is None else logs[0], "fit")
-    with compiling(compile_), new_run(out, name, "cosim fit", force=force) as place, stages() as progress:
-        record, told = fit_logs(
-            request,
-            place,
-            in_process=in_process,
-            report=report,
-            progress=progress or _silent,
-        )
-    warn(*told)
-    if as_json:
-        say_json({**record.model_dump(mode="json"), "files": files_in(place, "fit.json", "fitted.ssv", "fitted.fmu")})
-    else:
-        _say(record, place)
-    show(place / "report.html", open_=report and open_)
-
-
-def _say(record: Record, place: Path) -> None:
-    """Print the verdict, the estimates and the files."""
     from cosim.base.text import amount
 
-    say(record.sentence)
+    with stages() as progress:
+        fitted = fit(**{**given, "out": given["out"] or NUMBERED}, progress=progress)
+    assert fitted.folder is not None  # a command writes
+    warn(*fitted.warnings)
+    files = files_in(fitted.folder, "fit.json", "fitted.ssv", "fitted.fmu")
+    if json:
+        say_json({**fitted.record, "files": files})
+    say(fitted.sentence)
     rows = []
-    for name, p in record.parameters.items():
-        interval = "" if p.ci95 is None else " … ".join(amount(end, p.unit, 4) for end in p.ci95)
-        rows.append((name, amount(p.start, p.unit, 4), amount(p.value, p.unit, 5), interval, p.status))
+    for name, p in fitted.record["parameters"].items():
+        unit, interval = p["unit"], " … ".join(amount(end, p["unit"], 4) for end in p["ci95"] or ())
+        rows.append((name, amount(p["start"], unit, 4), amount(p["value"], unit, 5), interval, p["status"]))
     say(*table(("parameter", "before", "estimate", "95 % interval", "status"), rows))
-    left = [(c.name, c.reason) for c in record.screening if not c.estimated]
-    say(*(table(("not estimated", "reason"), left) if left else []))
-    say(*(f"{name + ':':9}{path}" for name, path in files_in(place, "fit.json", "fitted.ssv", "fitted.fmu").items()))
+    others = [(c["name"], c["reason"]) for c in fitted.record["screening"] if not c["estimated"]]
+    say(*(table(("not estimated", "reason"), others) if others else []))
+    say(*(f"{name + ':':9}{path}" for name, path in files.items()))
+    show(fitted.folder / "report.html", open)

@@ -6,12 +6,9 @@ import re
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import TYPE_CHECKING
 
 from cosim.base.errors import InputError
-from cosim.verbs.options import Json, Open, Overrides
 from cosim.verbs.terminal import echo, say, say_json, show
 
 if TYPE_CHECKING:
@@ -25,33 +22,33 @@ DIAGRAM = re.compile(
 
 
 def command(
-    scenario: Annotated[Path, typer.Argument(help="A scenario, an SSP, or the manifest.json of a run.")],
+    scenario: Path,
     *,
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", "-o", help="Picture: FILE.svg, or FILE.mmd for Mermaid (default: NAME.svg)."),
-    ] = None,
-    mermaid: Annotated[
-        bool, typer.Option("--mermaid", help="Print the picture as Mermaid text and write no file.")
-    ] = False,
-    set_: Overrides = None,
-    open_: Open = False,
-    force: Annotated[
-        bool, typer.Option("--force", help="Overwrite a file that is not a picture of this scenario.")
-    ] = False,
-    as_json: Json = False,
+    out: Path | None = None,
+    mermaid: bool = False,
+    set: list[str] | None = None,
+    open: bool = False,
+    force: bool = False,
+    json: bool = False,
 ) -> None:
     """Draw the components and connections of a scenario.
 
     The picture shows the order of steps, signals, units, noise and faults.
 
+    Args:
+        scenario: A scenario, an SSP, or the manifest.json of a run.
+        out: Picture: FILE.svg, or FILE.mmd for Mermaid (default: NAME.svg).
+        mermaid: Print the picture as Mermaid text and write no file.
+        set (PATH=VALUE): Replace a value of the scenario, for example noise=off.
+        force: Overwrite a file that is not a picture of this scenario.
+
     Example: cosim graph scenario.yaml
     """
     from cosim.storage.files import write_text
 
-    graph = graph_of(scenario, set_ or ())
+    graph = graph_of(scenario, set or ())
     if mermaid:
-        say_json({"mermaid": graph.mermaid()}) if as_json else echo(graph.mermaid(), nl=False)
+        say_json({"mermaid": graph.mermaid()}) if json else echo(graph.mermaid(), nl=False)
         return
     path = Path(f"{scenario.stem}.svg") if out is None else out
     if not path.parent.is_dir():
@@ -62,9 +59,9 @@ def command(
         _check_picture(path, graph)
     write_text(path, graph.mermaid() if path.suffix.lower() == ".mmd" else graph.svg())
     say(f"graph: {path}")
-    if as_json:
+    if json:
         say_json({"graph": str(path)})
-    show(path, open_=open_)
+    show(path, open)
 
 
 def graph_of(path: Path, overrides: Sequence[str] = ()) -> Graph:

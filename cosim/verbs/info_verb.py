@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING
 
 import typer
 
-from cosim.verbs.options import Compile, Json, Texts
 from cosim.verbs.terminal import say, say_json, some, table
 
 if TYPE_CHECKING:
     from cosim.blocks.summary import Summary, Variable
-    from cosim.probing.fmu_structure import Pair, Port, ProbedParameter, Structure
+    from cosim.probing.fmu_structure import Port
     from cosim.probing.places import Places
 
 SECTIONS = {"inputs": ("input",), "outputs": ("output",), "parameters": ("parameter", "structuralParameter")}
@@ -23,103 +22,87 @@ MAX_PARAMETERS = 60  # parameters in the table; --all shows every one
 
 
 def command(
-    fmus: Annotated[list[Path], typer.Argument(metavar="FMU", help="FMU to describe.")],
+    fmus: list[Path],
     *,
-    every: Annotated[bool, typer.Option("--all", help="List local variables and every parameter too.")] = False,
-    places: Annotated[
-        bool,
-        typer.Option("--places", help="Execute each FMU to find the places where terms can act."),
-    ] = False,
-    log: Annotated[
-        Texts, typer.Option("--log", metavar="LOG", help="Measured log that drives the inputs for --places.")
-    ] = None,
-    compile_: Compile = False,
-    limits: Annotated[
-        str, typer.Option("--limits", help="Limits of each simulation for --places, for example 'step: 10 s'.")
-    ] = "",
-    as_json: Json = False,
+    every: bool = False,
+    places: bool = False,
+    log: list[str] | None = None,
+    compile: bool = False,
+    limits: str = "",
+    json: bool = False,
 ) -> None:
     """List variables, units, defaults and capabilities of FMUs.
+
+    Args:
+        fmus (FMU): FMU to describe.
+        every (--all): List local variables and every parameter too.
+        places: Execute each FMU to find the places where terms can act.
+        log (LOG): Measured log that drives the inputs for --places.
+        limits: Limits of each simulation for --places, for example 'step: 10 s'.
 
     Example: cosim info plant.fmu controller.fmu
     """
     from cosim.blocks.summary import summaries
 
-    if not places and (log or limits or compile_):
+    if not places and (log or limits or compile):
         raise typer.BadParameter("--log, --limits and --compile need --places")
     descriptions = summaries(fmus)
-    probed = [_probe(fmu, log or [], limits, compiles=compile_) if places else None for fmu in fmus]
-    if as_json:
-        contents = [_content(s, p) for s, p in zip(descriptions, probed, strict=True)]
+    probed: dict[Path, Places] = {}
+    if places:
+        from cosim.blocks.compiling import compiling
+        from cosim.isolation.limits import read_limits
+        from cosim.probing.places import probe_places
+        from cosim.probing.prober import LIMITS
+        from cosim.residuals.drive import log_of_fmu
+
+        most, logs = read_limits(limits) if limits else LIMITS, log or []
+        for fmu in fmus:
+            read = [log_of_fmu(Path(name), fmu, alone=len(logs) == 1) for name in logs]
+            with compiling(compile):
+                probed[fmu] = probe_places(fmu, read, limits=most)
+    contents, blank = [], [""]
+    for fmu, summary in zip(fmus, descriptions, strict=True):
+        contents.append(summary.as_json() | ({"places": probed[fmu].as_json()} if places else {}))
+        say(*(blank if len(contents) > 1 else []), *_overview(summary))
+        say(*(_places(probed[fmu]) if places else _variables(summary, every=every)))
+    if json:
         say_json(contents if len(contents) > 1 else contents[0])
-        return
-    for number, (summary, found) in enumerate(zip(descriptions, probed, strict=True)):
-        say(*([""] if number else []), *_overview(summary))
-        say(*(_variables(summary, every=every) if found is None else _places(found)))
-
-
-def _content(summary: Summary, places: Places | None) -> dict[str, Any]:
-    """Return the content of an FMU for JSON."""
-    return summary.as_json() | ({} if places is None else {"places": places.as_json()})
-
-
-def _probe(fmu: Path, logs: Sequence[str], limits: str, *, compiles: bool) -> Places:
-    from cosim.blocks.compiling import compiling
-    from cosim.isolation.limits import read_limits
-    from cosim.probing.places import probe_places
-    from cosim.probing.prober import LIMITS
-    from cosim.residuals.drive import log_of_fmu
-
-    read = [log_of_fmu(Path(log), fmu, alone=len(logs) == 1) for log in logs]
-    with compiling(compiles):
-        return probe_places(fmu, read, limits=read_limits(limits) if limits else LIMITS)
 
 
 def _places(p: Places) -> list[str]:
     """Return the tables of places, and the findings."""
-    s, lines = p.structure, [f"way: {p.way}: {p.reason}"]
-    pairs = [(f"  {pair.position}", pair.velocity, f"{pair.gain:.6g}", _ports(pair)) for pair in s.pairs]
-    lines += _titled("pairs", ("  position", "velocity", "gain", "forces (gain)"), pairs)
+
+    def forces(*ports: Port | None) -> str:
+        return ", ".join(f"{port.input} ({port.gain:.4g})" for port in ports if port)
+
+    s = p.structure
+    header = ("  output", "unit", "start", "input (gain)") if s.feeds else ("  state", "unit", "start", "")
+    stored = [q for q in s.states or s.outputs if q.name in s.storages]
+    storages = [(f"  {q.name}", q.unit, f"{q.start:.6g}", forces(s.feeds.get(q.name))) for q in stored]
+    shows = {output: state for state, output in s.shown.items()}
+    parameters = []
+    for q in s.parameters:
+        acts = "yes" if q.acts else "at the start only" if q.starts else "no"
+        acts += ", and the FMU fails with a value near it" if q.failure else ""
+        parameters.append((f"  {q.name}", q.quantity.unit, f"{q.quantity.start:.6g}", acts))
+    pairs = [(f"  {r.position}", r.velocity, f"{r.gain:.6g}", forces(*r.ports) or "none") for r in s.pairs]
     joined = [
         (f"  {c.first.position}", c.second.position, f"{c.stiffness:.6g}", f"{c.damping:.6g}") for c in s.connections
     ]
-    lines += _titled("connections", ("  position", "and", "spring", "damper"), joined) if joined else []
     braked = [(f"  {d.parameter}", d.pair.velocity, f"{d.gain:.6g}", ", ".join(d.rates)) for d in s.dampings]
-    lines += _titled("dampings", ("  parameter", "velocity", "gain", "changes the rates of"), braked) if braked else []
-    lines += _storages(s)
-    shows = {output: state for state, output in s.shown.items()}
-    sensors = [(f"  {q.name}", q.unit, shows.get(q.name, "")) for q in s.outputs]
-    lines += _titled("sensors", ("  output", "unit", "shows the state"), sensors)
-    lines += _titled(
-        "inputs", ("  input", "unit", "start"), [(f"  {q.name}", q.unit, f"{q.start:.6g}") for q in s.inputs]
-    )
-    parameters = [(f"  {q.name}", q.quantity.unit, f"{q.quantity.start:.6g}", _acting(q)) for q in s.parameters]
-    lines += _titled("parameters", ("  parameter", "unit", "start", "acts"), parameters)
+    sections: list[tuple[str, tuple[str, ...], Sequence[Sequence[str]]]] = [
+        ("pairs", ("  position", "velocity", "gain", "forces (gain)"), pairs),
+        *([("connections", ("  position", "and", "spring", "damper"), joined)] if joined else []),
+        *([("dampings", ("  parameter", "velocity", "gain", "changes the rates of"), braked)] if braked else []),
+        ("storages", header, storages),
+        ("sensors", ("  output", "unit", "shows"), [(f"  {q.name}", q.unit, shows.get(q.name, "")) for q in s.outputs]),
+        ("inputs", ("  input", "unit", "start"), [(f"  {q.name}", q.unit, f"{q.start:.6g}") for q in s.inputs]),
+        ("parameters", ("  parameter", "unit", "start", "acts"), parameters),
+    ]
+    lines = [f"way: {p.way}: {p.reason}"]
+    for title, heads, rows in sections:
+        lines += [f"{title}: {len(rows)}", *table(heads, rows)] if rows else [f"{title}: none"]
     return [*lines, f"findings: {len(p.findings) or 'none'}", *(f"  {finding}" for finding in p.findings)]
-
-
-def _storages(s: Structure) -> list[str]:
-    header = ("  output", "unit", "start", "input (gain)") if s.feeds else ("  state", "unit", "start")
-    stored = [q for q in s.states or s.outputs if q.name in s.storages]
-    rows = [(f"  {q.name}", q.unit, f"{q.start:.6g}", *_feed(s.feeds.get(q.name))) for q in stored]
-    return _titled("storages", header, rows)
-
-
-def _titled(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    return [f"{title}: {len(rows)}", *table(header, rows)] if rows else [f"{title}: none"]
-
-
-def _ports(pair: Pair) -> str:
-    return ", ".join(name for port in pair.ports for name in _feed(port)) or "none"
-
-
-def _feed(port: Port | None) -> tuple[str, ...]:
-    return (f"{port.input} ({port.gain:.4g})",) if port else ()
-
-
-def _acting(parameter: ProbedParameter) -> str:
-    acts = "yes" if parameter.acts else "at the start only" if parameter.starts else "no"
-    return f"{acts}, and the FMU fails with a value near it" if parameter.failure else acts
 
 
 def _overview(s: Summary) -> list[str]:
@@ -129,12 +112,16 @@ def _overview(s: Summary) -> list[str]:
     experiment = [f"{key} {s.experiment[key]:g}{unit}" for key, unit in UNITS.items() if key in s.experiment]
     without = " without --compile" if C_CODE in s.platforms else ""
     here = "" if s.runs_here else f", so it does not run on this machine{without}"
+    capabilities = []
+    for way, flags in s.capabilities.items():
+        names = [name if value is True else f"{name} {value}" for name, value in flags.items()]
+        capabilities.append(f"  {way}: {', '.join(names) or 'no capability declared'}")
     return [
         f"{s.file}: {s.name}, FMI {s.fmi_version} for {', '.join(s.ways)}" + (f", by {s.tool}" if s.tool else ""),
         *([f"  {s.description}"] if s.description else []),
         f"  default experiment: {', '.join(experiment) or 'none'}",
         f"  platforms: {', '.join(s.platforms) or 'none'}{here}",
-        *(f"  {way}: {', '.join(_flags(flags)) or 'no capability declared'}" for way, flags in s.capabilities.items()),
+        *capabilities,
         f"  states: {s.state_count}" + (f" ({some(s.states, MAX_NAMES)})" if s.states else ""),
         *(f"  warning: {slip}" for slip in s.slips[:5]),
     ]
@@ -142,38 +129,29 @@ def _overview(s: Summary) -> list[str]:
 
 def _variables(s: Summary, *, every: bool) -> list[str]:
     """Return the tables of variables; local variables are counted unless all are shown."""
-    lines = [line for title, causalities in SECTIONS.items() for line in _section(title, s.of(*causalities), every)]
-    listed = {"independent"}.union(*SECTIONS.values())
-    others = [v for v in s.variables if v.causality not in listed]
-    if every:
-        return lines + _section("others", others, True)
-    more = f"{len(others)} more: locals and calculated parameters (--all lists them)"
-    return [*lines, more] if others else lines
+    groups = {title: s.of(*causalities) for title, causalities in SECTIONS.items()}
+    others = [v for v in s.variables if v.causality not in {"independent"}.union(*SECTIONS.values())]
+    if every and others:
+        groups["others"] = others
+    lines = []
+    for title, variables in groups.items():
+        listed = variables if every or title != "parameters" else variables[:MAX_PARAMETERS]
+        header = ("  name", "type", "unit", "start", "range", "description")
+        lines += (
+            [f"{title}: {len(variables)}", *table(header, [*map(_row, listed)])] if variables else [f"{title}: none"]
+        )
+        lines += [f"  … and {len(variables) - len(listed)} more (--all)"] if len(listed) < len(variables) else []
+    if others and not every:
+        lines.append(f"{len(others)} more: locals and calculated parameters (--all lists them)")
+    return lines
 
 
-def _flags(flags: dict[str, object]) -> list[str]:
-    return [name if value is True else f"{name} {value}" for name, value in flags.items()]
-
-
-def _section(title: str, variables: list[Variable], every: bool) -> list[str]:
-    if not variables:
-        return [f"{title}: none"] if title != "others" else []
-    listed = variables if every or title != "parameters" else variables[:MAX_PARAMETERS]
-    rows = []
-    for v in listed:
-        name = f"  {v.name}{list(v.dimensions) if v.dimensions else ''}"
-        rows.append((name, v.type, v.unit, _start(v), _range(v), v.description[:80]))
-    header = ("  name", "type", "unit", "start", "range", "description")
-    more = [f"  … and {len(variables) - len(listed)} more (--all)"] if len(listed) < len(variables) else []
-    return [f"{title}: {len(variables)}", *table(header, rows), *more]
-
-
-def _start(v: Variable) -> str:
+def _row(v: Variable) -> tuple[str, ...]:
+    """Return the cells of a variable: name, type, unit, start, range, description."""
     item = next((name for name, number in v.items.items() if str(number) == v.start), "")
-    return f"{v.start} ({item})" if item else (v.start or "")[:30]
-
-
-def _range(v: Variable) -> str:
+    start = f"{v.start} ({item})" if item else (v.start or "")[:30]
+    limits = "" if v.min is None and v.max is None else f"{v.min or '-∞'} … {v.max or '∞'}"
     if v.items:
-        return some([f"{number} {name}" for name, number in v.items.items()], MAX_NAMES)
-    return "" if v.min is None and v.max is None else f"{v.min or '-∞'} … {v.max or '∞'}"
+        limits = some([f"{number} {name}" for name, number in v.items.items()], MAX_NAMES)
+    name = f"  {v.name}{list(v.dimensions) if v.dimensions else ''}"
+    return name, v.type, v.unit, start, limits, v.description[:80]

@@ -3,24 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
-import typer
-
-from cosim.verbs.options import Json
 from cosim.verbs.terminal import say, say_json, warn
 
 
-def command(
-    fmus: Annotated[list[Path], typer.Argument(metavar="FMU", help="FMU of the system.")],
-    out: Annotated[
-        Path, typer.Option("--out", "-o", help="Scenario file; an existing file is not overwritten.")
-    ] = Path("scenario.yaml"),
-    as_json: Json = False,
-) -> None:
+def command(fmus: list[Path], *, out: Path = Path("scenario.yaml"), json: bool = False) -> None:
     """Write a first scenario that connects FMUs by name and unit.
 
     Guessed connections are marked in the file. The scenario runs without changes.
+
+    Args:
+        fmus (FMU): FMU of the system.
+        out: Scenario file; an existing file is not overwritten.
 
     Example: cosim init plant.fmu controller.fmu --out scenario.yaml
     """
@@ -31,14 +25,21 @@ def command(
 
     draft = write_draft(out, fmus)
     matches = draft.matches
-    if as_json:
+    if json:
         connections = [
             {"from": text(m.source), "to": text(m.target), "guess": m.guess, "others": m.others}
             for m in matches.connections
         ]
-        content = {"scenario": str(out), "algorithm": draft.algorithm, "connections": connections}
         unconnected = [text(port) for port, _ in matches.unconnected]
-        say_json({**content, "not_connected": unconnected, "choices": dict(matches.choices)})
+        say_json(
+            {
+                "scenario": str(out),
+                "algorithm": draft.algorithm,
+                "connections": connections,
+                "not_connected": unconnected,
+                "choices": dict(matches.choices),
+            }
+        )
         return
     for m in matches.connections:
         say(f"  {text(m.source)} → {text(m.target)}" + (f"   guess: {m.guess}" if m.guess else ""))

@@ -4,33 +4,21 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from typing import Annotated
-
-import typer
 
 from cosim.base.errors import InputError
 from cosim.storage.folders import RESULTS
-from cosim.verbs.options import Json, ResultsFolder
 from cosim.verbs.terminal import say, say_json, show, some, warn
 
 PAGE = "report.html"
 MOST_NAMES = 5
 
 
-def command(
-    run: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="[RUN]", help="Number, name or pattern of results, or their folder (default: the newest results)."
-        ),
-    ] = None,
-    results: ResultsFolder = None,
-    browser: Annotated[
-        bool, typer.Option("--browser/--no-browser", help="Open the page, or print its path only.")
-    ] = True,
-    as_json: Json = False,
-) -> None:
+def command(run: str | None = None, *, results: Path | None = None, browser: bool = True, json: bool = False) -> None:
     """Open the report of results in a browser.
+
+    Args:
+        run ([RUN]): Number, name or pattern of results, or their folder (default: the newest results).
+        browser: Open the page, or print its path only.
 
     Example: cosim open 3
     """
@@ -42,9 +30,8 @@ def command(
     root = results or RESULTS
     found = [Selected(e.folder, e) for e in entries(root)[-1:]] if run is None else select_results([run], root)
     if not found:
-        raise InputError.at(
-            root, "no results here; run a command without --out first, or name their folder as --results"
-        )
+        text = "no results here; run a command without --out first, or name their folder as --results"
+        raise InputError.at(root, text)
     if len(found) > 1:
         names = some([f"{s.entry.number} {s.entry.name}" for s in found if s.entry is not None], MOST_NAMES)
         raise InputError.at(Path(run or ""), f"{len(found)} results match: {names}; name one")
@@ -61,12 +48,11 @@ def command(
         if record.suffix == ".json" and record.is_file() and not content_of(record):
             raise InputError.at(folder, "has no report.html, and its record is damaged: run the command again")
         of_run = entry.verb in {"run", "simulate", ""} if entry is not None else (folder / "manifest.json").is_file()
-        cure = (
-            f"`cosim report {shlex.quote(str(folder))}` writes it" if of_run else "run the command again with a report"
-        )
+        report = f"`cosim report {shlex.quote(str(folder))}` writes it"
+        cure = report if of_run else "run the command again with a report"
         raise InputError.at(folder, f"has no report.html; {cure}")
     warn(*dict.fromkeys((*warnings_on(folder), *(entry.warnings if entry is not None else ()))))
     say(f"report: {page}")
-    if as_json:
+    if json:
         say_json({"report": str(page)})
-    show(page, open_=browser)
+    show(page, browser)

@@ -6,21 +6,20 @@ import shlex
 from collections.abc import Callable
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 from cosim.base.errors import InputError
-from cosim.base.settings import Files, Values
+from cosim.base.settings import Files, Port, Values
 from cosim.storage.files import FilePath
 from cosim.storage.folders import name_of_file, new_run
-from cosim.verbs.options import Force, InProcess, Json, LimitsText, Live, Open, Port, Report, live_page, out_option
+from cosim.verbs.options import live_page
 from cosim.verbs.terminal import files_in, say, say_json, show, stages, table, warn
 
 if TYPE_CHECKING:
     from cosim.refinement.refined_result import Refined
-    from cosim.refinement.refinement import Refinement
     from cosim.subject.interface import Subject
+
+FILES = {"model": "model.yaml", "FMU": "plant.fmu", "nearest": "nearest.yaml", "report": "report.html"}
 
 
 def refine(
@@ -64,74 +63,46 @@ def refine(
 
     if isinstance(study, (str, PathLike)):
         if logs or validation or settings:
-            raise InputError.at(
-                Path(study),
-                (
-                    "logs, validation and settings stand in the file; write them into the study, or give an object "
-                    "in its place"
-                ),
-            )
+            text = "logs, validation and settings stand in the file; write them into the study, or give an object"
+            raise InputError.at(Path(study), f"{text} in its place")
         source: Any = study
     else:
         source = study_of(study, logs, validation, **(settings or {}))
     with new_run(out, "", "cosim refine", force=force) as place:
         result = refine_study(source, place, progress, report=report, in_process=in_process, limits=limits)
-    return Refined(result.record, place, result.refined)
+    return Refined(result.record, place, result.refined, result)
 
 
 def command(
-    study: Annotated[Path, typer.Argument(help="A study: model, estimation logs and validation logs.")],
-    *,
-    out: Annotated[Path | None, out_option("a new number in results/NAME of the study")] = None,
-    report: Report = True,
-    in_process: InProcess = False,
-    limits: LimitsText = "",
-    open_: Open = False,
-    force: Force = False,
-    as_json: Json = False,
-    live: Live = False,
-    port: Port = None,
+    *, live: bool = False, port: Port | None = None, open: bool = False, json: bool = False, **given: Any
 ) -> None:
     """Find the effect that a model lacks, from measured logs.
 
     Writes refine.json, the refined model.yaml and plant.fmu, and report.html.
 
+    Args:
+        study: A study: model, estimation logs and validation logs.
+        out: Folder for the results (default: a new number in results/NAME of the study).
+
     Example: cosim refine study.yaml --out results/refine
     """
+    from cosim.probing.fmu_structure import Structure
+    from cosim.refinement.report.error_tables import error_tables, second_sentence
     from cosim.refinement.stages import stage_number
-    from cosim.refinement.workflow import refine as refine_study
 
+    study = given["study"]
     with (
-        new_run(out, name_of_file(study), "cosim refine", force=force) as place,
+        new_run(given["out"], name_of_file(study), "cosim refine", force=given["force"]) as given["out"],
         stages(stage_number) as progress,
         live_page("refine", study.stem, live=live, port=port, progress=progress) as page,
     ):
-        told = progress if page is None else page
-        options: dict[str, Any] = {"report": report, "in_process": in_process, "limits": limits}
-        result = refine_study(study, place, told, **options)
+        refined = refine(**given, progress=progress if page is None else page)
         if page is not None:
-            page.show_verdict(result.record, place / "report.html")
+            page.show_verdict(refined.record, refined.folder / "report.html")
+    result, record, place = refined.details, refined.record, refined.folder
     warn(*result.study.warnings)
-    _say_verdict(result, place, report=report)
-    if as_json:
-        keys = ("verdict", "sentence", "effects", "rivals", "error")
-        answer = {key: result.record[key] for key in keys if key in result.record}
-        say_json({**answer, **files_in(place, "refine.json", "model.yaml", "plant.fmu")})
-    show(place / "report.html", open_=report and open_)
-    if result.record["verdict"] == "ambiguous":
-        from cosim.experiment.ranges import inputs_to_limit
-
-        ranges = [f"--limit {name}=VALUE" for name in inputs_to_limit(result.study.subject)]
-        say(f"an experiment that would decide: {' '.join(['cosim excite', shlex.quote(str(place)), *ranges])}")
-
-
-def _say_verdict(result: Refinement, place: Path, *, report: bool) -> None:
-    """Print the verdict, a table of errors on the decisive logs, and the files."""
-    from cosim.probing.fmu_structure import Structure
-    from cosim.refinement.report.error_tables import error_tables, second_sentence
-
-    say(f"verdict: {result.record['verdict']}")
-    say(" ".join(s for s in (str(result.record["sentence"]), second_sentence(result)) if s))
+    say(f"verdict: {record['verdict']}")
+    say(" ".join(s for s in (str(record["sentence"]), second_sentence(result)) if s))
     for errors in error_tables(result)[-1:]:
         has_claim = result.verdict.claimed is not None
         header = ("channel", "before", "recalibrated", "refined" if has_claim else "", "nearest", "noise floor")
@@ -140,19 +111,18 @@ def _say_verdict(result: Refinement, place: Path, *, report: bool) -> None:
             after, nearest = r.after if has_claim else "", r.nearest if errors.nearest else ""
             rows.append((r.channel, r.before, r.recalibrated, after, nearest, r.floor))
         say(f"\n{errors.title}, root mean square error:", *table(header, rows), "")
-    _say_files(place, report=report)
+    for name, file in FILES.items():
+        if file != "report.html" or given["report"]:
+            say(*([f"{name + ':':9}{place / file}"] if (place / file).is_file() else []))
     if isinstance(original := getattr(result.study.subject, "structure", None), Structure):
         say(f"The FMU holds {original.fmu.name} whole: check that its licence permits you to pass it on.")
+    if json:
+        keys = ("verdict", "sentence", "effects", "rivals", "error")
+        answer = {key: record[key] for key in keys if key in record}
+        say_json({**answer, **files_in(place, "refine.json", "model.yaml", "plant.fmu")})
+    show(place / "report.html", open and given["report"])
+    if refined.verdict == "ambiguous":
+        from cosim.experiment.ranges import inputs_to_limit
 
-
-def _say_files(place: Path, *, report: bool) -> None:
-    """Print the written files."""
-    files = {
-        "model": ["model.yaml"],
-        "FMU": ["plant.fmu"],
-        "nearest": ["nearest.yaml", "nearest.fmu"],
-        "report": ["report.html"] if report else [],
-    }
-    for name, choices in files.items():
-        if file := next((place / choice for choice in choices if (place / choice).is_file()), None):
-            say(f"{name + ':':9}{file}")
+        ranges = [f"--limit {name}=VALUE" for name in inputs_to_limit(result.study.subject)]
+        say(f"an experiment that would decide: {' '.join(['cosim excite', shlex.quote(str(place)), *ranges])}")

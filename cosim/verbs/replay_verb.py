@@ -4,20 +4,16 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Callable
-from functools import partial
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 from cosim.base.settings import Given, column_names, texts
 from cosim.storage.files import FilePath
-from cosim.storage.folders import name_of_file, new_run, results_in
-from cosim.verbs.options import Compile, Force, Format, InProcess, Json, LimitsText, Open, Report, Texts, out_option
+from cosim.storage.folders import NUMBERED, name_of_file, results_in
 from cosim.verbs.terminal import files_in, progress_bar, say, say_finding, say_json, show, table
 
 if TYPE_CHECKING:
-    from cosim.residuals.compare import Comparison
     from cosim.residuals.replay_signals import Replay
 
 
@@ -64,87 +60,64 @@ def replay(
     from cosim.residuals.replay_signals import read_replay
     from cosim.residuals.workflow import replay as replay_log
 
-    with compiling(compile), results_in(out, "cosim replay", force=force) as folder:
-        drive = partial(replay_log, in_process=in_process, limits=limits, progress=progress)
-        posed = partial(drive, start=texts(start), columns=column_names(columns))
-        posed(log, folder, fmu, report=report and out is not None, format_=format)
-        result = read_replay(Path(folder), kept=out is not None)
+    with compiling(compile), results_in(out, "cosim replay", name_of_file(Path(log)), force=force) as folder:
+        comparison = replay_log(
+            log,
+            folder,
+            fmu,
+            start=texts(start),
+            columns=column_names(columns),
+            report=report and out is not None,
+            in_process=in_process,
+            limits=limits,
+            format_=format,
+            progress=progress,
+        )
+        result = read_replay(folder, kept=out is not None)
     assert result is not None  # else an error was raised
-    return result
+    return replace(result, comparison=comparison)
 
 
-def command(
-    log: Annotated[Path, typer.Argument(help="Measured log: CSV file with time, inputs and measured outputs.")],
-    *,
-    plant: Annotated[
-        Path | None,
-        typer.Option("--plant", metavar="FMU", help="FMU to simulate (default: the plant of the base model)."),
-    ] = None,
-    out: Annotated[Path | None, out_option("a new number in results/NAME of the log")] = None,
-    start: Annotated[
-        Texts,
-        typer.Option(
-            "--start", metavar="NAME=VALUE", help="Start value or parameter of the FMU, for example angle=12deg."
-        ),
-    ] = None,
-    column: Annotated[
-        Texts,
-        typer.Option(
-            "--column", metavar="COLUMN=VARIABLE", help="Variable that a column holds, for example stamp=time."
-        ),
-    ] = None,
-    report: Report = True,
-    in_process: InProcess = False,
-    format_: Format = "csv",
-    compile_: Compile = False,
-    limits: LimitsText = "",
-    open_: Open = False,
-    force: Force = False,
-    as_json: Json = False,
-) -> None:
+def command(*, open: bool = False, json: bool = False, **given: Any) -> None:
     """Simulate an FMU with the recorded inputs of a log, and compare.
 
     Writes results.csv, residual.csv and report.html, and study.yaml for `cosim refine` if a named FMU lacks something.
 
+    Args:
+        log: Measured log: CSV file with time, inputs and measured outputs.
+        fmu (--fmu --plant FMU): FMU to simulate (default: the plant of the base model).
+        out: Folder for the results (default: a new number in results/NAME of the log).
+        start (NAME=VALUE): Start value or parameter of the FMU, for example angle=12deg.
+        columns (--column COLUMN=VARIABLE): Variable that a column holds, for example stamp=time.
+
     Example: cosim replay log.csv --plant motor.fmu --column speed=w
     """
-    from cosim.blocks.compiling import compiling
-    from cosim.residuals.comparison_data import as_json as numbers
+    from cosim.base.text import plain, size
+    from cosim.residuals.comparison_data import as_json
     from cosim.residuals.next_study import NEXT_STUDY
-    from cosim.residuals.replay_sentences import verdict
-    from cosim.residuals.workflow import replay as replay_log
+    from cosim.residuals.replay_sentences import horizon_name, verdict
     from cosim.storage.results import rows_in
 
-    folder = new_run(out, name_of_file(log), "cosim replay", force=force)
-    with compiling(compile_), folder as place, progress_bar("replaying") as progress:
-        drive = partial(replay_log, in_process=in_process, limits=limits, progress=progress)
-        posed = partial(drive, start=start or (), columns=column or ())
-        comparison = posed(log, place, plant, report=report, format_=format_)
+    with progress_bar("replaying") as progress:
+        replayed = replay(**{**given, "out": given["out"] or NUMBERED}, progress=progress)
+    assert replayed.folder is not None  # a command writes
+    comparison, place, page = replayed.comparison, replayed.folder, replayed.folder / "report.html"
     for finding in comparison.findings:
         if finding.severity == "warning":
             say_finding(finding.line)
     say(verdict(comparison))
-    say(*_error_table(comparison))
+    rows = []
+    for c in comparison.channels:  # the error of each, beside the noise of its sensor
+        error = size(c.scores[c.measure].rmse, c.unit)
+        rows.append((c.name, error, horizon_name(c.measure), size(c.noise, c.unit), plain(c.excess, 2)))
+    say(*table(("channel", "error (rms)", "over", "noise σ", "error / noise floor"), rows))
     if (study := place / NEXT_STUDY).is_file():
         name = shlex.quote(str(study))
         say(f"next: cosim refine {name}, or its parameters alone: cosim fit {name}")
-    say(f"residual: {rows_in(place, 'residual')}" + (f", report: {place / 'report.html'}" if report else ""))
-    if as_json:
+    say(f"residual: {rows_in(place, 'residual')}" + (f", report: {page}" if page.is_file() else ""))
+    if json:
         findings = [finding.line for finding in comparison.findings]
-        content = {"sentence": verdict(comparison), "findings": findings, "channels": numbers(comparison)}
-        rows = [path.name for stem in ("results", "residual") if (path := rows_in(place, stem))]
-        say_json({**content, **files_in(place, *rows, NEXT_STUDY)})
-    show(place / "report.html", open_=report and open_)
-
-
-def _error_table(comparison: Comparison) -> list[str]:
-    """Return the error of each channel as a table, beside the noise of its sensor."""
-    from cosim.base.text import plain, size
-    from cosim.residuals.replay_sentences import horizon_name
-
-    header = ("channel", "error (rms)", "over", "noise σ", "error / noise floor")
-    rows = []
-    for c in comparison.channels:
-        error = size(c.scores[c.measure].rmse, c.unit)
-        rows.append((c.name, error, horizon_name(c.measure), size(c.noise, c.unit), plain(c.excess, 2)))
-    return table(header, rows)
+        content = {"sentence": verdict(comparison), "findings": findings, "channels": as_json(comparison)}
+        files = [path.name for stem in ("results", "residual") if (path := rows_in(place, stem))]
+        say_json({**content, **files_in(place, *files, NEXT_STUDY)})
+    show(page, open)

@@ -3,28 +3,22 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
-
-import typer
 
 from cosim.base.errors import InputError
 from cosim.storage.files import check_writable
 from cosim.storage.folders import newest_run, warnings_on
 from cosim.storage.kinds import check_given
 from cosim.storage.results import rows_in
-from cosim.verbs.options import Json, Open
 from cosim.verbs.terminal import say, say_json, show, warn
 
 OTHERS = {"refine.json": "refine", "fit.json": "fit", "replay.json": "replay", "comparison.json": "compare"}
 
 
-def command(
-    folder: Annotated[Path, typer.Argument(help="Folder of a run.")],
-    figures: Annotated[bool, typer.Option("--figures", help="Write figures/*.png too.")] = False,
-    open_: Open = False,
-    as_json: Json = False,
-) -> None:
+def command(folder: Path, *, figures: bool = False, open: bool = False, json: bool = False) -> None:
     """Write the report of a run again from its results.
+
+    Args:
+        folder: Folder of a run.
 
     Example: cosim report results/one --open
     """
@@ -54,6 +48,6 @@ def command(
     write_pages(path, run.results, manifest, figures=figures)
     page = path / "report.html"
     say(f"report:  {page}")
-    if as_json:
+    if json:
         say_json({"report": str(page)})
-    show(page, open_=open_)
+    show(page, open)

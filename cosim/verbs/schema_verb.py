@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 from cosim.base.errors import InputError
 from cosim.base.registry import resolve
@@ -24,13 +22,11 @@ RESULTS = {  # kind of result → function that returns its schema
 KEY = re.compile(r"^\s*`?(\w+)`?:\s+(\S.*)$")
 
 
-def command(
-    kind: Annotated[
-        str,
-        typer.Argument(help="Kind of file: scenario, study, model, refine_result, …, or one of a package."),
-    ],
-) -> None:
+def command(kind: str) -> None:
     """Print the JSON schema of a kind of file, for editors.
+
+    Args:
+        kind: Kind of file: scenario, study, model, refine_result, …, or one of a package.
 
     Example: cosim schema scenario
     """

@@ -3,32 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from enum import StrEnum
-from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 from cosim.base.settings import Given, Names, PositiveSeconds, Seconds, normalize_settings
 from cosim.storage.files import FilePath
-from cosim.storage.folders import results_in
-from cosim.verbs.options import Compile, Force, Format, Json, Open, Report, Texts, out_option, time_option
-from cosim.verbs.run_verb import say_outcome
-from cosim.verbs.terminal import progress_bar, say, table, warn
+from cosim.storage.folders import NUMBERED, results_in
+from cosim.verbs.run_verb import say_run
+from cosim.verbs.terminal import progress_bar, table
 
 if TYPE_CHECKING:
     from cosim.simulation.run_signals import Run
-    from cosim.storage.results import Results
 
 MAX_SIGNALS = 12  # signals whose values are printed
-
-
-class Interpolation(StrEnum):
-    """Values of an input between two rows."""
-
-    HELD = "held"
-    LINEAR = "linear"
 
 
 def simulate(
@@ -80,78 +66,52 @@ def simulate(
     from cosim.simulation.run_signals import run_of
 
     with compiling(compile), results_in(out, "cosim simulate", force=force) as folder:
-        steps = partial(simulate_fmu, stop=stop, step=step, in_process=in_process, progress=progress)
-        pages = report and out is not None and write_pages
-        leaves = partial(steps, report=pages, format_=format, interpolation=interpolation)
-        outcome, notes = leaves(fmu, folder, start=normalize_settings(set), recorded=input, record=record)
+        outcome, notes = simulate_fmu(
+            fmu,
+            folder,
+            start=normalize_settings(set),
+            recorded=input,
+            stop=stop,
+            step=step,
+            record=record,
+            interpolation=interpolation,
+            report=report and out is not None and write_pages,
+            force=force,
+            in_process=in_process,
+            format_=format,
+            progress=progress,
+        )
     manifest = {**outcome.manifest, "warnings": [*notes, *outcome.manifest["warnings"]]}
     return run_of(outcome.results, manifest, None if out is None else outcome.folder)
 
 
-def command(
-    fmu: Annotated[Path, typer.Argument(help="FMU to simulate.")],
-    *,
-    set_: Annotated[
-        Texts,
-        typer.Option("--set", metavar="NAME=VALUE", help="Value of a parameter or input, for example angle=12deg."),
-    ] = None,
-    recorded: Annotated[
-        Path | None,
-        typer.Option("--input", help="CSV file with time and columns named as inputs; each row holds until the next."),
-    ] = None,
-    interpolation: Annotated[
-        Interpolation, typer.Option("--interpolation", help="Values of --input between two rows.")
-    ] = Interpolation.HELD,
-    stop: Annotated[
-        float | None,
-        time_option("End of the simulation, for example 10 or 4min (default: that of the FMU or of --input)."),
-    ] = None,
-    step: Annotated[
-        float | None, time_option("Communication step, for example 0.02 or 20ms (default: that of the FMU).")
-    ] = None,
-    record: Annotated[
-        Texts,
-        typer.Option("--record", metavar="PATTERN", help="Local variables or parameters to record too."),
-    ] = None,
-    out: Annotated[Path | None, out_option("a new number in results/NAME of the FMU")] = None,
-    report: Report = True,
-    open_: Open = False,
-    force: Force = False,
-    as_json: Json = False,
-    in_process: Annotated[
-        bool, typer.Option("--in-process", help="Load the FMU into the process of the command, for a debugger.")
-    ] = False,
-    format_: Format = "csv",
-    compile_: Compile = False,
-) -> None:
+def command(*, open: bool = False, json: bool = False, **given: Any) -> None:
     """Simulate one FMU without a scenario.
 
     Writes results.csv, report.html, and scenario.yaml, which repeats the run.
 
+    Args:
+        fmu: FMU to simulate.
+        out: Folder for the results (default: a new number in results/NAME of the FMU).
+        set (NAME=VALUE): Value of a parameter or input, for example angle=12deg.
+        input: CSV file with time and columns named as inputs; each row holds until the next.
+        interpolation (held|linear): Values of --input between two rows.
+        stop: End of the simulation, for example 10 or 4min (default: that of the FMU or of --input).
+        step: Communication step, for example 0.02 or 20ms (default: that of the FMU).
+        record (PATTERN): Local variables or parameters to record too.
+
     Example: cosim simulate plant.fmu --set mass=2 --stop 10
     """
-    from cosim.authoring.single import simulate as simulate_fmu
-    from cosim.blocks.compiling import compiling
-    from cosim.simulation.report import write_pages
-
-    with compiling(compile_), progress_bar() as progress:
-        steps = partial(simulate_fmu, stop=stop, step=step, in_process=in_process, progress=progress)
-        pages = report and write_pages
-        leaves = partial(steps, report=pages, force=force, format_=format_, interpolation=interpolation.value)
-        outcome, notes = leaves(fmu, out, start=set_ or (), recorded=recorded, record=record or ())
-    warn(*notes)
-    if not as_json:
-        say(f"scenario: {outcome.folder / 'scenario.yaml'} (change it, and `cosim run` it)")
-    say_outcome(outcome, report=report, open_=open_, as_json=as_json, lines=value_lines(outcome.results))
-
-
-def value_lines(results: Results) -> list[str]:
-    """Return a line for each signal with first, last, smallest and largest value."""
-    if not len(results.time):
-        return []
-    rows = []
-    for name in results.columns[:MAX_SIGNALS]:
-        v = results[name]
-        rows.append((f"  {name}", results.units.get(name, ""), *(f"{x:.6g}" for x in (v[0], v[-1], v.min(), v.max()))))
-    more = [f"  … and {len(results.columns) - MAX_SIGNALS} more signals"] if len(results.columns) > MAX_SIGNALS else []
-    return [*table(("  signal", "unit", "first", "last", "least", "largest"), rows), *more]
+    with progress_bar() as progress:
+        made = simulate(**{**given, "out": given["out"] or NUMBERED}, progress=progress)
+    lines, results = [f"scenario: {made.folder}/scenario.yaml (change it, and `cosim run` it)"], made.results
+    shown = results.columns[:MAX_SIGNALS] if len(made) else ()
+    rows = [
+        (f"  {name}", made.units.get(name, ""), *(f"{x:.6g}" for x in (v[0], v[-1], v.min(), v.max())))
+        for name in shown
+        for v in [results[name]]
+    ]
+    lines += table(("  signal", "unit", "first", "last", "least", "largest"), rows) if len(made) else []
+    if shown and len(results.columns) > MAX_SIGNALS:
+        lines.append(f"  … and {len(results.columns) - MAX_SIGNALS} more signals")
+    say_run(made, opens=open, lines=lines)

@@ -16,7 +16,7 @@ from typing import Any
 
 import typer
 
-from cosim.base.errors import CosimError, InputError, SimulationError
+from cosim.base.errors import CosimError, FmuError, InputError, SimulationError
 from cosim.base.messages import Note, printable, with_severity
 
 LONG_TIME = 2.0  # [s] until a progress bar is shown
@@ -85,32 +85,43 @@ def say_json(value: Any) -> None:
     MANNER.has_json = True
 
 
-def say_failure(error: CosimError) -> None:
-    """Print an error as JSON if --json is set and no JSON was printed; print the files of a stopped run."""
+def say_error(error: CosimError, exit_code: int | None = None) -> int:
+    """Print an error, or each fault on its own line, and the files of a stopped run; return the exit code.
+
+    With --json the error is printed as JSON too if no JSON was printed.
+    """
+    faults = error.faults if isinstance(error, InputError) else ()
+    for text in map(str, faults) if faults else [f"error: {error}"]:
+        echo(text, err=True)
+    code = error.exit_code if exit_code is None else exit_code
     about: dict[str, Any] = {}
     if isinstance(error, SimulationError):
         from cosim.storage.results import rows_in
 
-        folder = error.left
-        paths = {} if folder is None else {"results": rows_in(folder), "report": folder / "report.html"}
-        paths |= {} if folder is None else {"manifest": folder / "manifest.json"}
-        files = {key: str(path) for key, path in paths.items() if path is not None and path.is_file()}
-        for title, key in (("rows so far:", "results"), ("report:     ", "report")):
-            say(*([f"{title} {files[key]}"] if key in files else []))
+        files: dict[str, str | None] = dict.fromkeys(("manifest", "report", "results"))
+        if (folder := error.left) is not None:
+            paths = {"manifest": folder / "manifest.json", "report": folder / "report.html", "results": rows_in(folder)}
+            files |= {key: str(path) for key, path in paths.items() if path is not None and path.is_file()}
+        with suppress(OSError):  # stdout may be on the disk that is full
+            for title, key in (("rows so far:", "results"), ("report:     ", "report")):
+                say(*([f"{title} {files[key]}"] if files[key] else []))
         time = error.time if math.isfinite(error.time) else None
-        about = {"status": "failed", "component": error.component, "time": time, "reason": error.reason}
-        about |= {key: files.get(key) for key in ("manifest", "report", "results")}
+        about = {"status": "failed", "component": error.component, "time": time, "reason": error.reason, **files}
     if MANNER.as_json and not MANNER.has_json:
-        faults = getattr(error, "faults", ())
-        places = [{"file": str(f.file), "line": f.line, "column": f.column, "message": f.message} for f in faults]
-        kind = type(error).__name__
-        say_json({"error": str(error), "kind": kind, "exit_code": error.exit_code, "faults": places, **about})
-
-
-def say_error(error: CosimError) -> None:
-    """Print an error, or each fault on its own line."""
-    for text in map(str, error.faults) if isinstance(error, InputError) else [f"error: {error}"]:
-        echo(text, err=True)
+        places = [
+            {
+                "kind": FmuError.__name__ if f.exit_code == FmuError.exit_code else InputError.__name__,
+                "file": str(f.file),
+                "line": f.line,
+                "column": f.column,
+                "message": f.message,
+            }
+            for f in faults
+        ]
+        with suppress(OSError):
+            kind = type(error).__name__
+            say_json({"error": str(error), "kind": kind, "exit_code": code, "faults": places, **about})
+    return code
 
 
 def say_usage(error: Any) -> int:
@@ -159,9 +170,9 @@ def some(names: Sequence[str], most: int) -> str:
     return ", ".join(names[:most]) + (", …" if len(names) > most else "")
 
 
-def show(report: Path, *, open_: bool) -> None:
+def show(report: Path, opens: bool) -> None:
     """Open a report in the browser on request."""
-    if open_ and not webbrowser.open(report.resolve().as_uri()):
+    if opens and report.is_file() and not webbrowser.open(report.resolve().as_uri()):
         warn(f"no browser is found here; open {report}")
 
 

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from pathlib import Path
-from typing import Annotated
 
-import typer
-
-from cosim.base.errors import Terminated
 from cosim.base.messages import Note
+from cosim.base.settings import Port
 from cosim.base.text import counted
 from cosim.storage.folders import RESULTS
-from cosim.verbs.options import Json, ResultsFolder, Texts
+from cosim.verbs.options import wait_for_close
 from cosim.verbs.terminal import LAST, progress_bar, say, say_finding, say_json, say_note, some, warn
 
 MOST_NAMES = 5
@@ -21,27 +17,23 @@ GRACE = 10.0  # [s] without a page until the command ends
 
 
 def command(
-    runs: Annotated[
-        Texts,
-        typer.Argument(
-            metavar="[RUN]",
-            help="Numbers, names or patterns of results, folders, or tables of rows (default: the newest results).",
-        ),
-    ] = None,
+    runs: list[str] | None = None,
     *,
-    results: ResultsFolder = None,
-    layout: Annotated[
-        Path | None,
-        typer.Option("--layout", help="File of saved layouts (default: view.json in the folder of results)."),
-    ] = None,
-    port: Annotated[int, typer.Option("--port", min=0, max=65535, help="Port of the page (0: any).")] = 0,
-    browser: Annotated[
-        bool, typer.Option("--browser/--no-browser", help="Open the page, or print its address only.")
-    ] = True,
-    prepare: Annotated[bool, typer.Option("--prepare", help="Convert large tables, and end without a page.")] = False,
-    as_json: Json = False,
+    results: Path | None = None,
+    layout: Path | None = None,
+    port: Port = 0,
+    browser: bool = True,
+    prepare: bool = False,
+    json: bool = False,
 ) -> None:
     """Browse the signals of runs in one page of this machine.
+
+    Args:
+        runs ([RUN]): Numbers, names or patterns of results, folders, or tables of rows (default: the newest results).
+        layout: File of saved layouts (default: view.json in the folder of results).
+        port: Port of the page (0: any).
+        browser: Open the page, or print its address only.
+        prepare: Convert large tables, and end without a page.
 
     Example: cosim view 'tank*'
     """
@@ -61,18 +53,13 @@ def command(
     say(f"{', '.join(amounts)}: {some(labels, MOST_NAMES)}")
     about = {"runs": [{"name": r.place.name, "file": str(r.place.file), "rows": r.rows.rows} for r in opened]}
     if prepare:
-        if as_json:
+        if json:
             say_json(about)
         return
     title = labels[0] if len(labels) == 1 else counted(len(labels), "run")
     page = view_page(title, opened, layouts, port, notes=[*notes, *warnings])
-    if as_json:
+    if json:
         say_json({"url": page.url, **about})
     is_open = browser and open_page(page.url, title)
     (say_note if is_open else say_finding)(Note(f"signals: {page.url}"))
-    LAST.append(lambda: _wait(page))
-
-
-def _wait(page: object) -> None:
-    with suppress(KeyboardInterrupt, Terminated):  # which is how a browser of signals ends
-        page.wait_for_close(say_note, float("inf"), GRACE)  # type: ignore[attr-defined]
+    LAST.append(lambda: wait_for_close(page, float("inf"), GRACE))

@@ -3,35 +3,31 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
-import typer
-
+from cosim.base.settings import Seed
 from cosim.storage.folders import new_run
-from cosim.verbs.options import Force, Json, Open, Report, out_option
 from cosim.verbs.terminal import files_in, say, say_json, show, stages, warn
 
 
 def command(
-    protocol: Annotated[
-        Path,
-        typer.Argument(help="A protocol: tests on a bench or recordings of them, or logs of a craft."),
-    ],
+    protocol: Path,
     *,
-    out: Annotated[Path | None, out_option("a new number in results/NAME of the protocol")] = None,
-    seed: Annotated[
-        int | None,
-        typer.Option(min=0, help="Seed for the noise of a simulated bench (default: the seed of the protocol)."),
-    ] = None,
-    report: Report = True,
-    open_: Open = False,
-    force: Force = False,
-    as_json: Json = False,
+    out: Path | None = None,
+    seed: Seed | None = None,
+    report: bool = True,
+    open: bool = False,
+    force: bool = False,
+    json: bool = False,
 ) -> None:
     """Identify a power-train, or noise and friction of a craft.
 
     The protocol names a bench or its recordings, or logs of a craft.
     Writes identify.json, powertrain.yaml or model.yaml, and report.html.
+
+    Args:
+        protocol: A protocol: tests on a bench or recordings of them, or logs of a craft.
+        out: Folder for the results (default: a new number in results/NAME of the protocol).
+        seed: Seed for the noise of a simulated bench (default: the seed of the protocol).
 
     Example: cosim identify examples/bench/protocol.yaml
     """
@@ -41,14 +37,11 @@ def command(
     name = results_of(protocol) if protocol.is_file() else ""
     with new_run(out, name, "cosim identify", force=force) as place, stages() as progress:
         outcome = identify_bench(protocol, place, progress, report=report, seed=seed)
-    for text in outcome.warnings:
-        warn(text)
-    for line in outcome.sentences:
-        say(line)
-    say(outcome.closing(place))
+    warn(*outcome.warnings)
+    say(*outcome.sentences, outcome.closing(place))
     if report:
         say(f"report: {place / 'report.html'}")
-    if as_json:
+    if json:
         texts = {"sentences": list(outcome.sentences), "closing": outcome.closing(place), "warnings": outcome.warnings}
         say_json({**texts, **files_in(place, "identify.json", "powertrain.yaml", "model.yaml")})
-    show(place / "report.html", open_=report and open_)
+    show(place / "report.html", open)
