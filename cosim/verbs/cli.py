@@ -65,6 +65,7 @@ def _register(chosen: str = "") -> None:
     Args:
         chosen: Only verb with options, because those of the others need imports; a verb of cosim is registered alone.
     """
+    _app.registered_commands.clear()  # of another command line in this process
     if chosen == VERSION:
         return
     for name, verb in verbs(chosen if chosen in VERBS and VERBS[chosen].command else ""):
