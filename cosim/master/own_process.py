@@ -5,12 +5,12 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Collection, MutableSequence
 from dataclasses import replace
+from functools import partial
 from itertools import count
 from typing import Any
 
 from cosim.blocks.component import Component, Row, Signal
 from cosim.blocks.event_mode import EventFmu
-from cosim.blocks.fmi_types import Exchange
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.instance import Instance
 from cosim.blocks.values import Values as InstanceValues
@@ -59,16 +59,16 @@ class HostedComponent:
 
     def save_state(self) -> int:
         """Save the state of the component; return its number."""
-        component, number = self.component, next(self._numbers)
-        self._states[number] = component.save() if self._mirrored else component.instance.save_state()
+        number = next(self._numbers)
+        self._states[number] = self.component.save() if self._mirrored else self.component.instance.save_state()
         return number
 
     def restore_state(self, number: int, keep: bool) -> None:
         """Restore a saved state, and free it unless `keep` is set."""
-        state = self._states[number] if keep else self._states.pop(number)
         if self._mirrored:
-            self.component.go_back(state)
+            self.component.go_back(self._states.pop(number))
         else:
+            state = self._states[number] if keep else self._states.pop(number)
             self.component.instance.restore_state(state, keep=keep)
 
     def free_state(self, number: int) -> None:
@@ -155,32 +155,19 @@ class OwnProcess:
         return result
 
 
-class _OwnInstance(Instance):
-    """The instance of an FMU in another process: its states stay there and have numbers here."""
-
-    def __init__(self, owner: OwnProcess, component: FmuBlock) -> None:
-        super().__init__(component.path, component.calls)
-        self.owner, self.fmu, self.log = owner, owner, component.log  # a crash loses the FMU, and ends the run
-
-    def save_state(self) -> Any:
-        return self.owner.act(("save_state",))
-
-    def restore_state(self, state: Any, *, keep: bool = False) -> None:
-        self.owner.act(("restore_state", state, keep))
-
-    def free_state(self, state: Any) -> None:
-        self.owner.act(("free_state", state))
-
-
 class OwnFmu(OwnProcess, FmuBlock):
-    """An FMU for co-simulation in another process, whose steps can be repeated."""
+    """An FMU for co-simulation in another process, whose steps can be repeated; its states stay there."""
 
     try_inputs, slopes = _there("put", PUT), _there("slopes")
 
     def __init__(self, component: FmuBlock, limits: Limits) -> None:
         self.__dict__ |= component.__dict__
         OwnProcess.__init__(self, component, limits)
-        self.instance = _OwnInstance(self, component)
+        self.instance: Any = Instance(component.path, component.calls)
+        self.instance.fmu, self.instance.log = self, component.log  # a crash loses the FMU, and ends the run
+        self.instance.save_state = partial(self.act, ("save_state",))
+        self.instance.restore_state = lambda state, keep=False: self.act(("restore_state", state, keep))
+        self.instance.free_state = lambda state: self.act(("free_state", state))
 
     def slot(self) -> str:
         """Return the reason against the C loop."""
@@ -199,7 +186,9 @@ class OwnEvents(OwnFmu, EventFmu):
 
     def __init__(self, component: EventFmu, limits: Limits) -> None:
         super().__init__(component, limits)
-        self._values = _ChangedInputs(self.instance, self._ports)
+        self._values: Any = InstanceValues(self.instance, self._ports)
+        self._values.put_in = lambda exchange: self._changed.append(exchange)  # in place of a call
+        self._changed: list[Any] = []
 
     def bind(self, row: Row, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:
         """Set the places of the signals."""
@@ -213,11 +202,9 @@ class OwnEvents(OwnFmu, EventFmu):
 
     def put(self) -> None:
         """Set changed inputs, as far as the mode allows."""
-        values = self._values
-        assert isinstance(values, _ChangedInputs)
-        values.has_changed = False
+        self._changed = []
         super(OwnProcess, self).put()
-        if values.has_changed:
+        if self._changed:
             self.act(("put",), doing=PUT)
 
     def tick(self, names: Collection[str]) -> None:
@@ -236,15 +223,6 @@ class OwnEvents(OwnFmu, EventFmu):
         result = super().act(*requests, doing=doing)
         self.instance.time = self.reached
         return result
-
-
-class _ChangedInputs(InstanceValues):
-    """Values that note whether an input would be set."""
-
-    has_changed = False
-
-    def put_in(self, exchange: Exchange) -> None:
-        self.has_changed = True
 
 
 def in_own_processes(system: System, limits: Limits) -> System:
