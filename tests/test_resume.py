@@ -125,22 +125,6 @@ def test_a_finished_run_is_extended_with_and_without_its_last_state(walk: Walk, 
     assert "saving" not in said[0]
 
 
-@pytest.mark.thorough  # small FMUs that save their state go on above
-def test_the_example_is_stopped_goes_on_and_gets_longer(project: Path) -> None:
-    scenario = project / "scenarios" / "endurance.yaml"
-    whole = run(scenario, project / "whole", ["duration=20"], report=False).folder
-    assert {"plant", "controller"} <= json.loads((whole / "manifest.json").read_text())["timings"]["components"].keys()
-    part = stopped(scenario, project / "part", ["duration=20"], after=0.5)
-    assert 26 < len((part / "results.csv").read_text().splitlines()) < 1002
-    said: list[str] = []
-    run(part, resume=True, report=False, tell=said.append)
-    assert "made again" not in said[0]  # Both FMUs save their state.
-    check_equal(part, whole)
-    longer = run(scenario, project / "longer", ["duration=25"], report=False).folder
-    run(part, until=25.0, report=False)
-    check_equal(part, longer)
-
-
 @pytest.mark.thorough
 def test_a_component_in_its_own_process_goes_on(tmp_path: Path) -> None:
     scenario = walker_scenario(tmp_path, pause=PAUSE)
@@ -215,50 +199,21 @@ def test_a_longer_run_that_fails_keeps_the_rows_of_the_finished_one(checkpoint: 
 # -- bad input ------------------------------------------------------------------------------------
 
 
-def changed_version(folder: Path) -> None:
-    record = json.loads((folder / "checkpoint" / "run.json").read_text())
-    (folder / "checkpoint" / "run.json").write_text(json.dumps({**record, "cosim_version": "0.1"}))
+def edit(name: str, change: Callable[[bytes], bytes]) -> Callable[[Path], Any]:
+    """Return a function that changes a file of a run."""
+    return lambda folder: (folder / name).write_bytes(change((folder / name).read_bytes()))
 
 
-def half_written(folder: Path) -> None:
-    state = folder / "checkpoint" / "state"
-    state.write_bytes(state.read_bytes()[:-100])
-
-
-def other_format(folder: Path) -> None:
-    state = folder / "checkpoint" / "state"
-    state.write_bytes(pack({**unpack(state.read_bytes()), "format": 99}))
-
-
-def changed_row(folder: Path) -> None:
-    rows = folder / "results.csv"
-    rows.write_text(rows.read_text().replace("\n0.05,", "\n0.05,7", 1))
+def record(**keys: Any) -> Callable[[Path], Any]:
+    """Return a function that changes keys of the record of a stopped run."""
+    return edit("checkpoint/run.json", lambda content: json.dumps({**json.loads(content), **keys}).encode())
 
 
 def changed_fmu(folder: Path) -> None:
-    record = json.loads((folder / "checkpoint" / "run.json").read_text())
-    other = folder.parent / "elsewhere.fmu"
-    other.write_bytes(b"another")
-    record["scenario"]["components"]["other"]["fmu"] = str(other)
-    (folder / "checkpoint" / "run.json").write_text(json.dumps(record))
-
-
-def removed_rows(folder: Path) -> None:
-    (folder / "results.csv").unlink()
-
-
-def cut_rows(folder: Path) -> None:
-    (folder / "checkpoint" / "rows").write_bytes(bytes(20))  # as of a run that was killed, but short
-
-
-def damaged_record(folder: Path) -> None:
-    record = folder / "checkpoint" / "run.json"
-    record.write_text(record.read_text()[:-100])
-
-
-def edited_record(folder: Path) -> None:
-    record = json.loads((folder / "checkpoint" / "run.json").read_text())
-    (folder / "checkpoint" / "run.json").write_text(json.dumps({**record, "files": []}))
+    (other := folder.parent / "elsewhere.fmu").write_bytes(b"another")
+    scenario = json.loads((folder / "checkpoint" / "run.json").read_text())["scenario"]
+    scenario["components"]["other"]["fmu"] = str(other)
+    record(scenario=scenario)(folder)
 
 
 def removed_all(folder: Path) -> None:
@@ -266,27 +221,27 @@ def removed_all(folder: Path) -> None:
         path.unlink()
 
 
-@pytest.mark.parametrize(
-    "damage",
-    [
-        changed_version,
-        other_format,
-        half_written,
-        changed_row,
-        changed_fmu,
-        removed_rows,
-        cut_rows,
-        damaged_record,
-        edited_record,
-        removed_all,
-    ],
-)
+DAMAGES: dict[str, Callable[[Path], Any]] = {
+    "changed version": record(cosim_version="0.1"),
+    "other format": edit("checkpoint/state", lambda content: pack({**unpack(content), "format": 99})),
+    "half-written state": edit("checkpoint/state", lambda content: content[:-100]),
+    "changed row": edit("results.csv", lambda content: content.replace(b"\n0.05,", b"\n0.05,7", 1)),
+    "changed FMU": changed_fmu,
+    "removed rows": lambda folder: (folder / "results.csv").unlink(),
+    "cut rows, as of a killed run": lambda folder: (folder / "checkpoint" / "rows").write_bytes(bytes(20)),
+    "damaged record": edit("checkpoint/run.json", lambda content: content[:-100]),
+    "edited record": record(files=[]),
+    "removed files": removed_all,
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
 @pytest.mark.parametrize("options", [{"resume": True}, {"until": 2.0}])
 def test_a_folder_that_does_not_belong_together_is_refused_and_left_alone(
-    in_c: Walk, tmp_path: Path, damage: Callable[[Path], None], options: dict[str, Any]
+    in_c: Walk, tmp_path: Path, damage: str, options: dict[str, Any]
 ) -> None:
     part = shutil.copytree(in_c[2], tmp_path / "part")
-    damage(part)
+    DAMAGES[damage](part)
     before = {path: path.read_bytes() for path in part.rglob("*") if path.is_file()}
     with pytest.raises(InputError) as refused:
         run(part, report=False, **options)
