@@ -101,14 +101,14 @@ class CompiledSteps:
         master, loop, system = self.master, self.loop, self.master.system
         if master.inbox is not None:
             master.inbox.most = MOST_IN_C
-        sources = [(k, stage) for k, stage in enumerate(system.stages) if isinstance(stage.component, SourceBlock)]
+        stages = enumerate(system.stages)
+        sources = [(k, stage.every, c) for k, stage in stages if isinstance(c := stage.component, SourceBlock)]
         chunk = PREPARED_POINTS if sources else max(1, master.last)
         for first in range(master.done, master.last + 1, chunk):
             last, values = min(first + chunk - 1, master.last), list[Array]()
             points = np.arange(first, last + 1, dtype=np.float64)
-            for k, stage in sources:  # Times are computed as by the sources themselves.
-                times = (system.start + (points - stage.every) * master.h) + stage.every * master.h
-                values.append(stage.component.over(times))
+            for k, every, source in sources:  # Times are computed as by the sources themselves.
+                values.append(source.over((system.start + (points - every) * master.h) + every * master.h))
                 loop.prepare(k, values[-1], first)
             self._run_until(last)
 

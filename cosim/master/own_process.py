@@ -5,12 +5,12 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Collection, MutableSequence
 from dataclasses import replace
-from functools import partial
 from itertools import count
 from typing import Any
 
 from cosim.blocks.component import Component, Row, Signal
 from cosim.blocks.event_mode import EventFmu
+from cosim.blocks.fmi_types import Exchange
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.instance import Instance
 from cosim.blocks.values import Values as InstanceValues
@@ -155,19 +155,32 @@ class OwnProcess:
         return result
 
 
+class _OwnInstance(Instance):
+    """The instance of an FMU in another process: its states stay there and have numbers here."""
+
+    def __init__(self, owner: OwnProcess, component: FmuBlock) -> None:
+        super().__init__(component.path, component.calls)
+        self.fmu, self.log = owner, component.log  # a crash loses the FMU, and ends the run
+
+    def save_state(self) -> Any:
+        return self.fmu.act(("save_state",))
+
+    def restore_state(self, state: Any, *, keep: bool = False) -> None:
+        self.fmu.act(("restore_state", state, keep))
+
+    def free_state(self, state: Any) -> None:
+        self.fmu.act(("free_state", state))
+
+
 class OwnFmu(OwnProcess, FmuBlock):
-    """An FMU for co-simulation in another process, whose steps can be repeated; its states stay there."""
+    """An FMU for co-simulation in another process, whose steps can be repeated."""
 
     try_inputs, slopes = _there("put", PUT), _there("slopes")
 
     def __init__(self, component: FmuBlock, limits: Limits) -> None:
         self.__dict__ |= component.__dict__
         OwnProcess.__init__(self, component, limits)
-        self.instance: Any = Instance(component.path, component.calls)
-        self.instance.fmu, self.instance.log = self, component.log  # a crash loses the FMU, and ends the run
-        self.instance.save_state = partial(self.act, ("save_state",))
-        self.instance.restore_state = lambda state, keep=False: self.act(("restore_state", state, keep))
-        self.instance.free_state = lambda state: self.act(("free_state", state))
+        self.instance = _OwnInstance(self, component)
 
     def slot(self) -> str:
         """Return the reason against the C loop."""
@@ -186,9 +199,7 @@ class OwnEvents(OwnFmu, EventFmu):
 
     def __init__(self, component: EventFmu, limits: Limits) -> None:
         super().__init__(component, limits)
-        self._values: Any = InstanceValues(self.instance, self._ports)
-        self._values.put_in = lambda exchange: self._changed.append(exchange)  # in place of a call
-        self._changed: list[Any] = []
+        self._values = _ChangedInputs(self.instance, self._ports)
 
     def bind(self, row: Row, first: int, beside: list[Any] | None = None, first_beside: int = 0) -> None:
         """Set the places of the signals."""
@@ -202,9 +213,11 @@ class OwnEvents(OwnFmu, EventFmu):
 
     def put(self) -> None:
         """Set changed inputs, as far as the mode allows."""
-        self._changed = []
+        values = self._values
+        assert isinstance(values, _ChangedInputs)
+        values.has_changed = False
         super(OwnProcess, self).put()
-        if self._changed:
+        if values.has_changed:
             self.act(("put",), doing=PUT)
 
     def tick(self, names: Collection[str]) -> None:
@@ -223,6 +236,15 @@ class OwnEvents(OwnFmu, EventFmu):
         result = super().act(*requests, doing=doing)
         self.instance.time = self.reached
         return result
+
+
+class _ChangedInputs(InstanceValues):
+    """Values that note whether an input would be set."""
+
+    has_changed = False
+
+    def put_in(self, exchange: Exchange) -> None:
+        self.has_changed = True
 
 
 def in_own_processes(system: System, limits: Limits) -> System:

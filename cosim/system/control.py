@@ -130,19 +130,19 @@ def _bonds(
         ends: list[tuple[int, int]] = []  # places of output and input
         for side, output, other in (("effort", bond.effort, bond.flow), ("flow", bond.flow, bond.effort)):
             owner = other.partition(".")[0]
-            transfer = next((t for t in by_source.get(output, ()) if t.name.partition(".")[0] == owner), None)
+            found = next((t for t in by_source.get(output, ()) if t.name.partition(".")[0] == owner), None)
             message = ""
             if output not in by_source:
                 message = f'no connected output "{output}"{did_you_mean(output, by_source)}'
-            elif transfer is None:
+            elif found is None:
                 message = f"{output} is connected to no input of {owner}, the other side of the bond"
-            elif (transfer.factor, transfer.offset) != (1.0, 0.0):
-                message = f"{output} is converted on its way to {transfer.name}; a bond needs one unit on both sides"
+            elif (found.factor, found.offset) != (1.0, 0.0):
+                message = f"{output} is converted on its way to {found.name}; a bond needs one unit on both sides"
             else:
-                ends.append((transfer.source, transfer.target))
+                ends.append((found.source, found.target))
             if message:
                 diagnosis.note(("step", "bonds", k, side), message)
         if len(ends) == 2:
             power = nominal[ends[0][0]] * nominal[ends[1][0]]
-            bonds.append(PowerBond(*ends, f"{bond.effort}·{bond.flow}", power))
+            bonds.append(PowerBond(ends[0], ends[1], f"{bond.effort}·{bond.flow}", power))
     return bonds
