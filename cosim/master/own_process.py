@@ -160,16 +160,16 @@ class _OwnInstance(Instance):
 
     def __init__(self, owner: OwnProcess, component: FmuBlock) -> None:
         super().__init__(component.path, component.calls)
-        self.fmu, self.log = owner, component.log  # a crash loses the FMU, and ends the run
+        self.owner, self.fmu, self.log = owner, owner, component.log  # a crash loses the FMU, and ends the run
 
     def save_state(self) -> Any:
-        return self.fmu.act(("save_state",))
+        return self.owner.act(("save_state",))
 
     def restore_state(self, state: Any, *, keep: bool = False) -> None:
-        self.fmu.act(("restore_state", state, keep))
+        self.owner.act(("restore_state", state, keep))
 
     def free_state(self, state: Any) -> None:
-        self.fmu.act(("free_state", state))
+        self.owner.act(("free_state", state))
 
 
 class OwnFmu(OwnProcess, FmuBlock):
