@@ -106,7 +106,7 @@ class CompiledSteps:
         chunk = PREPARED_POINTS if sources else max(1, master.last)
         for first in range(master.done, master.last + 1, chunk):
             last, values = min(first + chunk - 1, master.last), list[Array]()
-            points = np.arange(first, last + 1, dtype=np.float64)
+            points = np.arange(first, last + 1 if sources else first, dtype=np.float64)
             for k, every, source in sources:  # Times are computed as by the sources themselves.
                 values.append(source.over((system.start + (points - every) * master.h) + every * master.h))
                 loop.prepare(k, values[-1], first)
