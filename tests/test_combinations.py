@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +18,7 @@ from cosim.storage.results import Results
 from cosim.system.system import build_system
 from tests.coupled import CHASSIS, LINEAR, TRUCK, WHEEL, coupled_fmu
 from tests.instants import CONSTANT, instants_fmu
-from tests.test_event_mode import RISES
+from tests.test_event_mode import RISES, scenario
 
 TICKS = {"fmu": "clocked.fmu", "start": {"level": 9.0}}
 LOOP = ("a.y0 → b.u0", "b.y0 → a.u0")
@@ -38,14 +36,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     coupled_fmu(place / "chassis.fmu", CHASSIS)
     coupled_fmu(place / "wheel.fmu", WHEEL)
     return place
-
-
-def scenario(folder: Path, components: dict[str, Any], wires: Sequence[str], **more: Any) -> ScenarioFile:
-    ends = [dict(zip(("from", "to"), text.split(" → "), strict=True)) for text in wires]
-    content = {"name": "s", "duration": 1, "step": 0.1, "components": components, "connections": ends} | more
-    path = folder / "s.yaml"
-    path.write_text(json.dumps(content))
-    return ScenarioFile(path)
 
 
 def ran(file: ScenarioFile, apart: Sequence[str] = ()) -> Results:

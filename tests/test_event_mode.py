@@ -42,6 +42,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     instants_fmu(place / "clocked_states.fmu", CONSTANT, states=True)
     instants_fmu(place / "rigid_clocked.fmu", CONSTANT, steps=False)
     instants_fmu(place / "scheduled.fmu", CONSTANT, scheduled=True)
+    slider_fmu(place / "slider.fmu")
     return place
 
 
@@ -130,7 +131,6 @@ def test_intermediate_updates_bound_the_lead_of_fmus_that_cannot_go_back(folder:
 
 def test_fmus_of_other_kinds_are_stepped_to_the_events(folder: Path) -> None:
     slider_fmu(folder / "exchange.fmu", exchange=True)
-    slider_fmu(folder / "slider.fmu")
     components = {
         "a": RISES,
         "m": {"fmu": "exchange.fmu", "start": {"gain": 1.0, "damping": 1.0}, "tolerance": 1e-8},
@@ -195,14 +195,6 @@ def test_a_loop_without_an_end_is_refused_with_fmu_variable_and_time(folder: Pat
     with pytest.raises(StoppedRun, match=r"^a at t = 1 s: 1000 events within 1e-07 s") as stopped:
         simulated(folder, chatters, duration=2)
     assert len(stopped.value.results.time) == 11
-
-
-def test_runs_without_event_mode_are_stepped_in_c_as_before(folder: Path) -> None:
-    plain = {"fmu": "plain.fmu", "start": {"u": 3.0}}
-    results = simulated(folder, {"a": plain}, record=["a.returns"])
-    assert results.loop == "C"
-    assert results["a.returns"][-1] == 0
-    assert not results.events
 
 
 # -- clocks -----------------------------------------------------------------------------------------
@@ -337,16 +329,11 @@ def test_a_run_in_a_worker_tells_its_events_in_the_manifest(folder: Path, tmp_pa
         ({"fmu": "clocked.fmu", "clocks": {"trigger": {"at": [1]}}}, ("b.crossed → b.trigger",)),
         ({"fmu": "clocked.fmu"}, ("b.x → b.trigger",)),
         ({"fmu": "clocked.fmu", "start": {"sample": 1}}, ()),
+        ({"fmu": "slider.fmu", "event_mode": True}, ()),  # of FMI 2.0
     ],
 )
 def test_mistakes_with_clocks_are_answered(folder: Path, component: dict[str, Any], connections: Sequence[str]) -> None:
     assert messages_of(folder, {"b": component}, connections)
-
-
-def test_event_mode_is_refused_where_the_fmu_has_none(folder: Path) -> None:
-    slider_fmu(folder / "two.fmu")
-    found = messages_of(folder, {"b": {"fmu": "two.fmu", "event_mode": True}})
-    assert any("b has no event mode: it is run as FMI 2.0" in message for message in found)
 
 
 # -- the example ----------------------------------------------------------------------------------------

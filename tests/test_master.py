@@ -159,25 +159,6 @@ def test_an_fmu_that_ends_the_simulation_ends_the_run_well(project: Path) -> Non
     assert outcome.manifest["status"] == "ok"
 
 
-def test_an_fmu_of_anybody_runs_beside_ours(project: Path) -> None:
-    path = other_scenario(project, "Behaves")
-    file = ScenarioFile(path)
-    results = simulate(build_system(file), 50, H)
-    assert results["other.y"][-1] == 50.0
-
-
-def test_a_loop_with_one_fmu_that_declares_no_dependencies_is_cut_there_and_told(project: Path) -> None:
-    path = other_scenario(project, "Behaves")
-    text = path.read_text().replace("other.u}", "other.u}\n  - {from: other.y, to: controller.psi}")
-    text += "  - {from: controller.psi_hat, to: other2.u}\n"
-    text = text.replace("connections:", "  controller: {fmu: ../build/controller.fmu}\nconnections:")
-    path.write_text(text.replace("other2", "other").replace("  - {from: plant.tilt_right_actual, to: other.u}\n", ""))
-    system = build_system(ScenarioFile(path))
-    assert [s.component.name for s in system.stages].index("other") < [s.component.name for s in system.stages].index(
-        "controller"
-    )
-
-
 def test_an_fmu_without_a_library_for_this_platform_does_not_load(project: Path, tmp_path: Path) -> None:
     import zipfile
 

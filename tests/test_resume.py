@@ -125,22 +125,6 @@ def test_a_finished_run_is_extended_with_and_without_its_last_state(walk: Walk, 
     assert "saving" not in said[0]
 
 
-@pytest.mark.thorough  # small FMUs that save their state go on above
-def test_the_example_is_stopped_goes_on_and_gets_longer(project: Path) -> None:
-    scenario = project / "scenarios" / "endurance.yaml"
-    whole = run(scenario, project / "whole", ["duration=20"], report=False).folder
-    assert {"plant", "controller"} <= json.loads((whole / "manifest.json").read_text())["timings"]["components"].keys()
-    part = stopped(scenario, project / "part", ["duration=20"], after=0.5)
-    assert 26 < len((part / "results.csv").read_text().splitlines()) < 1002
-    said: list[str] = []
-    run(part, resume=True, report=False, tell=said.append)
-    assert "made again" not in said[0]  # Both FMUs save their state.
-    check_equal(part, whole)
-    longer = run(scenario, project / "longer", ["duration=25"], report=False).folder
-    run(part, until=25.0, report=False)
-    check_equal(part, longer)
-
-
 @pytest.mark.thorough
 def test_a_component_in_its_own_process_goes_on(tmp_path: Path) -> None:
     scenario = walker_scenario(tmp_path, pause=PAUSE)
@@ -215,27 +199,39 @@ def test_a_longer_run_that_fails_keeps_the_rows_of_the_finished_one(checkpoint: 
 # -- bad input ------------------------------------------------------------------------------------
 
 
-def edited(record: bytes, **changes: Any) -> bytes:
-    return json.dumps({**json.loads(record), **changes}).encode()
+def edit(name: str, change: Callable[[bytes], bytes]) -> Callable[[Path], Any]:
+    """Return a function that changes a file of a run."""
+    return lambda folder: (folder / name).write_bytes(change((folder / name).read_bytes()))
 
 
-def with_other_fmu(record: bytes) -> bytes:
-    content = json.loads(record)
-    content["scenario"]["components"]["other"]["fmu"] = __file__
-    return json.dumps(content).encode()
+def record(**keys: Any) -> Callable[[Path], Any]:
+    """Return a function that changes keys of the record of a stopped run."""
+    return edit("checkpoint/run.json", lambda content: json.dumps({**json.loads(content), **keys}).encode())
 
 
-DAMAGES: dict[str, tuple[str, Callable[[bytes], bytes | None]]] = {  # file, change of its content; None removes it
-    "version": ("checkpoint/run.json", lambda record: edited(record, cosim_version="0.1")),
-    "keys": ("checkpoint/run.json", lambda record: edited(record, files=[])),
-    "fmu": ("checkpoint/run.json", with_other_fmu),
-    "cut record": ("checkpoint/run.json", lambda record: record[:-100]),
-    "format": ("checkpoint/state", lambda state: pack({**unpack(state), "format": 99})),
-    "cut state": ("checkpoint/state", lambda state: state[:-100]),
-    "row": ("results.csv", lambda rows: rows.replace(b"\n0.05,", b"\n0.05,7", 1)),
-    "no rows": ("results.csv", lambda rows: None),
-    "short rows": ("checkpoint/rows", lambda _: bytes(20)),  # as of a run that was killed
-    "nothing": ("*", lambda _: None),
+def changed_fmu(folder: Path) -> None:
+    (other := folder.parent / "elsewhere.fmu").write_bytes(b"another")
+    scenario = json.loads((folder / "checkpoint" / "run.json").read_text())["scenario"]
+    scenario["components"]["other"]["fmu"] = str(other)
+    record(scenario=scenario)(folder)
+
+
+def removed_all(folder: Path) -> None:
+    for path in [*folder.rglob("*.*"), folder / "checkpoint" / "state"]:
+        path.unlink()
+
+
+DAMAGES: dict[str, Callable[[Path], Any]] = {
+    "changed version": record(cosim_version="0.1"),
+    "other format": edit("checkpoint/state", lambda content: pack({**unpack(content), "format": 99})),
+    "half-written state": edit("checkpoint/state", lambda content: content[:-100]),
+    "changed row": edit("results.csv", lambda content: content.replace(b"\n0.05,", b"\n0.05,7", 1)),
+    "changed FMU": changed_fmu,
+    "removed rows": lambda folder: (folder / "results.csv").unlink(),
+    "cut rows, as of a killed run": lambda folder: (folder / "checkpoint" / "rows").write_bytes(bytes(20)),
+    "damaged record": edit("checkpoint/run.json", lambda content: content[:-100]),
+    "edited record": record(files=[]),
+    "removed files": removed_all,
 }
 
 
@@ -245,10 +241,7 @@ def test_a_folder_that_does_not_belong_together_is_refused_and_left_alone(
     in_c: Walk, tmp_path: Path, damage: str, options: dict[str, Any]
 ) -> None:
     part = shutil.copytree(in_c[2], tmp_path / "part")
-    pattern, change = DAMAGES[damage]
-    for path in [each for each in part.rglob("*") if each.is_file()] if pattern == "*" else [part / pattern]:
-        content = change(path.read_bytes() if path.is_file() else b"")
-        path.unlink() if content is None else path.write_bytes(content)
+    DAMAGES[damage](part)
     before = {path: path.read_bytes() for path in part.rglob("*") if path.is_file()}
     with pytest.raises(InputError) as refused:
         run(part, report=False, **options)

@@ -42,39 +42,26 @@ def scenario(step: float = 0.1, steps: int = 10, connections: Any = (), **more: 
 # -- order ------------------------------------------------------------------------------------------
 
 
-def test_a_loop_is_a_fault_of_the_connections_for_an_algorithm_that_solves_none(
-    monkeypatch: pytest.MonkeyPatch,
+@pytest.mark.parametrize(
+    ("plan", "place", "words"),
+    [
+        (order_by_dependencies, "connections", "(order: [a, b]) or algorithm: jacobi"),
+        (lambda components, edges, order: Plan(("a",), (False,) * len(edges)), "algorithm", "third steps a; it must"),
+    ],
+)
+def test_a_loop_or_a_forgotten_component_of_an_algorithm_of_a_third_party_is_a_fault(
+    monkeypatch: pytest.MonkeyPatch, plan: Any, place: str, words: str
 ) -> None:
-    class Plain(Algorithm):
-        name = "plain"
-
-        def plan(self, components: Any, edges: Any, order: Any) -> Plan:
-            return order_by_dependencies(components, edges, order)
-
-    monkeypatch.setattr("cosim.blocks.coupling.OWN", (*OWN, Plain()))
+    third = type("Third", (Algorithm,), {"name": "third", "plan": lambda self, *arguments: plan(*arguments)})
+    monkeypatch.setattr("cosim.blocks.coupling.OWN", (*OWN, third()))
     components = {"a": block("a", "u", u=True), "b": block("b", "u", u=True)}
     ends, transfers = [("a.y", "b.u"), ("b.y", "a.u")], [(Transfer(0, 1, "b.u"),), (Transfer(2, 3, "a.u"),)]
-    noted = Noted()
-    named = {name: SimpleNamespace() for name in components}
-    found = schedule(scenario(connections=ends, components=named, algorithm="plain"), components, transfers, noted)  # type: ignore[arg-type]
-    assert found.stages == ()
+    named, noted = {name: SimpleNamespace() for name in components}, Noted()
+    given = scenario(connections=ends, components=named, algorithm="third")
+    assert schedule(given, components, transfers, noted).stages == ()  # type: ignore[arg-type]
     ((where, message),) = noted.faults
-    assert where == ("connections",)
-    assert "(order: [a, b]) or algorithm: jacobi" in message
-
-
-def test_an_algorithm_that_forgets_a_component_is_a_fault_of_its_key(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Forgetful(Algorithm):
-        name = "forgetful"
-
-        def plan(self, components: Any, edges: Any, order: Any) -> Plan:
-            return Plan(("a",), (False,) * len(edges))
-
-    monkeypatch.setattr("cosim.blocks.coupling.OWN", (*OWN, Forgetful()))
-    components, noted = {"a": block("a"), "b": block("b")}, Noted()
-    named = {name: SimpleNamespace() for name in components}
-    assert schedule(scenario(components=named, algorithm="forgetful"), components, [], noted).stages == ()  # type: ignore[arg-type]
-    assert noted.faults == [(("algorithm",), "forgetful steps a; it must step each component once")]
+    assert where == (place,)
+    assert words in message
 
 
 # -- faults on a connection -------------------------------------------------------------------------

@@ -69,22 +69,6 @@ def error(results: Any, every: int = 1) -> float:
 # -- controlled steps ---------------------------------------------------------------------------------
 
 
-@pytest.mark.thorough
-def test_halving_needs_less_than_a_fifth_of_the_points_of_equal_steps_at_equal_error(tmp_path: Path) -> None:
-    results, manifest = ran(truck(tmp_path), HALVING)
-    steps = manifest["steps"]
-    assert steps["estimator"] == "halving"
-    assert results.time.tolist() == pytest.approx([ROW * k for k in range(251)])
-    assert error(results) < 2e-3
-    assert steps["communication_points"] >= 3 * steps["accepted"]  # whole and two halves
-    parts = 5 * steps["communication_points"] // 250  # five times as many points
-    equal, _ = ran(tmp_path, f"step: {ROW / parts!r}\n")
-    assert error(equal, parts) > error(results)
-    linear, _ = ran(tmp_path, f"step: {ROW / 8!r}\n", "extrapolate: linear\ninterpolate: linear\n")
-    assert error(linear, 8) > error(results)  # 2000 points, while the controlled run has two for each accepted step
-    assert 2 * steps["accepted"] < 0.55 * 2000
-
-
 @pytest.mark.parametrize(
     ("estimator", "goal"),
     [

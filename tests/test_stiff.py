@@ -124,15 +124,6 @@ def test_dual_numbers_follow_the_rules_of_slopes(power: float) -> None:
         np.testing.assert_allclose(found[:, j], np.subtract(*ends[::-1]) / (2 * size), rtol=1e-8)
 
 
-@pytest.mark.thorough
-def test_a_motor_whose_winding_is_over_within_a_row_is_integrated_as_stiff(tmp_path: Path) -> None:
-    loaded, (said,) = with_substep(motor(tmp_path, inductance=WINDING))
-    assert loaded.model.integrator == "stiff"
-    assert "integrated by the implicit method, in substeps of 2.50" in said  # ms; an eighth of 20 ms
-    steps = [12.0, 12.0, -5.0, -5.0, 0.0, 3.0] * 4
-    assert deviation(loaded.model, steps, loaded.model.rate) < 1e-6
-
-
 def test_a_heated_box_with_a_fast_sensor_follows_an_independent_solver() -> None:
     model = with_substep(LoadedModel(Box(), "box.py:Box"))[0].model
     assert model.integrator == "stiff"

@@ -21,7 +21,6 @@ import numpy as np
 
 from cosim.base.arrays import far_beyond
 from cosim.base.errors import Interrupted, Signalled, SimulationError
-from cosim.blocks.component import EarlyEnd
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
 from cosim.isolation import worker as here
@@ -31,7 +30,7 @@ from cosim.isolation.rows import Rows
 from cosim.isolation.watch import Watch, fmi_calls
 from cosim.master.checkpoint import Continuation
 from cosim.master.initialization import Initialization
-from cosim.master.loops import PROBES, Member, is_lost, members_of, nominal_of
+from cosim.master.loops import PROBES, Member, members_of
 from cosim.master.master import Master
 from cosim.master.own_process import in_own_processes
 from cosim.storage.state_file import pack, unpack
@@ -122,8 +121,7 @@ def _examined(
         return examination(master, *arguments)
     finally:
         for component in master.components:
-            master.announce(component)
-            component.close()
+            master.announce(component).close()
 
 
 # -- states ------------------------------------------------------------------------------------------
@@ -180,9 +178,8 @@ def ended_states(master: Master, row: Sequence[float], states: Mapping[str, Any]
         if component.name not in states:
             continue
         master.row[:] = [*row]
-        master.announce(component)
         try:
-            component.restore(states[component.name])
+            master.announce(component).restore(states[component.name])
             step, every, length, *_ = master.active(stage)
             for k in range((last // every + 1) * every, min(end + BEYOND * every, master.steps) + 1, every):
                 since = master.system.start + (k - every) * master.h
@@ -197,48 +194,45 @@ def ended_states(master: Master, row: Sequence[float], states: Mapping[str, Any]
 
 def measure_feedthrough(master: Master) -> Feedthrough:
     """Return the feedthrough of undeclared inputs in the open loops of a system."""
-    system = master.system
-    failure = _exchange(master)
-    members = [m for loop in system.opened for m in members_of(loop, system, master.row)]
-    undeclared = frozenset[str]().union(*undeclared_inputs(system).values())
-    places = [[k for k in m.inputs if system.columns[k] in undeclared] for m in members]
-    asked = [(member, each) for member, each in zip(members, places, strict=True) if each]
-    first = _measure(master, asked)
-    for component in master.components:
-        master.announce(component)
-        component.start()
-    for component in master.components:
-        with suppress(SimulationError):  # It may refuse the start values.
-            component.get()
-    later = _measure(master, asked)
-    inputs = first.inputs & later.inputs
-    at_start = tuple(pair for pair in first.pairs if pair not in later.pairs and pair[1] in inputs)
-    return Feedthrough(later.pairs, at_start, inputs, failure)
-
-
-def _exchange(master: Master) -> str:
-    """Exchange values a few times, as long as all components accept them; return the first refusal.
-
-    A component of a loop may refuse the start values of the others. It is then measured at its own.
-    """
-    exchange = Initialization(master)
+    system, failure, exchange = master.system, "", Initialization(master)
+    # A component of a loop may refuse the start values of the others. It is then measured at its own.
     for sweep in range(SWEEPS):
         before = list(master.row)
         try:
             exchange.sweep()
         except SimulationError as error:
-            if isinstance(error, EarlyEnd) or any(is_lost(component) for component in master.components):
+            if exchange.ends_run(error):
                 raise
             master.row[:] = before
-            return "" if sweep else f": {error}"
-    return ""
+            failure = "" if sweep else f": {error}"
+            break
+    undeclared = frozenset[str]().union(*undeclared_inputs(system).values())
+    asked = []
+    for member in (m for loop in system.opened for m in members_of(loop, master)):
+        if places := [k for k in member.inputs if system.columns[k] in undeclared]:
+            asked.append((member, places))
+    first_pairs, first_inputs = _measure(master, asked)
+    for component in master.components:
+        master.announce(component).start()
+    for component in master.components:
+        with suppress(SimulationError):  # It may refuse the start values.
+            component.get()
+    pairs, inputs = _measure(master, asked)
+    inputs &= first_inputs
+    at_start = tuple(pair for pair in first_pairs if pair not in pairs and pair[1] in inputs)
+    return Feedthrough(tuple(pairs), at_start, frozenset(inputs), failure)
 
 
-def _measure(master: Master, asked: Sequence[tuple[Member, list[int]]]) -> Feedthrough:
-    """Return the outputs that follow inputs now."""
+def _measure(master: Master, asked: Sequence[tuple[Member, list[int]]]) -> tuple[list[Pair], set[str]]:
+    """Return the pairs of outputs and inputs of which the output follows the input now, and the measured inputs."""
     names, row = master.system.columns, master.row
+    signals = [master.system.signals[name] for name in names]
     pairs: list[Pair] = []
     measured: set[str] = set()
+
+    def size(member: Member, place: int) -> float:
+        return max(abs(row[place]), member.nominal[place])
+
     for member, places in asked:
         before = list(row)
         follows = np.zeros((len(member.outputs), len(places)), bool)
@@ -247,16 +241,25 @@ def _measure(master: Master, asked: Sequence[tuple[Member, list[int]]]) -> Feedt
             if k > 1 and accepts.any():
                 break
             for j, place in enumerate(places):
-                if not master.system.signals[names[place]].is_whole:
-                    row[place] = before[place] + share * (1.0 + 0.1 * j) * _size(master, member, place)
+                if not signals[place].is_whole:
+                    row[place] = before[place] + share * (1.0 + 0.1 * j) * size(member, place)
             with suppress(SimulationError):
-                member.evaluate(master.doing)
+                member.evaluate()
                 base = member.values()
-                member.evaluate(master.doing)
+                member.evaluate()
                 noise = NOISE * np.abs(member.values() - base)
                 for j, place in enumerate(places):
-                    for value in _displaced(master, member, place):
-                        values = member.try_at(master.doing, place, value)
+                    value, signal = row[place], signals[place]
+                    if signal.kind == "Boolean":
+                        others = [1.0 - value]
+                    elif signal.items:
+                        others = [float(item) for item in signal.items.values() if item != value][:MOST_ITEMS]
+                    elif signal.is_whole:
+                        others = [value + 1.0, value - 1.0]
+                    else:
+                        others = [value + share * size(member, place) for share in PROBES]
+                    for other in others:
+                        values = member.try_at(place, other)
                         if values is not None:
                             accepts[j] = True
                             least = np.maximum(noise, LEAST * np.maximum(np.abs(base), np.abs(values)))
@@ -264,23 +267,6 @@ def _measure(master: Master, asked: Sequence[tuple[Member, list[int]]]) -> Feedt
         measured |= {names[places[j]] for j in np.flatnonzero(accepts)}
         row[:] = before
         with suppress(SimulationError):
-            member.evaluate(master.doing)
+            member.evaluate()
         pairs += [(names[member.outputs[i]], names[places[j]]) for i, j in zip(*np.nonzero(follows), strict=True)]
-    return Feedthrough(tuple(pairs), (), frozenset(measured))
-
-
-def _displaced(master: Master, member: Member, place: int) -> list[float]:
-    """Return other values of an input."""
-    value, signal = master.row[place], master.system.signals[master.system.columns[place]]
-    if signal.kind == "Boolean":
-        return [1.0 - value]
-    if signal.items:
-        return [float(item) for item in signal.items.values() if item != value][:MOST_ITEMS]
-    if signal.is_whole:
-        return [value + 1.0, value - 1.0]
-    return [value + share * _size(master, member, place) for share in PROBES]
-
-
-def _size(master: Master, member: Member, place: int) -> float:
-    variable = master.system.columns[place].partition(".")[2]
-    return max(abs(master.row[place]), nominal_of(member.component, variable))
+    return pairs, measured

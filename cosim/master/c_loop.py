@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,9 +19,8 @@ from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.sources import SourceBlock
 from cosim.blocks.stepping import Loop, NotCompiled, Slot, StopReason, called_slot, library, transfer
 from cosim.blocks.stepping import Transfer as CTransfer
-from cosim.isolation.rows import CALLS
+from cosim.master.inbox import MOST_IN_C
 from cosim.system.event_blocks import is_exchange
-from cosim.system.schedule import Stage
 from cosim.system.system import System
 from cosim.system.wiring import Transfer
 
@@ -29,11 +28,6 @@ if TYPE_CHECKING:
     from cosim.master.master import Master
 
 PREPARED_POINTS = 1000  # points of source values computed at a time
-
-
-def is_stepped_in_c(component: Any) -> bool:
-    """Return whether C steps a component as an FMU."""
-    return isinstance(component, FmuBlock) and isinstance(component.slot(), Slot)
 
 
 def compile_beforehand(system: System) -> None:
@@ -52,7 +46,7 @@ class CompiledSteps:
     """
 
     def __init__(self, master: Master) -> None:
-        self.master, system = master, master.system
+        self.master, system, h = master, master.system, master.h
         if not master.in_c:
             raise NotCompiled("asked for")
         if master.solvers:
@@ -61,53 +55,66 @@ class CompiledSteps:
             raise NotCompiled("inputs follow polynomials during a step")
         if system.beside:
             raise NotCompiled(f"{system.beside[0]} is no number that a double holds")
-        self.slots = [self._slot(k, stage) for k, stage in enumerate(system.stages)]
+        self.slots: list[Slot] = []
+        for stage in system.stages:
+            component, announced = stage.component, (master.doing, master.numbers[stage.component.name])
+            slot = component.slot() if hasattr(component, "slot") else f"{component.name} has a process of its own"
+            others = (c for c in master.components if isinstance(c, FmuBlock) and isinstance(c.slot(), Slot))
+            if isinstance(slot, str) and is_exchange(component) and any(others):
+                # Solvers of model exchange are Python; beside FMUs that C steps, C calls them.
+                slot = called_slot(component.stepping(*announced), system.start, without_step(component, *announced))
+            if not isinstance(slot, Slot):
+                raise NotCompiled(slot)
+            slot.every, slot.doing = stage.every, announced[1]
+            slot.length = stage.every * h if component.nominal_step else 0.0
+            self.slots.append(slot)
         library()  # compiled only if used
         every = {stage.component.name: stage.every for stage in system.stages}
+
+        def transfers(each: Iterable[Transfer], every: Mapping[str, int] = MappingProxyType({})) -> list[CTransfer]:
+            """Return transfers in the form for C. A held value is transferred when its target steps."""
+            periods = [(t, every.get(t.name.partition(".")[0], 1)) for t in each]
+            links = master.copying.links
+            return [
+                transfer(master.row, t.source, t.target, [link.link() for link in links[t.name]], period)
+                for t, period in periods
+            ]
+
         self.loop = Loop(
             [
-                (slot, self._transfers(stage.pulls), self._transfers(stage.late))
+                (slot, transfers(stage.pulls), transfers(stage.late))
                 for slot, stage in zip(self.slots, system.stages, strict=True)
             ],
-            self._transfers(system.held, every),
+            transfers(system.held, every),
             master.row,
             master.table,
             begin=system.start,
-            h=master.h,
+            h=h,
             counter=master.row_count,
             doing=master.doing,
             asked=master.asked,
             first=master.done,
         )
-        self.sources = {k: c for k, c in enumerate(master.components) if isinstance(c, SourceBlock)}
-        self._values: list[Array] = []
-
-    def _slot(self, k: int, stage: Stage) -> Slot:
-        """Return the slot of a component; raise NotCompiled if C cannot step it."""
-        master, component, announced = self.master, stage.component, (self.master.doing, CALLS * k)
-        slot = component.slot() if hasattr(component, "slot") else f"{component.name} has a process of its own"
-        if isinstance(slot, str) and is_exchange(component) and any(map(is_stepped_in_c, master.components)):
-            # Solvers of model exchange are Python; beside FMUs that C steps, C calls them.
-            exchange = without_step(component, *announced)
-            slot = called_slot(component.stepping(*announced), master.system.start, exchange)
-        if not isinstance(slot, Slot):
-            raise NotCompiled(slot)
-        slot.every, slot.doing = stage.every, CALLS * k
-        slot.length = stage.every * master.h if component.nominal_step else 0.0
-        return slot
 
     def make_all(self) -> None:
-        """Make all steps; errors are those of the Python loop."""
-        steps = self.master.steps
-        chunk = PREPARED_POINTS if self.sources else steps
-        for first in range(self.master.done, steps + 1, max(1, chunk)):
-            last = min(first + chunk - 1, steps)
-            if self.sources:
-                self._prepare(first, last)
-            self._until(last)
+        """Make all steps; errors are those of the Python loop. Source values are prepared for some points at a time."""
+        master, loop, system = self.master, self.loop, self.master.system
+        if master.inbox is not None:
+            master.inbox.most = MOST_IN_C
+        stages = enumerate(system.stages)
+        sources = [(k, stage.every, c) for k, stage in stages if isinstance(c := stage.component, SourceBlock)]
+        chunk = PREPARED_POINTS if sources else max(1, master.last)
+        for first in range(master.done, master.last + 1, chunk):
+            last, values = min(first + chunk - 1, master.last), list[Array]()
+            points = np.arange(first, last + 1 if sources else first, dtype=np.float64)
+            for k, every, source in sources:  # Times are computed as by the sources themselves.
+                values.append(source.over((system.start + (points - every) * master.h) + every * master.h))
+                loop.prepare(k, values[-1], first)
+            self._run_until(last)
 
-    def _until(self, last: int) -> None:
-        loop, master = self.loop, self.master
+    def _run_until(self, last: int) -> None:
+        """Make the steps to a point, and act where C returns for it."""
+        loop, master, system = self.loop, self.master, self.master.system
         pause = master.next_call(loop.plan.next)
         while True:
             try:
@@ -115,51 +122,23 @@ class CompiledSteps:
             finally:
                 for component, slot in zip(master.components, loop.slots, strict=True):
                     component.set_time(slot.time)
+            place = loop.plan.place
             if why == StopReason.FINISHED:
                 return
             if why == StopReason.PAUSED:
-                master.make_calls(pause)
+                master.change(pause)
+                master.tell(pause)
                 loop.plan.place = loop.plan.slots  # Events may have changed outputs: the held transfers are made again.
                 pause = master.next_call(pause + 1)
             elif why == StopReason.NO_ITEM:
-                self._raise_no_item()
+                for t in system.stages[place].transfers if place < len(system.stages) else system.held:
+                    t.check_item(master.row[t.target], system.start + loop.plan.next * master.h)
+                raise AssertionError("C met a value that is no item, and there is none")
             elif why == StopReason.FAILED:  # without an error after Ctrl-C between C and Python
-                raise next(iter(self.slots[loop.plan.place].failures), KeyboardInterrupt())
+                raise next(iter(self.slots[place].failures), KeyboardInterrupt())
             elif why == StopReason.LATER:
-                master.look(loop.plan.next - 1)
+                if master.asked[0] and master.keeper is not None:
+                    master.keeper.look(master, loop.plan.next - 1)
                 pause = master.next_call(loop.plan.next)  # Steps may have become slower.
             else:
-                master.components[loop.plan.place].raise_error(why, loop.plan, loop.slots[loop.plan.place])
-
-    # -- internal -------------------------------------------------------------------------------
-
-    def _transfers(
-        self, transfers: Iterable[Transfer], every: Mapping[str, int] = MappingProxyType({})
-    ) -> list[CTransfer]:
-        """Return transfers in the form for C. A held value is transferred when its target steps."""
-        c_transfers = []
-        for t in transfers:
-            links = [linked.link() for linked in self.master.copying.links[t.name]]
-            period = every.get(t.name.partition(".")[0], 1)
-            c_transfers.append(transfer(self.master.row, t.source, t.target, links, period))
-        return c_transfers
-
-    def _prepare(self, first: int, last: int) -> None:
-        """Prepare source values at the given points. Times are computed as by the sources themselves."""
-        begin, h = self.master.system.start, self.master.h
-        points = np.arange(first, last + 1, dtype=np.float64)
-        self._values = []
-        for k, source in self.sources.items():
-            every = self.master.system.stages[k].every
-            times = (begin + (points - every) * h) + every * h
-            self._values.append(source.over(times))
-            self.loop.prepare(k, self._values[-1], first)
-
-    def _raise_no_item(self) -> None:
-        """Raise SimulationError for a value that is no item of its target's enumeration."""
-        system, plan = self.master.system, self.loop.plan
-        stages = system.stages
-        transfers = stages[plan.place].transfers if plan.place < len(stages) else system.held
-        for t in transfers:
-            t.check_item(self.master.row[t.target], system.start + plan.next * self.master.h)
-        raise AssertionError("C met a value that is no item, and there is none")
+                master.components[place].raise_error(why, loop.plan, loop.slots[place])

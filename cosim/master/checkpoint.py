@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import threading
 import time
-from collections.abc import Callable, MutableSequence, Sequence
+from collections.abc import MutableSequence, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,7 +21,8 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import Interrupted, SimulationError
 from cosim.base.messages import Note
-from cosim.isolation.rows import GET, NOTHING, exact_line
+from cosim.isolation import worker as here
+from cosim.isolation.rows import GET, NOTHING, exact_line, read_exact
 from cosim.master.inbox import Change
 from cosim.storage.state_file import pack, sync, unpack, write_durable
 from cosim.system.system import System
@@ -31,8 +32,11 @@ if TYPE_CHECKING:
 
 ROWS, BESIDE, STATE = "rows", "beside", "state"  # files of a run, in one folder
 FORMAT = 1  # version of the content of a checkpoint
-GRACE, SHORT_GRACE = 10.0, 2.0  # time [s] for a checkpoint at a stop, with and without checkpoints on request
 HASHED = 1 << 20  # values hashed at a time
+NOT_RESTORED = (
+    "its outputs differ after a saved state is restored; use an FMU that restores its state, or one that does not "
+    "declare that it can"
+)
 
 
 @dataclass(frozen=True)
@@ -75,16 +79,6 @@ class Keeping:
     interval: float | None = None
     start: Continuation | None = None
 
-    @property
-    def first_rows(self) -> int:
-        """Return the number of rows that are there at the start."""
-        return 0 if self.start is None else self.start.count
-
-    @property
-    def grace(self) -> float:
-        """Return the time [s] for a checkpoint at a stop."""
-        return SHORT_GRACE if self.interval is None else GRACE
-
 
 class RowsHash:
     """SHA-256 of the first rows of a run, continued from call to call."""
@@ -94,9 +88,9 @@ class RowsHash:
 
     def of(self, values: Array, exact: Sequence[tuple[Any, ...]], count: int) -> str:
         """Return the hash of the first `count` rows."""
-        width = max(1, values.shape[1])
-        for first in range(self._count, count, max(1, HASHED // width)):
-            part = values[first : min(count, first + max(1, HASHED // width))] + 0.0
+        part_size = max(1, HASHED // max(1, values.shape[1]))
+        for first in range(self._count, count, part_size):
+            part = values[first : min(count, first + part_size)] + 0.0
             part[np.isnan(part)] = np.nan
             self._rows.update(part.tobytes())
         for row in exact[self._count : count]:
@@ -114,8 +108,6 @@ class Keeper:
         asked: Cell that makes the loop call `look`; `ending` tells that the caller wants an end too.
         interval: Wall time [s] between two checkpoints; None if only a stop makes one.
         start: Where the run goes on, if it does.
-        exact: Function that returns the values beside the first rows.
-        check_caller: Function called before a write; does not return if the command of this process has ended.
         elapsed: Wall time [s] that the run took before.
         repeated: Number of rows that are made again, 0 if all states are restored.
     """
@@ -125,35 +117,67 @@ class Keeper:
     ending: MutableSequence[int]
     interval: float | None = None
     start: Continuation | None = None
-    exact: Callable[[int], Sequence[tuple[Any, ...]]] = lambda count: ()
-    check_caller: Callable[[], None] = lambda: None
     elapsed: float = 0.0
     repeated: int = 0
     hash: RowsHash = field(default_factory=RowsHash)
-    _over: threading.Event = field(default_factory=threading.Event)
+    is_over: threading.Event = field(default_factory=threading.Event)
 
     def begin(self, master: Master) -> None:
         """Go on from `start`, and begin to keep checkpoints."""
         if self.start is not None:
             if _first_difference(master.table[:1], self.start.values[:1]) is not None:
-                raise SimulationError(
-                    "the run",
-                    float(master.time[0]),
-                    (
-                        "the components begin with other values than in the run that was to go on; run the "
-                        "scenario again from its start"
-                    ),
+                reason = (
+                    "the components begin with other values than in the run that was to go on; run the scenario again "
+                    "from its start"
                 )
+                raise SimulationError("the run", float(master.time[0]), reason)
             if self.start.unsaved(master.system):
                 self.repeated = self.start.count
             else:
-                self.elapsed = go_on(master, self.start)
+                self._restore(master, self.start)
         self._begin = self._last = time.monotonic()
         if self.interval is not None:
             threading.Thread(target=self._tick, args=(self.interval,), daemon=True).start()
 
+    def _tick(self, interval: float) -> None:
+        while not self.is_over.wait(interval):
+            self.asked[0] = 1
+
+    def _restore(self, master: Master, start: Continuation) -> None:
+        """Restore the states of all components at a stopped run's last row.
+
+        Raises:
+            SimulationError: The state is of another system, or a component has other outputs.
+        """
+        assert start.state is not None
+        state, last = unpack(start.state), start.count - 1
+        master.done, master.table[: start.count] = start.count, start.values
+        try:
+            for name, memories in state.get("links", {}).items():
+                for link, memory in zip(master.copying.links[name], memories, strict=True):
+                    if hasattr(link, "restore"):
+                        link.restore(memory)
+            for component in master.components:
+                master.announce(component)
+                component.restore(state["components"][component.name])
+                if last == 0 or component.name in master.system.events.get(last, {}):
+                    continue  # An event may change outputs after they are recorded.
+                first = master.first_place(component) + len(component.inputs)
+                outputs = slice(first, first + len(component.outputs))
+                master.announce(component, GET)
+                component.get()
+                if _first_difference(np.array([master.row[outputs]]), start.values[last:, outputs]) is not None:
+                    raise SimulationError(component.name, float(master.time[last]), NOT_RESTORED)
+        except (ValueError, LookupError, TypeError, AttributeError, OverflowError) as error:  # of another system
+            reason = f"the checkpoint has no state of these components ({error}); run the scenario again from its start"
+            raise SimulationError("the run", float(master.time[last]), reason) from None
+        master.view[:] = start.values[last]
+        if start.exact:
+            master.beside[:] = start.exact[last]
+        master.row_count[0], self.elapsed = start.count, float(state.get("elapsed", 0.0))
+
     def look(self, master: Master, k: int) -> None:
-        """Make a due checkpoint; raise Interrupted on request."""
+        """Make a due checkpoint after point k; raise Interrupted on request."""
         self.asked[0] = 0
         if self.ending[0]:
             self.save(master, k)
@@ -161,25 +185,12 @@ class Keeper:
         if self.interval is not None and time.monotonic() - self._last >= 0.5 * self.interval:
             self.save(master, k)
 
-    def end(self, master: Master) -> None:
-        """Make the last checkpoint of a complete run."""
-        self.compare_rows(master, master.done)
-        if self.interval is not None:
-            self.save(master, master.done - 1)
-
-    def _earlier(self) -> Sequence[Change]:
-        return () if self.start is None else self.start.changes
-
-    def close(self) -> None:
-        """End the timer."""
-        self._over.set()
-
     def save(self, master: Master, k: int) -> None:
         """Write the checkpoint of point k."""
         if self.start is not None and k + 1 < self.start.count:
             return
         self.compare_rows(master, k + 1)
-        components = {}
+        components, changes = {}, [] if self.start is None else [*self.start.changes]
         for component in master.components:
             master.announce(component)
             can_save = hasattr(component, "checkpoint") and not master.system.reruns
@@ -189,21 +200,21 @@ class Keeper:
             name: [link.save(k) if hasattr(link, "save") else None for link in chain]
             for name, chain in master.copying.links.items()
         }
+        if master.inbox is not None:
+            changes += master.inbox.changes
         for name in (ROWS, BESIDE):
             sync(self.place / name)
         content = {
             "format": FORMAT,
             "point": k,
             "time": float(master.time[k]),
-            "rows": self.hash.of(master.table, self.exact(k + 1), k + 1),
+            "rows": self.hash.of(master.table, read_exact(self.place / BESIDE, k + 1), k + 1),
             "components": components,
             "links": links,
-            "changes": [
-                [c.point, c.values] for c in (*self._earlier(), *(master.inbox.changes if master.inbox else ()))
-            ],
+            "changes": [[c.point, c.values] for c in changes],
             "elapsed": self.elapsed + time.monotonic() - self._begin,
         }
-        self.check_caller()
+        here.hold_if_abandoned()
         write_durable(self.place / STATE, pack(content))
         self._last = time.monotonic()
 
@@ -214,64 +225,12 @@ class Keeper:
         self.repeated = 0
         place = _first_difference(master.table[: self.start.count], self.start.values)
         if place is not None:
-            component = master.system.columns[place[1]].partition(".")[0]
-            raise SimulationError(
-                component,
-                float(master.time[place[0]]),
-                (
-                    "its outputs differ from the recorded ones when its steps are made again, so the run cannot go "
-                    "on; run the scenario again from its start"
-                ),
+            reason = (
+                "its outputs differ from the recorded ones when its steps are made again, so the run cannot go on; run "
+                "the scenario again from its start"
             )
-
-    def _tick(self, interval: float) -> None:
-        while not self._over.wait(interval):
-            self.asked[0] = 1
-
-
-def go_on(master: Master, start: Continuation) -> float:
-    """Restore the states of all components at a stopped run's last row.
-
-    Returns:
-        The wall time [s] that the run took to there.
-
-    Raises:
-        SimulationError: The state is of another system, or a component has other outputs.
-    """
-    assert start.state is not None
-    state, last = unpack(start.state), start.count - 1
-    master.done, master.table[: start.count] = start.count, start.values
-    try:
-        for name, memories in state.get("links", {}).items():
-            for link, memory in zip(master.copying.links[name], memories, strict=True):
-                if hasattr(link, "restore"):
-                    link.restore(memory)
-        for component in master.components:
-            master.announce(component)
-            component.restore(state["components"][component.name])
-            if last == 0 or component.name in master.system.events.get(last, {}):
-                continue  # An event may change outputs after they are recorded.
-            first = master.first_places(component.name)[0] + len(component.inputs)
-            outputs = slice(first, first + len(component.outputs))
-            master.announce(component, GET)
-            component.get()
-            if _first_difference(np.array([master.row[outputs]]), start.values[last:, outputs]) is not None:
-                raise SimulationError(
-                    component.name,
-                    float(master.time[last]),
-                    (
-                        "its outputs differ after a saved state is restored; use an FMU that restores its state, "
-                        "or one that does not declare that it can"
-                    ),
-                )
-    except (ValueError, LookupError, TypeError, AttributeError, OverflowError) as error:  # a state of another system
-        reason = f"the checkpoint has no state of these components ({error}); run the scenario again from its start"
-        raise SimulationError("the run", float(master.time[last]), reason) from None
-    master.view[:] = start.values[last]
-    if start.exact:
-        master.beside[:] = start.exact[last]
-    master.row_count[0] = start.count
-    return float(state.get("elapsed", 0.0))
+            component = master.system.columns[place[1]].partition(".")[0]
+            raise SimulationError(component, float(master.time[place[0]]), reason)
 
 
 def _first_difference(values: Array, recorded: Array) -> tuple[int, int] | None:

@@ -31,37 +31,30 @@ class Copying:
         self._entries: dict[str, tuple[int, tuple[Any, ...]]] = {}  # name → kind of copy (0 … 2) and its entry
 
     def of(self, transfers: Iterable[Transfer]) -> Copies:
-        """Return transfers as plain, noisy and other copies."""
+        """Return transfers as plain copies of contiguous parts, as noisy, and as other copies."""
+        parts: list[tuple[int, int, int]] = []  # first source, first target, length
         kinds: tuple[list[Any], list[Any], list[Any]] = ([], [], [])
         for transfer in transfers:
             if transfer.name not in self._entries:
-                self._entries[transfer.name] = self._entry(transfer)
+                chain = transfer.through(self.system.seed, self.system.start, self.h, self.steps + 1)
+                noise = next((link.samples for link in chain if isinstance(link, Addition)), None)
+                ends: tuple[int, tuple[Any, ...]] = 0, (transfer.source, transfer.target)
+                if not transfer.plain:
+                    origin, goal = (self.beside if beside else self.row for beside in transfer.beside)
+                    ends = 2, (origin, transfer.source, goal, transfer.target, through(chain))
+                elif noise is not None:
+                    ends = 1, (transfer.source, transfer.target, noise)
+                self.links[transfer.name], self._entries[transfer.name] = chain, ends
             kind, entry = self._entries[transfer.name]
             kinds[kind].append(entry)
-        plain, noisy, others = kinds
-        return self._join(plain), tuple(noisy), tuple(others)
-
-    def _join(self, places: Sequence[tuple[int, int]]) -> Plain:
-        """Return copies joined into contiguous blocks: first source, first target, length."""
-        parts: list[tuple[int, int, int]] = []  # first source, first target, length
-        for source, target in places:
+        for source, target in kinds[0]:
             first, goal, count = parts[-1] if parts else (0, 0, 0)
             if parts and (source, target) == (first + count, goal + count):
                 parts[-1] = first, goal, count + 1
             else:
                 parts.append((source, target, 1))
-        return tuple((self._view[b : b + n], self._view[a : a + n]) for a, b, n in parts)
-
-    def _entry(self, transfer: Transfer) -> tuple[int, tuple[Any, ...]]:
-        chain = transfer.through(self.system.seed, self.system.start, self.h, self.steps + 1)
-        self.links[transfer.name] = chain
-        if not transfer.plain:
-            origin, goal = (self.beside if beside else self.row for beside in transfer.beside)
-            return 2, (origin, transfer.source, goal, transfer.target, through(chain))
-        for link in chain:
-            if isinstance(link, Addition):
-                return 1, (transfer.source, transfer.target, link.samples)
-        return 0, (transfer.source, transfer.target)
+        plain = tuple((self._view[b : b + n], self._view[a : a + n]) for a, b, n in parts)
+        return plain, tuple(kinds[1]), tuple(kinds[2])
 
 
 def copy_values(row: Any, copies: Copies, k: int) -> None:

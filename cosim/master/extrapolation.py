@@ -11,8 +11,7 @@ of the polynomial over the step, by Simpson's rule:
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -60,67 +59,48 @@ class Polynomial:
 
 
 def with_courses(step: StepFunction, system: System, stage: Stage, row: Any) -> StepFunction:
-    """Return a step in which real inputs follow courses."""
-    component, (past, ahead) = stage.component, system.courses
-    held = [
-        t
-        for t in system.held
-        if t.name.partition(".")[0] == component.name and t.origin.partition(".")[0] not in system.known
-    ]
-    old = _real_targets(held, system) if past else []
-    new = _real_targets(stage.pulls, system) if ahead else []
+    """Return a step in which real inputs follow polynomials, which are absent from the row.
+
+    Those with the value of the step's start are extrapolated, those with the value of its end interpolated. Afterwards
+    the inputs of the step's end are put, and the outputs that depend directly on them are read. A component that
+    answers only after a step makes a last part of the step with these inputs instead.
+    """
+    component, (old_degree, new_degree) = stage.component, system.courses
+
+    def real_targets(transfers: Iterable[Transfer], degree: int) -> list[int]:
+        real = (t.target for t in transfers if not (any(t.beside) or system.signals[t.name].is_whole))
+        return list(real) if degree else []
+
+    def read_again() -> None:
+        """Put the inputs and get the outputs, without a step."""
+        getattr(component, "try_inputs", component.put)()
+        component.get()
+
+    held = (t for t in system.held if t.name.partition(".")[0] == component.name)
+    old = real_targets((t for t in held if t.origin.partition(".")[0] not in system.known), old_degree)
+    new, answers = real_targets(stage.pulls, new_degree), False
+    if new:  # Does an output follow an input without a step?
+        own = [k for k, column in enumerate(system.columns) if column.partition(".")[0] == component.name]
+        outputs = own[len(component.inputs) :]
+        before = list(row)
+        for place in new:
+            row[place] += DISPLACEMENT * max(1.0, abs(row[place]))
+            read_again()
+            answers |= any(row[k] != before[k] for k in outputs)
+            row[place] = before[place]
+        read_again()
+        description = getattr(component, "description", None)
+        if not answers and description is not None and not takes_any_step(description):
+            new = []
     if not old + new:
         return step
-    owned = [k for k, column in enumerate(system.columns) if column.partition(".")[0] == component.name]
-    read: Callable[[], None] | None = partial(_read_again, component)
-    if new and not _answers(component, row, new, owned[len(component.inputs) :]):
-        read, description = None, getattr(component, "description", None)
-        if description is not None and not takes_any_step(description):
-            new = []
-    return polynomial_step(step, row, (old, past), (new, ahead), read)
+    past, course, is_first = Polynomial(old_degree), Polynomial(new_degree), True
+    start = np.array([row[k] for k in new])
 
-
-def _real_targets(transfers: Sequence[Transfer], system: System) -> list[int]:
-    """Return the places of real inputs that transfers feed."""
-    return [t.target for t in transfers if not (any(t.beside) or system.signals[t.name].is_whole)]
-
-
-def _read_again(component: Any) -> None:
-    """Put the inputs and get the outputs, without a step."""
-    getattr(component, "try_inputs", component.put)()
-    component.get()
-
-
-def _answers(component: Any, row: Any, inputs: Sequence[int], outputs: Sequence[int]) -> bool:
-    """Return whether an output follows an input without a step."""
-    before, follows = list(row), False
-    for place in inputs:
-        row[place] += DISPLACEMENT * max(1.0, abs(row[place]))
-        _read_again(component)
-        follows |= any(row[k] != before[k] for k in outputs)
-        row[place] = before[place]
-    _read_again(component)
-    return follows
-
-
-def polynomial_step(
-    step: StepFunction,
-    row: Any,
-    extrapolated: tuple[Sequence[int], int],
-    interpolated: tuple[Sequence[int], int],
-    read: Callable[[], None] | None,
-) -> StepFunction:
-    """Return a step with polynomial inputs, absent from the row.
-
-    Args:
-        extrapolated: Places of inputs with the value of the step's start, and the degree.
-        interpolated: Places of inputs with the value of the step's end, and the degree.
-        read: Puts the inputs of the step's end and gets the outputs that depend directly on them; None for a component
-            that answers only after a step, which makes a last part of the step with these inputs.
-    """
-    (old, old_degree), (new, new_degree) = extrapolated, interpolated
-    past, course = Polynomial(old_degree), Polynomial(new_degree)
-    is_first = True
+    def set_inputs(values_old: Array, values_new: Array) -> None:
+        for places, values in ((old, values_old), (new, values_new)):
+            for place, value in zip(places, values.tolist(), strict=True):
+                row[place] = value
 
     def stepped(t: float, h: float) -> None:
         nonlocal is_first
@@ -130,23 +110,18 @@ def polynomial_step(
             is_first = False
         past.add(t, held)
         course.add(t + h, given)
-        tail = TAIL * h if new and read is None else 0.0
+        tail = TAIL * h if new and not answers else 0.0
         mean = (course.mean(t, h) - tail / h * given) / (1.0 - tail / h)
-        for places, values in ((old, past.mean(t, h)), (new, mean)):
-            for place, value in zip(places, values.tolist(), strict=True):
-                row[place] = value
+        before = past.mean(t, h)
+        set_inputs(before, mean)
         try:
             step(t, h - tail)
             if tail:
-                for place, value in zip(new, given.tolist(), strict=True):
-                    row[place] = value
+                set_inputs(before, given)
                 step(t + h - tail, tail)
         finally:
-            for places, values in ((old, held), (new, given)):
-                for place, value in zip(places, values.tolist(), strict=True):
-                    row[place] = value
-        if new and read is not None:
-            read()
+            set_inputs(held, given)
+        if answers:
+            read_again()
 
-    start = np.array([row[k] for k in new])
     return stepped

@@ -18,8 +18,8 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from cosim.base.errors import SimulationError
@@ -27,12 +27,13 @@ from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.model_exchange import AT_ONCE, CLOSE, MOST_EVENTS, ULPS, ModelExchange2
 from cosim.blocks.sources import SourceBlock
-from cosim.isolation.rows import ADVANCE, CALLS, GET, OTHER, PUT
+from cosim.isolation.rows import ADVANCE, GET, PUT
 from cosim.master.copying import Copies, copy_values
 from cosim.master.initialization import EXACT_SWEEPS, is_settled
-from cosim.master.policies import Active, Policy
+from cosim.master.policies import Policy
 from cosim.storage.results import Results
 from cosim.system.event_blocks import is_exchange, takes_part_of_step
+from cosim.system.schedule import Stage
 
 if TYPE_CHECKING:
     from cosim.master.master import Master
@@ -42,37 +43,35 @@ MOST_RECORDED = 1000  # events that the record of a run holds
 SOURCES, REPEATABLE, EARLY, LAST, WHOLE = range(5)  # ranks of the order within a step
 
 
-@dataclass(eq=False)
 class Part:
     """A component in the order of a step.
 
     Attributes:
-        number: Number of the component among all, for observers.
         active: Its step, without known values at the end; `late` sets these.
         time: Time [s] to which it has come.
-        row: Signals of the run, and the places of its inputs.
+        exchange: Calls of model exchange, if it steps to any event by them.
         rank: SOURCES, REPEATABLE, EARLY (may return early, cannot go back), LAST, or WHOLE (makes whole steps only).
         lead: Longest time [s] by which it was ahead of an event.
         ahead: Number of such events.
     """
 
-    component: Any
-    number: int
-    every: int
-    active: Active
-    late: Callable[[int], None] | None
-    time: float
-    row: tuple[Any, slice]
-    rank: int = LAST
-    lead: float = 0.0
-    ahead: int = 0
-
-    def __post_init__(self) -> None:
-        if self.rank == WHOLE:
-            return
-        if isinstance(self.component, SourceBlock):
+    def __init__(self, master: Master, stage: Stage) -> None:
+        component: Any = stage.component
+        active, takes_parts = master.active(stage), takes_part_of_step(stage, master.system.loops)
+        self.component, self.every, self.late = component, stage.every, active.late
+        self.active = active._replace(late=None, length=0.0 if takes_parts else active.length)
+        first = master.first_place(component)
+        self.row, self.inputs = master.row, slice(first, first + len(component.inputs))
+        self.time, self.lead, self.ahead = master.system.start, 0.0, 0
+        self.has_events = isinstance(component, EventFmu)
+        self.exchange: ModelExchange2 | None = component.calls if takes_parts and is_exchange(component) else None
+        self.may_return: bool = component.may_return if self.has_events else self.exchange is not None
+        self.rank = LAST
+        if not takes_parts:
+            self.rank = WHOLE
+        elif isinstance(component, SourceBlock):
             self.rank = SOURCES
-        elif isinstance(self.component, FmuBlock) and self.component.instance.rolls_back:
+        elif isinstance(component, FmuBlock) and component.instance.rolls_back:
             self.rank = REPEATABLE
         elif self.exchange is not None:
             self.exchange.stops_at_events = True
@@ -80,33 +79,18 @@ class Part:
         elif self.may_return:
             self.rank = EARLY
 
-    @property
-    def may_return(self) -> bool:
-        """Return whether its steps may end early."""
-        return self.component.may_return if isinstance(self.component, EventFmu) else self.exchange is not None
-
-    @property
-    def exchange(self) -> ModelExchange2 | None:
-        """Return the calls of model exchange, if any."""
-        return self.component.calls if self.rank != WHOLE and is_exchange(self.component) else None
-
     def save(self) -> Any:
         """Return the state, None if not restorable."""
-        row, inputs = self.row
-        if self.rank == SOURCES:
-            return self.time, row[inputs], None
-        if self.rank != REPEATABLE:
-            return None
-        if isinstance(self.component, EventFmu):
-            return self.time, row[inputs], self.component.save()
-        saved = self.component.instance.save_state() if self.exchange is None else self.exchange.save()
-        return self.time, row[inputs], saved
+        saved = None
+        if self.rank == REPEATABLE:
+            owner = self.component if self.has_events else self.exchange
+            saved = self.component.instance.save_state() if owner is None else owner.save()
+        return (self.time, self.row[self.inputs], saved) if self.rank in (SOURCES, REPEATABLE) else None
 
     def go_back(self, state: Any) -> None:
         """Take back a state."""
-        row, inputs = self.row
-        self.time, row[inputs], saved = state
-        if isinstance(self.component, EventFmu):
+        self.time, self.row[self.inputs], saved = state
+        if self.has_events:
             self.component.go_back(saved)
         elif self.exchange is not None:
             self.exchange.go_back(saved)
@@ -117,8 +101,7 @@ class Part:
     def forget(self, state: Any) -> None:
         """Free a state that is not needed."""
         if self.rank == REPEATABLE and self.exchange is None:
-            saved = state[-1][0] if isinstance(self.component, EventFmu) else state[-1]
-            self.component.instance.free_state(saved)
+            self.component.instance.free_state(state[-1][0] if self.has_events else state[-1])
 
 
 class Instants(Policy):
@@ -136,7 +119,7 @@ class Instants(Policy):
     reason = "event mode"
 
     def __init__(self, master: Master) -> None:
-        self.master, self.begin, self.h = master, master.system.start, master.h
+        self.master, self.begin, self.h, self.call = master, master.system.start, master.h, master.announce
         self.close = CLOSE * self.h
         self.ticked: dict[str, list[str]] = {}
         self.pending: dict[str, list[str]] = {}
@@ -147,15 +130,8 @@ class Instants(Policy):
         self.joined: list[Part] = []
         self._times: deque[float] = deque(maxlen=MOST_EVENTS)
         self._copies: dict[tuple[str, ...], Copies] = {}
-        self.parts: list[Part] = []
-        for k, stage in enumerate(master.system.stages):
-            component, first = stage.component, master.first_places(stage.component.name)[0]
-            inputs = slice(first, first + len(component.inputs))
-            whole, late = master.active(stage)._replace(late=None), master.active(stage).late
-            takes_parts = takes_part_of_step(stage, master.system.loops)
-            active, rank = (whole._replace(length=0.0), LAST) if takes_parts else (whole, WHOLE)
-            self.parts.append(Part(component, k, stage.every, active, late, self.begin, (master.row, inputs), rank))
-        self.fmus = [part for part in self.parts if isinstance(part.component, EventFmu)]
+        self.parts = [Part(master, stage) for stage in master.system.stages]
+        self.fmus = [part for part in self.parts if part.has_events]
         self.exchanges = [part for part in self.parts if part.exchange is not None]
         self.by_name = {part.component.name: part for part in self.fmus}
         self.wires: dict[tuple[str, str], list[tuple[str, str]]] = {}  # clock → connected input clocks
@@ -216,12 +192,11 @@ class Instants(Policy):
         """Note how far components were ahead of events, and what the control of the steps notes."""
         for part in self.parts:
             if part.lead:
-                note = (
-                    f"{part.component.name} was up to {part.lead:.3g} s ahead of an event of another FMU, "
-                    f"because both may return early from a step and it cannot go back: it got {part.ahead} "
-                    "such events that much later. A shorter step of the scenario shortens this"
+                self.master.notes.append(
+                    f"{part.component.name} was up to {part.lead:.3g} s ahead of an event of another FMU, because both "
+                    f"may return early from a step and it cannot go back: it got {part.ahead} such events that much "
+                    "later. A shorter step of the scenario shortens this"
                 )
-                self.master.notes.append(note)
         if self.master.controlled is not None:
             self.master.controlled.finish()
 
@@ -252,33 +227,30 @@ class Instants(Policy):
                     part.forget(state)
                 return target
             target = early.time
-            self._take_back(saved, target, early)
+            for part in [part for part in saved if part.time > target + self.close]:
+                self.call(part.component)
+                part.go_back(saved.pop(part))
             parts = [part for part in self.parts if part.rank != WHOLE]
+            ahead = [part for part in parts if part.time > target + self.close]
+            for part in ahead:
+                part.lead, part.ahead = max(part.lead, part.time - target), part.ahead + 1
+            if ahead and early.rank == EARLY:
+                self.parts.remove(early)
+                self.parts.insert(min(map(self.parts.index, ahead)), early)
+                parts = [part for part in self.parts if part.rank != WHOLE]
 
     def _step(self, part: Part, target: float, k: int) -> None:
         component = part.component
-        if not isinstance(component, EventFmu):
+        if not part.has_events:
             self.master.advance((part.active,), k, part.time, target)
             part.time = target
             if part.exchange is not None and part.exchange.cause:
                 part.time = component.instance.time = part.exchange.time
             return
         copy_values(self.master.row, part.active[3:6], k)
-        self._announce(part, PUT).put()
-        part.time = self._announce(part, ADVANCE).go(target)
-        self._announce(part, GET).get()
-
-    def _take_back(self, saved: dict[Part, Any], target: float, early: Part) -> None:
-        """Take back components beyond an early return."""
-        for part in [part for part in saved if part.time > target + self.close]:
-            self._announce(part)
-            part.go_back(saved.pop(part))
-        ahead = [part for part in self.parts if part.rank != WHOLE and part.time > target + self.close]
-        for part in ahead:
-            part.lead, part.ahead = max(part.lead, part.time - target), part.ahead + 1
-        if ahead and early.rank == EARLY:
-            self.parts.remove(early)
-            self.parts.insert(min(map(self.parts.index, ahead)), early)
+        self.call(component, PUT).put()
+        part.time = self.call(component, ADVANCE).go(target)
+        self.call(component, GET).get()
 
     # -- instants --------------------------------------------------------------------------------
 
@@ -290,9 +262,9 @@ class Instants(Policy):
             calls = part.component.calls
             if calls.cause and abs(part.time - t) <= self.close:
                 self._record(part, f"{calls.cause} event")
-                with self._announce(part).instance.check_calls():
+                with self.call(part.component).instance.check_calls():
                     calls.handle_event(self.h)
-                self._announce(part, GET).get()
+                self.call(part.component, GET).get()
                 self._copy()
         asked = []
         for part in here:
@@ -340,25 +312,18 @@ class Instants(Policy):
                 self._join(part)
                 self._tick(part)
             self._settle()
-            again = [part for part in self.joined if self._announce(part).update()]
+            again = [part for part in self.joined if self.call(part.component).update()]
             for part in self.joined:
-                self._announce(part, GET).get()
+                self.call(part.component, GET).get()
             self._propagate()
             asked = [part for part in self.here if part in again or part.component.is_stirred or self._ticks(part)]
             if not asked:
                 for part in self.joined:
-                    self._announce(part).leave()
+                    self.call(part.component).leave()
                 return
-        name = self._changed(before) or asked[0].component.name
         names = ", ".join(part.component.name for part in asked)
-        raise SimulationError(
-            name,
-            self.time,
-            (
-                f"it still changes after {MOST_EVENTS} updates of discrete states at one time; these FMUs "
-                f"ask for another one: {names}"
-            ),
-        )
+        reason = f"{MOST_EVENTS} updates of discrete states at one time; these FMUs ask for another one: {names}"
+        raise self._unsettled(before, asked[0], reason)
 
     def _settle(self) -> None:
         """Exchange values and clocks until they settle."""
@@ -367,16 +332,18 @@ class Instants(Policy):
             before, row, beside = bytes(master.row), list(master.row), list(master.beside)
             is_quiet = True
             for part in tuple(self.joined):
-                self._announce(part, PUT).put()
+                name = part.component.name
+                self.call(part.component, PUT).put()
                 part.component.look()
-                self._announce(part, GET).get()
-                for clock in part.component.fired():
-                    is_quiet = False
+                self.call(part.component, GET).get()
+                fired = part.component.fired()
+                for clock in fired:
                     self._record(part, f"clock {clock}")
-                    self._trigger(part.component.name, clock)
-                for clock in self.ticked.pop(part.component.name, ()):
-                    is_quiet = False
-                    self._trigger(part.component.name, clock)
+                    self._trigger(name, clock)
+                ticked = self.ticked.pop(name, ())
+                for clock in ticked:
+                    self._trigger(name, clock)
+                is_quiet = is_quiet and not (fired or ticked)
                 self._copy()
             self._propagate()
             for part in self.here:
@@ -387,22 +354,25 @@ class Instants(Policy):
             settled = bytes(master.row) == before or (sweep > EXACT_SWEEPS and is_settled(row, master.row))
             if is_quiet and settled and list(master.beside) == beside:
                 return
-        name = self._changed(before) or self.joined[-1].component.name
-        raise SimulationError(
-            name,
-            self.time,
-            (
-                f"it still changes after {MOST_SWEEPS} exchanges of values at one event: an algebraic "
-                "loop between FMUs in event mode that exchanging values does not settle"
-            ),
+        reason = (
+            f"{MOST_SWEEPS} exchanges of values at one event: an algebraic loop between FMUs in event mode that "
+            "exchanging values does not settle"
         )
+        raise self._unsettled(before, self.joined[-1], reason)
+
+    def _unsettled(self, before: bytes, part: Part, reason: str) -> SimulationError:
+        """Return the error of values that do not settle, about the first changed signal or a component."""
+        old = memoryview(before).cast("d")
+        pairs = zip(self.master.system.columns, old, self.master.row, strict=True)
+        name = next((column for column, a, b in pairs if a != b), part.component.name)
+        return SimulationError(name, self.time, f"it still changes after {reason}")
 
     def _propagate(self) -> None:
         """Copy all values, also through model exchange."""
         self._copy()
         for part in self.exchanges:
-            self._announce(part, PUT).put()
-            self._announce(part, GET).get()
+            self.call(part.component, PUT).put()
+            self.call(part.component, GET).get()
         if self.exchanges:
             self._copy()
 
@@ -410,7 +380,7 @@ class Instants(Policy):
         """Enter event mode, once in an instant."""
         if part not in self.joined:
             self.joined.append(part)
-            self._announce(part).enter()
+            self.call(part.component).enter()
 
     def _ticks(self, part: Part) -> list[str]:
         """Return the clocks of a component that are due."""
@@ -422,7 +392,7 @@ class Instants(Policy):
         if not names:
             return
         self.pending.pop(owner, None)
-        self._announce(part).tick(names)
+        self.call(part.component).tick(names)
         if wired := [name for name in names if (owner, name) in self.wires]:
             self.ticked[owner] = wired
         for name in names:
@@ -430,8 +400,8 @@ class Instants(Policy):
             timer = part.component.timers.get(name)
             if timer is not None and timer.interval is not None and timer.next <= self.time + self.close:
                 message = (
-                    f"the clock ticks every {timer.interval:g} s, but its FMU takes only steps of {self.h:g} "
-                    "s; shorten the step of the scenario"
+                    f"the clock ticks every {timer.interval:g} s, but its FMU takes only steps of {self.h:g} s; "
+                    "shorten the step of the scenario"
                 )
                 raise SimulationError(f"{owner}.{name}", self.time, message)
 
@@ -439,20 +409,15 @@ class Instants(Policy):
         """Tick the clocks connected to a clock."""
         for name, target in self.wires.get((owner, clock), ()):
             part = self.by_name[name]
-            if part not in self.here:
+            if part in self.here:
+                self._join(part)
+                self.call(part.component).tick([target])
+                self._record(part, f"clock {target}")
+            else:
                 self.pending.setdefault(name, []).append(target)
-                continue
-            self._join(part)
-            self._announce(part).tick([target])
-            self._record(part, f"clock {target}")
 
     def _copy(self) -> None:
         copy_values(self.master.row, self.copies, self.point)
-
-    def _announce(self, part: Part, call: int = OTHER) -> Any:
-        """Note the next call of a component for observers; return the component."""
-        self.master.doing[0] = CALLS * part.number + call
-        return part.component
 
     def _record(self, part: Part, cause: str) -> None:
         event = self.time, part.component.name, cause
@@ -466,9 +431,3 @@ class Instants(Policy):
         for (component, cause), count in sorted(self.counts.items()):
             counts.setdefault(component, {})[cause] = count
         return replace(results, events=tuple(self.events), event_counts=counts)
-
-    def _changed(self, before: bytes) -> str:
-        """Return the first changed signal, or ""."""
-        old = memoryview(before).cast("d")
-        pairs = zip(self.master.system.columns, old, self.master.row, strict=True)
-        return next((column for column, a, b in pairs if a != b), "")

@@ -15,33 +15,28 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Sequence
-from typing import Any
+from contextlib import suppress
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import NotFinite, SimulationError
-from cosim.base.messages import Note
 from cosim.base.times import first_point
 from cosim.blocks.component import EarlyEnd
 from cosim.blocks.coupling import torn
 from cosim.blocks.fmu import FmuBlock
-from cosim.isolation.rows import ADVANCE, CALLS, GET, OTHER, PUT
-from cosim.master.copying import Copying, copy_values
+from cosim.isolation.rows import ADVANCE, GET, PUT
+from cosim.master.copying import copy_values
 from cosim.master.root_finding import NotDefined, Outcome, RootFinding
 from cosim.scenario.scenario import LoopSettings
 from cosim.system.schedule import Loop
-from cosim.system.system import System
 from cosim.system.wiring import Transfer
 
-OPEN_SETTLES = (
-    "order: [...] or algorithm: jacobi leaves it open, with values of the step before, which settle (the loop "
-    "gain is {gain:.3g})"
-)
-OPEN_GROWS = (
-    "order: [...] or algorithm: jacobi is no cure: with values of the step before, they grow (the loop gain is "
-    "{gain:.3g}). The loop needs an FMU that saves and restores its state, or one without direct feedthrough"
-)
+if TYPE_CHECKING:
+    from cosim.master.master import Master
+
 SHIFT = 1e-5  # displacement of an input for differences, relative to its magnitude
 PROBES = (1e-3, -1e-3, 0.5, -0.5)  # displacements that show whether an output depends on an input
 REACTION = 1e-9  # smallest relative change of an output that counts
@@ -73,7 +68,7 @@ class DelayedLoop:
     """
 
     def __init__(self, reason: str, places: Sequence[int], names: Sequence[str], nominal: Sequence[float]) -> None:
-        self.reason, self.places, self._names, self._nominal = reason, tuple(places), names, np.array(nominal)
+        self.reason, self.places, self._names, self._nominal = reason, places, names, np.array(nominal)
         self._shares = array("d")  # residual of each step, relative to its signal
         self._largest = 0.0  # residual in nominal values
         self.worst: dict[str, Any] = {}
@@ -90,10 +85,6 @@ class DelayedLoop:
         if not self.worst or size > self._largest:
             self._largest, self.worst = size, self.last
         self._shares.append(abs(change) / max(abs(value), abs(value + change)) if change else 0.0)
-        return self._grows(size)
-
-    def _grows(self, size: float) -> bool:
-        """Return whether a residual grows without bound."""
         if size <= 0.0 or (self._doublings and size < 2.0 * self._doublings[-1][1]):
             return False
         self._doublings.append((len(self._shares), size))
@@ -122,57 +113,51 @@ class Member:
         promised: Whether its last slopes were its own directional derivatives.
     """
 
-    def __init__(self, component: Any, number: int, inputs: Sequence[int], outputs: Sequence[int], row: Any) -> None:
-        self.component, self.number, self.row = component, number, row
-        self.inputs, self.outputs = tuple(inputs), tuple(outputs)
+    def __init__(self, master: Master, component: Any, inputs: Sequence[int], outputs: Sequence[int]) -> None:
+        self.component, self.row, self.inputs, self.outputs = component, master.row, inputs, outputs
+        self.call = partial(master.announce, component)
+        self.variables = [[master.system.columns[k].partition(".")[2] for k in ends] for ends in (outputs, inputs)]
+        self.nominal = {k: nominal_of(component, name) for k, name in zip(inputs, self.variables[1], strict=True)}
+        self.changes_by_events = getattr(component, "changes_by_events", False)
         self.repeats, self.promised, self.late = False, False, ""
-        self.reacts = np.zeros((len(self.outputs), len(self.inputs)), bool)
+        self.reacts = np.zeros((len(outputs), len(inputs)), bool)
         self._state: Any = None
         self._is_stepped = True
         self._step: tuple[float, float] = (0.0, 0.0)
 
-    def begin_step(self, doing: Any, t: float, h: float) -> None:
+    def begin_step(self, t: float, h: float) -> None:
         """Step, or save the state for repeated steps."""
         if self.repeats:
-            doing[0] = CALLS * self.number + OTHER
-            self._state, self._is_stepped, self._step = self.component.instance.save_state(), False, (t, h)
+            self._state, self._is_stepped, self._step = self.call().instance.save_state(), False, (t, h)
             return
-        doing[0] = CALLS * self.number + PUT
-        self.component.put()
-        doing[0] = CALLS * self.number + ADVANCE
-        self.component.advance(t, h)
+        self.call(PUT).put()
+        self.call(ADVANCE).advance(t, h)
 
-    def evaluate(self, doing: Any) -> None:
+    def evaluate(self) -> None:
         """Write the outputs to the current inputs."""
         if self._state is not None and self._is_stepped:
-            doing[0] = CALLS * self.number + OTHER
-            self.component.instance.restore_state(self._state, keep=True)
-        doing[0] = CALLS * self.number + PUT
-        getattr(self.component, "try_inputs", self.component.put)()
+            self.call().instance.restore_state(self._state, keep=True)
+        component = self.call(PUT)
+        getattr(component, "try_inputs", component.put)()
         if self._state is not None:
-            doing[0] = CALLS * self.number + ADVANCE
             self._is_stepped = True
-            self.component.advance(*self._step)
-        doing[0] = CALLS * self.number + GET
-        self.component.get()
+            self.call(ADVANCE).advance(*self._step)
+        self.call(GET).get()
 
-    def end_step(self, doing: Any) -> None:
+    def end_step(self) -> None:
         """Make the event of changed inputs; free the state."""
         if self._state is not None:
             state, self._state = self._state, None
-            doing[0] = CALLS * self.number + OTHER
-            self.component.instance.free_state(state)
-        elif getattr(self.component, "changes_by_events", False):
-            doing[0] = CALLS * self.number + PUT
-            self.component.put()
-            doing[0] = CALLS * self.number + GET
-            self.component.get()
+            self.call().instance.free_state(state)
+        elif self.changes_by_events:
+            self.call(PUT).put()
+            self.call(GET).get()
 
-    def try_at(self, doing: Any, place: int, value: float) -> Array | None:
+    def try_at(self, place: int, value: float) -> Array | None:
         """Return the outputs to another input, None if refused."""
         before, self.row[place] = self.row[place], value
         try:
-            self.evaluate(doing)
+            self.evaluate()
         except EarlyEnd:
             raise
         except SimulationError:
@@ -185,6 +170,19 @@ class Member:
         """Return the current outputs."""
         return np.array([self.row[k] for k in self.outputs])
 
+    def reactions(self) -> Any:
+        """Return whether outputs follow inputs without a step."""
+        base = self.values()
+        reacts = np.zeros((len(self.outputs), len(self.inputs)), bool)
+        least = REACTION * np.maximum(np.abs(base), 1e-300)
+        for j, place in enumerate(self.inputs):
+            size = max(abs(self.row[place]), self.nominal[place])
+            for share in PROBES:
+                values = self.try_at(place, self.row[place] + share * size)
+                if values is not None:
+                    reacts[:, j] |= np.abs(values - base) > least
+        return reacts
+
 
 class LoopSolver:
     """Solver of an algebraic loop of a run.
@@ -194,41 +192,37 @@ class LoopSolver:
         names: Their names; that of the last one is `last`.
     """
 
-    def __init__(self, loop: Loop, copying: Copying, doing: Any) -> None:
-        system, row = copying.system, copying.row
-        self.row, self.doing, self.start, self._h = row, doing, system.start, copying.h
+    def __init__(self, loop: Loop, master: Master) -> None:
+        system, copying = master.system, master.copying
+        self.row, self.start, self._h = master.row, system.start, master.h
         self.settings = system.solving or LoopSettings()
         self.name, self.names, self.last = loop.name, loop.members, loop.members[-1]
+        self._transfers, self._columns = loop.transfers, system.columns
         owners = [column.partition(".")[0] for column in system.columns]
         ends = [(owners[t.source], owners[t.target]) for t in loop.transfers]
         marked = list(zip(loop.transfers, torn(loop.members, ends), strict=True))
         self.back = [t for t, is_back in marked if is_back]
         self.unknowns = [t.target for t in self.back]
-        self._transfers, self._columns = loop.transfers, system.columns
         self._forward = {n: [t for t, is_back in marked if owners[t.target] == n and not is_back] for n in loop.members}
         self._into = {name: copying.of(transfers) for name, transfers in self._forward.items()}
         self._to_back = copying.of(self.back)
-        self._known_into = {
-            s.component.name: copying.of(s.late) for s in system.stages if s.component.name in loop.members
-        }
+        self._known_into = {s.component.name: copying.of(s.late) for s in system.stages}
         self._one = {t.name: copying.of([t]) for t in loop.transfers}
-        self.members = members_of(loop, system, row)
-        self._nominal: dict[int, float] = {}  # place of an input → nominal value
-        self._declared: set[int] = set()  # places of inputs that declare it
-        for member in self.members:
-            for place in member.inputs:
-                variable = self._columns[place].partition(".")[2]
-                self._nominal[place] = nominal_of(member.component, variable)
-                if isinstance(member.component, FmuBlock) and member.component.nominal(variable, default=0.0) > 0.0:
-                    self._declared.add(place)
+        self.members = members_of(loop, master)
+        self._nominal = {k: value for member in self.members for k, value in member.nominal.items()}
+        self._declared = {  # places of inputs that declare a nominal value
+            place
+            for member in self.members
+            for place, name in zip(member.inputs, member.variables[1], strict=True)
+            if isinstance(member.component, FmuBlock) and member.component.nominal(name, default=0.0) > 0.0
+        }
         scale = np.array([self._nominal[place] for place in self.unknowns])
         is_assumed = np.array([place not in self._declared for place in self.unknowns])
         self._roots = RootFinding(self.settings.tolerance, self.settings.iterations, scale, is_assumed)
         self._seen: dict[int, float] = {}  # place of a signal → its largest magnitude
         self._rough: list[tuple[float, float, float, str]] = []  # time, residual, value and signal of rough solutions
-        self._point, self._is_probed = 0, False
+        self._point, self._at_start = 0, 0
         self._iterations: list[int] = []
-        self._at_start = 0
         self._guesses: list[Array] = []
         self._refusal: SimulationError | None = None
         self._delayed: DelayedLoop | None = None  # if the loop is not solved
@@ -238,8 +232,19 @@ class LoopSolver:
 
     def solve_start(self) -> None:
         """Solve the loop in initialization."""
-        if not self._is_probed:
-            self._probe_start()
+        if not self._guesses:
+            before = list(self.row)
+            for member in self.members:
+                try:
+                    member.evaluate()
+                except EarlyEnd:
+                    raise
+                except SimulationError:
+                    continue
+                member.reacts = member.reactions()
+            copy_values(self.row, self._to_back, 0)
+            self._guesses = [self._values(self.unknowns)]
+            self._write(self.unknowns, np.array([before[k] for k in self.unknowns]))
         self._at_start += self._solve(self.start)
 
     def begin(self) -> list[str]:
@@ -251,9 +256,12 @@ class LoopSolver:
         Raises:
             SimulationError: The steps of such a component cannot be repeated.
         """
-        gain = self._gain_at_start()
+        z = self._values(self.unknowns)
+        slopes = self._roots.slopes if self._roots.slopes is not None else self._slopes(z, z, fresh=False)
+        is_finite = np.isfinite(slopes).all()
+        gain = float(np.max(np.abs(np.linalg.eigvals(slopes)), initial=0.0)) if is_finite else math.inf
         self._roots.slopes = None
-        members = [m for m in self.members if m.inputs and not getattr(m.component, "changes_by_events", False)]
+        members = [m for m in self.members if m.inputs and not m.changes_by_events]
         warnings = [warning for member in members for warning in self._find_repeats(member, gain)]
         if late := [member for member in self.members if member.late]:
             places = sorted({place for member in late for place in member.inputs})
@@ -268,39 +276,36 @@ class LoopSolver:
             SimulationError: A component failed, the iterations do not converge, or values grow without bound.
         """
         self._point = first_point(t + h, self.start, self._h)
-        if self._delayed is None:
-            self._solved_step(t, h)
-            return
-        delayed, assumed = self._delayed, self._values(self._delayed.places)
+        delayed = self._delayed
+        assumed = None if delayed is None else self._values(delayed.places)
         try:
-            self._solved_step(t, h)
-        except SimulationError as error:
-            if not isinstance(error, NotFinite) or not delayed.last:
+            for member in self.members:
+                member.begin_step(t, h)
+            self._set_late(repeats=False)
+            self._iterations.append(self._solve(t + h))
+            for member in self.members:
+                member.end_step()
+            self._set_late(repeats=True)
+        except NotFinite as error:
+            if delayed is None or not delayed.last:
                 raise
-            residual = (
-                "{loop} is an algebraic loop that is not solved: {reason}; at t = {time:.6g} s {signal} "
-                "was {value:.3g} and the loop returned {residual:+.3g} more"
-            ).format(loop=self.name, reason=delayed.reason, **delayed.last)
-            message = f"{error.reason}. {residual}"
+            last = delayed.last
+            message = (
+                f"{error.reason}. {self.name} is an algebraic loop that is not solved: {delayed.reason}; at "
+                f"t = {last['time']:.6g} s {last['signal']} was {last['value']:.3g} and the loop returned "
+                f"{last['residual']:+.3g} more"
+            )
             raise SimulationError(error.component, error.time, message) from None
-        if delayed.note(t + h, assumed, self._values(delayed.places)):
-            grown = (
-                "{loop} is not solved ({reason}) and grows without bound: {signal} is {value:.3g} in the "
-                "last step, and the loop returns {residual:+.3g} more, a residual that doubles in equal "
-                "times. It needs an FMU that saves and restores its state, or one without direct "
-                "feedthrough; a shorter step if the growth is of motion; order: [...] runs it without "
-                "this judgement"
-            ).format(loop=self.name, reason=delayed.reason, **delayed.last)
-            raise SimulationError("algebraic loop", t + h, grown)
-
-    def _solved_step(self, t: float, h: float) -> None:
-        for member in self.members:
-            member.begin_step(self.doing, t, h)
-        self._set_late(repeats=False)
-        self._iterations.append(self._solve(t + h))
-        for member in self.members:
-            member.end_step(self.doing)
-        self._set_late(repeats=True)
+        if delayed is not None and assumed is not None and delayed.note(t + h, assumed, self._values(delayed.places)):
+            last = delayed.last
+            message = (
+                f"{self.name} is not solved ({delayed.reason}) and grows without bound: {last['signal']} is "
+                f"{last['value']:.3g} in the last step, and the loop returns {last['residual']:+.3g} more, a residual "
+                "that doubles in equal times. It needs an FMU that saves and restores its state, or one without "
+                "direct feedthrough; a shorter step if the growth is of motion; order: [...] runs it without this "
+                "judgement"
+            )
+            raise SimulationError("algebraic loop", t + h, message)
 
     def _set_late(self, *, repeats: bool) -> None:
         """Copy known values of the end of a step, to components whose step is repeated after the last repetition."""
@@ -338,26 +343,20 @@ class LoopSolver:
         """Return warnings of an unsolved loop and of rough solutions."""
         notes: list[str] = []
         if self._delayed is not None and self._delayed.worst and not self._is_warned:
-            relative = self._delayed.record()["relative"]
-            fields = self._delayed.worst | {"median": relative["median"], "last": relative["last"]}
+            worst, relative = self._delayed.worst, self._delayed.record()["relative"]
             notes.append(
-                (
-                    "the algebraic loop {loop} is not solved: {reason}. Each step has the inputs of its "
-                    "start; at its end the loop returns others, by {median:.2g} of the signal at half of the "
-                    "points and {last:.2g} at the last; the largest residual is {residual:+.3g} of {signal} "
-                    "at t = {time:.6g} s. A shorter step makes a residual of motion smaller"
-                ).format(loop=self.name, reason=self._delayed.reason, **fields)
+                f"the algebraic loop {self.name} is not solved: {self._delayed.reason}. Each step has the inputs of "
+                f"its start; at its end the loop returns others, by {relative['median']:.2g} of the signal at half of "
+                f"the points and {relative['last']:.2g} at the last; the largest residual is {worst['residual']:+.3g} "
+                f"of {worst['signal']} at t = {worst['time']:.6g} s. A shorter step makes a residual of motion smaller"
             )
         if self._rough:
             t, residual, value, signal = self._rough[0]
-            fields = {"count": len(self._rough), "time": t, "residual": abs(residual), "value": value, "signal": signal}
             notes.append(
-                (
-                    "the algebraic loop {loop} is solved less exactly than to {tolerance:g} of its signals "
-                    "at {count} points: first at t = {time:.6g} s, where {signal} is {value:.3g} and the "
-                    "loop returns {residual:.2g} more or less, which no iteration makes smaller. A nominal "
-                    "value of this input in its FMU states the size that counts"
-                ).format(loop=self.name, tolerance=self.settings.tolerance, **fields)
+                f"the algebraic loop {self.name} is solved less exactly than to {self.settings.tolerance:g} of its "
+                f"signals at {len(self._rough)} points: first at t = {t:.6g} s, where {signal} is {value:.3g} and the "
+                f"loop returns {abs(residual):.2g} more or less, which no iteration makes smaller. A nominal value of "
+                "this input in its FMU states the size that counts"
             )
         return notes
 
@@ -377,39 +376,35 @@ class LoopSolver:
         Raises:
             SimulationError: The iterations do not converge.
         """
-        z = self._values(self.unknowns)
-        outcome = self._outcome(z)
-        worst = int(np.argmax(np.abs(outcome.residual) / np.maximum(np.abs(outcome.z), self._roots.scale)))
+        start, roots, tolerance = self._values(self.unknowns), self._roots, self.settings.tolerance
+        outcome = self._outcome(start)
+        worst = int(np.argmax(np.abs(outcome.residual) / np.maximum(np.abs(outcome.z), roots.scale)))
+        value, residual = float(outcome.z[worst]), float(outcome.residual[worst])
+        signal, count = self.back[worst].name, outcome.iterations
         if outcome.converged:
             self._write(self.unknowns, outcome.z)
             if outcome.is_rough:
-                self._rough.append((t, outcome.residual[worst], outcome.z[worst], self.back[worst].name))
-            return outcome.iterations
+                self._rough.append((t, residual, value, signal))
+            return count
         signals = ", ".join(t.name for t in self._transfers)
-        fields: dict[str, Any] = {"signal": self.back[worst].name, "value": float(outcome.z[worst])}
-        fields |= {"residual": float(outcome.residual[worst]), "loop": self.name, "count": outcome.iterations}
-        gave_up = outcome.iterations < self.settings.iterations  # because no step leads nearer
-        more = f", or more iterations (loops: {{iterations: {5 * self.settings.iterations}}})"
-        fields |= {"more": "" if gave_up else more}
-        least = ROUNDED * max(abs(outcome.z[worst]), self._roots.scale[worst])
-        if abs(outcome.residual[worst]) <= least and self.settings.tolerance < PROPOSED:
-            fields["more"] = Note(
-                f", or a larger tolerance: this residual is rounding (loops: {{tolerance: {PROPOSED:g}}})"
+        if self._has_unit_gain(start):
+            message = (
+                f"{self.name} has no solution, or no unique one: its gain is 1, so that the loop returns "
+                f"{residual:+.3g} more than {signal}, whatever its value. Signals of the loop: {signals}. No start "
+                "value, tolerance, order or algorithm is a cure; change its equations (a parameter of an FMU), or put "
+                "an FMU without direct feedthrough into it"
             )
-        if self._has_unit_gain(z):
-            message = (
-                "{loop} has no solution, or no unique one: its gain is 1, so that the loop returns "
-                "{residual:+.3g} more than {signal}, whatever its value. Signals of the loop: {signals}. "
-                "No start value, tolerance, order or algorithm is a cure; change its equations (a "
-                "parameter of an FMU), or put an FMU without direct feedthrough into it"
-            ).format(signals=signals, **fields)
         else:
+            more = ""
+            if abs(residual) <= ROUNDED * max(abs(value), roots.scale[worst]) and tolerance < PROPOSED:
+                more = f", or a larger tolerance: this residual is rounding (loops: {{tolerance: {PROPOSED:g}}})"
+            elif count >= self.settings.iterations:  # with fewer, no step leads nearer
+                more = f", or more iterations (loops: {{iterations: {5 * self.settings.iterations}}})"
             message = (
-                "{loop} does not converge: after {count} iterations {signal} is {value:.6g}, and the "
-                "loop returns {residual:+.3g} more (relative tolerance {tolerance:g}). Signals of the "
-                "loop: {signals}. If it has a solution, start values near it help{more}; order: [...] or "
-                "algorithm: jacobi do not solve it"
-            ).format(signals=signals, tolerance=self.settings.tolerance, **fields)
+                f"{self.name} does not converge: after {count} iterations {signal} is {value:.6g}, and the loop "
+                f"returns {residual:+.3g} more (relative tolerance {tolerance:g}). Signals of the loop: {signals}. If "
+                f"it has a solution, start values near it help{more}; order: [...] or algorithm: jacobi do not solve it"
+            )
         raise SimulationError("algebraic loop", t, message)
 
     def _has_unit_gain(self, z: Array) -> bool:
@@ -445,7 +440,7 @@ class LoopSolver:
         try:
             for member in self.members:
                 copy_values(self.row, self._into[member.component.name], self._point)
-                member.evaluate(self.doing)
+                member.evaluate()
         except EarlyEnd:
             raise
         except SimulationError as error:
@@ -475,26 +470,23 @@ class LoopSolver:
         return np.array([self._gain(t) * along[t.source] for t in self.back])
 
     def _member_slopes(self, member: Member, *, fresh: bool) -> Array:
-        """Return the slopes of a component's outputs."""
+        """Return the slopes of a component's outputs: its directional derivatives, or differences."""
         shape = len(member.outputs), len(member.inputs)
-        variables = [[self._columns[k].partition(".")[2] for k in ends] for ends in (member.outputs, member.inputs)]
         promise = getattr(member.component, "slopes", None)
         member.promised = False
         if promise is not None and not fresh and all(shape):
-            try:
-                promised = promise(*variables)
-            except SimulationError:
-                promised = None
-            if promised is not None and np.isfinite(promised).all():
-                member.promised = True
-                return np.array(promised).reshape(shape)
+            with suppress(SimulationError):
+                promised = promise(*member.variables)
+                if promised is not None and np.isfinite(promised).all():
+                    member.promised = True
+                    return np.array(promised).reshape(shape)
         base, slopes = member.values(), np.zeros(shape)
         for j, place in enumerate(member.inputs):
             shift, seen = SHIFT * max(abs(self.row[place]), self._nominal[place]), self._seen.get(place, 0.0)
             if fresh and seen > 0.0 and place not in self._declared:
                 shift = min(shift, SHIFT * seen)
             for step in (shift, -shift):
-                values = member.try_at(self.doing, place, self.row[place] + step)
+                values = member.try_at(place, self.row[place] + step)
                 if values is not None:
                     slopes[:, j] = (values - base) / step
                     break
@@ -512,85 +504,44 @@ class LoopSolver:
         self.row[transfer.target] = at
         return float(results[0] - results[1])
 
-    # -- outputs that follow inputs only after a step ------------------------------------------------
-
-    def _probe_start(self) -> None:
-        """Set `reacts` of each member: an output that changes with an input in initialization."""
-        self._is_probed = True
-        before = list(self.row)
-        for member in self.members:
-            try:
-                member.evaluate(self.doing)
-            except EarlyEnd:
-                raise
-            except SimulationError:
-                continue
-            member.reacts = self._reactions(member)
-        copy_values(self.row, self._to_back, 0)
-        self._guesses = [self._values(self.unknowns)]
-        for place in self.unknowns:
-            self.row[place] = before[place]
-
-    def _reactions(self, member: Member) -> Any:
-        """Return whether outputs follow inputs without a step."""
-        base = member.values()
-        reacts = np.zeros((len(member.outputs), len(member.inputs)), bool)
-        least = REACTION * np.maximum(np.abs(base), 1e-300)
-        for j, place in enumerate(member.inputs):
-            size = max(abs(self.row[place]), self._nominal[place])
-            for share in PROBES:
-                values = member.try_at(self.doing, place, self.row[place] + share * size)
-                if values is not None:
-                    reacts[:, j] |= np.abs(values - base) > least
-        return reacts
-
-    def _gain_at_start(self) -> float:
-        """Return the loop gain in initialization: the largest growth of a deviation around the loop."""
-        z = self._values(self.unknowns)
-        slopes = self._roots.slopes if self._roots.slopes is not None else self._slopes(z, z, fresh=False)
-        return float(np.max(np.abs(np.linalg.eigvals(slopes)), initial=0.0)) if np.isfinite(slopes).all() else math.inf
-
     def _find_repeats(self, member: Member, gain: float) -> list[str]:
-        """Note whether steps must be repeated; return warnings.
+        """Note whether steps must be repeated, because outputs follow inputs only after a step; return warnings.
 
         Args:
-            gain: Loop gain in initialization.
+            gain: Loop gain in initialization: the largest growth of a deviation around the loop.
         """
-        member.evaluate(self.doing)
-        reacts = self._reactions(member)
-        member.evaluate(self.doing)
+        member.evaluate()
+        reacts = member.reactions()
+        member.evaluate()
+        name, inputs, fmu = member.component.name, member.variables[1], member.component
         missing = member.reacts & ~reacts
-        is_declared = any(member.component.depends_on(self._columns[k].partition(".")[2]) for k in member.inputs)
-        is_silent = is_declared and not (member.reacts.any() or reacts.any())
-        can_repeat = isinstance(member.component, FmuBlock) and member.component.instance.rolls_back
+        is_declared, has_reacted = any(map(fmu.depends_on, inputs)), bool(reacts.any() or member.reacts.any())
+        is_silent = is_declared and not has_reacted
+        can_repeat = isinstance(fmu, FmuBlock) and fmu.instance.rolls_back
         member.repeats = can_repeat and bool(missing.any() or is_silent)
-        if not (is_declared or reacts.any() or member.reacts.any()):
-            member.late, self._is_warned = (
-                Note(f"{member.component.name} answers no input without a step, and none is declared to act"),
-                True,
-            )
-            inputs = ", ".join(self._columns[k].partition(".")[2] for k in member.inputs)
+        if not (is_declared or has_reacted):
+            member.late = f"{name} answers no input without a step, and none is declared to act"
+            self._is_warned = True
             return [
-                (
-                    f"{member.component.name}: no output in the algebraic loop {self.name} follows an input "
-                    "without a step, and none is declared to; its outputs are those after a step with the "
-                    "inputs of the step's start. If a step shows feedthrough, state it "
-                    f"(components.{member.component.name}.feedthrough: [{inputs}])"
-                )
+                f"{name}: no output in the algebraic loop {self.name} follows an input without a step, and none is "
+                "declared to; its outputs are those after a step with the inputs of the step's start. If a step shows "
+                f"feedthrough, state it (components.{name}.feedthrough: [{', '.join(inputs)}])"
             ]
-        if can_repeat or not (missing.any() or is_silent):
-            return []
-        if is_silent:
-            member.late = Note(f"{member.component.name} answers only after a step and cannot save its state")
-            return []
-        j, k = (int(each[0]) for each in np.nonzero(missing))
-        ends = {"output": self._columns[member.outputs[j]], "input": self._columns[member.inputs[k]]}
-        cure = (OPEN_SETTLES if gain < 1.0 else OPEN_GROWS).format(gain=gain)
-        message = (
-            "{output} follows {input} only after a step, which cannot be repeated, because the FMU "
-            "saves no state; so the algebraic loop {loop} cannot be solved. {cure}"
-        ).format(loop=self.name, cure=cure, **ends)
-        raise SimulationError(member.component.name, self.start, message)
+        if is_silent and not can_repeat:
+            member.late = f"{name} answers only after a step and cannot save its state"
+        elif missing.any() and not can_repeat:
+            j, k = (int(each[0]) for each in np.nonzero(missing))
+            cure = "no cure: with values of the step before, they grow"
+            more = ". The loop needs an FMU that saves and restores its state, or one without direct feedthrough"
+            if gain < 1.0:
+                cure, more = "a cure: they leave it open, with values of the step before, which settle", ""
+            message = (
+                f"{self._columns[member.outputs[j]]} follows {self._columns[member.inputs[k]]} only after a step, "
+                f"which cannot be repeated, because the FMU saves no state; so the algebraic loop {self.name} cannot "
+                f"be solved. order: [...] or algorithm: jacobi is {cure} (the loop gain is {gain:.3g}){more}"
+            )
+            raise SimulationError(name, self.start, message)
+        return []
 
 
 def nominal_of(component: Any, variable: str) -> float:
@@ -603,14 +554,13 @@ def is_lost(component: Any) -> bool:
     return isinstance(component, FmuBlock) and component.instance.fmu is None
 
 
-def members_of(loop: Loop, system: System, row: Any) -> list[Member]:
+def members_of(loop: Loop, master: Master) -> list[Member]:
     """Return the components of a loop in their order."""
-    owners = [column.partition(".")[0] for column in system.columns]
+    owners = [column.partition(".")[0] for column in master.system.columns]
     members = []
-    for k, stage in enumerate(system.stages):
-        name = stage.component.name
-        if name in loop.members:
+    for component in master.components:
+        if (name := component.name) in loop.members:
             inputs = sorted({t.target for t in loop.transfers if not t.beside[1] and owners[t.target] == name})
             outputs = sorted({t.source for t in loop.transfers if not t.beside[0] and owners[t.source] == name})
-            members.append(Member(stage.component, k, inputs, outputs, row))
+            members.append(Member(master, component, inputs, outputs))
     return members

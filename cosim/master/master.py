@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import bisect
 import ctypes
+import errno
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
@@ -22,7 +23,8 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.errors import CallFailed, NotFinite, SimulationError, Terminated, stop_error
+from cosim.base.drafts import is_full
+from cosim.base.errors import CallFailed, DiskFull, NotFinite, SimulationError, Terminated, stop_error
 from cosim.base.messages import Note
 from cosim.blocks.component import EarlyEnd, without_step
 from cosim.blocks.event_mode import EventFmu
@@ -33,7 +35,7 @@ from cosim.master.c_loop import CompiledSteps
 from cosim.master.checkpoint import Keeper
 from cosim.master.copying import Copying, copy_values, doubles
 from cosim.master.extrapolation import with_courses
-from cosim.master.inbox import MOST_IN_C, Inbox
+from cosim.master.inbox import Inbox
 from cosim.master.initialization import Initialization
 from cosim.master.instants import Instants
 from cosim.master.loops import LoopSolver
@@ -46,7 +48,6 @@ from cosim.system.system import System
 from cosim.system.wiring import Transfer
 
 Progress = Callable[[int], None]  # receives the current communication point
-RoundAt = Callable[[int], Round]  # of a point
 PROGRESS_EVERY = 50
 
 
@@ -85,7 +86,13 @@ def simulate(
 
 
 class Master:
-    """The master: a run from the opening to the closing of its components, with its signals and its table of rows."""
+    """The master: a run from the opening to the closing of its components, with its signals and its table of rows.
+
+    Attributes:
+        row: Signals of the run as an array of C; `view` are the same, `beside` the values that no double holds.
+        last: Last communication point for which the table has a row.
+        done: Number of complete rows.
+    """
 
     def __init__(
         self,
@@ -100,19 +107,23 @@ class Master:
     ) -> None:
         self.system, self.steps, self.h = system, steps, h
         self.components: list[Any] = [stage.component for stage in system.stages]
+        self.numbers = {component.name: CALLS * k for k, component in enumerate(self.components)}
         self.row = (ctypes.c_double * len(system.columns))()
         self.view = doubles(self.row)
-        self._place, self._place_beside = _first_places(system.columns), _first_places(system.beside)
         self.beside: list[Any] = [None] * len(system.beside)
+        self._first_places = [  # component → place of its first signal, in the row and beside it
+            {name: k for k, name in reversed(list(enumerate(c.partition(".")[0] for c in columns)))}
+            for columns in (system.columns, system.beside)
+        ]
         self.rows, self.progress, self.in_c, self.loop = rows, progress, in_c, "none"
-        self.beside_rows = rows.beside  # values beside the row, by row
         self.table, self.row_count, self.doing, self.asked = rows.table, rows.made, rows.doing, rows.asked
         self.time = system.start + h * np.arange(steps + 1, dtype=np.float64)  # counted, not summed
-        self.done = 0
-        self.has_events = any(isinstance(c, EventFmu) for c in self.components)
+        self.last, self.done = min(steps, len(rows.table) - 1), 0
+        self.keeper: Keeper | None = rows.keeper
         self.instants: Instants | None = None
         self.controlled: ControlledSteps | None = None
         self._actives: dict[str, Active] = {}
+        self._rounds: dict[tuple[Any, ...], Round] = {}
         self.notes: list[str] = []
         self.events, self.inbox = sorted(system.events), inbox
         self.pacer = None if system.pace is None else Pacer(system.pace, steps, h, rows.doing, progress)
@@ -120,12 +131,13 @@ class Master:
             if isinstance(stage.component, FmuBlock):
                 points = [k for k, changes in system.events.items() if stage.component.name in changes]
                 stage.component.await_inputs([float(self.time[k]) for k in points if k], always=bool(stage.late))
-        self.calls = self._calls(progress)
         self.copying = Copying(system, self.row, self.beside, steps, h)
         self.held: dict[str, list[Transfer]] = {name: [] for name in system.names}
         for transfer in system.held:
             self.held[transfer.name.partition(".")[0]].append(transfer)
-        self.solvers = [LoopSolver(loop, self.copying, self.doing) for loop in system.loops]
+        self.solvers = [LoopSolver(loop, self) for loop in system.loops]
+
+    # -- call sequence -----------------------------------------------------------------------------
 
     def results(self) -> Results:
         """Run from beginning to end."""
@@ -135,12 +147,13 @@ class Master:
             for solver in self.solvers:
                 self.notes += solver.begin()
             self._record_first()
-            keeper: Keeper | None = self.rows.keeper
-            if keeper is not None:
-                keeper.begin(self)
+            if self.keeper is not None:
+                self.keeper.begin(self)
             self._step_on()
-            if keeper is not None:
-                keeper.end(self)
+            if self.keeper is not None:
+                self.keeper.compare_rows(self, self.done)
+                if self.keeper.interval is not None:
+                    self.keeper.save(self, self.done - 1)
             hold_stops()  # The rows must be saved.
         except EarlyEnd as end:
             if not self.done:
@@ -149,34 +162,34 @@ class Master:
         except (SimulationError, KeyboardInterrupt, Terminated) as stop:
             error = self._explain(stop_error(stop, float(self.time[max(0, self.done - 1)])))
             raise StoppedRun(error, self._rows_so_far()) from None
+        except OSError as error:
+            if not is_full(error):
+                raise
+            reason = f"the disk is full: it has room for {self.done} of {self.steps + 1} rows while the run lasts"
+            full = DiskFull("the run", float(self.time[max(0, self.done - 1)]), reason)
+            raise StoppedRun(full, self._rows_so_far()) from None
         finally:
-            if self.rows.keeper is not None:
-                self.rows.keeper.close()
+            if self.keeper is not None:
+                self.keeper.is_over.set()
             for component in self.components:
-                self.announce(component)
-                component.close()
+                self.announce(component).close()
         return self._rows_so_far()
-
-    # -- call sequence -----------------------------------------------------------------------------
 
     def open(self) -> None:
         """Open all components."""
         for component in self.components:
-            first, first_beside = self.first_places(component.name)
-            component.bind(self.row, first, self.beside, first_beside)
+            component.bind(self.row, self.first_place(component), self.beside, self.first_place(component, beside=True))
         for component in self.components:
-            self.announce(component)
-            component.open(self.system.start, float(self.time[-1]))
+            self.announce(component).open(self.system.start, float(self.time[-1]))
 
     def _record_first(self) -> None:
-        self._change(0)
-        if self.has_events:
+        self.change(0)
+        if any(isinstance(component, EventFmu) for component in self.components):
             self.instants = Instants(self)
             self.instants.settle(0)
         for transfer in (*self.system.held, *(t for stage in self.system.stages for t in stage.transfers)):
             transfer.check_item((self.beside if transfer.beside[1] else self.row)[transfer.target], self.system.start)
-        for call in self.calls:
-            call(0)
+        self.tell(0)
         ctypes.memmove(self.table.ctypes.data, ctypes.addressof(self.row), ctypes.sizeof(self.row))
         self.done = self.row_count[0] = 1
 
@@ -184,47 +197,48 @@ class Master:
         """Make all steps, in C if possible, otherwise in Python."""
         if self.system.control is not None:
             self.controlled = ControlledSteps(self, self.system.control)
-        policy: Policy | None = HalvedSteps(self) if self.system.halved else self.instants or self.controlled
+        policy: Policy | CompiledSteps | None = self.instants or self.controlled
+        if self.system.halved:
+            policy = HalvedSteps(self)
         if policy is None:
             try:
-                steps = CompiledSteps(self)
+                policy = CompiledSteps(self)
             except NotCompiled as reason:
                 policy = EqualSteps(self, str(reason))
-            else:
-                self._begin_loop("C")
-                if self.inbox is not None:
-                    self.inbox.most = MOST_IN_C
-                try:
-                    steps.make_all()
-                finally:
-                    self.done = self.row_count[0]
-                return
-        self._begin_loop(f"Python: {policy.reason}")
+        self.loop = "C" if isinstance(policy, CompiledSteps) else f"Python: {policy.reason}"
+        self.rows.tell_loop(self.loop)
+        if self.pacer is not None:  # The preparation of the loop is no delay of the first step.
+            self.pacer.begin = self.pacer.clock()
         try:
-            self._make_steps(policy)
+            if isinstance(policy, CompiledSteps):
+                policy.make_all()
+            else:
+                self._make_steps(policy)
         finally:
             self.done = self.row_count[0]
-            policy.finish()
+            if isinstance(policy, Policy):
+                policy.finish()
+        if self.done <= self.steps:
+            raise OSError(errno.ENOSPC, "no room for further rows")
 
     def _make_steps(self, policy: Policy) -> None:
         """Make all steps in Python. The calls in this loop and in `advance` determine the run time."""
         row, table, width, row_count, asked = self.view, doubles(self.table), len(self.view), self.row_count, self.asked
         advance_to, settle = policy.advance_to, None if self.instants is None else self.instants.settle
         call_point = self.next_call(self.done)
-        for k in range(self.done, self.steps + 1):
+        for k in range(self.done, self.last + 1):
             advance_to(k)
             if k == call_point:
-                self._change(k)
+                self.change(k)
             if settle is not None:
                 settle(k)
             if k == call_point:
-                for call in self.calls:
-                    call(k)
+                self.tell(k)
                 call_point = self.next_call(k + 1)
             table[k * width : k * width + width] = row
             row_count[0] = k + 1
-            if asked[0]:
-                self.look(k)
+            if asked[0] and self.keeper is not None:
+                self.keeper.look(self, k)
 
     def advance(self, actives: Iterable[Active], k: int, t: float, until: float) -> None:
         """Step components once, in their order, towards point k.
@@ -257,14 +271,13 @@ class Master:
         self.notes.append(Note(f"{end.component} ended the simulation at t = {end.reached:.6g} s: {end.reason}"))
         alone = len(self.system.fmus) == 1
         k = self.done
-        if not (0 < k <= self.steps and end.readable and alone and end.reached > self.time[k - 1]):
+        if not (0 < k <= self.last and end.readable and alone and end.reached > self.time[k - 1]):
             return
         for component in self.components:
             component.get()
         if self.instants is None:
-            self._change(k)
-        for call in self.calls:
-            call(k)
+            self.change(k)
+        self.tell(k)
         self.time[k] = end.reached
         self.table[k] = self.row[:]
         self.done = self.row_count[0] = k + 1
@@ -281,27 +294,7 @@ class Master:
             return error
         return SimulationError(error.component, error.time, f"{error.reason}. {loop.left_open}")
 
-    # -- parts --------------------------------------------------------------------------------
-
-    def announce(self, component: Any, call: int = OTHER) -> None:
-        """Store the next call, so that a crash or a hang is blamed on its component."""
-        self.doing[0] = CALLS * self.components.index(component) + call
-
-    def look(self, k: int) -> None:
-        """Make a due checkpoint after point k."""
-        if self.rows.asked[0] and self.rows.keeper is not None:
-            self.rows.keeper.look(self, k)
-
-    def first_places(self, name: str) -> tuple[int, int]:
-        """Return a component's first places, in and beside the row."""
-        return self._place.get(name, 0), self._place_beside.get(name, 0)
-
-    def _begin_loop(self, loop: str) -> None:
-        """Note how the steps are made; the preparation of the loop is no delay of the first one."""
-        self.loop = loop
-        self.rows.tell_loop(loop)
-        if self.pacer is not None:
-            self.pacer.restart()
+    # -- communication points ------------------------------------------------------------------
 
     def next_call(self, k: int) -> int:
         """Return the next communication point, from k on, that needs Python in the C loop, or `NEVER`."""
@@ -309,37 +302,15 @@ class Master:
             return k
         place = bisect.bisect_left(self.events, k)
         points = self.events[place : place + 1]
-        if self.rows.keeper is not None and self.rows.keeper.repeated >= k:
-            points.append(self.rows.keeper.repeated)
+        if self.keeper is not None and self.keeper.repeated >= k:
+            points.append(self.keeper.repeated)
         if self.inbox is not None:  # Progress is reported at its looks.
             points.append(self.inbox.next_look(k))
         elif self.progress is not None:
             points.append(-(-k // PROGRESS_EVERY) * PROGRESS_EVERY)
         return min(points, default=NEVER)
 
-    def _calls(self, progress: Progress | None) -> tuple[Progress, ...]:
-        """Return the functions to call at requested points before rows are stored, after changes."""
-        calls: list[Progress] = []
-        if self.beside:
-            calls.append(self._record_exact)
-        if (keeper := self.rows.keeper) is not None:
-            calls.append(lambda k: keeper.compare_rows(self, k))
-        if progress is not None:
-            every = PROGRESS_EVERY if self.inbox is None else 1
-            calls.append(lambda k: progress(k) if k and k % every == 0 else None)
-        return tuple(calls)
-
-    def _record_exact(self, k: int) -> None:
-        if k >= self.rows.given:
-            self.beside_rows.append(tuple(self.beside))
-
-    def make_calls(self, k: int) -> None:
-        """Make the changes and calls of a requested point, for C."""
-        self._change(k)
-        for call in self.calls:
-            call(k)
-
-    def _change(self, k: int) -> None:
+    def change(self, k: int) -> None:
         """Wait for the time of point k, and change parameters and inputs."""
         changes: Mapping[str, Mapping[str, Any]] = self.system.events.get(k, {})
         if self.pacer is not None:
@@ -347,84 +318,91 @@ class Master:
         if self.inbox is not None:
             changes = self.inbox.take(k, changes)
             if self.pacer is not None:
-                self.pacer.shift(self.inbox.pause)
+                self.pacer.begin += self.inbox.pause
         changed = [component for component in self.components if component.name in changes]
         for component in changed:
             component.change(changes[component.name])
             if not isinstance(component, EventFmu):  # It is read at the instant.
-                self.announce(component, GET)
-                component.get()
+                self.announce(component, GET).get()
         if changed and self.loop != "C":  # C makes its held transfers again.
             due = [stage.component.name for stage in self.system.stages if k % stage.every == 0]
             copy_values(self.row, self.copying.of(t for name in due for t in self.held[name]), k)
 
-    def rounds(self, stages: Sequence[Stage], held: Collection[str] = (), *, nominal: bool = True) -> RoundAt:
-        """Return a function that returns the steps due at a point, and the copies at their end.
+    def tell(self, k: int) -> None:
+        """Record exact values, compare repeated rows and report progress before the row of point k is stored."""
+        if self.beside and k >= self.rows.given:
+            self.rows.beside.append(tuple(self.beside))
+        if self.keeper is not None:
+            self.keeper.compare_rows(self, k)
+        if self.progress is not None and k and (self.inbox is not None or k % PROGRESS_EVERY == 0):
+            self.progress(k)
+
+    # -- parts --------------------------------------------------------------------------------
+
+    def announce(self, component: Any, call: int = OTHER) -> Any:
+        """Store the next call, so that a crash or a hang is blamed on its component; return the component."""
+        self.doing[0] = self.numbers[component.name] + call
+        return component
+
+    def first_place(self, component: Any, *, beside: bool = False) -> int:
+        """Return a component's first place, in the row or beside it."""
+        return self._first_places[beside].get(component.name, 0)
+
+    def round(self, stages: Sequence[Stage], k: int, held: Collection[str] = (), *, nominal: bool = True) -> Round:
+        """Return the steps of stages that are due at point k, and the copies at their end.
 
         Args:
             held: Components whose held values are copied at any point.
             nominal: Whether components may have steps of nominal length.
         """
-        made: dict[tuple[str, ...], Round] = {}
-
-        def round_at(k: int) -> Round:
-            due = [stage for stage in stages if k % stage.every == 0]
-            names = tuple(stage.component.name for stage in due)
-            if names not in made:
-                copies = self.copying.of(t for name in (*names, *held) for t in self.held[name])
-                actives = [active if nominal else active._replace(length=0.0) for active in map(self.active, due)]
-                made[names] = (*actives, Active(lambda t, h: None, 1, 0.0, *copies, None))
-            return made[names]
-
-        return round_at
+        due = [stage for stage in stages if k % stage.every == 0]
+        key = nominal, tuple(held), tuple(stage.component.name for stage in due)
+        if key not in self._rounds:
+            copies = self.copying.of(t for name in (*key[2], *held) for t in self.held[name])
+            actives = [active if nominal else active._replace(length=0.0) for active in map(self.active, due)]
+            self._rounds[key] = (*actives, Active(lambda t, h: None, 1, 0.0, *copies, None))
+        return self._rounds[key]
 
     def active(self, stage: Stage) -> Active:
         """Return a component's step with the copies around it."""
-        if stage.component.name not in self._actives:
-            self._actives[stage.component.name] = self._active(stage)
-        return self._actives[stage.component.name]
+        component, name = stage.component, stage.component.name
+        if name in self._actives:
+            return self._actives[name]
+        pulls = self.copying.of(stage.pulls)
+        solver = next((solver for solver in self.solvers if name in solver.names), None)
+        if solver is not None:  # The last one steps all.
+            step = solver.step if name == solver.last else lambda t, h: None
+            active = Active(step, 1, 0.0, *pulls, None)
+        else:
+            step, late = component.stepping(self.doing, self.numbers[name]), None
+            if any(self.system.courses):
+                step = with_courses(step, self.system, stage, self.view)
+            if stage.late:
+                copies, exchange = self.copying.of(stage.late), without_step(component, self.doing, self.numbers[name])
 
-    def _active(self, stage: Stage) -> Active:
-        component, pulls = stage.component, self.copying.of(stage.pulls)
-        for solver in self.solvers:
-            if component.name in solver.names:  # The last one steps all.
-                step = solver.step if component.name == solver.last else lambda t, h: None
-                return Active(step, 1, 0.0, *pulls, None)
-        length = stage.every * self.h if component.nominal_step else 0.0
-        step = component.stepping(self.doing, CALLS * self.components.index(component))
-        if any(self.system.courses):
-            step = with_courses(step, self.system, stage, self.view)
-        return Active(step, stage.every, length, *pulls, self._set_late(stage))
+                def late(k: int) -> None:
+                    """Set known values after the step, and read the outputs again."""
+                    copy_values(self.row, copies, k)
+                    exchange()
 
-    def _set_late(self, stage: Stage) -> Callable[[int], None] | None:
-        """Return the function that sets known values after a component's step and reads its outputs again."""
-        if not stage.late:
-            return None
-        copies = self.copying.of(stage.late)
-        exchange = without_step(stage.component, self.doing, CALLS * self.components.index(stage.component))
-
-        def set_late(k: int) -> None:
-            copy_values(self.row, copies, k)
-            exchange()
-
-        return set_late
+            length = stage.every * self.h if component.nominal_step else 0.0
+            active = Active(step, stage.every, length, *pulls, late)
+        self._actives[name] = active
+        return active
 
     def _rows_so_far(self) -> Results:
-        beside = self.beside_rows if isinstance(self.beside_rows, list) else []
-        time, table = self.time[: self.done], self.table[: self.done]
-        of_loops = [note for solver in self.solvers for note in solver.notes()]
-        notes = [*self.notes, *of_loops, *(() if self.pacer is None else self.pacer.notes(self.system.start))]
-        results = results_of(self.system, time, table, beside, notes, self.loop, details=self.details())
-        return results if self.instants is None else self.instants.add_to(results)
-
-    def details(self) -> dict[str, Any]:
-        """Return entries of the manifest about the steps."""
-        details: dict[str, Any] = {"loops": [s.record() for s in self.solvers]} if self.solvers else {}
+        beside = self.rows.beside if isinstance(self.rows.beside, list) else []
+        notes, details = [*self.notes, *(note for s in self.solvers for note in s.notes())], dict[str, Any]()
+        if self.solvers:
+            details["loops"] = [solver.record() for solver in self.solvers]
         if self.controlled is not None:
             details["steps"] = self.controlled.record()
         if self.pacer is not None:
+            notes += self.pacer.notes(self.system.start)
             details["pacing"] = self.pacer.record(self.system.start)
-        return details
+        time, table = self.time[: self.done], self.table[: self.done]
+        results = results_of(self.system, time, table, beside, notes, self.loop, details=details)
+        return results if self.instants is None else self.instants.add_to(results)
 
 
 def results_of(
@@ -441,8 +419,3 @@ def results_of(
     exact = {name: [row[k] for row in beside[: len(time)]] for k, name in enumerate(system.beside)}
     whole = frozenset(c for c in system.columns if system.signals[c].is_whole)
     return Results(time, system.columns, table, system.units, exact, whole, tuple(notes), loop, details=details)
-
-
-def _first_places(columns: Sequence[str]) -> dict[str, int]:
-    """Return the place of each component's first column."""
-    return {name: k for k, name in reversed(list(enumerate(c.partition(".")[0] for c in columns)))}

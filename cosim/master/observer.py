@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from cosim.base.arrays import Array
 from cosim.base.errors import Fault, SimulationError, refuse
 from cosim.master.inbox import Control, targets_of
@@ -59,7 +61,7 @@ class ProgressObserver(Observer):
     """An observer that reports the number of finished steps to a function."""
 
     def __init__(self, progress: Callable[[int, int], None]) -> None:
-        self._progress, self._done, self._steps = progress, 0, 0
+        self._progress = progress
 
     def begin(self, run: ObservedRun) -> None:
         """Start to count at the first row of a run."""
@@ -75,47 +77,47 @@ class Feed:
     """Distribution of rows to observers, each row once, with requests for an early end.
 
     Attributes:
+        table: Storage of the rows; without it no rows are distributed.
         stop: Whether an observer requested an early end.
         failure: Error of an observer.
     """
 
-    def __init__(self, observers: Sequence[Observer], run: ObservedRun, time: Array) -> None:
-        self._observers, self._time, self._delivered = observers, time, 0
-        self.table: Array | None = None  # storage of the rows
-        self.stop = False
+    def __init__(
+        self,
+        observers: Observers,
+        system: System,
+        steps: int,
+        h: float,
+        control: Control | None,
+        table: Array | None,
+    ) -> None:
+        self._observers, self._time, self._delivered = observers, system.start + h * np.arange(steps + 1), 0
+        self.table, self.stop = table, False
         self.failure: SimulationError | None = None
-        for observer in observers:
-            self._call(observer, lambda o=observer: o.begin(run))  # type: ignore[misc]
-
-    @property
-    def is_over(self) -> bool:
-        """Return whether the run must end."""
-        return self.stop or self.failure is not None
+        run = ObservedRun(system.columns, steps + 1, system.start, h, system.units, control)
+        self._call("begin", run)
 
     def __call__(self, done: int) -> None:
         """Deliver to the observers those of the first `done` rows that they have not received yet."""
         first, self._delivered = self._delivered, max(self._delivered, done)
-        if self.table is None or first >= done or self.failure is not None:
-            return
-        time, values = self._time[first:done], self.table[first:done]
-        for observer in self._observers:
-            self._call(observer, lambda o=observer: o.rows(time, values))  # type: ignore[misc]
+        if self.table is not None and first < done and self.failure is None:
+            self._call("rows", self._time[first:done], self.table[first:done])
 
     def end(self, table: Array) -> None:
         """Give observers the remaining rows, then end."""
         self.table = table
         self(len(table))
-        for observer in self._observers:
-            self._call(observer, observer.end)
+        self._call("end")
 
-    def _call(self, observer: Observer, method: Callable[[], bool | None]) -> None:
-        try:
-            self.stop |= bool(method())
-        except Exception as error:  # A user's observer may raise any error.
-            now = float(self._time[max(0, min(self._delivered, len(self._time)) - 1)])
-            reason = " ".join(str(error).split())[:MAX_CHARACTERS]
-            message = f"{type(error).__name__}: {reason}"
-            self.failure = self.failure or SimulationError(f"the observer {type(observer).__name__}", now, message)
+    def _call(self, method: str, *arguments: Any) -> None:
+        """Call a method of all observers."""
+        for observer in self._observers:
+            try:
+                self.stop |= bool(getattr(observer, method)(*arguments))
+            except Exception as error:  # A user's observer may raise any error.
+                now = float(self._time[max(0, min(self._delivered, len(self._time)) - 1)])
+                message = f"{type(error).__name__}: {' '.join(str(error).split())[:MAX_CHARACTERS]}"
+                self.failure = self.failure or SimulationError(f"the observer {type(observer).__name__}", now, message)
 
 
 InputFunction = Callable[[float, Mapping[str, float]], Any]  # time [s], signals → value, None to hold the last
@@ -127,8 +129,6 @@ class InputFunctions(Observer):
 
     def __init__(self, functions: NamedFunctions) -> None:
         self._functions, self._last = dict(functions), dict[str, Any]()
-        self._columns: Sequence[str] = ()
-        self._control: Control | None = None
 
     def check(self, system: System) -> None:
         """Raise InputError for names that cannot be set, and for what is no function."""

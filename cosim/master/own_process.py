@@ -59,16 +59,16 @@ class HostedComponent:
 
     def save_state(self) -> int:
         """Save the state of the component; return its number."""
-        component, number = self.component, next(self._numbers)
-        self._states[number] = component.save() if self._mirrored else component.instance.save_state()
+        number = next(self._numbers)
+        self._states[number] = self.component.save() if self._mirrored else self.component.instance.save_state()
         return number
 
     def restore_state(self, number: int, keep: bool) -> None:
         """Restore a saved state, and free it unless `keep` is set."""
-        state = self._states[number] if keep else self._states.pop(number)
         if self._mirrored:
-            self.component.go_back(state)
+            self.component.go_back(self._states.pop(number))
         else:
+            state = self._states[number] if keep else self._states.pop(number)
             self.component.instance.restore_state(state, keep=keep)
 
     def free_state(self, number: int) -> None:

@@ -13,7 +13,6 @@ from cosim.isolation.rows import WAITING
 SPIN = 2e-4  # [s] before the time, from which on to look at the clock instead of sleeping
 NAP = 0.1  # [s] of a longest sleep, after which a requested end counts
 PERCENTILES = {"p50": 50.0, "p99": 99.0, "p999": 99.9}
-Clock = Callable[[], float]
 
 
 class Pacer:
@@ -21,6 +20,10 @@ class Pacer:
 
     The times are counted from the first point, so that a late point does not delay those after it. A run that is behind
     waits for nothing until it has caught up.
+
+    Attributes:
+        clock: Function that returns the time on the clock [s].
+        begin: Time on the clock at which point 0 is due.
 
     Args:
         pace: Simulated seconds per second.
@@ -37,49 +40,36 @@ class Pacer:
         doing: MutableSequence[int],
         progress: Callable[[int], None] | None = None,
         *,
-        clock: Clock = time.perf_counter,
+        clock: Callable[[], float] = time.perf_counter,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
         self.pace, self.length, self.h = pace, h / pace, h
-        self._doing, self._progress, self._clock, self._sleep = doing, progress, clock, sleep
+        self._doing, self._progress, self.clock, self._sleep = doing, progress, clock, sleep
         self._late = np.zeros(steps + 1, np.float32)  # [s], by point
         self._behind = np.zeros(steps + 1, np.bool_)  # points that the steps reached after their time
-        self._begin, self._points = 0.0, 0
+        self.begin, self._points = 0.0, 0
 
     def wait(self, k: int) -> None:
-        """Wait for the time of point k; the clock starts at point 0."""
-        now = self._clock()
+        """Wait for the time of point k, by sleep and then by looks at the clock, which starts at point 0."""
+        clock, doing = self.clock, self._doing
+        now = clock()
         if k == 0:
-            self._begin = now
-        due = self._begin + k * self.length
+            self.begin = now
+        due = self.begin + k * self.length
         if now > due:
             self._behind[k] = True
         elif now < due:
-            now = self._until(due, now, k)
+            call, doing[0] = doing[0], WAITING
+            while (rest := due - now - SPIN) > 0.0:
+                self._sleep(min(rest, NAP))
+                if rest > NAP and self._progress is not None:
+                    self._progress(k)
+                now = clock()
+            while now < due:
+                now = clock()
+            doing[0] = call
         self._late[k] = now - due
         self._points = k + 1
-
-    def restart(self) -> None:
-        """Count the times of further points from now, as if point 0 were due now."""
-        self._begin = self._clock()
-
-    def shift(self, pause: float) -> None:
-        """Shift all further points by a pause [s]."""
-        self._begin += pause
-
-    def _until(self, due: float, now: float, k: int) -> float:
-        """Sleep, then look at the clock; return the time."""
-        clock, doing = self._clock, self._doing
-        call, doing[0] = doing[0], WAITING
-        while (rest := due - now - SPIN) > 0.0:
-            self._sleep(min(rest, NAP))
-            if rest > NAP and self._progress is not None:
-                self._progress(k)
-            now = clock()
-        while now < due:
-            now = clock()
-        doing[0] = call
-        return now
 
     def record(self, start: float) -> dict[str, Any]:
         """Return overruns and jitter [s] for the manifest.
@@ -98,39 +88,29 @@ class Pacer:
             overruns |= {"first_at": _rounded(start + (first + 1) * self.h)}
             overruns["beyond_step"] = int((late[places] > self.length).sum())
         jitter = {name: _rounded(np.percentile(late, share)) for name, share in PERCENTILES.items()}
-        jitter["max"] = _rounded(late.max())
-        within = float((late <= 1e-3).mean())
         return {
             "pace": self.pace,
             "points": int(late.size),
             "overruns": overruns,
-            "jitter": jitter,
-            "within_1_ms": within,
+            "jitter": jitter | {"max": _rounded(late.max())},
+            "within_1_ms": float((late <= 1e-3).mean()),
             "behind_at_end": _rounded(late[-1]),
         }
 
     def notes(self, start: float) -> Sequence[str]:
         """Return a warning about late points."""
         record = self.record(start)
-        overruns = record["overruns"]
-        if not overruns.get("beyond_step"):
+        overruns, count = record["overruns"], record["overruns"].get("beyond_step")
+        if not count:
             return ()
-        fields = {"count": overruns["beyond_step"], "points": record["points"], "worst": 1e3 * overruns["worst"]}
-        fields |= {"pace": self.pace, "at": overruns["at"]}
+        worst = f"at worst {1e3 * overruns['worst']:.3g} ms at t = {overruns['at']:.6g} s"
+        points = f"{count} of {record['points']} communication points came more than a step"
         if (end := record["behind_at_end"]) > self.length:
             return (
-                (
-                    "the pace {pace:g} is not kept: {count} of {points} communication points came more than a step "
-                    "late, at worst {worst:.3g} ms at t = {at:.6g} s, and the last {end:.3g} ms; the run went on as "
-                    "fast as it could"
-                ).format(end=1e3 * end, **fields),
+                f"the pace {self.pace:g} is not kept: {points} late, {worst}, and the last {1e3 * end:.3g} ms; the run "
+                "went on as fast as it could",
             )
-        return (
-            (
-                "{count} of {points} communication points came more than a step behind the pace {pace:g}, at worst "
-                "{worst:.3g} ms at t = {at:.6g} s; the run caught up"
-            ).format(**fields),
-        )
+        return (f"{points} behind the pace {self.pace:g}, {worst}; the run caught up",)
 
 
 def _rounded(value: Any) -> float:

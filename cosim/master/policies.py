@@ -24,22 +24,19 @@ from __future__ import annotations
 import ctypes
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import SimulationError
-from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
-from cosim.blocks.sources import SourceBlock
 from cosim.isolation.rows import GET
+from cosim.master.checkpoint import NOT_RESTORED
 from cosim.master.copying import Noisy, Plain, Through
 from cosim.master.extrapolation import Polynomial
 from cosim.master.initialization import is_settled
 from cosim.system.control import Control
-from cosim.system.system import System
 
 if TYPE_CHECKING:
     from cosim.master.master import Master
@@ -97,9 +94,9 @@ class EqualSteps(Policy):
     """Equal communication steps."""
 
     def __init__(self, master: Master, reason: str) -> None:
-        self.reason, stages, round_at = reason, master.system.stages, master.rounds(master.system.stages)
+        self.reason, stages = reason, master.system.stages
         period = math.lcm(*(stage.every for stage in stages), 1)
-        self._cycle = [round_at(k) for k in range(period if period <= LONGEST_CYCLE else master.steps + 1)]
+        self._cycle = [master.round(stages, k) for k in range(period if period <= LONGEST_CYCLE else master.steps + 1)]
         self._advance, self._begin, self._h = master.advance, master.system.start, master.h
 
     def advance_to(self, k: int) -> None:
@@ -112,46 +109,28 @@ class SavedPoint:
     """The states of FMUs, and all signals, to which steps go back."""
 
     def __init__(self, master: Master, fmus: Sequence[FmuBlock]) -> None:
-        self._master, self._fmus, self._states = master, fmus, list[Any]()
-        self._row, self._beside = bytes(master.row), list(master.beside)
-        for fmu in fmus:
-            master.announce(fmu)
-            self._states.append(fmu.instance.save_state())
+        self.master, self._row, self._beside = master, bytes(master.row), list(master.beside)
+        self.states = [(fmu, master.announce(fmu).instance.save_state()) for fmu in fmus]
 
     def restore(self, *, keep: bool = False) -> None:
         """Go back; free the states unless `keep` is set."""
-        for fmu, state in zip(self._fmus, self._states, strict=True):
-            self._master.announce(fmu)
-            fmu.instance.restore_state(state, keep=keep)
+        for fmu, state in self.states:
+            self.master.announce(fmu).instance.restore_state(state, keep=keep)
         self.restore_signals()
 
     def restore_signals(self) -> None:
         """Take back the signals only."""
-        ctypes.memmove(self._master.row, self._row, len(self._row))
-        self._master.beside[:] = self._beside
+        ctypes.memmove(self.master.row, self._row, len(self._row))
+        self.master.beside[:] = self._beside
 
     def check_outputs(self, t: float) -> None:
         """Raise SimulationError if an FMU with a restored state gives other outputs than before."""
-        before = list(self._master.row)
-        for fmu in self._fmus:
-            self._master.announce(fmu, GET)
-            fmu.get()
-            if not is_settled(before, self._master.row):
-                raise SimulationError(
-                    fmu.name,
-                    t,
-                    (
-                        "its outputs differ after a saved state is restored; use an FMU that restores its state, "
-                        "or one that does not declare that it can"
-                    ),
-                )
+        before = list(self.master.row)
+        for fmu, _ in self.states:
+            self.master.announce(fmu, GET).get()
+            if not is_settled(before, self.master.row):
+                raise SimulationError(fmu.name, t, NOT_RESTORED)
         self.restore_signals()
-
-    def free(self) -> None:
-        """Free the states."""
-        for fmu, state in zip(self._fmus, self._states, strict=True):
-            self._master.announce(fmu)
-            fmu.instance.free_state(state)
 
 
 class HalvedSteps(Policy):
@@ -165,7 +144,7 @@ class HalvedSteps(Policy):
     reason = "steps are halved"
 
     def __init__(self, master: Master) -> None:
-        self.master, self._round = master, master.rounds(master.system.stages, nominal=False)(1)
+        self.master, self._round = master, master.round(master.system.stages, 1, nominal=False)
         self._fmus = [c for c in master.components if isinstance(c, FmuBlock)]
         self._whole: SavedPoint | None = None
         master.table[0] = 0.0
@@ -176,12 +155,11 @@ class HalvedSteps(Policy):
         if self._whole is not None:
             self._whole.restore_signals()
         t, end = (master.system.start + j * master.h for j in (k - 1, k))
-        before = SavedPoint(master, self._fmus)
+        before, middle = SavedPoint(master, self._fmus), 0.5 * (t + end)
         master.advance(self._round, k, t, end)
         values, self._whole = list(master.row), SavedPoint(master, self._fmus)
         before.restore()
         before.check_outputs(t)
-        middle = 0.5 * (t + end)
         for since, until in ((t, middle), (middle, end)):
             master.advance(self._round, k, since, until)
         differences = [abs(a - b) for a, b in zip(values, master.row, strict=True)]
@@ -189,25 +167,8 @@ class HalvedSteps(Policy):
         master.row[:] = differences
 
 
-def rollback_objection(system: System) -> str:
-    """Return the reason against repeating steps, or ""."""
-    if system.beside or system.events or any(stage.every > 1 for stage in system.stages):
-        return "values beside numbers, events or several rates are not taken back"
-    for stage in system.stages:
-        component = stage.component
-        if isinstance(component, EventFmu):
-            return f"{component.name} has event mode, so its steps end at its events"
-        if isinstance(component, FmuBlock):
-            if not component.instance.rolls_back:
-                return f"{component.name} gives no state away, or takes no step of another length"
-        elif not isinstance(component, SourceBlock):
-            return f"{component.name} cannot be taken back"
-    return ""
-
-
-@dataclass
-class StepCount:
-    """Record of the steps of a run.
+class ControlledSteps(Policy):
+    """Steps of a run under control, from its first row on.
 
     Attributes:
         sizes: Lengths of accepted steps [s].
@@ -218,145 +179,101 @@ class StepCount:
         worst_missed: Error and signal of the worst missed step.
     """
 
-    sizes: list[float] = field(default_factory=list)
-    rejected: int = 0
-    made: int = 0
-    failed: int = 0
-    missed: int = 0
-    first: tuple[float, float, str] = (0.0, 0.0, "")
-    first_missed: tuple[float, float, str] = (0.0, 0.0, "")
-    worst: float = 0.0
-    worst_missed: Judged = (0.0, "")
-
-    def accept(self, t: float, h: float, error: float, name: str, *, final: bool) -> None:
-        """Count a step from t with its largest error.
-
-        Args:
-            final: Whether no shorter step is allowed.
-        """
-        self.sizes.append(h)
-        self.worst = max(self.worst, error)
-        if error > 1.0:
-            self.first = self.first if self.failed else (t, error, name)
-            self.failed += 1
-            if final:
-                self.first_missed = self.first_missed if self.missed else (t, error, name)
-                self.worst_missed = max(self.worst_missed, (error, name))
-                self.missed += 1
-
-    def warning(self, control: Control) -> str:
-        """Return the warning about steps above the tolerance."""
-        t, error, name = self.first_missed if self.missed else self.first
-        fields: dict[str, Any] = {
-            "signal": name,
-            "time": t,
-            "error": error * control.tolerance,
-            "count": self.missed or self.failed,
-        }
-        fields |= {"worst": self.worst * control.tolerance}
-        if self.missed:
-            return (
-                "the error of {count} steps is above the tolerance {tolerance:g} although min allows no "
-                "shorter ones, {step:g} s: first at t = {time:.6g} s, {error:.2g} of {signal}; the "
-                "largest is {worst:.2g}. Give a shorter min or a larger tolerance"
-            ).format(step=control.shortest, tolerance=control.tolerance, **fields)
-        limits = {"step": control.longest, "tolerance": control.tolerance}
-        return (
-            "the error of {count} steps turned out above the tolerance {tolerance:g}; estimator: "
-            "{estimator} does not repeat steps: first at t = {time:.6g} s, {error:.2g} of {signal}; "
-            "the largest is {worst:.2g}. Give a max below {step:g} s or a larger tolerance"
-        ).format(estimator=control.estimator, **limits, **fields)
-
-    def record(self, control: Control, p: int) -> dict[str, Any]:
-        """Return the entry of the manifest."""
-        sizes = np.array(self.sizes or [math.nan])
-        error, name = self.worst_missed
-        missed = {"steps": self.missed, "error": error * control.tolerance, "signal": name}
-        return {
-            "estimator": control.estimator,
-            "tolerance": control.tolerance,
-            "order": p,
-            "accepted": len(self.sizes),
-            "rejected": self.rejected,
-            "communication_points": self.made,
-            "above_tolerance": self.failed,
-            "missed": missed if self.missed else None,
-            "largest_error": self.worst * control.tolerance,
-            "is_met": not self.failed,
-            "sizes": {f"{share:g} %": float(np.percentile(sizes, share)) for share in (0, 10, 50, 90, 100)},
-        }
-
-
-class ControlledSteps(Policy):
-    """Steps of a run under control, from its first row on."""
-
     reason = "steps are controlled"
 
     def __init__(self, master: Master, control: Control) -> None:
         self.master, self.control, system = master, control, master.system
         stages = [stage for stage in system.stages if stage.component.name not in control.at_rows]
-        names = [stage.component.name for stage in stages]
+        self._at_rows = [stage for stage in system.stages if stage.component.name in control.at_rows]
+        self._names = [stage.component.name for stage in stages]
+        self._round = master.round(stages, 1, nominal=False)
         self.fmus = [s.component for s in stages if isinstance(s.component, FmuBlock)]
-        if not master.has_events:
-            at_rows = [stage for stage in system.stages if stage.component.name in control.at_rows]
-            self._round = master.rounds(stages, nominal=False)(1)
-            self._at_rows = master.rounds(at_rows, names, nominal=False)
-        held = (t for t in system.held if t.name.partition(".")[0] in names)
+        held = (t for t in system.held if t.name.partition(".")[0] in self._names)
         received = {t.target: t.source for t in held if not any(t.beside)}
         self.received, self.sources = {target: k for k, target in enumerate(received)}, list(received.values())
         self.past = Polynomial(system.courses[0])
         self.scale, self.power = np.array(control.nominal), [b.nominal for b in control.bonds]
         self.largest = np.zeros(len(control.nominal))  # magnitude of each judged signal
-        self.count, self.p = StepCount(), 1 + min(system.courses)
+        self.p = 1 + min(system.courses)
         self.q = self.p + (control.estimator == "halving")
-        self.wish, self.before = control.shortest, 1.0
-        self._is_checked = False
+        self.wish, self.before, self._is_checked = control.shortest, 1.0, False
+        self.sizes: list[float] = []
+        self.made = self.rejected = self.failed = self.missed = 0
+        self.first: tuple[float, float, str] = (0.0, 0.0, "")
+        self.first_missed, self.worst, self.worst_missed = self.first, 0.0, (0.0, "")
 
     def advance_to(self, k: int) -> None:
         """Make the steps between two rows, then those of components that step only at rows."""
         master = self.master
         begin, end = (master.system.start + j * master.h for j in (k - 1, k))
         t = begin
-        make = self._halve if self.control.estimator == "halving" else self._step_once
         while t < end:
             until, is_shortest = self._next(t, end)
-            error, name = make(k, t, until, final=is_shortest)
-            if math.isnan(error):  # taken back
-                continue
-            self.count.accept(t, until - t, error, name, final=is_shortest)
-            self._choose(until - t, error)
+            if self.control.estimator == "halving":
+                error, name = self._halve(k, t, until, final=is_shortest)
+                if math.isnan(error):  # taken back
+                    continue
+            else:
+                self.past.add(t, self._values(self.sources))
+                self._step(k, t, until)
+                error, name = self._judge_inputs(until)
+            self._accept(t, until - t, error, name, final=is_shortest)
             t = until
-        at_row = self._at_rows(k)
+        at_row = master.round(self._at_rows, k, self._names, nominal=False)
         if len(at_row) > 1:
             master.advance(at_row, k, begin, end)
 
     def finish(self) -> None:
         """Note steps above the tolerance, signals far below their nominal value, and an estimator without signals."""
-        notes, control = self.master.notes, self.control
-        if self.count.failed:
-            notes.append(self.count.warning(control))
-        allowed = control.tolerance * np.array(control.nominal)
+        notes, control, tolerance = self.master.notes, self.control, self.control.tolerance
+        worst = f"the largest is {self.worst * tolerance:.2g}"
+        t, error, signal = self.first_missed if self.missed else self.first
+        first = f"first at t = {t:.6g} s, {error * tolerance:.2g} of {signal}"
+        if self.missed:
+            notes.append(
+                f"the error of {self.missed} steps is above the tolerance {tolerance:g} although min allows no shorter "
+                f"ones, {control.shortest:g} s: {first}; {worst}. Give a shorter min or a larger tolerance"
+            )
+        elif self.failed:
+            notes.append(
+                f"the error of {self.failed} steps turned out above the tolerance {tolerance:g}; estimator: "
+                f"{control.estimator} does not repeat steps: {first}; {worst}. Give a max below {control.longest:g} s "
+                "or a larger tolerance"
+            )
+        allowed = tolerance * np.array(control.nominal)
         if (small := np.flatnonzero((self.largest > 0.0) & (allowed > MUCH * self.largest))).size:
             names = ", ".join(self.master.system.columns[k] for k in small[:MOST_NAMED])
-            share = float(np.max(allowed[small] / self.largest[small]))
-            fields = {"tolerance": control.tolerance, "share": share, "count": small.size}
             notes.append(
-                (
-                    "{count} signals stay so far below their nominal value, 1 if the FMU states none, that a "
-                    "step within the tolerance {tolerance:g} may err by up to {share:.2g} times the signal: "
-                    "{names}. State their nominal values in the FMUs, or give a smaller tolerance"
-                ).format(names=names, **fields)
+                f"{small.size} signals stay so far below their nominal value, 1 if the FMU states none, that a step "
+                f"within the tolerance {tolerance:g} may err by up to "
+                f"{np.max(allowed[small] / self.largest[small]):.2g} times the signal: {names}. State their nominal "
+                "values in the FMUs, or give a smaller tolerance"
             )
-        if self.control.estimator == "residual" and not self.sources:
+        if control.estimator == "residual" and not self.sources:
             notes.append(
                 "no input is extrapolated, so that estimator: residual judges nothing and steps grow to "
-                f"{self.control.longest:g} s whatever their error; give one step: of that length, or FMUs "
-                "that save and restore their state (estimator: halving)"
+                f"{control.longest:g} s whatever their error; give one step: of that length, or FMUs that save and "
+                "restore their state (estimator: halving)"
             )
 
     def record(self) -> dict[str, Any]:
         """Return the entry of the manifest."""
-        return self.count.record(self.control, self.p)
+        sizes, tolerance = np.array(self.sizes or [math.nan]), self.control.tolerance
+        error, name = self.worst_missed
+        missed = {"steps": self.missed, "error": error * tolerance, "signal": name}
+        return {
+            "estimator": self.control.estimator,
+            "tolerance": tolerance,
+            "order": self.p,
+            "accepted": len(self.sizes),
+            "rejected": self.rejected,
+            "communication_points": self.made,
+            "above_tolerance": self.failed,
+            "missed": missed if self.missed else None,
+            "largest_error": self.worst * tolerance,
+            "is_met": not self.failed,
+            "sizes": {f"{share:g} %": float(np.percentile(sizes, share)) for share in (0, 10, 50, 90, 100)},
+        }
 
     def _next(self, t: float, end: float) -> tuple[float, bool]:
         """Return the end of the next step, and whether no shorter one is allowed."""
@@ -374,16 +291,28 @@ class ControlledSteps(Policy):
 
     def judge_step(self, t: float, reached: float) -> None:
         """Judge a step by the values at its end, and choose the next one."""
-        judged = self._judge_inputs(reached)
-        self.count.made += 1
+        error, name = self._judge_inputs(reached)
+        self.made += 1
         is_shortest = reached - t <= self.control.shortest * (1.0 + ROUNDING)
-        self.count.accept(t, reached - t, *judged, final=is_shortest)
-        self._choose(reached - t, judged[0])
+        self._accept(t, reached - t, error, name, final=is_shortest)
 
     # -- step sizes -------------------------------------------------------------------------------
 
-    def _choose(self, h: float, error: float) -> None:
-        """Choose the next step."""
+    def _accept(self, t: float, h: float, error: float, name: str, *, final: bool) -> None:
+        """Count a step from t with its largest error, and choose the next one.
+
+        Args:
+            final: Whether no shorter step is allowed.
+        """
+        self.sizes.append(h)
+        self.worst = max(self.worst, error)
+        if error > 1.0:
+            self.first = self.first if self.failed else (t, error, name)
+            self.failed += 1
+            if final:
+                self.first_missed = self.first_missed if self.missed else (t, error, name)
+                self.worst_missed = max(self.worst_missed, (error, name))
+                self.missed += 1
         error = max(error, LEAST_ERROR)
         factor = SAFETY * error ** (-INTEGRAL / self.q) * self.before ** (PROPORTIONAL / self.q)
         wish = h * min(max(factor, SMALLEST), LARGEST)
@@ -393,39 +322,44 @@ class ControlledSteps(Policy):
 
     # -- estimators ---------------------------------------------------------------------------------
 
-    def _step_once(self, k: int, t: float, until: float, *, final: bool) -> Judged:
-        """Step once; return the error of inputs or bonds."""
-        self.past.add(t, self._values(self.sources))
-        self._step(k, t, until)
-        return self._judge_inputs(until)
-
     def _halve(self, k: int, t: float, until: float, *, final: bool) -> Judged:
-        """Step whole and by halves; return NaN if rejected."""
-        middle, before = 0.5 * (t + until), SavedPoint(self.master, self.fmus)
-        start = self._values(self.control.outputs)
+        """Step whole and by halves; return the error, NaN if the step is rejected."""
+        before, middle, outputs = SavedPoint(self.master, self.fmus), 0.5 * (t + until), self.control.outputs
+        start = self._values(outputs)
         self._step(k, t, until)
-        whole = self._values(self.control.outputs)
+        whole = self._values(outputs)
         before.restore(keep=True)
         if not self._is_checked and (whole != start).any():
             self._is_checked = True
             before.check_outputs(t)
         for since, to in ((t, middle), (middle, until)):
             self._step(k, since, to)
-        error, name = self._judge(self.control.outputs, whole)
+        error, name = self._judge(outputs, whole)
         error /= 2.0**self.p - 1.0
         if error <= 1.0 or final:
-            before.free()
+            for fmu, state in before.states:
+                self.master.announce(fmu).instance.free_state(state)
             return error, name
         before.restore()
-        self.count.rejected += 1
+        self.rejected += 1
         shorter = (until - t) * max(SMALLEST, SAFETY * error ** (-1.0 / self.q))
         self.wish = max(shorter, self.control.shortest)
         return math.nan, name
 
     def _judge_inputs(self, t: float) -> Judged:
-        """Return the error of inputs or bonds at the end of a step [s]."""
-        expected = self.past(t)
-        return self._bonds(expected) if self.control.estimator == "energy" else self._judge(self.sources, expected)
+        """Return the error of inputs or of the power of bonds at the end of a step [s]."""
+        expected, row, worst = self.past(t), self.master.row, (0.0, "")
+        if self.control.estimator != "energy":
+            return self._judge(self.sources, expected)
+        for number, bond in enumerate(self.control.bonds):
+            (e, to_flow), (f, to_effort) = bond.effort, bond.flow
+            assumed = [
+                float(expected[self.received[p]]) if p in self.received else row[p] for p in (to_flow, to_effort)
+            ]
+            one, other = row[e] * assumed[1], assumed[0] * row[f]
+            self.power[number] = max(self.power[number], abs(one), abs(other))
+            worst = max(worst, (abs(one - other) / (self.control.tolerance * self.power[number]), bond.name))
+        return worst
 
     def _judge(self, places: Sequence[int], others: Array) -> Judged:
         """Return the largest difference relative to the tolerance."""
@@ -438,25 +372,10 @@ class ControlledSteps(Policy):
         worst = int(np.argmax(errors))
         return float(errors[worst]), self.master.system.columns[places[worst]]
 
-    def _bonds(self, expected: Array) -> Judged:
-        """Return the largest residual of a bond's power."""
-        row, worst = self.master.row, (0.0, "")
-        for k, bond in enumerate(self.control.bonds):
-            (e, to_flow), (f, to_effort) = bond.effort, bond.flow
-            assumed = [
-                float(expected[self.received[p]]) if p in self.received else row[p] for p in (to_flow, to_effort)
-            ]
-            one, other = row[e] * assumed[1], assumed[0] * row[f]
-            self.power[k] = max(self.power[k], abs(one), abs(other))
-            worst = max(worst, (abs(one - other) / (self.control.tolerance * self.power[k]), bond.name))
-        return worst
-
-    # -- internal -------------------------------------------------------------------------------
-
     def _step(self, k: int, t: float, until: float) -> None:
         """Step all controlled components."""
         self.master.advance(self._round, k, t, until)
-        self.count.made += 1
+        self.made += 1
 
     def _values(self, places: Sequence[int]) -> Array:
         row = self.master.row

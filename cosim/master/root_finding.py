@@ -77,15 +77,6 @@ class RootFinding:
     largest: float = 0.0
     _solved: Array | float = 0.0  # largest magnitude of each unknown in a solution
 
-    def is_fine(self, z: Array, residual: Array, direction: Array, *, is_regular: bool = True) -> bool:
-        """Return whether residual and next step are small beside the unknowns' own magnitudes.
-
-        Args:
-            is_regular: Whether the next step is unique. Otherwise only a residual of rounding is small.
-        """
-        sizes = [self._own_size(z, residual, each) for each in (residual, direction)]
-        return sizes[0] == 0.0 if not is_regular else max(sizes) <= self.tolerance
-
     def _own_size(self, z: Array, residual: Array, change: Array) -> float:
         """Return the largest change relative to the unknowns' own magnitudes, without those of rounding."""
         seen = np.max([np.abs(z), np.abs(z + residual), np.abs(change), self._solved + 0.0 * z], axis=0)
@@ -103,16 +94,12 @@ class RootFinding:
         Raises:
             NotDefined: g is not defined at z.
         """
-        value = self._first(g, z)
+        value = _defined(g(z))
         residual = value - z
         size = self.size(z, residual)
         is_current, failures = False, 0  # whether the slopes are of this call, and how often they were of no use
         converged = is_small = is_regular = False
         direction, first = residual, np.maximum(np.maximum(np.abs(z), np.abs(value)), self.scale)
-
-        def beside(change: Array) -> float:
-            return float(np.max(np.abs(change) / first))
-
         for iteration in range(self.most + 1):
             if not residual.any():
                 converged = True
@@ -122,12 +109,23 @@ class RootFinding:
                 self.computed += 1
                 if size <= self.tolerance:
                     g(z)  # Differences leave another point behind.
-            direction, is_regular = _solve(np.eye(z.size) - self.slopes, residual)
+            matrix = np.eye(z.size) - self.slopes
+            try:
+                direction, is_regular = np.asarray(np.linalg.solve(matrix, residual)), True
+            except np.linalg.LinAlgError:  # the smallest of all solutions
+                direction, is_regular = np.asarray(np.linalg.lstsq(matrix, residual, rcond=None)[0]), False
             is_small = max(size, self.size(z, direction)) <= self.tolerance
-            converged = is_small and self.is_fine(z, residual, direction, is_regular=is_regular)
+            own = [self._own_size(z, residual, each) for each in (residual, direction)] if is_small else [np.inf]
+            # Without a unique next step, only a residual of rounding is small.
+            converged = max(own) <= self.tolerance if is_regular else own[0] == 0.0
             if converged or iteration == self.most or failures > MOST_FAILURES:
                 break
-            moved = self._improved(g, z, direction, residual) if is_small else self._damped(g, z, direction, size)
+            moved = None
+            if not is_small:
+                moved = self._damped(g, z, direction, size)
+            elif (there := g(ahead := z + direction)) is not None:  # The whole step must decrease the residual much.
+                after = self._own_size(ahead, there - ahead, there - ahead)
+                moved = (ahead, there, 1.0) if after <= SLOW * own[0] else None
             if moved is None:
                 failures += is_current
                 self.slopes = None
@@ -138,7 +136,8 @@ class RootFinding:
             is_slow = size > SLOW * before or share < 1.0
             self.slopes = None if is_slow else self._updated(z, z - was[0], value - was[1])
         is_rough = is_small or self._own_size(z, residual, residual) > self.tolerance
-        close = max(beside(residual) / self.tolerance, beside(direction) / self.tolerance**0.5) <= 1.0
+        sizes = [float(np.max(np.abs(change) / first)) for change in (residual, direction)]
+        close = max(sizes[0] / self.tolerance, sizes[1] / self.tolerance**0.5) <= 1.0
         is_small = is_regular and (is_small or close)
         return self._end(Outcome(z, residual, iteration, converged), is_small=is_small, is_rough=is_rough)
 
@@ -150,7 +149,7 @@ class RootFinding:
         """
         points: list[Array] = []
         residuals: list[Array] = []
-        value = self._first(g, z)
+        value = _defined(g(z))
         before, stalls = np.inf, 0
         for iteration in range(self.most + 1):
             residual = value - z
@@ -190,21 +189,6 @@ class RootFinding:
             self._solved = np.maximum(self._solved, np.abs(outcome.z))
         return outcome
 
-    def _improved(self, g: Map, z: Array, direction: Array, residual: Array) -> tuple[Array, Array, float] | None:
-        """Return the point of a whole step, g there and its share, if the residual decreases much."""
-        ahead = z + direction
-        value = g(ahead)
-        if value is None:
-            return None
-        before, after = (self._own_size(at, r, r) for at, r in ((z, residual), (ahead, value - ahead)))
-        return (ahead, value, 1.0) if after <= SLOW * before else None
-
-    def _first(self, g: Map, z: Array) -> Array:
-        value = g(z)
-        if value is None:
-            raise NotDefined
-        return value
-
     def _damped(self, g: Map, z: Array, direction: Array, size: float) -> tuple[Array, Array, float] | None:
         """Return a point with a smaller residual, the value of g at it, and the share of the step that leads to it."""
         share = 1.0
@@ -217,9 +201,7 @@ class RootFinding:
         return None
 
 
-def _solve(matrix: Array, right: Array) -> tuple[Array, bool]:
-    """Return the smallest solution of a linear system, and whether it is regular."""
-    try:
-        return np.asarray(np.linalg.solve(matrix, right)), True
-    except np.linalg.LinAlgError:
-        return np.asarray(np.linalg.lstsq(matrix, right, rcond=None)[0]), False
+def _defined(value: Array | None) -> Array:
+    if value is None:
+        raise NotDefined
+    return value

@@ -17,12 +17,12 @@ import numpy as np
 from cosim.base.errors import InputError, Interrupted
 from cosim.base.messages import Note
 from cosim.isolation.process import Worker
-from cosim.master.policies import rollback_objection
 from cosim.master.remote import MODULES, simulate_in
 from cosim.scenario.scenario_file import ScenarioFile, take_nearest
 from cosim.simulation.undeclared import with_feedthrough
 from cosim.storage.files import FilePath
 from cosim.storage.results import Results
+from cosim.system.control import rollback_obstacle
 from cosim.system.system import System, build_system
 
 
@@ -99,7 +99,10 @@ def coupling_error(
         except InputError as error:
             reason = "; ".join(fault.message.partition(": set ")[0] for fault in error.faults)  # a remedy for runs only
             halved = f"(halved by --coupling-error: {step / 2:g} s for {step:g} s) it cannot be run: {reason}"
-        single = rollback_objection(system) or run(replace(system, halved=True), 1)
+        obstacle = rollback_obstacle({stage.component.name: stage.component for stage in system.stages})
+        if system.beside or system.events or any(stage.every > 1 for stage in system.stages):
+            obstacle = "values beside numbers, events or several rates are not taken back"
+        single = obstacle or run(replace(system, halved=True), 1)
     if isinstance(whole, str):
         return CouplingError({}, whole)
     if isinstance(halved, str):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -26,37 +26,37 @@ from cosim.system.event_blocks import event_block
 
 def build_components(file: ScenarioFile, diagnosis: Diagnosis) -> dict[str, Component]:
     """Return the sound components by name, in file order."""
-    components: dict[str, Component] = {}
+    scenario, components = file.scenario, dict[str, Component]()
     read = cache(read_description)  # Several components may use the same FMU.
-    for name, component in file.scenario.components.items():
+    for name, component in scenario.components.items():
+        block: Component | None
         try:
-            block = _component(file, name, component, read, diagnosis)
+            if isinstance(component, ReferenceComponent):
+                block = reference(name, component.signals, scenario.step)
+            elif isinstance(component, PlaybackComponent):
+                names = _variables_of(name, [connection.source for connection in scenario.connections])
+                linear = component.interpolation == "linear"
+                recording, exact = file.resolve(component.file), _exact(file, name, read)
+                block = playback(name, recording, names, exact, step=scenario.step, linear=linear)
+            elif isinstance(component, FixComponent):
+                block = _fixes(scenario, name, component, diagnosis)
+            else:
+                block = _fmu(file, name, component, read, diagnosis)
         except InputError as error:
             diagnosis.faults += error.faults
         except FmuError as error:
             diagnosis.note(("components", name, "fmu"), str(error), exit_code=3)
         else:
             components |= {name: block} if block is not None else {}
-    _hold_whole_signals(file, components)
+    for connection in scenario.connections:  # Hold recorded signals between rows where they feed whole numbers.
+        owner, _, column = connection.source.partition(".")
+        target, _, variable = connection.target.partition(".")
+        source = components.get(owner)
+        if isinstance(source, SourceBlock) and column in source.interpolated and target in components:
+            signals = (*components[target].inputs, *components[target].exact_inputs)
+            if any(s.is_whole for s in signals if variable in (s.name, s.array)):
+                source.hold(column)
     return components
-
-
-def _component(
-    file: ScenarioFile,
-    name: str,
-    component: FmuComponent | ReferenceComponent | PlaybackComponent | FixComponent,
-    read: Callable[[Path], Any],
-    diagnosis: Diagnosis,
-) -> Component | None:
-    if isinstance(component, ReferenceComponent):
-        return reference(name, component.signals, file.scenario.step)
-    if isinstance(component, PlaybackComponent):
-        names = _variables_of(name, [connection.source for connection in file.scenario.connections])
-        exact, linear = _exact(file, name, read), component.interpolation == "linear"
-        return playback(name, file.resolve(component.file), names, exact, step=file.scenario.step, linear=linear)
-    if isinstance(component, FixComponent):
-        return _fixes(file.scenario, name, component, diagnosis)
-    return _fmu(file, name, component, read, diagnosis)
 
 
 def _exact(file: ScenarioFile, name: str, read: Callable[[Path], Any]) -> dict[str, str]:
@@ -78,18 +78,6 @@ def _exact(file: ScenarioFile, name: str, read: Callable[[Path], Any]) -> dict[s
     return types
 
 
-def _hold_whole_signals(file: ScenarioFile, components: Mapping[str, Component]) -> None:
-    """Hold recorded signals between rows where they feed Integer, Boolean or enumeration inputs."""
-    for connection in file.scenario.connections:
-        owner, _, column = connection.source.partition(".")
-        target, _, variable = connection.target.partition(".")
-        source = components.get(owner)
-        if isinstance(source, SourceBlock) and column in source.interpolated and target in components:
-            signals = (*components[target].inputs, *components[target].exact_inputs)
-            if any(s.is_whole for s in signals if variable in (s.name, s.array)):
-                source.hold(column)
-
-
 def _fixes(scenario: Scenario, name: str, component: FixComponent, diagnosis: Diagnosis) -> Fixes | None:
     """Return a sensor of position fixes; note faults."""
     signals = {}
@@ -103,8 +91,7 @@ def _fixes(scenario: Scenario, name: str, component: FixComponent, diagnosis: Di
         message = f'"{signal}" is already the name of {other}; give the signal another name'
         diagnosis.note(("components", name, "signals", signal), message)
     fastest = 1.0 / scenario.step
-    too_fast = component.rate > fastest * (1.0 + 1e-9)
-    if too_fast:
+    if too_fast := component.rate > fastest * (1.0 + 1e-9):
         message = (
             f"rate is {component.rate:g} Hz, communication points come at {fastest:g} Hz; use at most "
             f"{fastest:g} Hz, or a shorter step"
@@ -120,9 +107,12 @@ def _fmu(
     read: Callable[[Path], Any],
     diagnosis: Diagnosis,
 ) -> FmuBlock | None:
-    path = file.resolve(component.fmu)
+    path, scenario = file.resolve(component.fmu), file.scenario
     if not path.is_file():
-        diagnosis.note(("components", name, "fmu"), f"no such FMU: {path}{_cure(file, path)}")
+        is_built = is_model(BASE) and path.name in model_entry().built
+        cure = f'; "cosim build --out {shell_path(path.parent)}" makes it' if is_built else ""
+        cure += "" if file.manifest is None else f"; put it there, or {path.name} beside {file.path.name}"
+        diagnosis.note(("components", name, "fmu"), f"no such FMU: {path}{cure}")
         return None
     description = read(path)
     start = _start_values(name, description, component.start, diagnosis)
@@ -131,8 +121,22 @@ def _fmu(
         message = f"{path.name} offers {' and '.join(ways(description))} only"
         diagnosis.note(("components", name, "interface"), message)
         return None
-    _check_feedthrough(name, component, description, diagnosis)
-    scenario = file.scenario
+    inputs = [v for v in description.modelVariables if v.causality == "input"]
+    names = {*(v.name for v in inputs), *(element for v in inputs for element in element_names(v))}
+    for k, entry in enumerate(component.feedthrough or ()):
+        if entry not in names:
+            hint = did_you_mean(entry, [v.name for v in inputs])
+            message = f'{name} has no input "{entry}"{hint}; feedthrough: names inputs'
+            diagnosis.note(("components", name, "feedthrough", k), message)
+    # variables to record besides inputs and outputs; for an FMU without outputs, its states, as in FMPy
+    recorded = {
+        v.name
+        for v in description.modelVariables
+        if v.causality not in {"input", "output", "independent"}
+        and any(matches(pattern, name, v.name) for pattern in scenario.recorded)
+    }
+    if not any(v.causality == "output" for v in description.modelVariables):
+        recorded |= set(state_names(description))
     make = event_block(file, name, component, path, read, diagnosis)
     if make is None:
         return None
@@ -144,7 +148,7 @@ def _fmu(
         connected,
         way=component.interface,
         tolerance=scenario.tolerance if component.tolerance is None else component.tolerance,
-        recorded=_recorded_names(scenario.recorded, name, description),
+        recorded=frozenset(recorded),
         logging=component.logging,
         solver=component.solver,
         solver_step=component.solver_step,
@@ -153,44 +157,9 @@ def _fmu(
     )
 
 
-def _check_feedthrough(name: str, component: FmuComponent, description: Any, diagnosis: Diagnosis) -> None:
-    """Note a fault for each name in `feedthrough` that is no input."""
-    inputs = [v for v in description.modelVariables if v.causality == "input"]
-    names = {*(v.name for v in inputs), *(element for v in inputs for element in element_names(v))}
-    for k, entry in enumerate(component.feedthrough or ()):
-        if entry not in names:
-            hint = did_you_mean(entry, [v.name for v in inputs])
-            diagnosis.note(
-                ("components", name, "feedthrough", k),
-                f'{name} has no input "{entry}"{hint}; feedthrough: names inputs',
-            )
-
-
 def _variables_of(component: str, ends: Iterable[str]) -> set[str]:
     """Return the variables of a component among ends of connections, `component.variable`."""
     return {variable for owner, _, variable in (end.partition(".") for end in ends) if owner == component}
-
-
-def _cure(file: ScenarioFile, path: Path) -> str:
-    """Return what provides a missing FMU, "" if nothing is known to."""
-    is_built = is_model(BASE) and path.name in model_entry().built
-    cure = f'; "cosim build --out {shell_path(path.parent)}" makes it' if is_built else ""
-    return cure if file.manifest is None else f"{cure}; put it there, or {path.name} beside {file.path.name}"
-
-
-def _recorded_names(patterns: Sequence[str], name: str, description: Any) -> frozenset[str]:
-    """Return variables to record besides inputs and outputs: matches of patterns such as `plant.*`.
-
-    For an FMU without outputs, its states are added.
-    """
-    names = {
-        v.name
-        for v in description.modelVariables
-        if v.causality not in {"input", "output", "independent"} and any(matches(p, name, v.name) for p in patterns)
-    }
-    if not any(v.causality == "output" for v in description.modelVariables):  # as in FMPy
-        names |= set(state_names(description))
-    return frozenset(names)
 
 
 def _start_values(component: str, description: Any, stated: Mapping[str, Any], diagnosis: Diagnosis) -> dict[str, Any]:
@@ -198,17 +167,16 @@ def _start_values(component: str, description: Any, stated: Mapping[str, Any], d
     variables = {v.name: v for v in description.modelVariables} if stated else {}
     values = {}
     for name, value in with_elements(stated, variables).items():
-        variable = variables.get(name)
+        variable, full = variables.get(name), f"{component}.{name}"
         if variable is None:
             hint = did_you_mean(name, [v.name for v in variables.values() if settable(v)])
             message = f'{component} has no variable "{name}"{hint}'
         elif not settable(variable):
-            message = f"{f'{component}.{name}'} is {kind_of(variable)}; it takes no start value"
+            message = f"{full} is {kind_of(variable)}; it takes no start value"
+        elif isinstance(converted := convert_value(description, variable, value), Misfit):
+            message = f"{full} is {value!r}; {converted.reason}"
         else:
-            converted = convert_value(description, variable, value)
-            if not isinstance(converted, Misfit):
-                values[name] = converted
-                continue
-            message = f"{f'{component}.{name}'} is {value!r}; {converted.reason}"
+            values[name] = converted
+            continue
         diagnosis.note(("components", component, "start", name), message)
     return values

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from cosim.blocks.component import Component
 from cosim.blocks.description import takes_any_step
 from cosim.blocks.event_mode import EventFmu
 from cosim.blocks.fmu import FmuBlock
 from cosim.blocks.sources import SourceBlock
 from cosim.fmi.sampled import sampled_by
-from cosim.scenario.scenario import Bond, FixComponent, Scenario, StepControl
+from cosim.scenario.scenario import FixComponent, Scenario, StepControl
 from cosim.scenario.scenario_file import Diagnosis
 from cosim.storage.yaml_file import did_you_mean
 from cosim.system.wiring import Components, RowLayout, Transfer
@@ -61,13 +60,11 @@ def control_of(
     if not {scenario.extrapolate, scenario.interpolate} <= {None, "hold"}:
         for name, component in components.items():
             if isinstance(component, EventFmu):
-                diagnosis.note(
-                    ("components", name),
-                    (
-                        f"{name} runs in event mode, with which inputs are held during a step; leave extrapolate "
-                        "and interpolate out, or set event_mode: false"
-                    ),
+                message = (
+                    f"{name} runs in event mode, with which inputs are held during a step; leave extrapolate and "
+                    "interpolate out, or set event_mode: false"
                 )
+                diagnosis.note(("components", name), message)
     if settings is None:
         return None
     stated = {name: scenario.components[name] for name in components}
@@ -77,26 +74,27 @@ def control_of(
         if not isinstance(component, FmuBlock) or component.changes_by_events or isinstance(component, EventFmu):
             continue
         if not takes_any_step(component.description) or sampled_by(component.path) is not None:
-            diagnosis.note(
-                ("components", name),
-                (
-                    f"{name} takes steps of one length only, so that they cannot be controlled; give it a "
-                    f"step of its own (components.{name}.step)"
-                ),
+            message = (
+                f"{name} takes steps of one length only, so that they cannot be controlled; give it a step of its own "
+                f"(components.{name}.step)"
             )
-    obstacle = next(_obstacles(controlled), "")
+            diagnosis.note(("components", name), message)
+    obstacle = rollback_obstacle(controlled)
     if settings.estimator == "halving" and obstacle:
-        diagnosis.note(
-            ("step", "estimator"),
-            f"estimator: halving is not possible: {obstacle}; leave estimator out, or set residual",
-        )
-    owned = [(components[name], variable) for name, _, variable in (c.partition(".") for c in layout.columns)]
-    nominal = tuple(c.nominal(variable) if isinstance(c, FmuBlock) else 1.0 for c, variable in owned)
+        message = f"estimator: halving is not possible: {obstacle}; leave estimator out, or set residual"
+        diagnosis.note(("step", "estimator"), message)
+    nominal, outputs = list[float](), list[int]()
+    for k, column in enumerate(layout.columns):
+        name, _, variable = column.partition(".")
+        component = components[name]
+        nominal.append(component.nominal(variable) if isinstance(component, FmuBlock) else 1.0)
+        real = (s.name for s in component.outputs if not (s.local or s.is_whole))
+        if name in controlled and isinstance(component, FmuBlock) and variable in real:
+            outputs.append(k)
     bonds = _bonds(settings, layout, transfers, nominal, diagnosis)
     estimator = settings.estimator or ("energy" if bonds else "residual" if obstacle else "halving")
-    outputs = tuple(k for k, column in enumerate(layout.columns) if _is_real_output(column, controlled))
     limits = settings.tolerance, settings.min, settings.max
-    return Control(estimator, *limits, nominal, outputs, tuple(bonds), at_rows)
+    return Control(estimator, *limits, tuple(nominal), tuple(outputs), tuple(bonds), at_rows)
 
 
 def courses_of(scenario: Scenario, components: Components) -> tuple[int, int]:
@@ -104,24 +102,16 @@ def courses_of(scenario: Scenario, components: Components) -> tuple[int, int]:
     return (0, 0) if any(isinstance(c, EventFmu) for c in components.values()) else scenario.courses
 
 
-def _obstacles(components: Mapping[str, Component]) -> Iterator[str]:
-    """Yield reasons against taking steps back."""
+def rollback_obstacle(components: Components) -> str:
+    """Return the reason against taking steps of components back, or ""."""
     for name, component in components.items():
         if isinstance(component, EventFmu):
-            yield f"steps of {name} end at its events"
-        elif isinstance(component, FmuBlock) and not component.instance.rolls_back:
-            yield f"{name} saves no state"
-        elif not isinstance(component, FmuBlock | SourceBlock):
-            yield f"{name} cannot be taken back"
-
-
-def _is_real_output(column: str, components: Mapping[str, Component]) -> bool:
-    """Return whether a column is an FMU's real output."""
-    name, _, variable = column.partition(".")
-    component = components.get(name)
-    if not isinstance(component, FmuBlock):
-        return False
-    return any(s.name == variable and not (s.local or s.is_whole) for s in component.outputs)
+            return f"steps of {name} end at its events"
+        if isinstance(component, FmuBlock) and not component.instance.rolls_back:
+            return f"{name} saves no state, or takes steps of one length only"
+        if not isinstance(component, FmuBlock | SourceBlock):
+            return f"{name} cannot be taken back"
+    return ""
 
 
 def _bonds(
@@ -137,31 +127,22 @@ def _bonds(
         by_source.setdefault(layout.columns[transfer.source] if not transfer.beside[0] else "", []).append(transfer)
     bonds = []
     for k, bond in enumerate(settings.bonds):
-        effort, flow = (_ends(bond, side, k, by_source, diagnosis) for side in ("effort", "flow"))
-        if effort is not None and flow is not None:
-            power = nominal[effort[0]] * nominal[flow[0]]
-            bonds.append(PowerBond(effort, flow, f"{bond.effort}·{bond.flow}", power))
+        ends: list[tuple[int, int]] = []  # places of output and input
+        for side, output, other in (("effort", bond.effort, bond.flow), ("flow", bond.flow, bond.effort)):
+            owner = other.partition(".")[0]
+            found = next((t for t in by_source.get(output, ()) if t.name.partition(".")[0] == owner), None)
+            message = ""
+            if output not in by_source:
+                message = f'no connected output "{output}"{did_you_mean(output, by_source)}'
+            elif found is None:
+                message = f"{output} is connected to no input of {owner}, the other side of the bond"
+            elif (found.factor, found.offset) != (1.0, 0.0):
+                message = f"{output} is converted on its way to {found.name}; a bond needs one unit on both sides"
+            else:
+                ends.append((found.source, found.target))
+            if message:
+                diagnosis.note(("step", "bonds", k, side), message)
+        if len(ends) == 2:
+            power = nominal[ends[0][0]] * nominal[ends[1][0]]
+            bonds.append(PowerBond(ends[0], ends[1], f"{bond.effort}·{bond.flow}", power))
     return bonds
-
-
-def _ends(
-    bond: Bond, side: str, k: int, by_source: Mapping[str, Collection[Transfer]], diagnosis: Diagnosis
-) -> tuple[int, int] | None:
-    """Return both ends of one signal of a bond."""
-    output, other = (bond.effort, bond.flow) if side == "effort" else (bond.flow, bond.effort)
-    where = ("step", "bonds", k, side)
-    if output not in by_source:
-        hint = did_you_mean(output, by_source)
-        diagnosis.note(where, f'no connected output "{output}"{hint}')
-        return None
-    owner = other.partition(".")[0]
-    for transfer in by_source[output]:
-        if transfer.name.partition(".")[0] == owner:
-            if (transfer.factor, transfer.offset) != (1.0, 0.0):
-                diagnosis.note(
-                    where, f"{output} is converted on its way to {transfer.name}; a bond needs one unit on both sides"
-                )
-                return None
-            return transfer.source, transfer.target
-    diagnosis.note(where, f"{output} is connected to no input of {owner}, the other side of the bond")
-    return None

@@ -18,7 +18,7 @@ from cosim.blocks.model_exchange import ModelExchange2
 from cosim.blocks.scheduled import ScheduledFmu
 from cosim.blocks.sources import SourceBlock
 from cosim.fmi.sampled import sampled_by
-from cosim.scenario.scenario import ClockTiming, FmuComponent
+from cosim.scenario.scenario import FmuComponent
 from cosim.scenario.scenario_file import Diagnosis, ScenarioFile
 from cosim.scenario.start_values import Misfit
 from cosim.storage.yaml_file import did_you_mean
@@ -56,8 +56,22 @@ def event_block(
             diagnosis.note(("components", name, "clocks"), message)
         return FmuBlock
     timings = _timings(file, name, component, clocks, diagnosis)
+    jumping = set()  # inputs whose sources jump
+    for connection in file.scenario.connections:
+        owner, _, variable = connection.target.partition(".")
+        source, _, output = connection.source.partition(".")
+        if owner != name:
+            continue
+        fmu = file.scenario.components.get(source)
+        if not isinstance(fmu, FmuComponent) or fmu.step is not None:
+            jumping.add(variable)
+        elif (source_path := file.resolve(fmu.fmu)).is_file():
+            names = output, output.partition("[")[0]
+            ends = [v for v in read(source_path).modelVariables if v.name in names]
+            if any(v.variability not in (None, "continuous") or v.type not in REALS for v in ends):
+                jumping.add(variable)
     kind = ScheduledFmu if way == "scheduled-execution" else EventFmu
-    return partial(kind, timings=timings, jumping=_jumping(file, name, read))
+    return partial(kind, timings=timings, jumping=frozenset(jumping))
 
 
 def default_block(path: Path, description: Any) -> type[FmuBlock]:
@@ -76,55 +90,30 @@ def has_event_mode(description: Any, way: Way) -> bool:
 def _timings(
     file: ScenarioFile, name: str, component: FmuComponent, clocks: Mapping[str, Clock], diagnosis: Diagnosis
 ) -> dict[str, Timing]:
-    """Return the scenario's times of clocks."""
-    connected = file.scenario.targets
+    """Return the scenario's times of clocks; note faults."""
     timings = {}
     for clock_name, timing in component.clocks.items():
         clock, full_name = clocks.get(clock_name), f"{name}.{clock_name}"
         if clock is None or clock.causality != "input":
             hint = did_you_mean(clock_name, [c.name for c in clocks.values() if c.causality == "input"])
             message = f'{name} has no input clock "{clock_name}"{hint}'
-        elif full_name in connected:
+        elif full_name in file.scenario.targets:
             message = f"{full_name} has times in the scenario and a connection; keep one"
-        elif (objection := _objection(clock, full_name, timing, file.scenario.start_time)) is not None:
-            message = objection
+        elif clock.kind == "constant" or (clock.is_time_based and clock.interval is None):
+            kind = f"{full_name} is a {clock.kind} clock, whose FMU gives its times"
+            message = f"{kind}; leave out its times in the scenario"
+        elif clock.kind in PERIODIC and (timing.at or timing.shift is not None):
+            kind = f"{full_name} is a {clock.kind} clock: give its interval only"
+            message = f"{kind}; only triggered clocks have shift: and at:"
+        elif bool(timing.at) == (timing.interval is not None):
+            message = f"{full_name} needs either interval: or at:"
+        elif timing.at != sorted(set(timing.at)) or (timing.at and timing.at[0] < file.scenario.start_time):
+            message = f"the times of {full_name} are not in order, from the start of the run on"
         else:
             timings[clock_name] = Timing(timing.interval, timing.shift, tuple(timing.at))
             continue
         diagnosis.note(("components", name, "clocks", clock_name), message)
     return timings
-
-
-def _objection(clock: Clock, name: str, timing: ClockTiming, start: float) -> Any:
-    """Return the fault of a clock's times, or None."""
-    if clock.kind == "constant" or (clock.is_time_based and clock.interval is None):
-        return f"{name} is a {clock.kind} clock, whose FMU gives its times; leave out its times in the scenario"
-    if clock.kind in PERIODIC and (timing.at or timing.shift is not None):
-        return f"{name} is a {clock.kind} clock: give its interval only; only triggered clocks have shift: and at:"
-    if bool(timing.at) == (timing.interval is not None):
-        return f"{name} needs either interval: or at:"
-    if timing.at != sorted(set(timing.at)) or (timing.at and timing.at[0] < start):
-        return f"the times of {name} are not in order, from the start of the run on"
-    return None
-
-
-def _jumping(file: ScenarioFile, name: str, read: Callable[[Path], Any]) -> frozenset[str]:
-    """Return the inputs of an FMU whose sources jump."""
-    jumping = set()
-    for connection in file.scenario.connections:
-        owner, _, variable = connection.target.partition(".")
-        source, _, output = connection.source.partition(".")
-        if owner != name:
-            continue
-        component = file.scenario.components.get(source)
-        if not isinstance(component, FmuComponent) or component.step is not None:
-            jumping.add(variable)
-        elif (path := file.resolve(component.fmu)).is_file():
-            names = output, output.partition("[")[0]
-            ends = [v for v in read(path).modelVariables if v.name in names]
-            if any(v.variability not in (None, "continuous") or v.type not in REALS for v in ends):
-                jumping.add(variable)
-    return frozenset(jumping)
 
 
 def is_exchange(component: Component) -> bool:
@@ -155,9 +144,8 @@ def clock_interval(block: FmuBlock | None, target: str, value: Any) -> Any:
     if clock is None:
         return None
     if clock.kind != "tunable" or clock.interval is None:
-        return Misfit(
-            f"{target} is a clock whose interval cannot be set; a tunable clock with intervalDecimal takes one"
-        )
+        reason = "is a clock whose interval cannot be set; a tunable clock with intervalDecimal takes one"
+        return Misfit(f"{target} {reason}")
     with suppress(ValueError):
         value = read_quantity(value, "s") if isinstance(value, str) else value
     if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:
@@ -188,8 +176,6 @@ def check_events(plan: Schedule, apart: Collection[str], diagnosis: Diagnosis, c
             diagnosis.warnings.append(f"{name} {reason}: an event within a step reaches it at the end of the step")
     clocks = (f"{fmu.name}.{signal.name}" for fmu in events for signal in fmu.inputs if signal.kind == "Clock")
     if idle := [name for name in clocks if name not in connected]:
-        diagnosis.warnings.append(
-            "{names}: never ticks; connect it to an output clock, or give its times under clocks:".format(
-                names=", ".join(idle)
-            )
-        )
+        names = ", ".join(idle)
+        message = f"{names}: never ticks; connect it to an output clock, or give its times under clocks:"
+        diagnosis.warnings.append(message)

@@ -121,12 +121,8 @@ class Targets:
             hint = did_you_mean(variable_name, [n for n, v in variables.items() if _is_changeable(v)])
             return Misfit(f'{name} has no variable "{variable_name}"{hint}')
         if not _is_changeable(variable):
-            kind = {"variability": variable.variability, "causality": variable.causality}
-            return Misfit(
-                "{name} is a {variability} {causality}; inputs and tunable parameters change while it runs".format(
-                    name=target, **kind
-                )
-            )
+            kind = f"{variable.variability} {variable.causality}"
+            return Misfit(f"{target} is a {kind}; inputs and tunable parameters change while it runs")
         if self._is_connected(target):
             return Misfit(f"{target} is connected, which decides its value; use faults: for what disturbs a connection")
         return variable

@@ -68,7 +68,7 @@ def recorded_part(
             diagnosis.note(("record", "signals", k), objection)
     steps = 1 if record.every is None else round(record.every / scenario.step)
     columns, beside = (
-        tuple(k for k, name in enumerate(names) if _is_recorded(name, record))
+        tuple(k for k, c in enumerate(names) if record.signals is None or any(_is_meant(p, c) for p in record.signals))
         for names in (layout.columns, layout.beside)
     )
     return RecordedPart(columns, beside, max(1, steps))
@@ -83,12 +83,10 @@ def recording_notes(scenario: Scenario, columns: Sequence[str], part: RecordedPa
     lost = [f"{s} → {t}" for s, t in ends if {s, t} <= set(columns) and not {s, t} <= recorded]
     notes: list[str] = []
     if lost:
-        fields = {"count": len(recorded), "total": len(columns), "names": join_names(lost)}
         notes.append(
             Note(
-                "{count} of {total} signals are recorded; the report has no chart of the connections {names}".format(
-                    **fields
-                )
+                f"{len(recorded)} of {len(columns)} signals are recorded; the report has no chart of the connections "
+                f"{join_names(lost)}"
             )
         )
     if page_for(_variables(columns)) is not None and page_for(_variables(recorded)) is None:
@@ -107,22 +105,10 @@ def _variables(columns: Sequence[str] | set[str]) -> list[set[str]]:
     return [*by_component.values()]
 
 
-def _is_recorded(column: str, record: Recording) -> bool:
-    return record.signals is None or any(_is_meant(pattern, column) for pattern in record.signals)
-
-
 def _is_meant(pattern: str, column: str) -> bool:
     """Return whether a pattern matches a column, or is the name of the array of which the column is an element."""
     component, _, variable = column.partition(".")
     return matches(pattern, component, variable) or column.startswith(f"{pattern}[")
-
-
-def _recordable(name: str, component: FmuBlock) -> tuple[list[str], list[str]]:
-    """Return the variables of an FMU that can be recorded, and those that are the time."""
-    variables, times = list[str](), list[str]()
-    for variable in component.description.modelVariables:
-        (times if variable.causality == "independent" else variables).append(f"{name}.{variable.name}")
-    return variables, times
 
 
 def _objection(pattern: str, scenario: Scenario, components: Mapping[str, Component], layout: RowLayout) -> str | None:
@@ -132,19 +118,17 @@ def _objection(pattern: str, scenario: Scenario, components: Mapping[str, Compon
     if any(_is_meant(pattern, column) for column in columns):
         return None
     if not is_pattern and name not in scenario.components:
-        return (
-            f'no component "{name}"{did_you_mean(name, scenario.components)}; write component.* or component.variable'
-        )
+        hint = did_you_mean(name, scenario.components)
+        return f'no component "{name}"{hint}; write component.* or component.variable'
     # It may be a signal of a component that is faulty itself.
     if not ({*scenario.components} if is_pattern else {name}) <= {*components}:
         return None
     others = [column for column in columns if column.startswith("" if is_pattern else f"{name}.")]
     if isinstance(component := components.get(name), FmuBlock):
-        variables, times = _recordable(name, component)
-        if pattern in times:
+        variables = {f"{name}.{v.name}": v.causality for v in component.description.modelVariables}
+        if variables.get(pattern) == "independent":
             return f"{pattern} is the time, the first column of every result; leave it out"
-        others += variables
+        others += [full for full, causality in variables.items() if causality != "independent"]
     near = did_you_mean(pattern.replace("*", ""), others)
-    return 'no signal matches "{pattern}"{hint}'.format(
-        pattern=pattern, hint=near or f"; there are {join_names(others) or 'none'}"
-    )
+    hint = near or f"; there are {join_names(others) or 'none'}"
+    return f'no signal matches "{pattern}"{hint}'

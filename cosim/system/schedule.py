@@ -115,18 +115,28 @@ class _Graph:
         return frozenset(known)
 
     def sort_transfers(self, plan: Plan) -> tuple[tuple[Transfer, ...], tuple[Stage, ...], tuple[Loop, ...]]:
-        """Return held transfers, stages with their transfers, and loops with theirs."""
+        """Return held transfers, stages with their transfers, and loops with theirs.
+
+        A known signal is pulled before the step, set late, or held, except for a sampled FMU: this computes its outputs
+        for the end of its step, where it samples its inputs.
+        """
         loop_of = {name: k for k, members in enumerate(plan.loops) for name in members}
         held: list[Transfer] = []
         solved: list[list[Transfer]] = [[] for _ in plan.loops]
         pulls: dict[str, list[Transfer]] = {name: [] for name in plan.order}
         late: dict[str, list[Transfer]] = {name: [] for name in plan.order}
-        for (edge, connection), is_immediate in zip(self.wired, plan.immediate, strict=True):
-            source, target, *_ = edge
-            way = self._way_of_known(edge) or ("pulled" if is_immediate else "held")
-            if way == "late":
-                late[target] += connection
-            elif way == "held":
+        for ((source, target, name, output), connection), is_immediate in zip(self.wired, plan.immediate, strict=True):
+            component, origin = self.components[target], self.components[source]
+            is_pulled = is_immediate
+            if source in self.functions_of_time and not getattr(component, "is_sampled", False):
+                is_course = not isinstance(origin, SourceBlock) or output in origin.interpolated
+                is_pulled = isinstance(component, Fixes) or (self.interpolates and is_course)
+                is_seen = component.depends_on(name) is not False or any(signal.local for signal in component.outputs)
+                # In model exchange, a change of inputs and another event at the same time are one event.
+                if not is_pulled and (is_seen or getattr(component, "changes_by_events", False)):
+                    late[target] += connection
+                    continue
+            if not is_pulled:
                 held += connection
             elif target in loop_of and loop_of.get(source) == loop_of[target]:
                 solved[loop_of[target]] += connection
@@ -137,23 +147,6 @@ class _Graph:
         stages = (Stage(self.components[n], tuple(pulls[n]), self.every[n], tuple(late[n])) for n in order)
         return tuple(held), tuple(stages), tuple(loops)
 
-    def _way_of_known(self, edge: Edge) -> str:
-        """Return how an input gets the values of a known signal: pulled, late or held; "" if the plan decides.
-
-        A sampled FMU computes its outputs for the end of its step, where it samples its inputs, so the plan decides.
-        """
-        source, target, name, output = edge
-        component, origin = self.components[target], self.components[source]
-        if source not in self.functions_of_time or getattr(component, "is_sampled", False):
-            return ""
-        if isinstance(component, Fixes):
-            return "pulled"
-        if self.interpolates and (not isinstance(origin, SourceBlock) or output in origin.interpolated):
-            return "pulled"
-        is_seen = component.depends_on(name) is not False or any(signal.local for signal in component.outputs)
-        # In model exchange, a change of inputs and another event at the same time are one event.
-        return "late" if is_seen or getattr(component, "changes_by_events", False) else "held"
-
     def left_open(self, solved: Collection[tuple[str, ...]], key: str, assumptions: Sequence[str]) -> Iterator[Loop]:
         """Yield the unsolved loops that exist if inputs without declared dependencies have feedthrough.
 
@@ -162,83 +155,55 @@ class _Graph:
         """
         plan = DEFAULT.plan_with_loops(self.components, self.edges, None, undeclared=True)
         for loop in self.sort_transfers(plan)[-1]:
-            if loop.members not in solved:
-                fault = next((fault for _, fault in self.faults(loop)), None)
-                cure = "; ".join(assumptions) or self._cure(loop, key, fault)
-                if key == FEEDTHROUGH and not assumptions:
-                    sentence: str = Note(
-                        f"{loop.name} is no algebraic loop at the start, as measured or stated by feedthrough: [...]; "
-                        f"if outputs follow inputs at once later, {cure}"
-                    )
-                else:
-                    sentence = (
-                        f"{loop.name} may be an algebraic loop, which {key} leaves open, so that some inputs have the "
-                        f"values of the step before; {cure}"
-                    )
-                yield replace(loop, left_open=sentence)
-
-    def _cure(self, loop: Loop, key: str, fault: str | None) -> str:
-        """Return how a loop that a key leaves open is solved.
-
-        Args:
-            fault: Why it cannot be solved.
-        """
-        if fault is not None:
-            return Note(f"loops: {{}} without {key} is refused: {fault}")
-        fmus = [c for c in map(self.components.get, loop.members) if isinstance(c, FmuBlock)]
-        names = [fmu.name for fmu in fmus if not (fmu.changes_by_events or fmu.instance.rolls_back)]
-        if names:
-            return Note(
-                f"loops: {{}} without {key} solves it, if it has a solution and outputs of "
-                f"{join_names(names)}, which cannot save a state, follow inputs without a step"
+            if loop.members in solved:
+                continue
+            fmus = [c for c in map(self.components.get, loop.members) if isinstance(c, FmuBlock)]
+            names = [fmu.name for fmu in fmus if not (fmu.changes_by_events or fmu.instance.rolls_back)]
+            cure = f"loops: {{}} without {key} solves it, if it has a solution"
+            if assumptions:
+                cure = "; ".join(assumptions)
+            elif (fault := next((fault for _, fault in self.faults(loop)), None)) is not None:
+                cure = f"loops: {{}} without {key} is refused: {fault}"
+            elif names:
+                cure += f" and outputs of {join_names(names)}, which cannot save a state, follow inputs without a step"
+            sentence = (
+                f"{loop.name} may be an algebraic loop, which {key} leaves open, so that some inputs have the values "
+                f"of the step before; {cure}"
             )
-        return Note(f"loops: {{}} without {key} solves it, if it has a solution")
+            if key == FEEDTHROUGH and not assumptions:
+                sentence = Note(
+                    f"{loop.name} is no algebraic loop at the start, as measured or stated by feedthrough: [...]; "
+                    f"if outputs follow inputs at once later, {cure}"
+                )
+            yield replace(loop, left_open=sentence)
 
     def faults(self, loop: Loop) -> Iterator[tuple[Place, str]]:
         """Yield faults of a loop that cannot be solved, with their places."""
         has_events = any(isinstance(component, EventFmu) for component in self.components.values())
         for name in loop.members:
-            component = self.components[name]
+            component, part = self.components[name], f"{name} is part of the algebraic loop {loop.name}"
+            order = "state the order of the components (order: [...]), which leaves it open"
             if isinstance(component, EventFmu):
-                yield (
-                    ("components", name),
-                    (
-                        f"{name} is part of the algebraic loop {loop.name} and runs in event mode, in which it "
-                        "cannot be solved; set event_mode: false, or state the order of the components (order: "
-                        "[...]), which leaves it open"
-                    ),
-                )
+                cure = f"set event_mode: false, or {order}"
+                yield ("components", name), f"{part} and runs in event mode, in which it cannot be solved; {cure}"
             elif has_events and getattr(component, "changes_by_events", False):
-                yield (
-                    ("components", name),
-                    (
-                        f"{name} is part of the algebraic loop {loop.name} and uses model exchange, beside an FMU "
-                        "in event mode; choose interface: co-simulation, or state the order of the components "
-                        "(order: [...]), which leaves it open"
-                    ),
-                )
+                cure = f"choose interface: co-simulation, or {order}"
+                yield ("components", name), f"{part} and uses model exchange, beside an FMU in event mode; {cure}"
             if self.every[name] > 1:
-                yield (
-                    ("components", name, "step"),
-                    (
-                        f"{name} has a step of its own, and is part of the algebraic loop {loop.name}; leave its "
-                        "step out"
-                    ),
+                fault = (
+                    f"{name} has a step of its own, and is part of the algebraic loop {loop.name}; leave its step out"
                 )
+                yield ("components", name, "step"), fault
         for transfer in loop.transfers:
             name, _, variable = transfer.name.partition(".")
             signals = (*self.components[name].inputs, *self.components[name].exact_inputs)
             signal = next((signal for signal in signals if signal.name == variable), Signal(variable))
             if any(transfer.beside) or signal.is_whole:
-                kind = signal.kind
-                yield (
-                    ("connections",),
-                    (
-                        f"{transfer.name} is part of an algebraic loop and {kind}; only real signals are solved. "
-                        "State the order of the components (order: [...]), so that it has the value of the last "
-                        "step"
-                    ),
+                message = (
+                    f"{transfer.name} is part of an algebraic loop and {signal.kind}; only real signals are solved. "
+                    "State the order of the components (order: [...]), so that it has the value of the last step"
                 )
+                yield ("connections",), message
 
 
 def schedule(
@@ -246,7 +211,6 @@ def schedule(
     components: Components,
     transfers: Sequence[Sequence[Transfer]],
     diagnosis: Diagnosis,
-    *,
     interpolates: bool = False,
 ) -> Schedule:
     """Return the schedule of a scenario; note a fault and return an empty schedule if none exists.
@@ -295,47 +259,41 @@ def schedule(
 def _plan(
     scenario: Scenario, algorithm: Algorithm, order: Sequence[str] | None, graph: _Graph, diagnosis: Diagnosis
 ) -> Plan | None:
-    """Return the plan of an algorithm; note a fault and return None if there is none."""
-    if not _keys_agree(scenario, algorithm, order, graph.components, diagnosis):
+    """Return the plan of an algorithm; note faults and return None if there is none."""
+    components = graph.components
+    if order is not None:  # It names each component with inputs exactly once.
+        missing = sorted(name for name in components.keys() - set(order) if components[name].inputs)
+        unknown = [name for name in order if name not in components]
+        for name in unknown:
+            diagnosis.note(("order",), f'no component "{name}"{did_you_mean(name, components)}')
+        if is_wrong := missing or len(set(order)) != len(order):
+            names = ", ".join(missing) or "none"
+            diagnosis.note(("order",), f"order names every component with inputs once; missing: {names}")
+        if unknown or is_wrong:
+            return None
+    if scenario.loops is not None and not algorithm.solves_loops:
+        message = f"{algorithm.name} solves no algebraic loops; leave loops out, or set algorithm: {DEFAULT.name}"
+        diagnosis.note(("loops",), message)
+        return None
+    if scenario.loops is not None and order is not None:
+        message = "order states which values are of the last step, loops solves for all of the same time; leave one out"
+        diagnosis.note(("order",), message)
         return None
     try:
-        plan = algorithm.plan_with_loops(graph.components, graph.edges, order, undeclared=scenario.loops is not None)
+        plan = algorithm.plan_with_loops(components, graph.edges, order, undeclared=scenario.loops is not None)
     except AlgebraicLoop as loop:
-        names = {"names": ", ".join(sorted(set(loop.cycle))), "cycle": " → ".join(loop.cycle)}
         message = (
-            "algebraic loop under {algorithm}: {cycle}; each needs the other's value of the same "
-            "time. State their order (order: [{names}]) or algorithm: {other}"
-        ).format(algorithm=algorithm.name, other=WITHOUT_ORDER.name, **names)
+            f"algebraic loop under {algorithm.name}: {' → '.join(loop.cycle)}; each needs the other's value of the "
+            f"same time. State their order (order: [{', '.join(sorted(set(loop.cycle)))}]) or algorithm: "
+            f"{WITHOUT_ORDER.name}"
+        )
         diagnosis.note(("connections",), message)
         return None
-    if sorted(plan.order) != sorted(graph.components):
-        message = "{algorithm} steps {order}; it must step each component once".format(
-            algorithm=algorithm.name, order=", ".join(plan.order)
-        )
+    if sorted(plan.order) != sorted(components):
+        message = f"{algorithm.name} steps {', '.join(plan.order)}; it must step each component once"
         diagnosis.note(("algorithm",), message)
         return None
     return plan
-
-
-def _keys_agree(
-    scenario: Scenario, algorithm: Algorithm, order: Sequence[str] | None, components: Components, diagnosis: Diagnosis
-) -> bool:
-    """Return whether order, loops and algorithm agree; note faults."""
-    if order is not None and not _names_all(order, components, diagnosis):
-        return False
-    if scenario.loops is None or (algorithm.solves_loops and order is None):
-        return True
-    if algorithm.solves_loops:
-        diagnosis.note(
-            ("order",),
-            ("order states which values are of the last step, loops solves for all of the same time; leave one out"),
-        )
-    else:
-        diagnosis.note(
-            ("loops",),
-            (f"{algorithm.name} solves no algebraic loops; leave loops out, or set algorithm: {DEFAULT.name}"),
-        )
-    return False
 
 
 def _every(scenario: Scenario, name: str, diagnosis: Diagnosis) -> int:
@@ -364,20 +322,3 @@ def _every(scenario: Scenario, name: str, diagnosis: Diagnosis) -> int:
         )
         diagnosis.warnings.append(message)
     return every
-
-
-def _names_all(order: Sequence[str], components: Components, diagnosis: Diagnosis) -> bool:
-    """Return whether a stated order names each component with inputs exactly once; note faults."""
-    missing = sorted(name for name in components.keys() - set(order) if components[name].inputs)
-    unknown = [name for name in order if name not in components]
-    twice = len(set(order)) != len(order)
-    for name in unknown:
-        diagnosis.note(("order",), f'no component "{name}"{did_you_mean(name, components)}')
-    if missing or twice:
-        diagnosis.note(
-            ("order",),
-            "order names every component with inputs once; missing: {missing}".format(
-                missing=", ".join(missing) or "none"
-            ),
-        )
-    return not (unknown or missing or twice)

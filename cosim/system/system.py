@@ -129,15 +129,21 @@ def build_system(file: ScenarioFile) -> System:
     layout = lay_out(components)
     transfers = connect(file, components, layout, diagnosis)
     of_aliases = alias_transfers(components, layout, transfers, diagnosis)
-    _check_size(sum(len(c.inputs) + len(c.outputs) for c in components.values()), diagnosis)
+    signals = sum(len(c.inputs) + len(c.outputs) for c in components.values())
+    rows = scenario.duration / scenario.step + 1.0
+    if (size := rows * signals * BYTES) > MOST_RESULTS:
+        message = (
+            f"leaves {rows:.3g} rows of {signals} signals, {size / 1e9:.3g} GB, more than {MOST_RESULTS / 1e9:g} GB; "
+            "run shorter or in longer steps"
+        )
+        diagnosis.note(("duration",), message)
     _check_sampling(components.values(), diagnosis)
     recording = recorded_part(scenario, components, layout, diagnosis)
     if is_whole:
         _check_criteria(scenario, layout.columns, recording, diagnosis)
     is_connected = is_whole and all(transfers)
     courses = courses_of(scenario, components)
-    way = {"interpolates": courses[1] > 0}
-    plan = schedule(scenario, components, transfers, diagnosis, **way) if is_connected else Schedule()
+    plan = schedule(scenario, components, transfers, diagnosis, courses[1] > 0) if is_connected else Schedule()
     blocks = {name: c for name, c in components.items() if isinstance(c, FmuBlock)}
     separated, notes = separate([(name, block.path) for name, block in blocks.items()], scenario.isolated)
     check_events(plan, scenario.isolated | separated, diagnosis, scenario.targets)
@@ -199,28 +205,12 @@ def _check_criteria(
     for kind, k, criterion in scenario.goals:
         where: Place = ("criteria", kind, *(() if k is None else (k,)))
         for key, signal in (("of", criterion.of), ("to", criterion.to)):
-            if isinstance(signal, str) and signal not in columns:
-                hint = did_you_mean(signal, columns)
-                diagnosis.note((*where, key), f'no signal "{signal}"{hint}')
-            elif isinstance(signal, str) and signal not in recorded:
-                diagnosis.note(
-                    (*where, key), f"{signal} is not recorded, and the criterion needs it; add it to record: signals"
-                )
-
-
-def _check_size(signals: int, diagnosis: Diagnosis) -> None:
-    scenario = diagnosis.file.scenario
-    rows = scenario.duration / scenario.step + 1.0
-    size = rows * signals * BYTES
-    if size > MOST_RESULTS:
-        sizes = {"gigabytes": size / 1e9, "limit": MOST_RESULTS / 1e9}
-        diagnosis.note(
-            ("duration",),
-            (
-                "leaves {rows:.3g} rows of {signals} signals, {gigabytes:.3g} GB, more than {limit:g} "
-                "GB; run shorter or in longer steps"
-            ).format(rows=rows, signals=signals, **sizes),
-        )
+            if not isinstance(signal, str) or signal in recorded:
+                continue
+            message = f"{signal} is not recorded, and the criterion needs it; add it to record: signals"
+            if signal not in columns:
+                message = f'no signal "{signal}"{did_you_mean(signal, columns)}'
+            diagnosis.note((*where, key), message)
 
 
 def _check_sampling(components: Iterable[Any], diagnosis: Diagnosis) -> None:
@@ -242,11 +232,8 @@ def _check_sampling(components: Iterable[Any], diagnosis: Diagnosis) -> None:
         step = scenario.step if own_step is None else float(own_step)
         if abs(step - sample) > ROUNDING * sample:
             where = ("step",) if own_step is None else ("components", block.name, "step")
-            names = {"component": block.name, "parameter": parameter}
-            diagnosis.note(
-                where,
-                (
-                    "step is {step:g} s; {component} is sampled at {sample:g} s ({parameter}): set "
-                    "components.{component}.start.{parameter}, or step: {sample:g}"
-                ).format(step=step, sample=sample, **names),
+            message = (
+                f"step is {step:g} s; {block.name} is sampled at {sample:g} s ({parameter}): set "
+                f"components.{block.name}.start.{parameter}, or step: {sample:g}"
             )
+            diagnosis.note(where, message)

@@ -27,7 +27,6 @@ from cosim.scenario.scenario import (
     ReferenceComponent,
 )
 from cosim.scenario.scenario_file import Diagnosis, Place, ScenarioFile
-from cosim.scenario.start_values import Misfit
 from cosim.storage.yaml_file import did_you_mean
 
 Components = Mapping[str, Component]
@@ -94,19 +93,14 @@ class Transfer:
             message = f"{value:g}, which comes from {self.origin}, is none of its items: {_numbers(self.items)}"
             raise SimulationError(self.name, t, message)
 
-    def samples(self, seed: int, count: int) -> array[float] | None:
-        """Return noise samples per communication point, None without noise."""
-        if self.noise is None:
-            return None
-        return gaussian(stream(seed, self.of or self.name), self.noise.variance, self.noise.bias, count)
-
     def through(self, seed: int, start: float, step: float, count: int) -> tuple[LinkFunction, ...]:
         """Return the value's conversions in order: unit, noise, faults, sign of an alias."""
         chain: list[LinkFunction] = []
         if self.factor != 1.0 or self.offset != 0.0:
             chain.append(Scaling(self.factor, self.offset))
-        if (samples := self.samples(seed, count)) is not None:
-            chain.append(Addition(samples))
+        if self.noise is not None:
+            rng = stream(seed, self.of or self.name)
+            chain.append(Addition(gaussian(rng, self.noise.variance, self.noise.bias, count)))
         for number, fault in enumerate(self.faults):
             window = points(fault.begin, fault.end, start, step, count)
             rng = stream(seed, f"{self.of or self.name} {fault.kind} {number}")
@@ -163,11 +157,16 @@ def connect(
     file: ScenarioFile, components: Components, layout: RowLayout, diagnosis: Diagnosis
 ) -> list[tuple[Transfer, ...]]:
     """Return the transfers of each connection, for arrays one per element; none for a faulty connection."""
-    _check_sources(file, diagnosis)
+    sources: dict[str, str] = {}
+    connections = [*zip(file.places["connections"], file.scenario.connections, strict=True)]
+    for k, connection in connections:
+        if (target := connection.target) in sources:
+            message = f"two sources for {target}: {sources[target]} and {connection.source}; keep one"
+            diagnosis.note(("connections", k, "to"), message)
+        sources.setdefault(target, connection.source)
     _check_faults(file, diagnosis)
     wiring = _Wiring(file, components, layout, diagnosis)
-    lines = zip(file.places["connections"], file.scenario.connections, strict=True)
-    return [wiring.transfers(k, connection) for k, connection in lines]
+    return [wiring.transfers(k, connection) for k, connection in connections]
 
 
 def alias_transfers(
@@ -192,11 +191,10 @@ def alias_transfers(
                     sides = transfer.beside[0], aside
                     found[full] = replace(transfer, target=place, name=full, beside=sides, of=transfer.name, sign=sign)
                 elif full in fed and fed[full][1] < k and (is_negative or fed[full][0].origin != transfer.origin):
-                    ends = {"target": transfer.name, "source": transfer.origin, "other": full}
                     message = (
-                        "{target} and {other} are one variable of the FMU with two sources: {source} and "
-                        "{first}; keep one"
-                    ).format(**ends, first=fed[full][0].origin)
+                        f"{transfer.name} and {full} are one variable of the FMU with two sources: {transfer.origin} "
+                        f"and {fed[full][0].origin}; keep one"
+                    )
                     diagnosis.note(("connections", k, "to"), message)
     return tuple(found.values())
 
@@ -217,27 +215,22 @@ def assumed_conversion(
 
 def _objection(connection: Connection, source: Signal, target: Signal) -> str:
     """Return the objection to a connection, or ""."""
-    ends = {"source": connection.source, "target": connection.target}
+    ends = f"{connection.source} is {source.kind or 'a number'}, {connection.target} is {target.kind}"
     if not is_compatible(source.kind, target.kind):
-        return "types do not agree: {source} is {source_type}, {target} is {target_type}".format(
-            **ends, source_type=source.kind or "a number", target_type=target.kind
-        )
+        return f"types do not agree: {ends}"
     if source.declared and source.declared == target.declared and source.items != target.items:
-        items = {"source_items": _numbers(source.items), "target_items": _numbers(target.items)}
         return (
-            "enumerations of one name, {name}, with other items: {source} has {source_items}, {target} has "
-            "{target_items}"
-        ).format(**ends, **items, name=source.declared)
+            f"enumerations of one name, {source.declared}, with other items: {connection.source} has "
+            f"{_numbers(source.items)}, {connection.target} has {_numbers(target.items)}"
+        )
     if connection.conversion is None and source.conversion(target) is None:
+        units = f"{connection.source} [{source.unit}] to {connection.target} [{target.unit}]"
         if source.unit == target.unit:
-            return (
-                "unit mismatch: {source} and {target} are both in [{unit}], which their FMUs define with "
-                "different dimensions; where they are the same all the same, say so by factor: 1"
-            ).format(**ends, unit=source.unit)
-        return (
-            "unit mismatch: {source} [{source_unit}] to {target} [{target_unit}]; where they are the same all "
-            "the same, say so by factor: 1"
-        ).format(**ends, source_unit=source.unit, target_unit=target.unit)
+            units = (
+                f"{connection.source} and {connection.target} are both in [{source.unit}], which their FMUs define "
+                "with different dimensions"
+            )
+        return f"unit mismatch: {units}; where they are the same all the same, say so by factor: 1"
     return ""
 
 
@@ -257,64 +250,46 @@ class _Wiring:
         targets = self._ends(("connections", k, "to"), connection.target, "inputs")
         if not sources or not targets:
             return ()
+        ends = f"{connection.source} to {connection.target}"
         if len(sources) != len(targets):
-            ends = {"source": connection.source, "target": connection.target}
-            message = "{source} to {target}: {count} values do not go to {target_count}".format(
-                **ends, count=len(sources), target_count=len(targets)
-            )
+            message = f"{ends}: {len(sources)} values do not go to {len(targets)}"
             self.diagnosis.note(("connections", k), message)
             return ()
         transfers = []
         for source, target in zip(sources, targets, strict=True):
             transfer = self._transfer(connection, source, target)
-            if isinstance(transfer, Misfit):
-                self.diagnosis.note(("connections", k), transfer.reason)
+            if isinstance(transfer, str):
+                self.diagnosis.note(("connections", k), transfer)
                 return ()
             transfers.append(transfer)
         return tuple(transfers)
 
-    def _transfer(self, connection: Connection, source: Signal, target: Signal) -> Transfer | Misfit:
+    def _transfer(self, connection: Connection, source: Signal, target: Signal) -> Transfer | str:
         """Return the transfer between two signals, or the objection."""
         if objection := _objection(connection, source, target):
-            return Misfit(objection)
-        if target.kind == "Clock":
-            return self._clock_wire(connection, source, target)
-        noise = connection.noise if self.file.scenario.noise else None
-        factor, offset = self._conversion(connection, source, target)
+            return objection
+        ends = f"{connection.source} to {connection.target}"
         origin = f"{connection.source.partition('.')[0]}.{source.name}"
         name = f"{connection.target.partition('.')[0]}.{target.name}"
         (from_beside, at), (to_beside, to) = self.layout.place[origin], self.layout.place[name]
         faults = tuple(f for key in dict.fromkeys((connection.target, name)) for f in self._faults.get(key, ()))
+        if target.kind == "Clock":
+            if connection.noise or connection.conversion is not None or name in self._faults:
+                return f"{ends}: no factor, offset, noise or fault acts on a clock"
+            return Transfer(at, to, name, origin=origin, is_clock=True)
+        noise = connection.noise if self.file.scenario.noise else None
+        factor, offset = connection.conversion or source.conversion(target) or (1.0, 0.0)
+        if (assumed := assumed_conversion(self.file, connection, source, target)) is not None:
+            factor, offset = assumed.factor, assumed.offset
+            warning = with_prefix(f"{connection.target} ", assumed.sentence)
+            if assumed.sentence and warning not in self.diagnosis.warnings:  # once for all elements of an array
+                self.diagnosis.warnings.append(warning)
         changes = [f"{fault.kind} fault" for fault in faults if fault.kind not in PASSING]
         changes += ["noise or factor"] if noise or (factor, offset) != (1.0, 0.0) else []
         if changes and (from_beside or to_beside):
-            fields = {"changes": " or ".join(changes), "type": source.kind or target.kind}
-            message = "{source} to {target}: no {changes} on {type}".format(
-                source=connection.source, target=connection.target, **fields
-            )
-            return Misfit(message)
+            return f"{ends}: no {' or '.join(changes)} on {source.kind or target.kind}"
         sides = from_beside, to_beside
         return Transfer(at, to, name, noise, factor, offset, faults, sides, target.items, origin)
-
-    def _clock_wire(self, connection: Connection, source: Signal, target: Signal) -> Transfer | Misfit:
-        """Return the connection of two clocks, or the objection."""
-        origin = f"{connection.source.partition('.')[0]}.{source.name}"
-        name = f"{connection.target.partition('.')[0]}.{target.name}"
-        if connection.noise or connection.conversion is not None or name in self._faults:
-            return Misfit(
-                f"{connection.source} to {connection.target}: no factor, offset, noise or fault acts on a clock"
-            )
-        return Transfer(self.layout.place[origin][1], self.layout.place[name][1], name, origin=origin, is_clock=True)
-
-    def _conversion(self, connection: Connection, source: Signal, target: Signal) -> tuple[float, float]:
-        """Return the factor and the offset of a connection; note a warning if a unit is assumed."""
-        assumed = assumed_conversion(self.file, connection, source, target)
-        if assumed is None:
-            return connection.conversion or source.conversion(target) or (1.0, 0.0)
-        warning = with_prefix(f"{connection.target} ", assumed.sentence)
-        if assumed.sentence and warning not in self.diagnosis.warnings:  # once for all elements of an array
-            self.diagnosis.warnings.append(warning)
-        return assumed.factor, assumed.offset
 
     def _ends(self, where: Place, text: str, side: str) -> list[Signal]:
         """Return the signals of a connection's end; note a fault if none."""
@@ -335,10 +310,8 @@ class _Wiring:
         elif any(s.local and s.name == variable for s in _signals(component, side)):
             message = f"{text} is recorded, but no output of {name}; an output goes to an input"
         else:
-            names = {"hint": did_you_mean(variable, signals), "names": _some(signals)}
-            message = '{component} has no {side} "{name}"{hint} (its {side}s: {names})'.format(
-                component=name, side=side[:-1], name=variable, **names
-            )
+            hint = did_you_mean(variable, signals)
+            message = f'{name} has no {side[:-1]} "{variable}"{hint} (its {side}: {_some(signals)})'
         self.diagnosis.note(where, message)
         return []
 
@@ -371,20 +344,17 @@ def _check_faults(file: ScenarioFile, diagnosis: Diagnosis) -> None:
     """Check the faults injected by a scenario: each acts on a connection, within the run, with its required keys."""
     scenario = file.scenario
     targets = dict.fromkeys(c.target for c in scenario.connections)
-    needs = {"bias": "value", "scale": "value", "stuck": "value", "spike": "value", "delay": "delay"}
-    needs["dropout"] = "probability"
+    needs = {"delay": "delay", "dropout": "probability"} | dict.fromkeys(("bias", "scale", "stuck", "spike"), "value")
     for k, fault in zip(file.places["faults"], scenario.faults, strict=True):
         if fault.on not in targets and fault.on.partition("[")[0] not in targets:
             hint = did_you_mean(fault.on, targets) or f" (connected: {_some(targets)})"
             diagnosis.note(("faults", k, "on"), f"no connection to {fault.on}{hint}")
         if getattr(scenario.components.get(fault.on.partition(".")[0]), "step", None) is not None:
-            diagnosis.note(
-                ("faults", k, "on"),
-                (
-                    f"{fault.on} is of a component with a step of its own; faults act on components that step with "
-                    "the scenario"
-                ),
+            message = (
+                f"{fault.on} is of a component with a step of its own; faults act on components that step with the "
+                "scenario"
             )
+            diagnosis.note(("faults", k, "on"), message)
         key = needs.get(fault.kind)
         if key is not None and getattr(fault, key) is None:
             diagnosis.note(("faults", k), f"{fault.kind} needs {key}; add it")
@@ -396,16 +366,6 @@ def _check_faults(file: ScenarioFile, diagnosis: Diagnosis) -> None:
         if not max(0, first) <= min(last, scenario.steps):
             end = scenario.start_time + scenario.duration
             diagnosis.note(("faults", k), f"acts at no communication point of {scenario.start_time:g} … {end:g} s")
-
-
-def _check_sources(file: ScenarioFile, diagnosis: Diagnosis) -> None:
-    """Note a fault for each input with two sources."""
-    sources: dict[str, str] = {}
-    for k, connection in zip(file.places["connections"], file.scenario.connections, strict=True):
-        if (target := connection.target) in sources:
-            message = f"two sources for {target}: {sources[target]} and {connection.source}; keep one"
-            diagnosis.note(("connections", k, "to"), message)
-        sources.setdefault(target, connection.source)
 
 
 def connection_warnings(file: ScenarioFile, components: Components) -> Iterator[str]:
@@ -424,8 +384,8 @@ def connection_warnings(file: ScenarioFile, components: Components) -> Iterator[
             and driven.isdisjoint({f"{name}.{s.name}", f"{name}.{s.array}"})
             and start.isdisjoint({s.name, s.array})
         ]
-        is_sensor = isinstance(declared, FixComponent)
-        if free and is_sensor:
-            yield f"inputs not connected, so their fixes are 0: {_some(free)}"
-        elif free:
-            yield f"not connected, at the start value of the FMU: {_some(free)}"
+        if free:
+            where = "not connected, at the start value of the FMU"
+            if isinstance(declared, FixComponent):
+                where = "inputs not connected, so their fixes are 0"
+            yield f"{where}: {_some(free)}"
