@@ -10,7 +10,7 @@ import math
 import re
 import shlex
 import sys
-from collections.abc import Callable, Collection, Container, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Container, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -408,7 +408,7 @@ def read_header(path: Path) -> list[str]:
     """Return a file's column names, none if unreadable."""
     try:
         return source_of(path).column_names(path) if path.is_file() else []
-    except (InputError, OSError):
+    except (InputError, OSError, ValueError):
         return []
 
 
@@ -420,10 +420,18 @@ def is_time(name: str) -> bool:
     return name.casefold() == "time"
 
 
-def time_among(names: Iterable[str]) -> str | None:
-    """Return the name of the time: `time` in any case, else `t`; `T` is rather a temperature."""
-    given = [*names]
-    return next((name for name in given if is_time(name)), "t" if "t" in given else None)
+def table_by_time(columns: Sequence[Column]) -> Table:
+    """Return the columns as long as the time, which comes first, from a file of another tool; none without a time.
+
+    The time is `time` in any case, else `t`; `T` is rather a temperature.
+    """
+    names = [column.name for column in columns]
+    found = next((name for name in names if is_time(name)), "t" if "t" in names else None)
+    if found is None:
+        return Table()
+    time = columns[names.index(found)]
+    others = [column for column in columns if column is not time and len(column.values) == len(time.values)]
+    return Table([replace(time, name="time", unit=time.unit or "s"), *others])
 
 
 def time_scale(faults: Faults, line: int, unit: str) -> float:
@@ -447,8 +455,10 @@ def split_heading(text: str, names: Container[str] = ()) -> tuple[str, str]:
     return (whole, "") if INDEX.search(whole) and name not in names else (name, unit)
 
 
-def whole_numbers(values: Array) -> Array:
-    """Return integers with a sign, or without one if one is beyond 63 bits."""
+def plain_numbers(values: Array) -> Array:
+    """Return doubles, or integers with a sign, or without one if one is beyond 63 bits."""
+    if values.dtype.kind not in "biu":
+        return values.astype(np.float64)
     is_beyond = values.dtype.kind == "u" and bool(np.any(values > np.iinfo(np.int64).max))
     return values.astype(np.uint64 if is_beyond else np.int64)
 

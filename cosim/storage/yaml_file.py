@@ -14,7 +14,6 @@ from pydantic import (
     Field,
     GetCoreSchemaHandler,
     GetJsonSchemaHandler,
-    Tag,
     ValidationError,
     ValidatorFunctionWrapHandler,
 )
@@ -195,11 +194,8 @@ class YamlFile:
             if each["type"] == "missing":
                 location, message = location[:-1], f'"{name}" is missing; add it'
             elif each["type"] == "extra_forbidden":
-                is_key, key = True, str(location[-1])
-                keys, takers = _allowed_keys(model, each["loc"])
-                message = (
-                    f'unknown key "{short(key)}"{takers or did_you_mean(key, keys)} (known here: {", ".join(keys)})'
-                )
+                is_key, key, keys = True, str(location[-1]), _allowed_keys(model, each["loc"][:-1])
+                message = f'unknown key "{short(key)}"{did_you_mean(key, keys)} (known here: {", ".join(keys)})'
                 if cure := REMOVED_KEYS.get(key):
                     message = f'"{short(key)}" is no longer supported. {cure}'
             else:
@@ -327,34 +323,23 @@ def location_in(data: Any, places: Sequence[str | int], kind: str) -> Location:
     return tuple(location)
 
 
-def _allowed_keys(model: type[BaseModel], places: Sequence[str | int]) -> tuple[list[str], str]:
-    """Return allowed keys, and a hint on other branches of a union that take the key."""
-    annotation: Any = model
-    branches: dict[str, Any] = {}  # of the union that the last step chooses from: tag → type
-    *steps, key = places
-    for step in steps:
+def _allowed_keys(annotation: Any, places: Sequence[str | int]) -> list[str]:
+    """Return the allowed keys of the part at a place, whose names may be tags of a union's branches."""
+    for step in places:
         while get_origin(annotation) is Annotated:
             annotation = get_args(annotation)[0]
-        marked = [(mark, b) for b in get_args(annotation) for mark in getattr(b, "__metadata__", ())]
-        branches = {mark.tag: branch for mark, branch in marked if isinstance(mark, Tag)}
+        branches = {getattr(mark, "tag", None): b for b in get_args(annotation) for mark in get_args(b)[1:]}
         field = getattr(annotation, "model_fields", {}).get(step)
-        if step in branches:
-            annotation = branches[str(step)]
-        else:
-            branches = {}
-            annotation = field.annotation if field is not None else (get_args(annotation) or (annotation,))[-1]
-    takers = [name.strip("«»") for name, branch in branches.items() if key in _keys(branch)]
-    if not takers:
-        return _keys(annotation), ""
-    verb = "take" if takers[1:] else "takes"
-    return _keys(annotation), f": {' and '.join(takers)} {verb} it, {str(steps[-1]).strip('«»')} does not"
+        otherwise = field.annotation if field is not None else (get_args(annotation) or (annotation,))[-1]
+        annotation = branches.get(step, otherwise)
+    return _keys(annotation)
 
 
 def _keys(annotation: Any) -> list[str]:
     """Return the keys of the first model in an annotation."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [f.alias or name for name, f in annotation.model_fields.items()]
-    return next(filter(None, map(_keys, getattr(annotation, "__args__", ()))), [])
+    return next(filter(None, map(_keys, get_args(annotation))), [])
 
 
 class Part(BaseModel):
