@@ -69,10 +69,12 @@ def differing_inputs(records: Sequence[Mapping[str, Any]]) -> list[DifferingInpu
             if parts[0] == "components":
                 kind = PARAMETER if parts[2:3] == ["start"] else FMU if parts[2:3] == ["fmu"] else SCENARIO
             found[kind, short_input(path)] = value
-        for name, fmu in record.get("fmus", {}).items():
-            found[FMU, f"{name}.sha256"] = str(fmu.get("sha256", ""))[:DIGITS]
-        versions = {"cosim": record.get("cosim_version"), **record.get("versions", {})}
-        versions["cosim revision"] = record.get("git", {}).get("revision")
+        fmus, versions, git = (
+            each if isinstance(each := record.get(k), dict) else {} for k in ("fmus", "versions", "git")
+        )
+        for name, fmu in fmus.items():
+            found[FMU, f"{name}.sha256"] = str(fmu.get("sha256", "") if isinstance(fmu, dict) else "")[:DIGITS]
+        versions = {"cosim": record.get("cosim_version"), **versions, "cosim revision": git.get("revision")}
         if found:
             found |= {(VERSION, name): text for name, text in versions.items() if text is not None}
         inputs.append(found)

@@ -35,7 +35,7 @@ TYPES: Mapping[str, Mapping[str, Any]] = {
     "manifest.json": {
         **dict.fromkeys(("source", "loop", "no_report"), str),
         **{key: [str] for key in ("order", "beside", "discrete", "texts", "warnings")},
-        **dict.fromkeys(("items", "versions", "timings", "git"), dict),
+        **dict.fromkeys(("items", "versions", "timings"), dict),
         "scenario": {"name": str, "components": {EACH: dict}},
         "rows": int,
         "criteria": [CRITERION],
