@@ -347,7 +347,7 @@ class _Reader:
                 continue
             if self.sends(ends[0], place) is False and self.sends(ends[1], place) is True:
                 ends.reverse()  # The order of the ends in a file has no meaning.
-            connection = Connection(*ends, self.linear(element), element, place)
+            connection = Connection(ends[0], ends[1], self.linear(element), element, place)
             self.connections.append(connection)
             if (first := self.into.setdefault(connection.end, connection)) is not connection:
                 texts = [".".join((*at[len(place) :], name)) for at, name in (ends[1], first.start, ends[0])]

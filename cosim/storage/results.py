@@ -81,8 +81,8 @@ class Results:
                 found[name] = np.array([float(int(value)) for value in values])
         if not found:
             return self
-        values = np.column_stack([self.values, *found.values()])
-        return replace(self, columns=(*self.columns, *found), values=values, whole=self.whole | {*found})
+        every = np.column_stack([self.values, *found.values()])
+        return replace(self, columns=(*self.columns, *found), values=every, whole=self.whole | {*found})
 
     def texts(self) -> dict[str, list[str]]:
         """Return the columns beside the doubles as text."""

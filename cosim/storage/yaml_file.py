@@ -239,7 +239,9 @@ def format_value(value: Any) -> str:
         return "a very large number"
     if value is None or isinstance(value, int):
         return "empty" if value is None else str(value).lower()
-    return {dict: "a mapping", list: "a list", tuple: "a list"}.get(type(value), "of another kind")
+    if isinstance(value, dict):
+        return "a mapping"
+    return "a list" if isinstance(value, (list, tuple)) else "of another kind"
 
 
 def short(text: object) -> str:

@@ -39,7 +39,8 @@ class NotYaml(Exception):
 
     def __init__(self, message: str, mark: Any = None) -> None:
         super().__init__(message)
-        self.line, self.column = (1, 1) if mark is None else (mark.line + 1, mark.column + 1)
+        self.line: int = 1 if mark is None else mark.line + 1
+        self.column: int = 1 if mark is None else mark.column + 1
 
 
 def _compose(text: str) -> Any:
