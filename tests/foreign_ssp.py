@@ -19,10 +19,8 @@ import numpy as np
 from cosim.base.errors import CosimError, InputError
 from cosim.simulation.packaged import lay_out
 from cosim.simulation.workflow import run
-from cosim.ssp.flatten import read
-from cosim.ssp.levels import FmuPart
-from cosim.ssp.read import Reader
-from cosim.ssp.ssp_package import open_package
+from cosim.ssp.package import open_package
+from cosim.ssp.read import FmuPart, read
 from tests.hosts import HOSTS, Refused, reason
 
 STEPS = 200
@@ -31,7 +29,7 @@ READ_BY = ("libcosim", "ecos", "FMPy")
 
 def parts_of(path: Path) -> tuple[FmuPart, ...]:
     with open_package(path) as package:
-        return read(Reader(package))[1].parts
+        return read(package).parts
 
 
 def ours(path: Path, folder: Path) -> tuple[Any, float]:
@@ -73,12 +71,12 @@ def row(path: Path) -> str:
             return f"| {name} | | refused: {reason(str(why))} | | | |"
         parts = parts_of(path)
         columns = {
-            f"{part.path}.{v}": f"{part.name}.{v}"
+            f"{'.'.join(part.place)}.{connector.get('name')}": f"{part.name}.{connector.get('name')}"
             for part in parts
-            for v, connector in part.component.connectors.items()
-            if connector.kind == "output" and part.variables[v].type == "Real"
+            for connector in part.element.all("ssd:Connectors", "ssd:Connector")
+            if connector.get("kind") == "output" and part.variables[connector.get("name")].type == "Real"
         }
-        sets = [p for part in parts for p in part.component.parameters]
+        sets = any(part.element.first("ssd:ParameterBindings") for part in parts)
         with open_package(path) as package:
             text = package.structure.read_text(encoding="utf-8", errors="replace")
         outside = path if 'source="../' in text else packed(path, folder)

@@ -19,11 +19,9 @@ import cosim
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.blocks.sources import playback
-from cosim.logs.log import Log, read_log
 from cosim.simulation.run_signals import Run
 from cosim.storage.results import Results, read_results
 from cosim.storage.table import read_columns, read_header, source_of
-from plant.hovercraft import INPUTS, OUTPUTS
 from tests.conftest import ROOT
 from tests.full_disk import full_disk
 from tests.test_first_steps import told as asked
@@ -118,17 +116,6 @@ def test_every_fault_of_the_rows_of_a_run_is_told_at_once(tmp_path: Path) -> Non
 # -- Parquet ----------------------------------------------------------------------------------------
 
 
-def test_a_log_in_parquet_is_the_log_in_csv(tmp_path: Path) -> None:
-    both: list[Log] = [
-        read_log(path, INPUTS, OUTPUTS) for path in (RECORDED, as_parquet(RECORDED, tmp_path / "log.parquet"))
-    ]
-    csv, other = both
-    assert csv.time.tobytes() == other.time.tobytes()
-    for one, two in ((csv.inputs, other.inputs), (csv.outputs, other.outputs)):
-        assert {n: v.tobytes() for n, v in one.items()} == {n: v.tobytes() for n, v in two.items()}
-    assert (csv.units, csv.step, csv.cells) == (other.units, other.step, other.cells)
-
-
 def test_units_of_a_column_are_in_its_metadata_or_its_name(tmp_path: Path) -> None:
     stated = parquet(tmp_path / "a.parquet", {"time": TIME * 1e3, "psi": TIME}, {"time": "ms", "psi": "deg"})
     named = parquet(tmp_path / "b.parquet", {"time [ms]": TIME * 1e3, "psi [deg]": TIME})
@@ -165,12 +152,12 @@ def test_rows_of_every_kind_come_back_as_from_csv(tmp_path: Path, suffix: str) -
     ("columns", "told"),
     [
         ({"x": TIME}, 'the first column is "x"; it must be "time"'),
-        ({"time": TIME, "x": [[1.0], [2.0], [], [3.0], [4.0]]}, "column x is nested (list<element: double>)"),
-        ({"time": TIME, "x": [{"y": 1.0}] * 5}, "column x is nested (struct<y: double>)"),
+        ({"time": TIME, "x": [[1.0], [2.0], [], [3.0], [4.0]]}, "column x holds list<element: double>; write numbers"),
+        ({"time": TIME, "x": [{"y": 1.0}] * 5}, "column x holds struct<y: double>"),
         ({"time": TIME, "x": list("abcde")}, "column x holds text; write numbers"),
-        ({"time": TIME, "x": pa.array([1, 2, 3, 4, 5], pa.decimal128(5, 2))}, "column x holds decimals"),
-        ({"time": pa.array([0, 1, 2, 3, 4], pa.timestamp("ms"))}, "column time holds moments or durations"),
-        ({"time": pa.array([0, 1, 2, 3, 4], pa.duration("s"))}, "write seconds as numbers"),
+        ({"time": TIME, "x": pa.array([1, 2, 3, 4, 5], pa.decimal128(5, 2))}, "column x holds decimal128(5, 2)"),
+        ({"time": pa.array([0, 1, 2, 3, 4], pa.timestamp("ms"))}, "column time holds timestamp[ms]"),
+        ({"time": pa.array([0, 1, 2, 3, 4], pa.duration("s"))}, "times in seconds"),
         ({"time": [0.0, None, 1.0, 1.5, 2.0], "x": TIME}, ":2:1: time has no value here"),
         ({"time": [0.0, 1.0, 0.9, 1.5, 2.0], "x": TIME}, ":3:1: time 0.9 s does not increase"),
         ({"time": TIME, "x": [1.0, None, 2.0, 3.0, 4.0]}, ":2:2: x has no value here"),
@@ -198,9 +185,16 @@ def test_a_torn_file_is_one_message(tmp_path: Path) -> None:
 # -- verbs --------------------------------------------------------------------------------------------
 
 
-def test_a_format_that_is_unknown_is_one_message_before_any_work(project: Path) -> None:
-    with pytest.raises(InputError, match=r'no format "xls"; known here: CSV \(.csv\), Parquet \(.parquet\)'):
-        cosim.run(project / "scenarios" / "regulate.yaml", project / "out", format="xls")
+@pytest.mark.parametrize(
+    ("format_", "words"),
+    [("xls", r"known here: CSV \(.csv\), Parquet \(.parquet\)"), ("hdf5", r"pip install 'fmu-cosim\[hdf5\]'")],
+)
+def test_a_format_that_cannot_be_written_is_told_before_any_work(
+    project: Path, monkeypatch: pytest.MonkeyPatch, format_: str, words: str
+) -> None:
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    with pytest.raises(InputError, match=words):
+        cosim.run(project / "scenarios" / "regulate.yaml", project / "out", format=format_)
     assert not (project / "out").exists()
 
 
@@ -259,13 +253,6 @@ def test_the_index_of_a_pandas_table_is_its_time(
     read = read_results(tmp_path / "a.parquet")
     assert (list(read.columns), read.time.tolist()) == (names, TIME.tolist())
     assert [*read_columns(tmp_path / "a.parquet").by_name] == ["time", *names] == read_header(tmp_path / "a.parquet")
-
-
-def test_a_library_that_is_missing_is_named_before_a_run(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "h5py", None)
-    with pytest.raises(InputError, match=r"pip install 'fmu-cosim\[hdf5\]'"):
-        cosim.run(project / "scenarios" / "regulate.yaml", project / "out", format="hdf5")
-    assert not (project / "out").exists()
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no limits of files")

@@ -73,19 +73,6 @@ def sharing(path: Path) -> None:
     path.write_bytes(raw[:end] + last.replace(b"resources/z", b"resources/y") + tail)
 
 
-def overlapping(path: Path) -> None:
-    """A directory that names one file's bytes thousands of times."""
-    archive(path, **{"resources/z": bytes(1_000_000)})
-    raw = path.read_bytes()
-    end = raw.rfind(b"PK\x05\x06")
-    count, size, offset = struct.unpack_from("<HII", raw, end + 10)
-    directory = raw[offset : offset + size]
-    last = directory[directory.rfind(b"PK\x01\x02") :]
-    more = directory + last * 2000
-    tail = struct.pack("<4sHHHHIIH", b"PK\x05\x06", 0, 0, count + 2000, count + 2000, len(more), offset, 0)
-    path.write_bytes(raw[:offset] + more + tail)
-
-
 def linked(path: Path) -> None:
     archive(path)
     with zipfile.ZipFile(path, "a") as packed:
@@ -108,7 +95,6 @@ HOSTILE: dict[str, tuple[Callable[[Path], object], str]] = {
     "bomb": (lambda p: zeros(p, 1074), "it would unpack to 1074 MB, more than the 1000 MB that are unpacked"),
     "many": (many, "times its size: a zip bomb?"),
     "sharing": (sharing, "share bytes: a zip bomb?"),
-    "overlapping": (overlapping, "a zip bomb"),
     "link": (linked, "is a link"),
     "parent": (lambda p: archive(p, **{"resources/../../../evil": b""}), "outside its folder"),
     "absolute": (lambda p: archive(p, **{"/tmp/evil": b""}), "outside its folder"),
@@ -148,13 +134,6 @@ def test_a_hostile_archive_is_refused_with_a_reason(tmp_path: Path, kind: str) -
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_sound_archive_is_unpacked_whole(tmp_path: Path) -> None:
-    path = archive(tmp_path / "m.fmu", **{"resources/a b/c.txt": b"data"})
-    check_archive(path)
-    unpack(path, tmp_path / "out")
-    assert (tmp_path / "out/resources/a b/c.txt").read_bytes() == b"data"
-
-
 def test_zeros_that_are_well_packed_are_no_bomb(tmp_path: Path) -> None:
     path = zeros(tmp_path / "m.fmu", 120)
     assert path.stat().st_size < 1_200_000
@@ -185,16 +164,6 @@ def test_an_archive_with_a_damaged_file_is_refused(tmp_path: Path) -> None:
     path.write_bytes(bytes(raw))
     with pytest.raises(BadArchive, match="is damaged"):
         unpack(path, tmp_path / "out")
-
-
-def test_what_breaks_a_rule_and_keeps_no_host_from_running_it_is_a_warning(tmp_path: Path) -> None:
-    unlisted = DESCRIPTION.replace('<InitialUnknowns><Unknown index="1"/></InitialUnknowns>', "")
-    (said,) = check_files(archive(tmp_path / "m.fmu", unlisted), load=False)
-    assert "warning: ModelStructure/InitialUnknowns" in said
-    without = unlisted.replace('<Outputs><Unknown index="1"/></Outputs>', "")
-    assert any(
-        "ModelStructure/Outputs" in line for line in check_files(archive(tmp_path / "n.fmu", without), load=False)
-    )
 
 
 def test_an_archive_of_very_many_files_is_refused_before_they_are_listed(tmp_path: Path) -> None:

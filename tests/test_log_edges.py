@@ -48,18 +48,6 @@ def without(log: Log, rows: Any) -> Log:
 # -- the clock --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("seconds", "short"), [(9.98, True), (10.0, False)])
-def test_a_log_below_ten_seconds_is_short(seconds: float, short: bool) -> None:
-    found = kinds(moving(round(seconds / 0.02) + 1))
-    assert ("short" in found) is short
-    if short:
-        assert found["short"].numbers["duration"] == pytest.approx(seconds)
-    slow = moving(300, 1.0)  # rows every second: everything lasts 20 times as long
-    assert slow.slowness == 20
-    assert "short" not in kinds(slow)
-    assert "short" in kinds(moving(199, 1.0))
-
-
 @pytest.mark.parametrize(("start", "told"), [(0.0, False), (1e6, False), (1.1e6, True), (-1.1e6, True)])
 def test_a_time_that_starts_at_an_epoch_is_noted(start: float, told: bool) -> None:
     log = moving()
@@ -118,13 +106,6 @@ def test_rows_are_as_far_apart_as_the_steps_of_the_model(ratio: float, strict: b
     assert (found and found.severity) == severity
 
 
-def test_minutes_are_meant_only_where_a_log_seems_to_be_over_in_seconds() -> None:
-    rows = moving(400, 0.02 / 60.0)
-    assert kinds(rows, 0.02)["rate"].severity == "fault"
-    assert kinds(replace(rows, written={"time": "s"}), 0.02)["rate"].severity == "warning"
-    assert kinds(moving(400, 0.04), 2.4)["rate"].severity == "warning"  # of 16 s
-
-
 # -- inputs -----------------------------------------------------------------------------------------
 
 
@@ -170,14 +151,6 @@ def with_output(values: Array, **more: Any) -> Log:
     return replace(moving(values.size, **more), outputs={"y": values})
 
 
-@pytest.mark.parametrize(("every", "kind"), [(1, None), (2, "held"), (5, "held")])
-def test_a_slower_sensor_that_is_held_is_told_by_its_rows(every: int, kind: str | None) -> None:
-    y = moving().outputs["y"]
-    found = kinds(with_output(y[np.arange(1500) // every * every])).get("held")
-    assert (found and found.kind) == kind
-    assert found is None or found.numbers == {"rows": every}
-
-
 def test_a_sensor_that_freezes_is_told_from_one_that_rests() -> None:
     y = moving().outputs["y"].copy()
     for rows, frozen in ((9, False), (10, False), (12, True), (300, True)):  # more than 0.2 s, ten rows at least
@@ -190,18 +163,6 @@ def test_a_sensor_that_freezes_is_told_from_one_that_rests() -> None:
         slow = y.copy()
         slow[400 : 400 + rows] = slow[400]
         assert ("frozen" in kinds(replace(with_output(slow), step=0.1))) is frozen
-
-
-@pytest.mark.parametrize(("times", "told"), [(6.0, False), (14.0, True)])
-def test_a_value_out_of_line_is_told_with_place_and_size(times: float, told: bool) -> None:
-    rng = np.random.default_rng(5)
-    y = NOISE * rng.standard_normal(1500)  # the 1st to 99th percentile span 4.7 NOISE
-    y[700] = times * NOISE
-    found = kinds(with_output(y)).get("outliers")
-    assert (found is not None) is told
-    if found:
-        assert (found.numbers["count"], found.numbers["first"]) == (1.0, pytest.approx(14.0))
-        assert found.numbers["worst"] == pytest.approx(times * NOISE, rel=0.15)
 
 
 def test_where_an_input_has_jumped_an_output_may_answer() -> None:

@@ -15,12 +15,10 @@ import cosim
 from cosim.base.errors import InputError
 from cosim.base.units import parse, read_quantity, square_unit
 from cosim.blocks.component import Signal
-from cosim.comparison.differences import compare_runs
 from cosim.loading.file import read_model
 from cosim.logs.log import read_log
 from cosim.refinement.study import StudyFile, read_study
 from cosim.scenario.scenario_file import ScenarioFile
-from cosim.simulation.run_files import read_ran
 from cosim.sweeps.reading import read_sweep
 from cosim.verbs.cli import app
 from plant.identification.protocol import CellFile, SineTest
@@ -224,13 +222,6 @@ def test_a_column_in_degrees_is_converted_to_kelvin(tmp_path: Path, unit: str, s
 
 
 # -- models, studies, sweeps, protocols ------------------------------------------------------------
-
-
-def test_runs_in_kelvin_and_in_degrees_are_compared(tmp_path: Path) -> None:
-    (tmp_path / "a.csv").write_text("time,T [degC]\n0,0\n1,20\n")
-    (tmp_path / "b.csv").write_text("time,T [K]\n0,273.15\n1,293.15\n")
-    assert compare_runs(*(read_ran(tmp_path / f"{name}.csv") for name in "ab"), tolerance=0.0).same
-    assert compare_runs(*(read_ran(tmp_path / f"{name}.csv") for name in "ba"), tolerance=0.0).same
 
 
 def test_parameters_of_a_model_file_are_converted(tmp_path: Path) -> None:

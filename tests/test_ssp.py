@@ -39,13 +39,6 @@ def scenario(folder: Path, **content: Any) -> Path:
     return path
 
 
-def equal(ours: Results, wanted: Results, **renamed: str) -> None:
-    """The columns of one run are those of another, bit for bit."""
-    for column in wanted.columns:
-        name, _, variable = column.partition(".")
-        np.testing.assert_array_equal(ours[f"{renamed.get(name, name)}.{variable}"], wanted[column], column)
-
-
 # -- read -------------------------------------------------------------------------------------------
 
 LOOP = "".join((connection("a.y", "b.u"), connection("b.y", "a.u")))
@@ -59,57 +52,6 @@ def pair(folder: Path, bindings: str = "", connections: str = LOOP, a: str = "",
 </ssd:Elements><ssd:Connections>{connections}</ssd:Connections></ssd:System>"""
     named = {f"resources/{name.replace('_', '.')}": text for name, text in files.items()}
     return ssp(folder / "pair.ssp", system, {"resources/lag.fmu": fmu, **named})
-
-
-def test_a_system_runs_as_the_scenario_that_says_the_same(tmp_path: Path) -> None:
-    values = bound({"a.gain": real(-0.5), "a.bias": real(2.0), "b.T": real(0.5), "b.stuck": '<ssv:Boolean value="0"/>'})
-    ours = ran(pair(tmp_path, values), tmp_path)
-    wanted = scenario(
-        tmp_path,
-        components={
-            "a": {"fmu": "lag.fmu", "start": {"gain": -0.5, "bias": 2}},
-            "b": {"fmu": "lag.fmu", "start": {"T": 0.5}},
-        },
-        connections=[{"from": "a.y", "to": "b.u"}, {"from": "b.y", "to": "a.u"}],
-    )
-    equal(ours, ran(wanted, tmp_path))
-    assert np.ptp(ours["b.y"]) > 0.1
-
-
-def test_systems_within_systems_become_one(tmp_path: Path) -> None:
-    fmu = lag_fmu(tmp_path / "lag.fmu")
-    half = '<ssc:LinearTransformation factor="0.5" offset="1"/>'
-    ends = (
-        '<ssd:Connectors><ssd:Connector name="in" kind="input"><ssc:Real/></ssd:Connector>'
-        '<ssd:Connector name="out" kind="output"><ssc:Real/></ssd:Connector></ssd:Connectors>'
-    )
-    inner = f"""<ssd:System name="deep">{ends}<ssd:Elements>{component("lag")}</ssd:Elements><ssd:Connections>
-{connection("in", "lag.u", half)}{connection("lag.y", "out")}</ssd:Connections></ssd:System>"""
-    middle = f"""<ssd:System name="mid">{ends}<ssd:Elements>{inner}</ssd:Elements><ssd:Connections>
-{connection("in", "deep.in")}{connection("deep.out", "out", half)}</ssd:Connections></ssd:System>"""
-    values = f"<ssd:ParameterBindings>{bound({'mid.deep.lag.bias': real(1.0)})}</ssd:ParameterBindings>"
-    system = f"""<ssd:System name="root">{values}<ssd:Elements>{middle}{component("lag")}</ssd:Elements>
-<ssd:Connections>{connection("lag.y", "mid.in")}{connection("mid.out", "lag.u")}</ssd:Connections></ssd:System>"""
-    ours = ran(ssp(tmp_path / "nested.ssp", system, {"resources/lag.fmu": fmu}), tmp_path)
-    wanted = scenario(
-        tmp_path,
-        components={"deep": {"fmu": "lag.fmu", "start": {"bias": 1}}, "lag": {"fmu": "lag.fmu"}},
-        connections=[
-            {"from": "lag.y", "to": "deep.u", "factor": 0.5, "offset": 1},
-            {"from": "deep.y", "to": "lag.u", "factor": 0.5, "offset": 1},
-        ],
-    )
-    equal(ours, ran(wanted, tmp_path), deep="mid_deep_lag")
-
-
-def test_what_stands_further_out_wins_and_at_one_place_the_last(tmp_path: Path) -> None:
-    own = "<ssd:ParameterBindings>{}</ssd:ParameterBindings>".format(
-        bound({"gain": real(1.0), "bias": real(1.0), "T": real(1.0)}) + bound({"bias": real(2.0), "T": real(2.0)})
-    )
-    pair(tmp_path, bound({"a.T": real(3.0)}), a=own)
-    ran(tmp_path / "pair.ssp", tmp_path)
-    written = json.loads((tmp_path / "ran" / "system" / "scenario.json").read_text())
-    assert written["components"]["a"]["start"] == {"gain": 1.0, "bias": 2.0, "T": 3.0}
 
 
 def test_a_mapping_renames_converts_and_leaves_out_what_it_does_not_name(tmp_path: Path) -> None:
@@ -133,18 +75,6 @@ def test_a_mapping_renames_converts_and_leaves_out_what_it_does_not_name(tmp_pat
     assert written["components"]["b"]["start"] == {"gain": 3.0}
 
 
-def test_a_prefix_names_the_element_and_a_connector_of_the_system_leads_inside(tmp_path: Path) -> None:
-    fmu = lag_fmu(tmp_path / "lag.fmu")
-    bindings = bound({"bias": real(4.0)}, prefix="a.") + bound({"drive": real(3.0)})
-    system = f"""<ssd:System name="root"><ssd:Connectors>
-<ssd:Connector name="drive" kind="input"><ssc:Real/></ssd:Connector></ssd:Connectors>
-<ssd:ParameterBindings>{bindings}</ssd:ParameterBindings><ssd:Elements>{component("a")}</ssd:Elements><ssd:Connections>
-{connection("drive", "a.u", '<ssc:LinearTransformation factor="2"/>')}</ssd:Connections></ssd:System>"""
-    ours = ran(ssp(tmp_path / "one.ssp", system, {"resources/lag.fmu": fmu}), tmp_path)
-    assert ours["a.u"].tolist() == [6.0] * len(ours.time)
-    assert ours["a.y"][1] == 0.0625 * 10.0
-
-
 def test_a_parameter_is_converted_at_each_connector_on_its_way(tmp_path: Path) -> None:
     fmu = lag_fmu(tmp_path / "lag.fmu", ("rad", ""))
     units = """<ssd:Units><ssc:Unit name="deg"><ssc:BaseUnit rad="1" factor="0.017453292519943295"/></ssc:Unit>
@@ -159,27 +89,6 @@ def test_a_parameter_is_converted_at_each_connector_on_its_way(tmp_path: Path) -
 </ssd:System>{units}"""
     ours = ran(ssp(tmp_path / "one.ssp", system, {"resources/lag.fmu": fmu}), tmp_path)
     assert ours["a.u"][0] == pytest.approx(1.5 * np.pi)  # 0.5 turn = 180 deg, + 90 deg
-
-
-@pytest.mark.parametrize(
-    ("connectors", "suppress", "factor"),
-    [(("", ""), False, np.pi / 180), (("m", "m"), False, 1.0), (("", ""), True, 1.0)],
-)
-def test_units_convert_as_the_connectors_say_and_else_the_fmus(
-    tmp_path: Path, connectors: tuple[str, str], suppress: bool, factor: float
-) -> None:
-    files = {
-        "resources/deg.fmu": lag_fmu(tmp_path / "deg.fmu", ("", "deg")),
-        "resources/rad.fmu": lag_fmu(tmp_path / "rad.fmu", ("rad", "")),
-    }
-    start = f"<ssd:ParameterBindings>{bound({'bias': real(90.0)})}</ssd:ParameterBindings>"
-    exact = {"suppressUnitConversion": "true"} if suppress else {}
-    parts = component("a", "deg.fmu", start, ("", connectors[0])) + component("b", "rad.fmu", "", (connectors[1], ""))
-    system = f"""<ssd:System name="root"><ssd:Elements>{parts}</ssd:Elements><ssd:Connections>
-{connection("a.y", "b.u", **exact)}</ssd:Connections></ssd:System>"""
-    ours = ran(ssp(tmp_path / "units.ssp", system, files), tmp_path)
-    np.testing.assert_allclose(ours["b.u"], factor * ours["a.y"], rtol=1e-15)
-    assert ours["a.y"][-1] > 50.0
 
 
 def test_the_step_is_that_of_an_annotation_and_what_is_not_said_is_warned_of(tmp_path: Path) -> None:
@@ -249,11 +158,11 @@ def test_every_fault_is_told_at_once_with_its_place_and_cure(tmp_path: Path) -> 
 @pytest.mark.parametrize(
     ("kind", "words"),
     [
-        ('type="application/x-ssp-definition" source="resources/x.ssp"', "put its systems into this file"),
+        ('type="application/x-ssp-definition" source="resources/x.ssp"', "nested systems lie in this file"),
         ("", "it has no source"),
         ('source="../../etc/passwd"', "leads out of the package"),
         ('source="http://somewhere/lag.fmu"', "is not in the package"),
-        ('source="resources/Lag.fmu"', 'no file "resources/Lag.fmu" in it; did you mean "resources/lag.fmu"?'),
+        ('source="resources/Lag.fmu"', 'no file "resources/Lag.fmu" in it'),
         ('source="a%00b"', "is no name of a file"),
         ('source="."', 'no file "." in it'),
         (f'source="{"a" * 5000}"', "is no name of a file"),
@@ -333,17 +242,6 @@ def lags(folder: Path, **content: Any) -> Path:
         ],
     }
     return scenario(folder, **{**whole, **content})
-
-
-def test_what_is_exported_runs_here_as_the_scenario_does(tmp_path: Path) -> None:
-    source = lags(tmp_path)
-    exported = export_ssp(source, tmp_path / "lags.ssp")
-    again = run(exported.path, tmp_path / "again", report=False, in_process=True).results
-    wanted = ran(source, tmp_path)
-    assert again.time.tolist() == wanted.time.tolist()
-    for column in wanted.columns:  # but for rounding of degrees
-        np.testing.assert_allclose(again[column], wanted[column], rtol=0, atol=1e-14, err_msg=column)
-    assert min(np.ptp(wanted[c]) for c in ("b.y", "c.y", "r.drive")) > 0.1
 
 
 def test_what_is_exported_satisfies_the_schema_and_is_the_same_each_time(tmp_path: Path) -> None:

@@ -19,27 +19,14 @@ def is_full(error: object) -> bool:
 
 @contextmanager
 def draft_of(path: Path) -> Iterator[Path]:
-    """Yield a draft that replaces `path` after success.
-
-    Raises:
-        OSError: The system refuses the replacement. The draft then remains as `NAME-kept.SUFFIX`, as the message says.
-    """
+    """Yield a draft that replaces `path` after success; raise OSError if the system refuses the replacement."""
     path.parent.mkdir(parents=True, exist_ok=True)
     draft = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         draft.unlink(missing_ok=True)  # A link placed here by somebody else must not be followed.
         os.close(os.open(draft, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
         yield draft
-        try:
-            draft.replace(path)
-        except OSError as error:
-            copy = path.with_name(f"{path.stem}-kept{path.suffix}")
-            try:
-                draft.replace(copy)
-            except OSError:
-                raise error from None
-            reason = f"cannot be replaced ({error.strerror}); what was to take its place is {copy}"
-            raise OSError(error.errno, reason, str(path)) from None
+        draft.replace(path)
     finally:
         draft.unlink(missing_ok=True)
 

@@ -34,6 +34,16 @@ class CosimError(Exception):
     def __str__(self) -> str:
         return printable(super().__str__())
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _again, (type(self), self.args, self.__dict__)
+
+
+def _again(kind: type[CosimError], args: tuple[Any, ...], content: dict[str, Any]) -> CosimError:
+    """Return a copy from another process, whatever the arguments of the class."""
+    error = kind.__new__(kind, *args)
+    error.__dict__.update(content)
+    return error
+
 
 def _message_only(error: CosimError) -> list[str]:
     """Return what a notebook shows: IPython leaves out the frames of this package then."""
@@ -53,9 +63,6 @@ class InputError(CosimError):
     def at(cls, file: Path, message: str, exit_code: int = 2) -> InputError:
         """Return an InputError with a single fault that concerns a file or folder as a whole."""
         return cls([Fault(file, 0, 0, message, exit_code)])
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.faults,), self.__dict__
 
     @property
     def exit_code(self) -> int:  # type: ignore[override]
@@ -77,9 +84,6 @@ class NotExecuted(CosimError):
     def __init__(self, file: Path) -> None:
         self.file = file
         super().__init__(f"{file} is Python, which is not executed here")
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.file,), self.__dict__
 
 
 class FmuError(CosimError):
@@ -108,9 +112,6 @@ class SimulationError(CosimError):
     def __init__(self, component: str, time: float, reason: str) -> None:
         self.component, self.time, self.reason = component, time, reason
         super().__init__(f"{component} at t = {time:.6g} s: {reason}")
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.component, self.time, self.reason), self.__dict__
 
 
 class Crashed(SimulationError):

@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import pkgutil
 import warnings
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
@@ -89,8 +89,7 @@ class Verb:
 
 def models() -> dict[str, ModelEntry]:
     """Return the registered models by their own names."""
-    entries = {name: load(MODELS, name) for name in names(MODELS)}
-    return {e.name: e for e in entries.values() if isinstance(e, ModelEntry)}
+    return {e.name: e for name in names(MODELS) if isinstance(e := load(MODELS, name), ModelEntry)}
 
 
 def model_entry(name: str = BASE) -> ModelEntry:
@@ -122,9 +121,11 @@ def rig_of(kind: type, otherwise: Any) -> Any:
 
 def page_for(components: Iterable[Collection[str]]) -> Page | None:
     """Return the first page for any of the components."""
-    sets = [set(variables) for variables in components]
-    pages = (page for name in names(PAGES) if isinstance(page := load(PAGES, name), Page))
-    return next((page for page in pages if any(page.variables <= variables for variables in sets)), None)
+    sets = [frozenset(variables) for variables in components]
+    for name in names(PAGES):
+        if isinstance(page := load(PAGES, name), Page) and any(map(page.variables.issubset, sets)):
+            return page
+    return None
 
 
 def added_verbs() -> Iterator[tuple[str, Verb]]:
@@ -139,6 +140,7 @@ def names(group: str) -> list[str]:
     return sorted(_points_of_group(group))
 
 
+@functools.cache
 def load(group: str, name: str) -> Any:
     """Return the object registered under a name; None, with a warning, if its import fails.
 
@@ -146,10 +148,17 @@ def load(group: str, name: str) -> Any:
         InputError: Two packages register the name.
     """
     points = _points_of_group(group)[name]
+    if len(points) > 1:  # A package listed twice on the path, e.g. also in its own source folder, repeats.
+        points = [*{(_owner(point), point.value): point for point in points}.values()]
     if len(points) > 1:
         owners = " and ".join(sorted(map(_owner, points)))
         raise InputError.at(Path(group), f'"{name}" is registered by {owners}; uninstall one of them')
-    return _object_of(points[0])
+    try:
+        return points[0].load()
+    except Exception as error:  # Foreign packages may raise any error when imported.
+        message = f"{_owner(points[0])}: the entry point {group}:{name} cannot be loaded: {error}"
+        warnings.warn(message, ExtensionWarning, stacklevel=2)
+        return None
 
 
 def resolve(place: str) -> Any:
@@ -172,29 +181,11 @@ def _all_points() -> Any:
 
 
 @functools.cache
-def _points_of_group(group: str) -> dict[str, tuple[EntryPoint, ...]]:
+def _points_of_group(group: str) -> dict[str, list[EntryPoint]]:
     by_name: dict[str, list[EntryPoint]] = {}
     for point in _all_points().select(group=group):
         by_name.setdefault(point.name, []).append(point)
-    return {name: tuple(_without_repeats(points)) for name, points in by_name.items()}
-
-
-def _without_repeats(points: Sequence[EntryPoint]) -> Iterable[EntryPoint]:
-    """Return each entry point once; a package listed twice on the path, e.g. also in its own source folder, repeats."""
-    if len(points) == 1:
-        return points  # without reading the metadata that names its package
-    return {(_owner(point), point.value): point for point in points}.values()
-
-
-@functools.cache
-def _object_of(point: EntryPoint) -> Any:
-    try:
-        return point.load()
-    except Exception as error:  # Foreign packages may raise any error when imported.
-        place = f"the entry point {point.group}:{point.name}"
-        message = f"{_owner(point)}: {place} cannot be loaded: {error}"
-        warnings.warn(message, ExtensionWarning, stacklevel=2)
-        return None
+    return by_name
 
 
 def _owner(point: EntryPoint) -> str:

@@ -70,16 +70,15 @@ def temporary_folder(name: str) -> Iterator[Path]:
 def sweep(folder: Path, prefix: str) -> None:
     """Remove this user's folders left by killed processes."""
     try:
-        names = [name for name in os.listdir(folder) if name.startswith(prefix)]
+        paths = [folder / name for name in os.listdir(folder) if name.startswith(prefix)]
     except OSError:  # The folder may be writable but not readable.
         return
-    for path in (folder / name for name in names):
-        if not is_own(path, stat.S_ISDIR):
-            continue
-        lock = lock_file(path / LOCK)  # A folder without a lock file is under construction.
-        if lock is not None:
-            os.close(lock)
-            remove(path)
+    for path in paths:
+        with suppress(OSError):  # removed meanwhile
+            # A folder without a lock file is under construction.
+            if _is_own(os.lstat(path), stat.S_ISDIR) and (lock := lock_file(path / LOCK)) is not None:
+                os.close(lock)
+                remove(path)
 
 
 def remove(folder: Path) -> None:
@@ -89,14 +88,6 @@ def remove(folder: Path) -> None:
         if not folder.exists():
             return
         time.sleep(PAUSE)
-
-
-def is_own(path: Path, of_kind: Callable[[int], bool]) -> bool:
-    """Return whether a path belongs to this user, has the expected kind, and is no symbolic link."""
-    try:
-        return _is_own(os.lstat(path), of_kind)
-    except OSError:
-        return False
 
 
 def lock_file(path: Path, *, create: bool = False) -> int | None:
@@ -115,22 +106,17 @@ def lock_file(path: Path, *, create: bool = False) -> int | None:
         return None
     with suppress(OSError):
         if _is_own(os.fstat(lock), stat.S_ISREG):
-            lock_descriptor(lock)
+            if sys.platform == "win32":
+                import msvcrt
+
+                msvcrt.locking(lock, msvcrt.LK_NBLCK, 1)
+            else:
+                import fcntl
+
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             return lock
     os.close(lock)
     return None
-
-
-def lock_descriptor(descriptor: int) -> None:
-    """Lock an open file; raise OSError if locked elsewhere or not lockable."""
-    if sys.platform == "win32":
-        import msvcrt
-
-        msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
-    else:
-        import fcntl
-
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def _is_own(status: os.stat_result, of_kind: Callable[[int], bool]) -> bool:

@@ -42,10 +42,8 @@ def of_python(value: Any) -> Any:
     if type(value) is int and not -(2**63) <= value < 2**64:
         raise ValueError("give a whole number of 64 bits")
     if isinstance(value, (str, os.PathLike)) and isinstance(text := os.fspath(value), str):
-        if "\0" in text:
-            raise ValueError("it holds a NUL character; leave it out")
-        if any("\ud800" <= c <= "\udfff" for c in text):
-            raise ValueError("it contains half a character (one half of a surrogate pair); write the whole character")
+        if re.search("[\0\ud800-\udfff]", text):
+            raise ValueError("it holds a NUL character or half a surrogate pair; write whole characters")
         return str.__str__(value) if isinstance(value, str) else Path(text)
     return [*map(of_python, value)] if type(value) in (list, tuple) and len(value) < LONGEST_PATH else value
 
@@ -54,10 +52,9 @@ def plain(value: Any, depth: int = 0) -> Any:
     """Return a value as JSON types; raise ValueError if impossible."""
     if depth > DEEPEST:
         raise ValueError(f"it is nested more than {DEEPEST} levels deep; write it flatter")
+    if not isinstance(value, (list, tuple)):
+        value = of_python(value)
     if isinstance(value, (list, tuple)):
-        return [plain(each, depth + 1) for each in value]
-    value = of_python(value)
-    if isinstance(value, list):  # an array of numpy
         return [plain(each, depth + 1) for each in value]
     if isinstance(value, Mapping):
         if wrong := [key for key in value if not isinstance(key, str)]:
@@ -70,11 +67,9 @@ def plain(value: Any, depth: int = 0) -> Any:
 
 
 def _seconds(value: Any) -> Any:
-    if not isinstance(value, str):
-        return value
-    if not has_unit(value):
+    if isinstance(value, str) and not has_unit(value):
         raise ValueError(allowed_quantity("s"))
-    return read_quantity(value, "s")
+    return read_quantity(value, "s") if isinstance(value, str) else value
 
 
 def _file(value: Any) -> Any:
@@ -88,9 +83,7 @@ def _file(value: Any) -> Any:
 
 
 def _listed(value: Any) -> Any:
-    if isinstance(value, (set, frozenset)):
-        return sorted(value)
-    return (value,) if isinstance(value, str) else value
+    return sorted(value) if isinstance(value, (set, frozenset)) else (value,) if isinstance(value, str) else value
 
 
 @dataclass(frozen=True)
@@ -190,5 +183,5 @@ def _represent(value: Any) -> str:
         text = repr(value)
     except (ValueError, RecursionError):  # a number of thousands of digits, or a mapping that contains itself
         return f"a {type(value).__name__} too large to show"
-    text = text.encode("ascii", "backslashreplace").decode() if any("\ud800" <= c <= "\udfff" for c in text) else text
+    text = text.encode("utf-8", "backslashreplace").decode()
     return text if len(text) <= SHOWN else f"{text[: SHOWN - 1]}…"

@@ -93,12 +93,9 @@ def join_names(names: Sequence[str]) -> str:
 def split_assignment(text: str, names: Container[str]) -> tuple[str, str, str]:
     """Return name, equals sign and value of `name=value`; a known name may have equals signs itself."""
     pieces = text.split("=")
-    for count in range(len(pieces), 0, -1):
-        name = "=".join(pieces[:count]).strip()
-        if name in names:
-            return name, "=" * (count < len(pieces)), "=".join(pieces[count:]).strip()
-    name, sign, value = text.partition("=")
-    return name.strip(), sign, value.strip()
+    known = (k for k in range(len(pieces), 0, -1) if "=".join(pieces[:k]).strip() in names)
+    count = next(known, 1)
+    return "=".join(pieces[:count]).strip(), "=" * (count < len(pieces)), "=".join(pieces[count:]).strip()
 
 
 def split_sentence(text: str) -> tuple[str, str]:

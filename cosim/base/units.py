@@ -9,12 +9,6 @@ from types import MappingProxyType
 from typing import NamedTuple
 from xml.etree.ElementTree import Element, SubElement
 
-UNKNOWN_UNIT_TAKEN = 'has no unit in {owner}, and "{unit}" is no unit known here: its numbers are taken as they are'
-AMBIGUOUS_UNIT_TAKEN = (
-    'has no unit in {owner}, and "{unit}" may be gram or standard gravity: its numbers are taken as they are; '
-    "write kg, or m/s2"
-)
-
 SI = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 
 
@@ -31,57 +25,34 @@ class Unit(NamedTuple):
         return self.factor == 1.0 and self.offset == 0.0
 
 
-def _sizes(exponents: Mapping[str, int], factors: Mapping[str, float]) -> dict[str, Unit]:
-    """Return the units of a dimension by symbol."""
-    return {symbol: Unit(exponents, factor) for symbol, factor in factors.items()}
-
-
-def _with_prefixes(symbol: str, prefixes: str, exponents: Mapping[str, int]) -> dict[str, Unit]:
-    """Return a symbol's unit, alone and with each prefix."""
-    sizes = {"n": 1e-9, "u": 1e-6, "µ": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6}
-    return {symbol: Unit(exponents)} | {p + symbol: Unit(exponents, sizes[p]) for p in prefixes}
-
-
-ZERO_CELSIUS = 273.15  # [K]
-ZERO_FAHRENHEIT = 459.67 * 5.0 / 9.0  # [K]
-LENGTH, TIME, MASS, ANGLE = {"m": 1}, {"s": 1}, {"kg": 1}, {"rad": 1}
-FORCE = {"kg": 1, "m": 1, "s": -2}
-PRESSURE = {"kg": 1, "m": -1, "s": -2}
-VOLTAGE = {"kg": 1, "m": 2, "s": -3, "A": -1}
-RESISTANCE = {"kg": 1, "m": 2, "s": -3, "A": -2}
-
-# Within a dimension, messages offer the units in this order.
-SYMBOLS: dict[str, Unit] = {
-    "1": Unit({}),
-    "%": Unit({}, 0.01),
-    **_sizes(LENGTH, {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "km": 1e3, "um": 1e-6, "µm": 1e-6, "in": 0.0254}),
-    **_sizes(TIME, {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}),
-    **_sizes(MASS, {"kg": 1.0, "g": 1e-3, "mg": 1e-6, "t": 1e3}),
-    **_sizes(ANGLE, {"deg": math.pi / 180.0, "°": math.pi / 180.0, "rad": 1.0, "mrad": 1e-3, "rev": 2.0 * math.pi}),
-    "rpm": Unit({"rad": 1, "s": -1}, math.pi / 30.0),
-    **_with_prefixes("Hz", "kM", {"s": -1}),
-    **_sizes(FORCE, {"N": 1.0, "mN": 1e-3, "kN": 1e3, "gf": 0.00980665, "kgf": 9.80665}),
-    **_with_prefixes("Pa", "kM", PRESSURE),
-    **_sizes(PRESSURE, {"bar": 1e5, "mbar": 1e2, "hPa": 1e2}),
-    **_with_prefixes("J", "mkM", {"kg": 1, "m": 2, "s": -2}),
-    **_with_prefixes("W", "mkM", {"kg": 1, "m": 2, "s": -3}),
-    **_with_prefixes("A", "uµmk", {"A": 1}),
-    **_with_prefixes("C", "uµm", {"A": 1, "s": 1}),
-    **_with_prefixes("V", "uµmk", VOLTAGE),
-    **_with_prefixes("ohm", "mkM", RESISTANCE),
-    **_with_prefixes("Ω", "mkM", RESISTANCE),
-    **_with_prefixes("S", "m", {"kg": -1, "m": -2, "s": 3, "A": 2}),
-    **_with_prefixes("H", "uµm", {"kg": 1, "m": 2, "s": -2, "A": -2}),
-    **_with_prefixes("F", "nuµm", {"kg": -1, "m": -2, "s": 4, "A": 2}),
-    **_with_prefixes("Wb", "m", {"kg": 1, "m": 2, "s": -2, "A": -1}),
-    **_with_prefixes("T", "m", {"kg": 1, "s": -2, "A": -1}),
-    **_with_prefixes("K", "m", {"K": 1}),
-    **{symbol: Unit({"K": 1}, 1.0, ZERO_CELSIUS) for symbol in ("degC", "°C")},
-    **{symbol: Unit({"K": 1}, 5.0 / 9.0, ZERO_FAHRENHEIT) for symbol in ("degF", "°F")},
-    **_with_prefixes("mol", "m", {"mol": 1}),
-    "cd": Unit({"cd": 1}),
-    **_sizes({"m": 3}, {"l": 1e-3, "L": 1e-3, "ml": 1e-6, "mL": 1e-6}),
-}
+# A line for each dimension in SI base units: symbols with their factors, and offsets of temperatures. Within a
+# dimension, messages offer the units in this order; a symbol without a factor is the SI unit.
+TABLE = """
+1: 1 %=0.01
+m: m mm=1e-3 cm=1e-2 km=1e3 um=1e-6 µm=1e-6 in=0.0254
+s: s ms=1e-3 us=1e-6 µs=1e-6 ns=1e-9 min=60 h=3600
+kg: kg g=1e-3 mg=1e-6 t=1e3
+rad: deg=0.017453292519943295 °=0.017453292519943295 rad mrad=1e-3 rev=6.283185307179586
+rad/s: rpm=0.10471975511965977
+1/s: Hz kHz=1e3 MHz=1e6
+kg.m/s2: N mN=1e-3 kN=1e3 gf=0.00980665 kgf=9.80665
+kg/m/s2: Pa kPa=1e3 MPa=1e6 bar=1e5 mbar=1e2 hPa=1e2
+kg.m2/s2: J mJ=1e-3 kJ=1e3 MJ=1e6
+kg.m2/s3: W mW=1e-3 kW=1e3 MW=1e6
+A: A uA=1e-6 µA=1e-6 mA=1e-3 kA=1e3
+A.s: C uC=1e-6 µC=1e-6 mC=1e-3
+kg.m2/s3/A: V uV=1e-6 µV=1e-6 mV=1e-3 kV=1e3
+kg.m2/s3/A2: ohm mohm=1e-3 kohm=1e3 Mohm=1e6 Ω mΩ=1e-3 kΩ=1e3 MΩ=1e6
+s3.A2/kg/m2: S mS=1e-3
+kg.m2/s2/A2: H uH=1e-6 µH=1e-6 mH=1e-3
+s4.A2/kg/m2: F nF=1e-9 uF=1e-6 µF=1e-6 mF=1e-3
+kg.m2/s2/A: Wb mWb=1e-3
+kg/s2/A: T mT=1e-3
+K: K mK=1e-3 degC=1+273.15 °C=1+273.15 degF=0.5555555555555556+255.3722222222222 °F=0.5555555555555556+255.3722222222222
+mol: mol mmol=1e-3
+cd: cd
+m3: l=1e-3 L=1e-3 ml=1e-6 mL=1e-6
+"""
 # Alternative characters of symbols: superscripts, and lookalikes of the signs for ohm, micro and degrees.
 ONE_WAY = str.maketrans(
     dict(zip("⁰¹²³⁴⁵⁶⁷⁸⁹⁻\u2126\u03bc", "0123456789-\u03a9\u00b5", strict=True)) | {"℃": "°C", "℉": "°F"}
@@ -91,24 +62,51 @@ NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 # A unit that begins with a digit (1/min) needs a blank before it.
 QUANTITY = re.compile(rf"({NUMBER})(?:\s*(?=[^\s\d.])|\s+)(\S.*)")
 NO_DEFINITIONS: Mapping[str, Sequence[float]] = MappingProxyType({})
+AMBIGUOUS = "may be gram or standard gravity", "; write kg, or m/s2"  # of g
 STANDARD_GRAVITY = 9.80665  # [m/s²]
 # Displayed units: unit → display unit, and display value per value.
 DEGREE = 180.0 / math.pi
 DISPLAY = {"rad": ("deg", DEGREE), "rad/s": ("deg/s", DEGREE)}
 
 
+def _words(text: str) -> list[tuple[str, int]] | None:
+    """Return the symbols of a unit and their powers, or None if it is not a unit's text."""
+    words = []
+    for place, part in enumerate(text.translate(ONE_WAY).split("/")):
+        for word in re.split(r"[.·*\s]+", part.strip()):
+            if (token := TOKEN.fullmatch(word)) is None:
+                return None
+            power = int(token[2] or 1)
+            words.append((token[1], power if place == 0 else -power))
+    return words
+
+
+def _symbols() -> dict[str, Unit]:
+    symbols: dict[str, Unit] = {}
+    for line in TABLE.strip().splitlines():
+        dimension, _, units = line.partition(": ")
+        exponents = {name: power for name, power in _words(dimension) or () if name != "1"}
+        for text in units.split():
+            symbol, _, size = text.partition("=")
+            factor, _, offset = size.partition("+")
+            symbols[symbol] = Unit(exponents, float(factor or 1.0), float(offset or 0.0))
+    return symbols
+
+
+SYMBOLS = _symbols()
+
+
 def parse(text: str) -> Unit | None:
     """Return the unit of a text, if known. Accepted forms: `m/s2`, `m/s^2`, `m·s⁻²`, `deg/s`, `N.m.s/rad`."""
     words = _words(text)
-    if words is None:
+    if words is None or any(symbol not in SYMBOLS for symbol, _ in words):
         return None
     if len(words) == 1 and words[0][1] == 1:
         return SYMBOLS[words[0][0]]  # Within a compound unit like W/degC, a temperature is a difference.
     size, exponents = 1.0, dict[str, int]()
     for symbol, power in words:
-        unit = SYMBOLS[symbol]
-        size *= unit.factor**power
-        for name, count in unit.exponents.items():
+        size *= SYMBOLS[symbol].factor ** power
+        for name, count in SYMBOLS[symbol].exponents.items():
             exponents[name] = exponents.get(name, 0) + power * count
     return Unit({name: count for name, count in exponents.items() if count}, size)
 
@@ -124,19 +122,6 @@ def is_as_known(text: str, definition: Sequence[float]) -> bool:
     known, rad = definition_of(text), SI.index("rad")
     pairs = () if known is None else zip(known, definition, strict=True)
     return known is not None and all(k == rad or math.isclose(x, y, rel_tol=1e-9) for k, (x, y) in enumerate(pairs))
-
-
-def _words(text: str) -> list[tuple[str, int]] | None:
-    """Return the symbols of a unit and their powers, or None if a symbol is unknown."""
-    words = []
-    for place, part in enumerate(text.translate(ONE_WAY).split("/")):
-        sign = 1 if place == 0 else -1
-        for word in re.split(r"[.·*\s]+", part.strip()):
-            token = TOKEN.fullmatch(word)
-            if token is None or token[1] not in SYMBOLS:
-                return None
-            words.append((token[1], sign * int(token[2] or 1)))
-    return words
 
 
 class Conversion(NamedTuple):
@@ -251,8 +236,9 @@ def assume_si(written: str, of: str = "the model", cure: str = "leave the unit o
     """
     unit = parse(written)
     if unit is None or written == "g":
-        template = UNKNOWN_UNIT_TAKEN if unit is None else AMBIGUOUS_UNIT_TAKEN
-        return UnitAssumption(written, 1.0, template.format(owner=of, unit=written))
+        meaning, cure = ("is no unit known here", "") if unit is None else AMBIGUOUS
+        taken = f'has no unit in {of}, and "{written}" {meaning}: its numbers are taken as they are{cure}'
+        return UnitAssumption(written, 1.0, taken)
     if unit.is_coherent:
         return UnitAssumption(written)
     wanted = coherent(written)
@@ -264,23 +250,26 @@ def assume_si(written: str, of: str = "the model", cure: str = "leave the unit o
 
 def coherent(written: str) -> str:
     """Return the SI unit of the same dimension. For example rad/s for rpm, V for mV, m3/s for l/min."""
-    powers: dict[str, int] = {}
+    si: dict[str, int] = {}
     for symbol, power in _words(written) or ():
         unit = SYMBOLS[symbol]
-        same = symbol if unit.is_coherent else _symbol_of(unit.exponents)
+        of_dimension = (s for s, u in SYMBOLS.items() if u.is_coherent and u.exponents == unit.exponents)
+        same = symbol if unit.is_coherent else next(of_dimension, None)
         for name, count in {same: 1}.items() if same else unit.exponents.items():
-            powers[name] = powers.get(name, 0) + power * count
-    return _unit_text(powers)
+            si[name] = si.get(name, 0) + power * count
+    return _unit_text(si) or "1"
 
 
 def _unit_text(powers: Mapping[str, int]) -> str:
-    """Return the text of symbols with powers."""
-    above, below = ([_power(n, abs(p)) for n, p in powers.items() if n != "1" and p * s > 0] for s in (1, -1))
-    return ".".join(above or ["1"]) + "".join(f"/{name}" for name in below)
-
-
-def _power(name: str, power: int) -> str:
-    return name if power == 1 else f"{name}{power}"
+    """Return the text of symbols with powers, "" without any."""
+    above, below = list[str](), ""
+    for name, power in powers.items():
+        text = name if abs(power) == 1 else f"{name}{abs(power)}"
+        if name != "1" and power > 0:
+            above.append(text)
+        elif name != "1" and power < 0:
+            below += f"/{text}"
+    return (".".join(above) or "1" * bool(below)) + below
 
 
 def square_unit(unit: str) -> str:
@@ -295,20 +284,14 @@ def unit_of_rate(unit: str) -> str:
 
 def unit_product(factors: Iterable[tuple[str, int]]) -> str:
     """Return a product of powers of units, "" without dimension or with an unknown unit: `N.s/m` for N over m/s."""
-    powers: dict[str, int] = {}
+    product: dict[str, int] = {}
     for unit, times in factors:
-        words = [] if unit in ("", "1") else _words(unit)
+        words = _words(unit or "1")
         if words is None or any(symbol not in SYMBOLS for symbol, _ in words):
             return ""
         for symbol, power in words:
-            powers[symbol] = powers.get(symbol, 0) + times * power
-    powers = {symbol: power for symbol, power in powers.items() if power}
-    return _unit_text(powers) if powers else ""
-
-
-def _symbol_of(exponents: Mapping[str, int]) -> str:
-    """Return the SI symbol of a dimension, "" without one."""
-    return next((s for s, u in SYMBOLS.items() if u.is_coherent and u.exponents == exponents), "")
+            product[symbol] = product.get(symbol, 0) + times * power
+    return _unit_text(product)
 
 
 def computed_in(displayed: str) -> tuple[str, float]:

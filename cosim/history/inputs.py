@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -31,10 +31,22 @@ class DifferingInput:
 
 def input_leaves(record: Mapping[str, Any]) -> dict[str, Any]:
     """Return path → value of the inputs in a command's record: scenario, files and settings."""
-    scenario, leaves = record.get("scenario"), dict[str, Any]()
+    scenario = record.get("scenario")
     tree = {**(scenario if isinstance(scenario, dict) else {}), **{key: record[key] for key in OWN if key in record}}
-    _add_leaves(tree, "", leaves)
-    return leaves
+    return dict(_leaves(tree, ""))
+
+
+def _leaves(value: Any, place: str) -> Iterator[tuple[str, Any]]:
+    """Yield each scalar and each list of scalars in a nested value with its path."""
+    if isinstance(value, dict):
+        for key, each in value.items():
+            if isinstance(each, (dict, list)) or key not in UNCHANGED:
+                yield from _leaves(each, f"{place}.{key}" if place else key)
+    elif isinstance(value, list) and any(isinstance(each, (dict, list)) for each in value):
+        for number, each in enumerate(value):
+            yield from _leaves(each, f"{place}[{number}]")
+    else:
+        yield place, value
 
 
 def changes_between(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, Any]:
@@ -48,7 +60,24 @@ def differing_inputs(records: Sequence[Mapping[str, Any]]) -> list[DifferingInpu
 
     Runs without a record, for example tables of other tools, have no inputs and are not compared.
     """
-    inputs = [_inputs(record) for record in records]
+    inputs: list[dict[tuple[str, str], Any]] = []
+    for record in records:
+        found: dict[tuple[str, str], Any] = {}
+        for path, value in input_leaves(record).items():
+            parts = path.split(".")
+            kind = {"seed": SEED, "fmu": FMU, "start": PARAMETER}.get(parts[0], SCENARIO)
+            if parts[0] == "components":
+                kind = PARAMETER if parts[2:3] == ["start"] else FMU if parts[2:3] == ["fmu"] else SCENARIO
+            found[kind, short_input(path)] = value
+        fmus, versions, git = (
+            each if isinstance(each := record.get(k), dict) else {} for k in ("fmus", "versions", "git")
+        )
+        for name, fmu in fmus.items():
+            found[FMU, f"{name}.sha256"] = str(fmu.get("sha256", "") if isinstance(fmu, dict) else "")[:DIGITS]
+        versions = {"cosim": record.get("cosim_version"), **versions, "cosim revision": git.get("revision")}
+        if found:
+            found |= {(VERSION, name): text for name, text in versions.items() if text is not None}
+        inputs.append(found)
     recorded = [each for each in inputs if each]
     names = dict.fromkeys(name for each in recorded for name in each)
     differing = [name for name in names if any(each.get(name) != recorded[0].get(name) for each in recorded)]
@@ -76,7 +105,12 @@ def labels_of(
     for k, name in enumerate(names):
         chosen = [row for row in listed if baseline in {None, k} or row.values[k] != row.values[baseline]]
         rows = [row for row in chosen if row.values[k] is not None][:MOST_IN_LABEL]
-        texts = [f"{row.name} = {_short_value(row.values[k])}" for row in rows]
+        values = [input_text(row.values[k]) for row in rows]
+        shorts = [v.rpartition("/")[2] if v.startswith("/") else v for v in values]  # files without their folders
+        texts = [
+            f"{row.name} = {v if len(v) <= LONGEST else f'{v[: LONGEST - 1]}…'}"
+            for row, v in zip(rows, shorts, strict=True)
+        ]
         labels.append(f"{name} ({', '.join(texts)})" if texts else (longer or names)[k])
     return [f"{t}, {u}" if labels.count(t) > 1 else t for t, u in zip(labels, unique, strict=True)]
 
@@ -91,48 +125,3 @@ def input_text(value: Any) -> str:
     if value is None:
         return "–"
     return f"{value:.6g}" if isinstance(value, float) else str(value)
-
-
-def _short_value(value: Any) -> str:
-    text = input_text(value)
-    name = text.rpartition("/")[2] if text.startswith("/") else text
-    return name if len(name) <= LONGEST else f"{name[: LONGEST - 1]}…"
-
-
-def _inputs(record: Mapping[str, Any]) -> dict[tuple[str, str], Any]:
-    """Return (kind, name) → value of all inputs in a record."""
-    inputs = {(_kind_of(path), short_input(path)): value for path, value in input_leaves(record).items()}
-    for name, fmu in _mapping(record.get("fmus")).items():
-        inputs[FMU, f"{name}.sha256"] = str(_mapping(fmu).get("sha256", ""))[:DIGITS]
-    if not inputs:
-        return {}
-    versions = {"cosim": record.get("cosim_version"), **_mapping(record.get("versions"))}
-    versions["cosim revision"] = _mapping(record.get("git")).get("revision")
-    return inputs | {(VERSION, name): text for name, text in versions.items() if text is not None}
-
-
-def _kind_of(path: str) -> str:
-    parts = path.split(".")
-    if parts[0] != "components":
-        return {"seed": SEED, "fmu": FMU, "start": PARAMETER}.get(parts[0], SCENARIO)
-    return PARAMETER if "start" in parts[2:3] else FMU if parts[2:3] == ["fmu"] else SCENARIO
-
-
-def _mapping(value: Any) -> Mapping[str, Any]:
-    return value if isinstance(value, dict) else {}
-
-
-def _add_leaves(value: Any, place: str, leaves: dict[str, Any]) -> None:
-    """Add each scalar and each list of scalars in a nested value under its path."""
-    if isinstance(value, dict):
-        start = f"{place}." if place else ""
-        for key, each in value.items():
-            if isinstance(each, (dict, list)):
-                _add_leaves(each, f"{start}{key}", leaves)
-            elif key not in UNCHANGED:
-                leaves[f"{start}{key}"] = each
-    elif isinstance(value, list) and any(isinstance(each, (dict, list)) for each in value):
-        for number, each in enumerate(value):
-            _add_leaves(each, f"{place}[{number}]", leaves)
-    else:
-        leaves[place] = value

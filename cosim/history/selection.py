@@ -37,9 +37,8 @@ class Selected:
     @property
     def short(self) -> str:
         """Return a short name: `run 3`, or the name of the path."""
-        if self.entry is not None:
-            return self.entry.short
-        return run_name(self.path) if self.path.is_dir() else self.path.stem
+        own = run_name(self.path) if self.path.is_dir() else self.path.stem
+        return own if self.entry is None else self.entry.short
 
     @property
     def longer(self) -> str:
@@ -66,13 +65,16 @@ def select_results(texts: Sequence[str], results: Path | None = None) -> list[Se
 def select_groups(texts: Sequence[str], results: Path | None = None) -> list[list[Selected]]:
     """Return the results of each text; see `select_results`."""
     root = RESULTS if results is None else results
-    every = entries(root) if any(_may_be_entry(text, root) for text in texts) else []
+    inside = root.resolve() if root.is_dir() else None
+    is_entry = (not Path(text).is_file() or inside in Path(text).resolve().parents for text in texts)
+    every = entries(root) if any(is_entry) else []
     by_folder = {entry.folder.resolve(): entry for entry in every}
     faults: list[Fault] = []
     groups: list[list[Selected]] = []
     there: set[Path] = set()
     for text in texts:
         path = newest_run(Path(text))
+        group: list[Selected] = []
         if path.exists() and (not path.is_dir() or has_results(path)):
             group = [Selected(path, by_folder.get(path.resolve()))]
         elif matches := match_entries(text, every, root):
@@ -82,7 +84,6 @@ def select_groups(texts: Sequence[str], results: Path | None = None) -> list[lis
         elif path.exists():
             group = [Selected(path)]
         else:
-            group = []
             faults.append(Fault(path, 0, 0, _no_match(text, every, root)))
         there |= {selected.path.resolve() for selected in group}
         groups.append(group)
@@ -125,16 +126,6 @@ def match_entries(text: str, every: Sequence[Entry], root: Path = RESULTS) -> li
     return exact or [e for e in every if fnmatch.fnmatchcase(e.name, name)]
 
 
-def is_pattern(text: str) -> bool:
-    """Return whether a text is a pattern."""
-    return any(character in text for character in PATTERN)
-
-
-def _may_be_entry(text: str, root: Path) -> bool:
-    path = Path(text)
-    return not path.is_file() or (root.is_dir() and root.resolve() in path.resolve().parents)
-
-
 def _no_match(text: str, every: Sequence[Entry], root: Path) -> str:
     """Return the message about a text that names no results."""
     if text.isdecimal() and every:
@@ -142,9 +133,10 @@ def _no_match(text: str, every: Sequence[Entry], root: Path) -> str:
         if (name := known.get(int(text))) is not None:
             return f"the results with the number {text}, {name}, were removed; `cosim list` shows all"
         return f"no results with the number {text}; `cosim list` shows the numbers, up to {max(known, default=0)}"
-    if not every and (is_pattern(text) or text.isdecimal()):
+    is_pattern = any(character in text for character in PATTERN)
+    if not every and (is_pattern or text.isdecimal()):
         return "no results here; run a command without --out first, or name their folder as --results"
-    if is_pattern(text):
+    if is_pattern:
         return "no results match; `cosim list` shows all"
     hint = did_you_mean(text, [name for entry in every for name in (entry.of, entry.name)])
     return (

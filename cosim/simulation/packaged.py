@@ -15,12 +15,8 @@ from cosim.base.errors import Fault, InputError
 from cosim.base.scratch import temporary_folder
 from cosim.blocks.coupling import Jacobi
 from cosim.scenario.scenario_file import ROUNDING, SYSTEM, ScenarioFile
-from cosim.ssp.elements import Element
-from cosim.ssp.flatten import read
-from cosim.ssp.levels import Flat
-from cosim.ssp.read import Reader
-from cosim.ssp.ssp_package import open_package
-from cosim.ssp.structure import SspStructure
+from cosim.ssp.package import Element, open_package
+from cosim.ssp.read import SspSystem, read
 from cosim.storage.files import check_writable, write_json
 from cosim.storage.folders import remove_earlier
 from cosim.storage.kinds import SSP, kind_by_form
@@ -46,18 +42,17 @@ def lay_out(path: Path, folder: Path, overrides: Sequence[str] = ()) -> tuple[Sc
         The scenario file and warnings.
     """
     with open_package(path) as package, temporary_folder("ssp") as scratch:
-        reader = Reader(package)
-        structure, flat = read(reader)
+        system = read(package)
         files: dict[str, Path] = {}  # by unique names
-        for fmu in dict.fromkeys(part.component.fmu for part in flat.parts):
+        for fmu in dict.fromkeys(part.fmu for part in system.parts):
             name, number = fmu.name, 2
             while name in files:
                 name, number = f"{fmu.stem}_{number}{fmu.suffix}", number + 1
             files[name] = fmu
         slips = list(dict.fromkeys(package.slips))
-        warnings = [*map(str, slips), *reader.warnings]
+        warnings = [*map(str, slips), *system.warnings]
         keys = frozenset(override.partition("=")[0].strip() for override in overrides)
-        scenario, places = _scenario(structure, flat, files, (warnings, keys))
+        scenario, places = _scenario(system, files, warnings, keys)
 
         def fault(location: Location, message: str, exit_code: int = 2) -> Fault:
             """Return the fault of a part at its element of the SSP."""
@@ -70,14 +65,14 @@ def lay_out(path: Path, folder: Path, overrides: Sequence[str] = ()) -> tuple[Sc
         trial = scratch / SCENARIO
         named = {name: {**c, "fmu": str(files[c["fmu"]])} for name, c in scenario["components"].items()}
         trial.write_text(json.dumps({**scenario, "components": named}), encoding="utf-8")
-        faults = list(reader.faults)
+        faults = list(system.faults)
         if named:
             try:
                 build_system(ScenarioFile(trial, overrides, fault))
             except InputError as error:
                 faults += error.faults
         elif not faults:
-            faults.append(structure.system.element.fault("it has no FMU, so there is nothing to run"))
+            faults.append(system.element.fault("it has no FMU, so there is nothing to run"))
         if faults:
             faults += slips  # Slips may explain the faults.
             if package.packed:  # its temporary folder
@@ -96,36 +91,33 @@ def lay_out(path: Path, folder: Path, overrides: Sequence[str] = ()) -> tuple[Sc
 
 
 def _scenario(
-    structure: SspStructure,
-    flat: Flat,
-    files: dict[str, Path],
-    notes: tuple[list[str], frozenset[str]],
+    system: SspSystem, files: dict[str, Path], warnings: list[str], overrides: Set[str]
 ) -> tuple[dict[str, Any], dict[Location, Element]]:
     """Return the scenario and the places of its parts."""
     places: dict[Location, Element] = {}
     name_of = {path: name for name, path in files.items()}
     components: dict[str, Any] = {}
-    for part in flat.parts:
-        entry: dict[str, Any] = {"fmu": name_of[part.component.fmu]}
-        if part.component.interface is not None:
-            entry["interface"] = part.component.interface
+    for part in system.parts:
+        entry: dict[str, Any] = {"fmu": name_of[part.fmu]}
+        if part.interface is not None:
+            entry["interface"] = part.interface
         if part.start:
             entry["start"] = {variable: value for variable, (value, _) in part.start.items()}
         components[part.name] = entry
-        places[("components", part.name)] = part.component.element
+        places[("components", part.name)] = part.element
         for variable, (_, element) in part.start.items():
             places[("components", part.name, "start", variable)] = element
     connections = []
-    for k, link in enumerate(flat.links):
+    for k, link in enumerate(system.links):
         linear = {} if link.linear is None else {"factor": link.linear.factor, "offset": link.linear.offset}
         connections.append({"from": link.source, "to": link.target, **linear})
         places[("connections", k)] = link.element
-    start, duration, step = _times(structure, flat, *notes)
+    start, duration, step = _times(system, warnings, overrides)
     for key in ("start_time", "duration", "step"):
-        places[(key,)] = structure.experiment
+        places[(key,)] = system.experiment
     scenario = {
-        "name": structure.name,
-        "description": structure.description,
+        "name": system.name,
+        "description": system.description,
         "start_time": start,
         "duration": duration,
         "step": step,
@@ -136,17 +128,17 @@ def _scenario(
     return scenario, places
 
 
-def _times(structure: SspStructure, flat: Flat, warnings: list[str], overrides: Set[str]) -> tuple[float, float, float]:
+def _times(system: SspSystem, warnings: list[str], overrides: Set[str]) -> tuple[float, float, float]:
     """Return start, duration and communication step [s].
 
     Defaulted values add a warning, unless `overrides` contains their key.
     """
 
     def read_positive(name: str) -> list[float]:
-        texts = (getattr(part.description.defaultExperiment, name, None) for part in flat.parts)
+        texts = (getattr(part.description.defaultExperiment, name, None) for part in system.parts)
         return [value for text in texts if text is not None and (value := float(text)) > 0.0]
 
-    start, stop, step = structure.start or 0.0, structure.stop, structure.step
+    start, stop, step = system.start or 0.0, system.stop, system.step
     if stop is None:
         stop = start + max(read_positive("stopTime"), default=STOP)
         if "duration" not in overrides:

@@ -1,156 +1,571 @@
-"""Reading of an SSD (system structure description) with its parameter sets and mappings; all faults have places."""
+"""Reading of an SSD (system structure description): nested systems become FMUs, start values and connections.
+
+A component, or a system within systems, has a place: its name behind the names of the systems around it. An end of a
+connection is a place and the name of a connector there.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from itertools import chain
+import math
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from itertools import chain, count
 from pathlib import Path
+from typing import Any, TypeVar
 
-from cosim.ssp.elements import Element
-from cosim.ssp.parameter_sets import ParameterReader
-from cosim.ssp.structure import Connector, SspComponent, SspConnection, SspStructure, SspSystem
-from cosim.storage.yaml_file import format_value
+from cosim.base.errors import Fault, FmuError, InputError
+from cosim.base.units import SI
+from cosim.blocks.component import Signal
+from cosim.blocks.description import is_difference, read_description, unit_definition, unit_of
+from cosim.ssp.package import Element, Package
+from cosim.storage.yaml_file import MOST_FAULTS, did_you_mean, format_value
 
-SIGNAL_DICTIONARY = "signal dictionaries are not read here; connect outputs to inputs"
+Place = tuple[str, ...]
+End = tuple[Place, str]
+Definition = tuple[float, ...]  # exponents of kg, m, s, A, K, mol, cd, rad, then factor and offset
+Units = Mapping[str, Definition]
+Default = TypeVar("Default", float, None)
 
+VERSIONS = ("1.0", "2.0")
 FMU = "application/x-fmu-sharedlibrary"
-NESTED = "application/x-ssp-definition"
+PARAMETER_SET = "application/x-ssp-parameter-set"
 INTERFACES = {"any": None, "CoSimulation": "co-simulation", "ModelExchange": "model-exchange"}
 STEPS = {"FixedStepAlgorithm": "baseStepSize", "FixedStepMaster": "stepSize"}  # annotations of OSP and of OMSimulator
+SENDERS = {"output", "calculatedParameter"}  # kinds of connectors
+OTHER_TRANSFORMATIONS = (
+    "ssc:BooleanMappingTransformation",
+    "ssc:IntegerMappingTransformation",
+    "ssc:EnumerationMappingTransformation",
+)
+SIGNAL_DICTIONARY = "signal dictionaries are not read here; connect outputs to inputs"
+REALS = ("Real", "Float64", "Float32")
+WHOLE = ("Integer", *(f"{sign}Int{bits}" for sign in ("", "U") for bits in (8, 16, 32, 64)))
+BOOLEANS = {"true": True, "1": True, "false": False, "0": False}
+TYPES = (*REALS, *WHOLE, "Boolean", "String", "Enumeration", "Binary")
 
 
-class Reader(ParameterReader):
-    """Reader of a system description."""
+@dataclass(frozen=True)
+class LinearTransformation:
+    """Transformation factor·value + offset of a connection; `exact` replaces any unit conversion."""
 
-    def structure(self) -> SspStructure | None:
-        """Return the description; None after noting a fault."""
+    factor: float = 1.0
+    offset: float = 0.0
+    exact: bool = False
+
+
+@dataclass(frozen=True)
+class Connector:
+    """A connector: a possible end of a connection. Its `unit` is None if the file states none."""
+
+    kind: str
+    unit: str | None
+    element: Element
+
+
+@dataclass(frozen=True)
+class Connection:
+    """A connection from source to target in the system at the place `within`."""
+
+    start: End
+    end: End
+    linear: LinearTransformation
+    element: Element
+    within: Place
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A named value: a number, true or false, or text."""
+
+    name: str
+    value: Any
+    unit: str | None
+    units: Units
+    element: Element
+    linear: LinearTransformation = LinearTransformation()
+
+
+@dataclass
+class FmuPart:
+    """An FMU of the system: place, name for scenarios, file, FMI interface, and start values with their elements."""
+
+    place: Place
+    name: str
+    fmu: Path
+    interface: str | None
+    element: Element
+    description: Any
+    variables: dict[str, Any]
+    start: dict[str, tuple[Any, Element]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class SignalLink:
+    """A connection between an output and an input, each `name.variable`.
+
+    Attributes:
+        linear: Conversion of the value; None if only units are converted.
+    """
+
+    source: str
+    target: str
+    linear: LinearTransformation | None
+    element: Element
+
+
+@dataclass(frozen=True)
+class SspSystem:
+    """A system without nested systems and without faulty parts; times [s] are None if absent."""
+
+    name: str
+    description: str
+    parts: tuple[FmuPart, ...]
+    links: tuple[SignalLink, ...]
+    start: float | None
+    stop: float | None
+    step: float | None
+    experiment: Element
+    element: Element
+    faults: list[Fault]
+    warnings: list[str]
+
+
+def read(package: Package) -> SspSystem:
+    """Return the system of a package; raise InputError without one."""
+    return _Reader(package).system()
+
+
+class _Reader:
+    def __init__(self, package: Package) -> None:
+        self.package = package
+        self.faults: list[Fault] = []
+        self.warnings: list[str] = []
+        self.units: Units = {}
+        self.systems: dict[Place, tuple[Element, list[str]]] = {}  # with the names of their elements
+        self.parts: dict[Place, FmuPart] = {}
+        self.connectors: dict[End, Connector] = {}
+        self.connections: list[Connection] = []
+        self.into: dict[End, Connection] = {}  # by end; of two sources, a noted fault, the first counts
+        self.bindings: list[tuple[Place, Element]] = []  # holders of parameters, the inner ones first
+
+    def system(self) -> SspSystem:
+        """Return the system."""
         root = self.package.element(self.package.structure)
         if root.tag != "ssd:SystemStructureDescription":
-            self.note(root, "it should be ssd:SystemStructureDescription")
-            return None
-        self._version(root)
-        system = root.first("ssd:System")
+            raise InputError([root.fault("it should be ssd:SystemStructureDescription")])
+        self.check_version(root)
+        system, experiment = root.first("ssd:System"), root.first("ssd:DefaultExperiment")
         if system is None:
-            self.note(root, "it has no ssd:System; add one")
-            return None
-        experiment = root.first("ssd:DefaultExperiment")
-        start, stop = self._times(experiment)
-        return SspStructure(
+            raise InputError([*self.faults, root.fault("it has no ssd:System; add one")])
+        self.units = self.units_in(root, "ssd:Units")
+        self.read_system(system, ())
+        for place, (element, _) in self.systems.items():
+            self.read_connections(element, place)
+        self.set_parameters()
+        start = stop = None
+        if experiment is not None:
+            start, stop = (self.number(experiment, name, None) for name in ("startTime", "stopTime"))
+            if stop is not None and stop <= (start or 0.0):
+                cure = f"startTime {start or 0.0:g} s; give a later stopTime"
+                self.note(experiment, f"stopTime {stop:g} s is not after {cure}")
+                stop = None
+        return SspSystem(
             root.get("name") or "system",
             system.get("description") or root.get("description") or "",
-            self._system(system),
-            self._units(root, "ssd:Units"),
+            tuple(self.parts.values()),
+            tuple(self.links()),
             start,
             stop,
-            self._step(root, system, experiment),
+            self.step([holder for holder in (experiment, system, root) if holder]),
             experiment or root,
+            system,
+            self.faults,
+            self.warnings,
         )
 
-    def _system(self, element: Element) -> SspSystem:
-        elements: dict[str, SspSystem | SspComponent] = {}
-        listed = element.first("ssd:Elements")
-        for child in listed.children if listed else ():
-            if (inner := self._element(child)) is not None:
-                if inner.name in elements:
-                    self.note(child, "another element has this name; rename one of them")
-                elements[inner.name] = inner
-        connections = [self._connection(c) for c in element.all("ssd:Connections", "ssd:Connection")]
-        if (dictionaries := element.first("ssd:SignalDictionaries")) is not None and dictionaries.children:
-            self.note(dictionaries, SIGNAL_DICTIONARY)
-        return SspSystem(
-            element.get("name") or "",
-            self._connectors(element),
-            tuple(self._parameters(element)),
-            elements,
-            tuple(filter(None, connections)),
-            element,
-        )
+    # -- values and messages --------------------------------------------------------------------
 
-    def _element(self, child: Element) -> SspSystem | SspComponent | None:
-        if child.tag == "ssd:SignalDictionaryReference":
-            self.note(child, SIGNAL_DICTIONARY)
-        elif child.tag not in {"ssd:Component", "ssd:System", "ssd:Annotations"}:
-            self.note(child, "is no element of a system; ssd:Component and ssd:System are")
-        elif child.tag != "ssd:Annotations" and not child.get("name"):
-            self.note(child, "it has no name; add one")
-        elif child.tag == "ssd:System":
-            return self._system(child)
-        elif child.tag == "ssd:Component":
-            return self._component(child)
-        return None
+    def note(self, element: Element, message: str) -> None:
+        """Note a fault of an element; raise InputError at the limit of faults."""
+        self.faults.append(element.fault(message))
+        if len(self.faults) >= MOST_FAULTS:
+            raise InputError(self.faults)
 
-    def _component(self, element: Element) -> SspComponent:
-        kind, source = element.get("type") or FMU, element.get("source")
-        fmu: Path | str
-        if kind == NESTED:
-            fmu = f"type {format_value(kind)} is not read here; put its systems into this file"
-        elif kind != FMU:
-            fmu = f"type {format_value(kind)} is not read here; components are {FMU}"
-        else:
-            fmu = (
-                self.package.resolve(source) if source else "it has no source, so there is nothing to run; name its FMU"
-            )
-        if isinstance(fmu, str):
-            self.note(element, fmu)
-            fmu = Path()
-        interface = element.get("implementation") or "any"
-        if interface not in INTERFACES:
-            names = ", ".join(INTERFACES)
-            self.note(element, f"implementation {format_value(interface)} is not run here; {names} are")
-        connectors, parameters = self._connectors(element), tuple(self._parameters(element))
-        name = element.get("name") or ""
-        return SspComponent(name, fmu, INTERFACES.get(interface), connectors, parameters, element)
+    def warn(self, element: Element, message: str) -> None:
+        """Note a warning on an element."""
+        self.warnings.append(str(Fault(element.file, element.line, element.column, message)))
 
-    def _connectors(self, element: Element) -> dict[str, Connector]:
-        connectors: dict[str, Connector] = {}
-        for each in element.all("ssd:Connectors", "ssd:Connector"):
-            name = each.get("name")
-            if not name:
-                self.note(each, "it has no name; add one")
-                continue
-            if name in connectors:
-                self.note(each, "another connector has this name; keep one of them")
-            units = (child.get("unit") for child in each.children if child.tag.startswith("ssc:"))
-            connectors[name] = Connector(name, each.get("kind") or "", next(filter(None, units), None), each)
-        return connectors
+    def check_version(self, root: Element) -> None:
+        """Note an unknown version of SSP."""
+        if (version := root.get("version")) not in VERSIONS:
+            self.note(root, f"version {format_value(version)} is not known here; {' and '.join(VERSIONS)} are")
 
-    def _connection(self, element: Element) -> SspConnection | None:
-        start, end = (element.get(f"{side}Connector") for side in ("start", "end"))
-        if not start or not end:
-            self.note(element, f"it has no {'endConnector' if start else 'startConnector'}; add it")
-            return None
-        # OMSimulator writes an empty name for the system itself.
-        ends = (element.get("startElement") or None, start), (element.get("endElement") or None, end)
-        return SspConnection(*ends, self._linear(element), element)
+    def number(self, element: Element, name: str, default: Default) -> float | Default:
+        """Return the number in an attribute, the default for a missing or faulty number; note the fault."""
+        text = element.get(name)
+        if text is None:
+            return default
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
+            self.note(element, f"{name} {format_value(text)}: it is a finite number")
+            return default
+        return value
 
-    def _step(self, root: Element, system: Element, experiment: Element | None) -> float | None:
-        """Return the communication step of another tool's annotation, if any."""
-        annotations = (holder.first("ssd:Annotations") for holder in (experiment, system, root) if holder)
-        for element in chain.from_iterable(_descendants(each) for each in annotations if each):
+    def linear(self, element: Element) -> LinearTransformation:
+        """Return the transformation of a connection or a mapping."""
+        exact = element.get("suppressUnitConversion") in {"true", "1"}
+        for other in filter(None, map(element.first, OTHER_TRANSFORMATIONS)):
+            self.note(other, "is not run here; ssc:LinearTransformation is, or let the FMU map the value")
+        linear = element.first("ssc:LinearTransformation") or element.first("ssd:LinearTransformation")
+        if linear is None:
+            return LinearTransformation(exact=exact)
+        return LinearTransformation(self.number(linear, "factor", 1.0), self.number(linear, "offset", 0.0), exact)
+
+    def units_in(self, element: Element, tag: str) -> Units:
+        """Return the units in a child of an element."""
+        units: dict[str, Definition] = {}
+        for unit in element.all(tag, "ssc:Unit"):
+            base, name = unit.first("ssc:BaseUnit"), unit.get("name")
+            if name and base is not None:
+                numbers = [self.number(base, n, 1.0 if n == "factor" else 0.0) for n in (*SI, "factor", "offset")]
+                units[name] = tuple(numbers)
+                if numbers[-2] == 0.0:
+                    self.note(base, "factor 0 is that of no unit; give another")
+                    del units[name]
+        return units
+
+    def step(self, holders: Iterable[Element]) -> float | None:
+        """Return the communication step [s] of another tool's annotation, if any."""
+        annotations = filter(None, (holder.first("ssd:Annotations") for holder in holders))
+        for element in chain.from_iterable(each.descendants() for each in annotations):
             attribute = STEPS.get(element.tag.rpartition(":")[2])
             if attribute and element.get(attribute) is not None:
-                step = self._number(element, attribute, None)
+                step = self.number(element, attribute, None)
                 if step is not None and step <= 0.0:
                     self.note(element, f"{attribute} {step:g} s: a communication step is more than 0 s")
                     return None
                 return step
         return None
 
-    def _times(self, experiment: Element | None) -> tuple[float | None, float | None]:
-        """Return the default experiment's start and stop time [s]."""
-        if experiment is None:
-            return None, None
-        start, stop = (self._number(experiment, name, None) for name in ("startTime", "stopTime"))
-        if stop is not None and stop <= (start or 0.0):
+    # -- systems and components -----------------------------------------------------------------
+
+    def read_system(self, element: Element, place: Place) -> None:
+        """Read connectors and elements of a system."""
+        names: list[str] = []
+        self.systems[place] = element, names
+        self.read_connectors(element, place)
+        listed = element.first("ssd:Elements")
+        for child in listed.children if listed else ():
+            name = child.get("name")
+            if child.tag == "ssd:SignalDictionaryReference":
+                self.note(child, SIGNAL_DICTIONARY)
+            elif child.tag not in {"ssd:Component", "ssd:System", "ssd:Annotations"}:
+                self.note(child, "is no element of a system; ssd:Component and ssd:System are")
+            elif child.tag != "ssd:Annotations" and not name:
+                self.note(child, "it has no name; add one")
+            elif name in names:
+                self.note(child, "another element has this name; rename one of them")
+            elif name and child.tag != "ssd:Annotations":
+                names.append(name)
+                read = self.read_system if child.tag == "ssd:System" else self.read_component
+                read(child, (*place, name))
+        if (dictionaries := element.first("ssd:SignalDictionaries")) is not None and dictionaries.children:
+            self.note(dictionaries, SIGNAL_DICTIONARY)
+        self.bindings.append((place, element))
+
+    def read_component(self, element: Element, place: Place) -> None:
+        """Read a component and the description of its FMU."""
+        self.read_connectors(element, place)
+        self.bindings.append((place, element))
+        kind, source, interface = (element.get(name) for name in ("type", "source", "implementation"))
+        if (interface or "any") not in INTERFACES:
+            names = ", ".join(INTERFACES)
+            self.note(element, f"implementation {format_value(interface)} is not run here; {names} are")
+        if (kind or FMU) != FMU:
             self.note(
-                experiment, f"stopTime {stop:g} s is not after startTime {start or 0.0:g} s; give a later stopTime"
+                element,
+                f"type {format_value(kind)} is not read here; components are {FMU}, nested systems lie in this file",
             )
-            return start, None
-        return start, stop
+            return
+        fmu = self.package.resolve(source) if source else "it has no source, so there is nothing to run; name its FMU"
+        if isinstance(fmu, str):
+            self.note(element, fmu)
+            return
+        try:
+            description = read_description(fmu)
+        except FmuError as error:
+            self.faults.append(replace(element.fault(str(error)), exit_code=error.exit_code))
+            return
+        variables = {v.name: v for v in description.modelVariables}
+        name = re.sub(r"[^A-Za-z0-9_]", "_", "_".join(place))
+        name = f"_{name}" if name[:1].isdigit() else name
+        taken = {part.name for part in self.parts.values()}
+        unique = next(n for n in chain([name], (f"{name}_{k}" for k in count(2))) if n not in taken)
+        interface = INTERFACES.get(interface or "any")
+        self.parts[place] = FmuPart(place, unique, fmu, interface, element, description, variables)
+        for (at, connector_name), connector in self.connectors.items():
+            if at == place and connector_name not in variables and connector.kind in {"input", "output", "parameter"}:
+                hint = did_you_mean(connector_name, variables)
+                self.note(connector.element, f"{fmu.name} has no such variable{hint}")
 
+    def read_connectors(self, element: Element, place: Place) -> None:
+        """Read the connectors of a system or component."""
+        for each in element.all("ssd:Connectors", "ssd:Connector"):
+            if not (name := each.get("name")):
+                self.note(each, "it has no name; add one")
+                continue
+            if (place, name) in self.connectors:
+                self.note(each, "another connector has this name; keep one of them")
+            units = (child.get("unit") for child in each.children if child.tag.startswith("ssc:"))
+            self.connectors[place, name] = Connector(each.get("kind") or "", next(filter(None, units), None), each)
 
-def _descendants(element: Element) -> Iterator[Element]:
-    """Yield all nested elements."""
-    for child in element.children:
-        yield child
-        yield from _descendants(child)
+    # -- connections ----------------------------------------------------------------------------
+
+    def read_connections(self, system: Element, place: Place) -> None:
+        """Read the connections of a system, with their ends in the order of the signal."""
+        for element in system.all("ssd:Connections", "ssd:Connection"):
+            ends: list[End] = []
+            for side in ("start", "end"):
+                # OMSimulator writes an empty name for the system itself.
+                owner, connector = element.get(f"{side}Element") or None, element.get(f"{side}Connector")
+                if not connector:
+                    self.note(element, f"it has no {side}Connector; add it")
+                    break
+                ends.append((place if owner is None else (*place, owner), connector))
+                if owner is not None and owner not in self.systems[place][1]:
+                    hint = did_you_mean(owner, self.systems[place][1])
+                    self.note(element, f"{side}Element {format_value(owner)} is not in its system{hint}")
+                elif ends[-1] not in self.connectors:
+                    hint = did_you_mean(connector, [name for at, name in self.connectors if at == ends[-1][0]])
+                    message = f"{owner or 'its system'} has no connector {format_value(connector)}{hint}"
+                    self.note(element, f"{side}Connector: {message}")
+            if len(ends) < 2:
+                continue
+            if self.sends(ends[0], place) is False and self.sends(ends[1], place) is True:
+                ends.reverse()  # The order of the ends in a file has no meaning.
+            connection = Connection(ends[0], ends[1], self.linear(element), element, place)
+            self.connections.append(connection)
+            if (first := self.into.setdefault(connection.end, connection)) is not connection:
+                texts = [".".join((*at[len(place) :], name)) for at, name in (ends[1], first.start, ends[0])]
+                self.note(element, f"two sources for {texts[0]}: {texts[1]} and {texts[2]}; keep one")
+
+    def sends(self, end: End, within: Place) -> bool | None:
+        """Return whether an end is a source within a system; None if its kind does not tell."""
+        connector = self.connectors.get(end)
+        if connector is None or connector.kind not in {*SENDERS, "input", "parameter"}:
+            return None
+        return (connector.kind in SENDERS) != (end[0] == within)
+
+    def links(self) -> Iterator[SignalLink]:
+        """Yield the connections to FMUs, each followed back through connectors of systems to the output of an FMU."""
+        for last in self.connections:
+            if last.end[0] not in self.parts or last.end not in self.connectors or self.into[last.end] is not last:
+                continue
+            hops = [last]
+            while hops[0].start[0] not in self.parts:
+                before = self.into.get(hops[0].start)
+                if before is None or any(before is hop for hop in hops):
+                    break
+                hops.insert(0, before)
+            else:
+                first, ends = hops[0].start, [hop.end for hop in hops]
+                stages = [(self.signal(hop.end), hop.linear) for hop in hops]
+                factors = self.chain(self.signal(first), stages, last.element)
+                connectors = filter(None, map(self.connectors.get, (first, *ends)))
+                is_plain = all(connector.unit is None for connector in connectors)
+                is_plain = is_plain and all(hop.linear == LinearTransformation() for hop in hops)
+                linear = None if factors is None or is_plain else LinearTransformation(*factors)
+                names = [f"{self.parts[place].name}.{name}" for place, name in (first, last.end)]
+                yield SignalLink(names[0], names[1], linear, last.element)
+
+    def signal(self, end: End, *, is_variable: bool = False) -> Signal:
+        """Return a signal in the unit of its connector or else of its variable; of the latter with `is_variable`."""
+        part, connector = self.parts.get(end[0]), None if is_variable else self.connectors.get(end)
+        variable = None if part is None else part.variables.get(end[1])
+        unit = None if connector is None else connector.unit
+        is_own = unit is None  # The units of a file are defined in this file.
+        if unit is None:
+            unit = "" if variable is None else unit_of(variable)
+        definitions = self.units.get(unit), None if part is None else unit_definition(part.description, unit)
+        # Whether a value at a connector of a system is a difference is known from the variables at the ends.
+        is_relative = part is None or (variable is not None and is_difference(variable))
+        return Signal(end[1], unit, definitions[is_own] or definitions[not is_own], relative=is_relative)
+
+    def chain(
+        self, signal: Signal, stages: Iterable[tuple[Signal, LinearTransformation]], element: Element
+    ) -> tuple[float, float] | None:
+        """Return factor and offset of successive unit conversions, each followed by its transformation."""
+        factor, offset = 1.0, 0.0
+        for target, linear in stages:
+            unit = (1.0, 0.0) if linear.exact else signal.conversion(target)
+            if unit is None:
+                message = f"unit mismatch: [{signal.unit}] to [{target.unit}]; where they are the same all the same, "
+                self.note(element, f'{message}say so by suppressUnitConversion="true"')
+                return None
+            factor *= unit[0] * linear.factor
+            offset = offset * (unit[0] * linear.factor) + (unit[1] * linear.factor + linear.offset)
+            signal = target if target.unit or linear.exact else signal
+        return factor, offset
+
+    # -- parameters -----------------------------------------------------------------------------
+
+    def set_parameters(self) -> None:
+        """Set start values. Outer values override inner ones; in the same place the last wins."""
+        for place, holder in self.bindings:
+            for parameter in self.parameters(holder):
+                if place not in self.parts and place not in self.systems:
+                    continue  # of an FMU that cannot be read
+                targets = list(self.targets(place, parameter.name))
+                for end, hops in targets:
+                    self.set_start(end, parameter, hops)
+                name = format_value(parameter.name)
+                if not targets and place in self.systems and (place, parameter.name) in self.connectors:
+                    self.warn(parameter.element, f"parameter {name} leads to no FMU, and is left out")
+                elif not targets:
+                    own = () if place in self.parts else (n for at, n in self.connectors if at == place)
+                    hint = did_you_mean(parameter.name, chain(own, self.names(place)))
+                    self.warn(parameter.element, f"parameter {name} is of nothing here, and is left out{hint}")
+
+    def targets(self, place: Place, name: str) -> Iterator[tuple[End, tuple[Connection, ...]]]:
+        """Yield the FMU variables of a hierarchical name, with the connections to them from a system's connector."""
+        if place in self.parts:
+            if name in self.parts[place].variables:
+                yield (place, name), ()
+            return
+        if (place, name) in self.connectors:
+            yield from self.forward((place, name), ())
+        for element in self.systems[place][1] if place in self.systems else ():
+            if name.startswith(f"{element}."):
+                yield from self.targets((*place, element), name[len(element) + 1 :])
+
+    def forward(self, start: End, hops: tuple[Connection, ...]) -> Iterator[tuple[End, tuple[Connection, ...]]]:
+        """Yield the FMU inputs inside a system that are connected to a connector of the system."""
+        for connection in self.connections:
+            (place, name), further = connection.end, (*hops, connection)
+            if (
+                connection.within != start[0]
+                or connection.start != start
+                or self.into[connection.end] is not connection
+            ):
+                continue
+            if place in self.parts and name in self.parts[place].variables:
+                yield connection.end, further
+            elif place in self.systems and place != start[0]:
+                yield from self.forward(connection.end, further)
+
+    def set_start(self, end: End, parameter: Parameter, hops: tuple[Connection, ...]) -> None:
+        """Set a start value of an FMU, converted to the unit of its variable."""
+        part, value, unit = self.parts[end[0]], parameter.value, parameter.unit or ""
+        if not isinstance(value, (bool, str)):
+            units = {**self.units, **parameter.units}
+            if unit not in units and unit.startswith("[") and unit.endswith("]"):  # some tools write units in brackets
+                unit = unit[1:-1]
+            given = Signal(parameter.name, unit, units.get(unit), relative=True)
+            first = self.signal(hops[0].start) if hops else self.signal(end, is_variable=True)
+            stages = [(first, parameter.linear), *((self.signal(hop.end), hop.linear) for hop in hops)]
+            factors = self.chain(given, stages, parameter.element)
+            if factors is None:
+                return
+            value = value if factors == (1.0, 0.0) else value * factors[0] + factors[1]
+        part.start[end[1]] = value, parameter.element
+
+    def names(self, place: Place) -> Iterator[str]:
+        """Yield the hierarchical names at a place."""
+        if place in self.parts:
+            yield from self.parts[place].variables
+        for element in self.systems[place][1] if place in self.systems else ():
+            yield from (f"{element}.{name}" for name in self.names((*place, element)))
+
+    def parameters(self, element: Element) -> Iterator[Parameter]:
+        """Yield an element's bound parameters under mapped names."""
+        for binding in element.all("ssd:ParameterBindings", "ssd:ParameterBinding"):
+            if (kind := binding.get("type") or PARAMETER_SET) != PARAMETER_SET:
+                self.note(binding, f"type {format_value(kind)} is not read here; {PARAMETER_SET} is")
+                continue
+            holder = self.content(binding, "ssd:ParameterValues", "ssv:ParameterSet")
+            if holder is None:
+                continue
+            units, prefix = self.units_in(holder, "ssv:Units"), binding.get("prefix") or ""
+            values = list[Parameter]()
+            for each in holder.all("ssv:Parameters", "ssv:Parameter"):
+                name = each.get("name")
+                typed = next((c for c in each.children if c.tag.startswith("ssv:")), None)
+                if not name or typed is None:
+                    self.note(each, "it has no value; add one such as ssv:Real" if name else "it has no name; add one")
+                elif (value := self.value(typed)) is not None:
+                    values.append(Parameter(prefix + name, value, typed.get("unit"), units, each))
+            mapping = binding.first("ssd:ParameterMapping")
+            yield from values if mapping is None else self.mapped(mapping, values)
+
+    def content(self, element: Element, *path: str) -> Element | None:
+        """Return inline content, or the root of the referenced file; None after noting a fault."""
+        source, tag = element.get("source"), path[-1]
+        if source is None:
+            if (inline := element.first(*path)) is None:
+                self.note(element, f"it has neither a source nor {tag} in it; add one")
+            return inline
+        if (base := element.get("sourceBase") or "SSD") != "SSD":
+            self.note(element, f"sourceBase {format_value(base)} is not read here; take the file out of the FMU")
+            return None
+        file = self.package.resolve(source)
+        if isinstance(file, str):
+            self.note(element, file)
+            return None
+        try:
+            root = self.package.element(file)
+        except InputError as error:
+            self.faults += error.faults
+            return None
+        if root.tag != tag:
+            self.note(root, f"it should be {tag}")
+            return None
+        self.check_version(root)
+        return root
+
+    def value(self, typed: Element) -> Any:
+        """Return a typed value; None after noting a fault."""
+        kind, text = typed.tag.partition(":")[2], typed.get("value")
+        if text is None and (entries := list(typed.all("ssv:Item")) or list(typed.all("ssv:Value"))):
+            self.note(typed, f"{len(entries)} values; arrays are not read here, bind their elements by name")
+        elif kind not in TYPES:
+            self.note(typed, f"is no type of a value{did_you_mean(kind, TYPES[:-1])}")
+        elif text is None:
+            self.note(typed, "it has no value; add it")
+        elif kind in (*REALS, *WHOLE):
+            number = self.number(typed, "value", None)
+            if number is None or kind in REALS:
+                return number
+            if number == int(number):
+                return int(text) if text.strip().lstrip("+-").isdigit() else int(number)
+            self.note(typed, f"value {format_value(text)}: it is a whole number")
+        elif kind != "Boolean":
+            return text
+        elif text in BOOLEANS:
+            return BOOLEANS[text]
+        else:
+            self.note(typed, f"value {format_value(text)}: it is true or false")
+        return None
+
+    def mapped(self, mapping: Element, values: list[Parameter]) -> Iterator[Parameter]:
+        """Yield parameters renamed by a mapping, without unmapped ones."""
+        holder = self.content(mapping, "ssm:ParameterMapping")
+        for entry in () if holder is None else holder.all("ssm:MappingEntry"):
+            source, target = entry.get("source"), entry.get("target")
+            if source == "" and target:  # a placeholder without source
+                continue
+            if not source or not target:
+                self.note(entry, f"it has no {'target' if source else 'source'}; add it")
+                continue
+            found, linear = [value for value in values if value.name == source], self.linear(entry)
+            if not found:
+                hint = did_you_mean(source, (value.name for value in values))
+                self.warn(entry, f"the parameter set has no {format_value(source)}{hint}")
+            for value in found:
+                if linear != LinearTransformation(exact=linear.exact) and isinstance(value.value, (bool, str)):
+                    self.note(entry, f"a linear transformation of {format_value(value.value)}; it takes numbers")
+                else:
+                    yield replace(value, name=target, linear=linear)

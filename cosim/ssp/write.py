@@ -16,11 +16,11 @@ from typing import Any
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from cosim.base.drafts import draft_of
-from cosim.base.units import SI, parse
+from cosim.base.units import SI, definition_of
 from cosim.base.version import __version__
 from cosim.blocks.description import unit_definition
-from cosim.ssp.elements import NAMESPACES
-from cosim.ssp.structure import Units
+from cosim.ssp.package import NAMESPACES
+from cosim.ssp.read import FMU, Units
 from cosim.storage.archive import STRUCTURE
 
 EPOCH = (1980, 1, 1, 0, 0, 0)
@@ -72,9 +72,7 @@ def defined_units(used: Iterable[tuple[Any, str]]) -> Units:
     """
     units: dict[str, tuple[float, ...]] = {}
     for description, name in used:
-        definition = None if description is None else unit_definition(description, name)
-        if definition is None and (unit := parse(name)) is not None:
-            definition = (*(float(unit.exponents.get(n, 0)) for n in SI), unit.factor, unit.offset)
+        definition = (None if description is None else unit_definition(description, name)) or definition_of(name)
         if name and definition is not None:
             units.setdefault(name, definition)
     return units
@@ -102,10 +100,9 @@ def write_parameter_set(path: Path, name: str, values: Mapping[str, tuple[float,
         values: Parameter → value and unit, "" without one.
         units: Definitions of the units.
     """
-    root = Element("ssv:ParameterSet", _namespaces("ssv", "ssc") | {"version": "1.0", "name": name})
-    parameters = SubElement(root, "ssv:Parameters")
-    for parameter, (value, unit) in values.items():
-        real = SubElement(SubElement(parameters, "ssv:Parameter", name=parameter), "ssv:Real", value=repr(value))
+    root = _parameter_set(((parameter, ("Real", value)) for parameter, (value, _) in values.items()), name)
+    root.attrib |= _namespaces("ssv", "ssc")
+    for real, (_, unit) in zip(root.iter("ssv:Real"), values.values(), strict=True):
         if unit in units:
             real.set("unit", unit)
     _write_units(root, "ssv:Units", units)
@@ -130,7 +127,15 @@ def _description(whole: Whole, files: Mapping[str, str]) -> Element:
     system = SubElement(root, "ssd:System", name="system", description=whole.description)
     elements = SubElement(system, "ssd:Elements")
     for model in whole.models:
-        elements.append(_component(model, files[model.name]))
+        about = {"name": model.name, "type": FMU, "source": files[model.name], "implementation": "CoSimulation"}
+        element = SubElement(elements, "ssd:Component", about)
+        connectors = SubElement(element, "ssd:Connectors") if model.ports else element
+        for port in model.ports:
+            connector = SubElement(connectors, "ssd:Connector", name=port.name, kind=port.kind)
+            SubElement(connector, f"ssc:{port.type}", {"unit": port.unit} if port.unit else {})
+        if model.start:
+            binding = SubElement(SubElement(element, "ssd:ParameterBindings"), "ssd:ParameterBinding")
+            SubElement(binding, "ssd:ParameterValues").append(_parameter_set(model.start.items()))
     if whole.connections:
         connections = SubElement(system, "ssd:Connections")
         for (start, output), (end, target) in whole.connections:
@@ -159,24 +164,10 @@ def _write_units(root: Element, tag: str, definitions: Units) -> None:
             base.set("offset", repr(definition[-1]))
 
 
-def _component(model: SspFmu, source: str) -> Element:
-    kind = "application/x-fmu-sharedlibrary"
-    element = Element("ssd:Component", name=model.name, type=kind, source=source, implementation="CoSimulation")
-    if model.ports:
-        connectors = SubElement(element, "ssd:Connectors")
-        for port in model.ports:
-            connector = SubElement(connectors, "ssd:Connector", name=port.name, kind=port.kind)
-            SubElement(connector, f"ssc:{port.type}", {"unit": port.unit} if port.unit else {})
-    if model.start:
-        binding = SubElement(SubElement(element, "ssd:ParameterBindings"), "ssd:ParameterBinding")
-        SubElement(binding, "ssd:ParameterValues").append(_parameter_set(model.start.items()))
-    return element
-
-
-def _parameter_set(values: Iterable[tuple[str, tuple[str, Value]]]) -> Element:
-    element = Element("ssv:ParameterSet", version="1.0", name=START)
+def _parameter_set(values: Iterable[tuple[str, tuple[str, Value]]], name: str = START) -> Element:
+    element = Element("ssv:ParameterSet", version="1.0", name=name)
     parameters = SubElement(element, "ssv:Parameters")
-    for name, (kind, value) in values:
+    for parameter, (kind, value) in values:
         text = str(value).lower() if isinstance(value, bool) else value if isinstance(value, str) else repr(value)
-        SubElement(SubElement(parameters, "ssv:Parameter", name=name), f"ssv:{kind}", value=text)
+        SubElement(SubElement(parameters, "ssv:Parameter", name=parameter), f"ssv:{kind}", value=text)
     return element

@@ -15,11 +15,12 @@ import stat
 import struct
 import zipfile
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import BinaryIO, TypeVar
+from typing import BinaryIO
 from xml.parsers import expat
 
 from cosim.base.drafts import is_full
@@ -38,7 +39,6 @@ DEEPEST, MOST_ELEMENTS, MOST_ATTRIBUTES = 60, 500_000, 100
 END, END_SIZE, COMMENT = b"PK\x05\x06", 22, 65_535
 DIRECTORY = 100  # directory size per file [bytes]; the same again for its name
 PACKED_BY = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA)
-Value = TypeVar("Value")
 DAMAGES = (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, ValueError, struct.error)
 
 
@@ -71,12 +71,14 @@ def check_archive(path: Path) -> None:
         BadArchive: The archive is invalid, too large or would write outside its folder.
         OSError: The file is unreadable.
     """
-    _read(path, lambda archive: None)
+    with _checked(path):
+        pass
 
 
 def description_of(path: Path) -> bytes:
     """Check an FMU archive and return the bytes of its modelDescription.xml."""
-    return _read(path, lambda archive: archive.read(DESCRIPTION))
+    with _checked(path) as archive:
+        return archive.read(DESCRIPTION)
 
 
 def unpack(path: Path, folder: Path, kind: Contents = FMU) -> None:
@@ -88,16 +90,12 @@ def unpack(path: Path, folder: Path, kind: Contents = FMU) -> None:
         BadArchive: Unpacking fails.
         OSError: The disk lacks space; nothing has been written.
     """
-
-    def all_of(archive: zipfile.ZipFile) -> None:
+    with _checked(path, kind) as archive:
         folder.mkdir(parents=True, exist_ok=True)
         size = sum(member.file_size for member in archive.infolist())  # zipfile never unpacks more than that.
         if size > MOST_OF_FREE * shutil.disk_usage(folder).free:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))
-        for member in archive.infolist():
-            archive.extract(member, folder)
-
-    _read(path, all_of, kind)
+        archive.extractall(folder)
 
 
 def check_identifier(identifier: str | None) -> None:
@@ -106,7 +104,9 @@ def check_identifier(identifier: str | None) -> None:
         raise BadArchive(f'its modelIdentifier "{str(identifier)[:SHOWN]}" is no name of a file')
 
 
-def _read(path: Path, take: Callable[[zipfile.ZipFile], Value], kind: Contents = FMU) -> Value:
+@contextmanager
+def _checked(path: Path, kind: Contents = FMU) -> Iterator[zipfile.ZipFile]:
+    """Yield an archive after its checks."""
     with path.open("rb") as stream:
         _check_directory(stream, path.stat().st_size)
         try:
@@ -127,7 +127,7 @@ def _read(path: Path, take: Callable[[zipfile.ZipFile], Value], kind: Contents =
                     if (digest := hashlib.sha256(text).digest()) not in _SOUND:
                         check_xml(name, text, kind.standard)
                         _SOUND.add(digest)
-                return take(archive)
+                yield archive
             except BadArchive:
                 raise
             except DAMAGES as error:

@@ -6,7 +6,6 @@ import csv
 import io
 from array import array
 from collections.abc import Callable, Collection, Container, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -38,28 +37,25 @@ class Csv(Source):
             raise InputError.at(path, f"has {sizes}; {cure}")
         with open_bytes(path) as stream:
             content = stream.read()
-        rows = _Rows(path, io.BytesIO(content))
-        headings = [split_heading(cell, names) for cell in rows.header]
-        columns = None
-        if rows.is_plain and rows.header and not text:
-            columns = _numbers(content, rows.line, headings)
-        if columns is not None:
-            lines: Sequence[int] = range(rows.line + 1, rows.line + 1 + len(columns[0].values))
-        else:
-            by_column, lines = rows.read()
-            columns = [_column(*pair, c, pair[0] in text) for pair, c in zip(headings, by_column, strict=True)]
-        if not rows.header and not rows.faults:
-            rows.note(1, "is empty; the first line names the columns")
-        return Table(columns, lines, rows.line, rows.faults)
+        header, line, mark = _header(io.BytesIO(content))
+        message = ""
+        if any("\0" in cell for cell in header):
+            message = "is a binary file, or text of another encoding; save it as plain CSV, UTF-8"
+        elif mark:
+            message = f"cells are separated by {SEPARATORS[mark]}; separate them with commas, decimals with a point"
+        if message:
+            raise InputError([Fault(path, line, 1, message)])
+        headings = [split_heading(cell, names) for cell in header]
+        if header and not text and (columns := _numbers(content, line, headings)) is not None:
+            return Table(columns, range(line + 1, line + 1 + len(columns[0].values)), line)
+        faults, by_column, lines = _texts(path, content, len(header), line)
+        columns = [_column(*pair, c, pair[0] in text) for pair, c in zip(headings, by_column, strict=True)]
+        return Table(columns, lines, line, faults)
 
     def column_names(self, path: Path) -> list[str]:
-        """Return the names in the header, none if unreadable."""
-        try:
-            with open_bytes(path) as stream:
-                rows = _Rows(path, stream)
-        except OSError:
-            return []
-        return [split_heading(text)[0] for text in rows.header]
+        """Return the names in the header."""
+        with open_bytes(path) as stream:
+            return [split_heading(text)[0] for text in _header(stream)[0]]
 
     def write(self, path: Path, columns: Sequence[Column]) -> None:
         """Write columns with exactly reproducible numbers."""
@@ -83,10 +79,28 @@ def read_heading(path: Path, names: Container[str] = ()) -> tuple[list[tuple[str
         ValueError: The cells are not separated by commas, or there is no header.
     """
     with open_bytes(path) as stream:
-        rows = _Rows(path, stream)
-    if not rows.header or not rows.is_plain:
+        header, line, mark = _header(stream)
+    if not header or mark:
         raise ValueError("the header is no CSV")
-    return [split_heading(cell, names) for cell in rows.header], rows.line
+    return [split_heading(cell, names) for cell in header], line
+
+
+def _header(stream: BinaryIO) -> tuple[list[str], int, str]:
+    """Return the cells of the first line with text, its number, and the separator if it is no comma."""
+    text = io.TextIOWrapper(stream, encoding="utf-8-sig", errors="replace", newline="")
+    reader = csv.reader(text)
+    try:
+        header = next((row for row in reader if any(map(str.strip, row))), [])
+    except csv.Error:
+        return [], 1, ""
+    finally:
+        text.detach()  # or it would close the file
+    line = max(1, reader.line_num)
+    only = header[0] if len(header) == 1 else ""
+    for mark in SEPARATORS:
+        if mark in only.strip() and not (mark == " " and "[" in only):  # A blank separates a unit from its name.
+            return next(csv.reader([only.strip()], delimiter=mark, skipinitialspace=True)), line, mark
+    return header, line, ""
 
 
 # -- all cells at once ----------------------------------------------------------------------------
@@ -128,10 +142,8 @@ def _numbers(content: bytes, header: int, headings: Sequence[tuple[str, str]]) -
 
 def _column(name: str, unit: str, cells: Sequence[str], is_text: bool) -> Column:
     """Return a column of cells: integers, doubles, or texts if a cell is no number."""
-    if is_text:
-        return Column(name, unit, list(cells))
-    numbers = [number_of(cell) for cell in cells]
-    if None in numbers:
+    numbers = [] if is_text else [number_of(cell) for cell in cells]
+    if is_text or None in numbers:
         return Column(name, unit, list(cells))
     # Integers are recognised by their text: floats always have a point or an exponent.
     if cells and all(cell.removeprefix("-").isdecimal() and cell != "-0" for cell in cells):
@@ -145,90 +157,43 @@ def _column(name: str, unit: str, cells: Sequence[str], is_text: bool) -> Column
 # -- row by row -----------------------------------------------------------------------------------
 
 
-class _BadLine(Exception):
-    """A message on a line that cannot be read."""
+def _texts(
+    path: Path, content: bytes, width: int, header: int
+) -> tuple[list[Fault], Sequence[Sequence[str]], Sequence[int]]:
+    """Return the faults, the cells of each column and the line of each row; rows of another length are faults.
 
-
-def _lines(stream: BinaryIO) -> Iterator[str]:
-    """Yield the UTF-8 lines of a file with any line end. A byte order mark is left out."""
-    for line in io.TextIOWrapper(stream, encoding="latin-1", newline=""):  # a character per byte
-        try:
-            yield line.encode("latin-1").decode("utf-8-sig")
-        except UnicodeDecodeError:
-            raise _BadLine("is not UTF-8 text; save it as plain CSV, UTF-8") from None
-
-
-def _has_text(row: Sequence[str]) -> bool:
-    return any(cell.strip() for cell in row)
-
-
-class _Rows:
-    """Header and rows of a CSV as text, and the faults of the text.
-
-    Attributes:
-        header: Cells of the first non-blank line; empty for an empty file or binary data.
-        line: Line number of the header.
-        is_plain: Whether commas separate cells.
+    Args:
+        header: Line of the header, whose cells are `width`.
     """
-
-    def __init__(self, path: Path, stream: BinaryIO) -> None:
-        self.faults: list[Fault] = []
-        self.header: list[str] = []
-        self.line, self.is_plain = 1, True
-        self._path, self._text = path, _lines(stream)
-        self._reader, self._above = csv.reader(self._text), 0  # and the number of lines read by an earlier reader
-        with self._noting_faults():
-            self._read_header()
-
-    def _read_header(self) -> None:
-        header = next(filter(_has_text, self._reader), [])
-        self.line = max(1, self._reader.line_num)
-        if any("\0" in text for text in header):
-            self.note(self.line, "is a binary file, or text of another encoding; save it as plain CSV, UTF-8")
-            return
-        only = header[0] if len(header) == 1 else ""
-        has_unit = "[" in only  # which a blank separates from its name
-        if mark := next((m for m in SEPARATORS if m in only.strip() and not (m == " " and has_unit)), None):
-            separator = f"cells are separated by {SEPARATORS[mark]}"
-            self.note(self.line, f"{separator}; separate them with commas, decimals with a point")
-            header = next(csv.reader([only.strip()], delimiter=mark, skipinitialspace=True))
-            self._above, self.is_plain = self._reader.line_num, False  # Reading continues, to report further faults.
-            self._reader = csv.reader(self._text, delimiter=mark, skipinitialspace=True)
-        self.header = header
-
-    def read(self) -> tuple[Sequence[Sequence[str]], Sequence[int]]:
-        """Return the cells of each column, and the line of each row; rows of another length are faults."""
-        lines, rows, width = array("q"), list[list[str]](), len(self.header)
-        with self._noting_faults():
-            for row in filter(_has_text, self._reader) if width else ():
-                if len(row) == width:
-                    lines.append(self._line())
-                    rows.append(row)
-                    continue
-                cure = "delete the row, or leave cells empty where nothing was measured"
-                if len(row) == 2 * width:
-                    cure = "is each number cut in two by a decimal comma? Write a point"
-                self.note(self._line(), f"has {counted(len(row), 'cell')}, the header {width}; {cure}")
-                if len(self.faults) >= SHOWN_FAULTS:
-                    break
-        return [*zip(*rows, strict=True)] if rows else [()] * width, lines
-
-    def note(self, line: int, message: str) -> None:
-        """Note a fault of a line."""
-        self.faults.append(Fault(self._path, line, 1, message))
-
-    @contextmanager
-    def _noting_faults(self) -> Iterator[None]:
-        """Note unreadable lines as faults, ending the `with` block."""
-        try:
-            yield
-        except _BadLine as error:
-            self.note(self._line() + 1, str(error))
-        except csv.Error as error:
-            self.note(self._line(), f"is not CSV: {error}")
-
-    def _line(self) -> int:
-        return self._above + self._reader.line_num
+    faults: list[Fault] = []
+    lines, rows = array("q"), list[list[str]]()
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        before = content[: content.rfind(b"\n", 0, error.start) + 1]
+        faults.append(Fault(path, before.count(b"\n") + 1, 1, "is not UTF-8 text; save it as plain CSV, UTF-8"))
+        text = before.decode("utf-8-sig")
+    reader = csv.reader(io.StringIO(text, newline=""))
+    try:
+        for row in reader:
+            if reader.line_num <= header or not any(map(str.strip, row)):
+                continue
+            if len(row) == width:
+                lines.append(reader.line_num)
+                rows.append(row)
+                continue
+            cure = "delete the row, or leave cells empty where nothing was measured"
+            if len(row) == 2 * width:
+                cure = "is each number cut in two by a decimal comma? Write a point"
+            message = f"has {counted(len(row), 'cell')}, the header {width}; {cure}"
+            faults.append(Fault(path, reader.line_num, 1, message))
+            if len(faults) >= SHOWN_FAULTS:
+                break
+    except csv.Error as error:
+        faults.append(Fault(path, reader.line_num, 1, f"is not CSV: {error}"))
+    if not width and not faults:
+        faults.append(Fault(path, 1, 1, "is empty; the first line names the columns"))
+    return faults, [*zip(*rows, strict=True)] if rows else [()] * width, lines
 
 
 # -- writing --------------------------------------------------------------------------------------

@@ -13,6 +13,7 @@ import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import Any, TextIO
@@ -51,18 +52,13 @@ def open_bytes(path: Path) -> io.BufferedReader:
 
 def parse_json(text: str | bytes) -> Any:
     """Return the content of JSON; raise ValueError for other text, and for numbers that no double holds."""
-    return json.loads(text, parse_int=_whole, parse_float=_double)
 
+    def number(digits: str, kind: Callable[[str], float]) -> float:
+        if math.isinf(float(digits)):
+            raise ValueError(f"no double holds {digits[:20]}")
+        return kind(digits)
 
-def _whole(text: str) -> int:
-    _double(text)
-    return int(text)
-
-
-def _double(text: str) -> float:
-    if math.isinf(number := float(text)):
-        raise ValueError(f"no double holds {text[:20]}")
-    return number
+    return json.loads(text, parse_int=partial(number, kind=int), parse_float=partial(number, kind=float))
 
 
 @contextmanager
@@ -106,11 +102,7 @@ def delay_stops() -> Iterator[None]:
         yield
         return
     signals: list[int] = []
-
-    def delay(number: int, frame: FrameType | None) -> None:
-        signals.append(number)
-
-    handlers = {number: signal.signal(number, delay) for number in STOPPING}
+    handlers = {n: signal.signal(n, lambda number, _: signals.append(number)) for n in STOPPING}
     try:
         yield
     finally:
@@ -190,8 +182,8 @@ def scratch_folder(beside: Path, prefix: str) -> Iterator[Path]:
             folder = scratch(prefix, beside)
         yield folder.path
     finally:
-        with delay_stops():
-            if folder is not None:
+        if folder is not None:
+            with delay_stops():
                 folder.remove()
 
 
@@ -231,17 +223,11 @@ def check_writable(folder: Path, names: Sequence[str], read: Iterable[Path] = ()
         raise InputError.at(
             folder, f"cannot be the folder for results: {error.strerror}; give another folder as --out"
         ) from None
-    paths = [folder / name for name in names]
-    faults = [
-        Fault(path, 0, 0, "is a folder; a file is to be written there; give another folder as --out")
-        for path in paths
-        if path.is_dir()
-    ]
+    paths, cure = [folder / name for name in names], "give another folder as --out"
+    faults = [Fault(p, 0, 0, f"is a folder; a file is to be written there; {cure}") for p in paths if p.is_dir()]
     for source in dict.fromkeys(read):
         if source.is_file() and any(path.is_file() and source.samefile(path) for path in paths):
-            faults.append(
-                Fault(source, 0, 0, "is read, and results would be written over it; give another folder as --out")
-            )
+            faults.append(Fault(source, 0, 0, f"is read, and results would be written over it; {cure}"))
     if not os.access(folder, os.W_OK):
-        faults.append(Fault(folder, 0, 0, "cannot be written; give another folder as --out"))
+        faults.append(Fault(folder, 0, 0, f"cannot be written; {cure}"))
     refuse(faults)

@@ -14,7 +14,6 @@ import subprocess
 import sys
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -111,17 +110,16 @@ def runs_named(name: str) -> Path:
 
 def new_number(runs: Path) -> Path:
     """Make and return the folder 0001, or the next number: the system makes each folder once only."""
-    try:
-        runs.mkdir(parents=True, exist_ok=True)
-        numbers = [int(path.name) for path in runs.iterdir() if RUN_NUMBER.fullmatch(path.name)]
-        for number in count(max(numbers, default=0) + 1):
-            with suppress(FileExistsError):
-                (folder := runs / f"{number:04d}").mkdir()
-                return folder
-    except FileNotFoundError:  # Another command just removed the empty folder.
-        return new_number(runs)
-    except OSError as error:
-        raise InputError.at(runs, f"cannot be the folder for results: {error.strerror}") from None
+    for attempts_left in reversed(range(1000)):
+        try:
+            runs.mkdir(parents=True, exist_ok=True)
+            numbers = [int(path.name) for path in runs.iterdir() if RUN_NUMBER.fullmatch(path.name)]
+            (folder := runs / f"{max(numbers, default=0) + 1:04d}").mkdir()
+            return folder
+        except OSError as error:
+            # Another command was faster, or just removed the empty folder.
+            if not (attempts_left and isinstance(error, (FileExistsError, FileNotFoundError))):
+                raise InputError.at(runs, f"cannot be the folder for results: {error.strerror}") from None
     raise AssertionError
 
 
@@ -235,9 +233,8 @@ def has_results(folder: Path) -> bool:
 def manifest_in(folder: Path) -> dict[str, Any]:
     """Return the sound part of the manifest in a folder, or of the record of an interrupted run."""
     file = folder / "manifest.json"
-    if not file.is_file() and "scenario" in (content := content_of(folder / STARTED)):
-        return sound_part(file, content)[0]
-    return sound_part(file, content_of(file))[0]
+    started = {} if file.is_file() else content_of(folder / STARTED)
+    return sound_part(file, started if "scenario" in started else content_of(file))[0]
 
 
 def warnings_on(folder: Path) -> tuple[str, ...]:
@@ -245,10 +242,9 @@ def warnings_on(folder: Path) -> tuple[str, ...]:
     file = next((path for name in ("manifest.json", REPLAY) if (path := folder / name).is_file()), None)
     if file is None:
         return ()
-    content = content_of(file)
-    record, wrong = sound_part(file, content)
-    if not content:
+    if not (content := content_of(file)):
         return (f"{file} is damaged: units, texts, inputs and criteria of its run are not known; run it again",)
+    record, wrong = sound_part(file, content)
     return (*other_version(file, record), *wrong)
 
 
@@ -256,11 +252,11 @@ def other_version(file: Path, record: Mapping[str, Any]) -> tuple[str, ...]:
     """Return a warning or note on another version's record."""
     schema, by = record.get("schema_version", SCHEMA_VERSION), version_of(record)
     if schema != SCHEMA_VERSION:
-        by = by or "of an unknown version"
-        text = f"{file} has the schema version {schema}, written by cosim {by}; {SCHEMA_VERSION} is known here: keys "
-        return (f"{text}that are new or changed are not read, use that version of cosim",)
-    is_own = by in {"", __version__}
-    return () if is_own else (Note(f"{file} was written by cosim {by}, and this is {__version__}"),)
+        text = f"{file} has the schema version {schema}, written by cosim {by or 'of an unknown version'}; "
+        known = f"{SCHEMA_VERSION} is known here: keys that are new or changed are not read, use that version of cosim"
+        return (text + known,)
+    is_other = by not in {"", __version__}
+    return (Note(f"{file} was written by cosim {by}, and this is {__version__}"),) if is_other else ()
 
 
 def version_of(record: Mapping[str, Any]) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from cosim.base.drafts import draft_of
 from cosim.base.errors import Fault, InputError
 from cosim.base.extras import optional
-from cosim.storage.table import Column, Source, Table, as_text, split_heading, time_among, whole_numbers
+from cosim.storage.table import Column, Source, Table, as_text, plain_numbers, split_heading, table_by_time
 
 MAGIC = b"\x89HDF\r\n\x1a\n"
 MOST_DEFLATED, FILLED = 1032, 1 << 26  # size over stored bytes that deflate can reach; [bytes] that may be no values
@@ -29,8 +29,7 @@ class Hdf5(Source):
     def read(self, path: Path, names: Container[str] = (), text: Collection[str] = ()) -> Table:
         """Read every dataset as long as `time`, in the order in which they were written."""
         h5py = optional("h5py", lambda message: Fault(path, 0, 0, message))
-        columns: list[Column] = []
-        order: dict[str, int] = {}
+        found: list[tuple[int, Column]] = []
 
         def add(place: str, item: Any) -> None:
             if not isinstance(item, h5py.Dataset) or item.ndim != 1 or item.external or item.is_virtual:
@@ -40,8 +39,10 @@ class Hdf5(Source):
             name, unit = item.attrs.get("name"), item.attrs.get("unit")
             if name is None:
                 name, unit = split_heading(place.replace("/", "."), names)
-            order[str(name)] = int(item.attrs.get("column", len(order)))
-            columns.append(Column(str(name), str(unit or ""), _values(item)))
+            values = item.asstr()[:] if item.dtype.kind in "OS" else item[:]
+            is_number = item.dtype.kind in "biuf"
+            column = Column(str(name), str(unit or ""), plain_numbers(values) if is_number else [*map(str, values)])
+            found.append((int(item.attrs.get("column", len(found))), column))
 
         try:
             with h5py.File(path, "r") as file:
@@ -49,13 +50,7 @@ class Hdf5(Source):
         except (OSError, RuntimeError, ValueError, KeyError) as error:
             reason = str(error).strip().partition("\n")[0][:200]
             raise InputError.at(path, f"is no HDF5 file that can be read: {reason}; write it again") from None
-        if (found := time_among(c.name for c in columns)) is None:
-            return Table()
-        time = next(c for c in columns if c.name == found)
-        rows = len(time.values)
-        columns.sort(key=lambda c: order[c.name])
-        others = [c for c in columns if c is not time and len(c.values) == rows]
-        return Table([Column("time", time.unit or "s", time.values), *others])
+        return table_by_time([column for _, column in sorted(found, key=lambda each: each[0])])
 
     def check_writable(self) -> None:
         """Raise InputError if h5py is not installed."""
@@ -88,11 +83,3 @@ class Hdf5(Source):
 
 
 HDF5 = Hdf5()
-
-
-def _values(item: Any) -> Any:
-    """Return the values of a dataset: numbers, or a list of texts."""
-    if item.dtype.kind in "biuf":
-        values = item[:]
-        return whole_numbers(values) if item.dtype.kind in "biu" else values.astype(np.float64)
-    return [str(v) for v in (item.asstr()[:] if item.dtype.kind in "OS" else item[:])]

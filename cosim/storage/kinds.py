@@ -120,7 +120,7 @@ def kind_by_form(path: Path) -> str | None:
 def _is_tabular(text: str) -> bool:
     """Return whether a text begins as a table or a mapping: with a row of numbers, a column name or a key."""
     lines = text.splitlines()
-    return any(ROW.match(line) for line in lines[1:]) or bool(lines and FIRST.match(lines[0]))
+    return any(map(ROW.match, lines[1:])) or bool(lines and FIRST.match(lines[0]))
 
 
 def _is_binary(head: bytes) -> bool:
@@ -128,10 +128,9 @@ def _is_binary(head: bytes) -> bool:
 
     Loggers use various encodings, and a truncated row contains zero bytes.
     """
-    if head.startswith(UTF_16):
-        return False
     controls = sum(byte < 9 or 13 < byte < 32 for byte in head)
-    return b"\0" in head.partition(b"\n")[0] or (controls > 0.05 * len(head) and any(byte > 127 for byte in head))
+    is_odd = controls > 0.05 * len(head) and any(byte > 127 for byte in head)
+    return not head.startswith(UTF_16) and (is_odd or b"\0" in head.partition(b"\n")[0])
 
 
 def _has_keys(text: str) -> bool:

@@ -15,10 +15,9 @@ from cosim.base.arrays import Array
 from cosim.base.drafts import draft_of
 from cosim.base.errors import InputError
 from cosim.storage.files import open_bytes
-from cosim.storage.table import HEAD, Column, Source, Table, as_text, split_heading, time_among, whole_numbers
+from cosim.storage.table import Column, Source, Table, as_text, plain_numbers, split_heading, table_by_time
 
 MAGIC = b"MATLAB 5.0 MAT-file"
-OF_OCTAVE = b"# Created by Octave", b"Octave-1-"
 MOST_BYTES = 2**31 - 1  # of a variable
 
 
@@ -36,9 +35,22 @@ class Mat(Source):
 
     def read(self, path: Path, names: Container[str] = (), text: Collection[str] = ()) -> Table:
         """Read all columns."""
-        content = _content(path)
-        columns = [*_own_columns(content)] if "names" in content else [*_variables(content, names)]
-        return Table(columns)
+        from scipy.io import loadmat
+
+        try:
+            with open_bytes(path) as stream:
+                content: Mapping[str, Any] = loadmat(stream)
+        except Exception as error:  # scipy reports damage by many kinds of errors
+            reason = getattr(error, "strerror", None) or str(error)[:200]
+            cure = "write it with -v7, or as HDF5 with one dataset a signal"
+            raise InputError.at(path, f"is no MAT file of version 5 that can be read: {reason}; {cure}") from None
+        if "names" in content:
+            return Table([*_own_columns(content)])
+        columns = []
+        for heading, values in content.items():
+            if isinstance(values, np.ndarray) and values.dtype.kind in "biuf" and max(values.shape) == values.size:
+                columns.append(Column(*split_heading(heading, names), plain_numbers(np.ravel(values))))
+        return table_by_time(columns)
 
     def write(self, path: Path, columns: Sequence[Column]) -> None:
         """Write columns, time first.
@@ -74,25 +86,6 @@ class Mat(Source):
 MAT = Mat()
 
 
-def _content(path: Path) -> Mapping[str, Any]:
-    from scipy.io import loadmat
-
-    try:
-        with open_bytes(path) as stream:
-            head = stream.read(HEAD)
-        content: Mapping[str, Any] = {} if head.startswith(OF_OCTAVE) else loadmat(path)
-    except NotImplementedError:  # version 7.3
-        cure = "write it with -v7, or as HDF5 with one dataset a signal"
-        raise InputError.at(path, f"is a MAT file of version 7.3; {cure}") from None
-    except Exception as error:  # scipy reports damage by many kinds of errors
-        reason = getattr(error, "strerror", None) or str(error)[:200]
-        raise InputError.at(path, f"is no MAT file that can be read: {reason}; write it again") from None
-    if head.startswith(OF_OCTAVE):
-        cure = "write it as save('-v7', 'NAME.mat', 'time', …)"
-        raise InputError.at(path, f"is a file in a format of Octave's own; {cure}")
-    return content
-
-
 def _own_columns(content: Mapping[str, Any]) -> Iterator[Column]:
     """Yield the columns of a file written by `Mat.write`."""
     yield Column("time", "s", np.ravel(content["time"]).astype(np.float64))
@@ -104,21 +97,6 @@ def _own_columns(content: Mapping[str, Any]) -> Iterator[Column]:
         heads = zip(_words(content["text_names"]), _words(content["text_units"]), strict=True)
         for k, (name, unit) in enumerate(heads):
             yield Column(name, unit, _words(content["text"][:, k]))
-
-
-def _variables(content: Mapping[str, Any], names: Container[str]) -> Iterator[Column]:
-    """Yield the variables as long as `time`, which comes first."""
-    vectors = {name: np.ravel(v) for name, v in content.items() if isinstance(v, np.ndarray) and max(v.shape) == v.size}
-    headings = {split_heading(heading)[0]: heading for heading in vectors}
-    if (found := time_among(headings)) is None:
-        return
-    time = vectors[headings[found]]
-    yield Column("time", split_heading(headings[found])[1] or "s", time.astype(np.float64))
-    for heading, values in vectors.items():
-        if values is not time and values.size == time.size and values.dtype.kind in "biuf":
-            name, unit = split_heading(heading, names)
-            is_whole = values.dtype.kind in "biu"
-            yield Column(name, unit, whole_numbers(values) if is_whole else values.astype(np.float64))
 
 
 def _cells(texts: Sequence[str]) -> Any:

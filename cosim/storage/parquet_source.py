@@ -13,7 +13,7 @@ import numpy as np
 
 from cosim.base.drafts import draft_of
 from cosim.base.errors import InputError
-from cosim.storage.table import Column, Source, Table, is_time, split_heading, whole_numbers
+from cosim.storage.table import Column, Source, Table, is_time, plain_numbers, split_heading
 
 MAGIC = b"PAR1"  # first and last bytes of every Parquet file
 UNIT = b"unit"  # key of a column's metadata
@@ -37,25 +37,32 @@ class Parquet(Source):
 
     def read(self, path: Path, names: Container[str] = (), text: Collection[str] = ()) -> Table:
         """Read all columns; a column of an unsupported type gets a fault."""
-        content = _content(path)
-        columns: list[Column] = []
-        for k in _order(content.schema):
-            name, unit = heading_of(content.schema.field(k), names)
-            column = _column(name, unit, content.column(k), is_text=name in text)
-            if not columns and UNNAMED.fullmatch(name):  # Whole numbers may number the rows.
-                is_whole = column.numeric and np.asarray(column.values).dtype.kind == "i"
-                column = replace(column, name="time", unit="s", fault=NO_NAME if is_whole else column.fault)
-            columns.append(column)
-        return Table(columns)
-
-    def column_names(self, path: Path) -> list[str]:
-        """Return the column names, none if unreadable."""
-        from pyarrow.parquet import read_schema
+        from pyarrow.parquet import ParquetFile
 
         try:
-            schema = read_schema(path)
-        except (OSError, ValueError):
-            return []
+            with ParquetFile(path) as file:
+                rows, columns = file.metadata.num_rows, file.metadata.num_columns
+                if rows * columns > MOST_VALUES:
+                    size = f"{rows} rows of {columns} columns, more than the {MOST_VALUES:.0e} values that are read"
+                    raise InputError.at(path, f"has {size}; leave out columns or rows")
+                content = file.read(use_threads=False)
+        except (OSError, ValueError, NotImplementedError) as error:  # pyarrow's errors derive from these
+            reason = str(error).strip().partition("\n")[0][:200]
+            raise InputError.at(path, f"is no whole Parquet file: {reason}; write it again") from None
+        found: list[Column] = []
+        for k in _order(content.schema):
+            name, unit = heading_of(content.schema.field(k), names)
+            found.append(_column(name, unit, content.column(k), is_text=name in text))
+        if found and UNNAMED.fullmatch(found[0].name):  # Whole numbers may number the rows.
+            is_whole = found[0].numeric and np.asarray(found[0].values).dtype.kind == "i"
+            found[0] = replace(found[0], name="time", unit="s", fault=NO_NAME if is_whole else found[0].fault)
+        return Table(found)
+
+    def column_names(self, path: Path) -> list[str]:
+        """Return the column names; raise OSError or ValueError if unreadable."""
+        from pyarrow.parquet import read_schema
+
+        schema = read_schema(path)
         names = [split_heading(schema.field(k).name)[0] for k in _order(schema)]
         return ["time" if not k and UNNAMED.fullmatch(name) else name for k, name in enumerate(names)]
 
@@ -87,47 +94,22 @@ def heading_of(field: Any, names: Container[str] = ()) -> tuple[str, str]:
     return split_heading(field.name, names) if unit is None else (field.name, unit.decode())
 
 
-def _content(path: Path) -> Any:
-    """Return a file as a pyarrow table; raise InputError if incomplete, damaged or too large."""
-    from pyarrow.parquet import ParquetFile
-
-    try:
-        with path.open("rb") as stream:
-            stream.seek(-len(MAGIC), 2)
-            is_whole = stream.read() == MAGIC
-    except OSError:
-        is_whole = False
-    if not is_whole:
-        reason = "its end is missing, as after a writer that was stopped"
-        raise InputError.at(path, f"is no whole Parquet file: {reason}; write it again")
-    try:
-        with ParquetFile(path) as file:
-            rows, columns = file.metadata.num_rows, file.metadata.num_columns
-            if rows * columns > MOST_VALUES:
-                size = f"{rows} rows of {columns} columns, more than the {MOST_VALUES:.0e} values that are read"
-                raise InputError.at(path, f"has {size}; leave out columns or rows")
-            return file.read(use_threads=False)
-    except (OSError, ValueError, NotImplementedError) as error:  # pyarrow's errors derive from these
-        reason = str(error).strip().partition("\n")[0][:200]
-        raise InputError.at(path, f"is no Parquet file that can be read: {reason}; write it again") from None
-
-
 def _order(schema: Any) -> list[int]:
     """Return the places of the columns, that of the time first.
 
     pandas writes the index of a table as its last column. The time is the column `time` or else the index. An index
     without a name beside a column `time` numbers the rows; it is left out.
     """
-    places = {field.name: k for k, field in reversed([*enumerate(schema)])}
+    names = [field.name for field in schema]
     try:
         of_pandas = [*json.loads((schema.metadata or {})[PANDAS])["index_columns"]]
     except (KeyError, TypeError, ValueError):
         of_pandas = []
-    index = [name for name in places if name in of_pandas or UNNAMED.fullmatch(name)]
-    times = [name for name in places if is_time(split_heading(name)[0])][-1:] or index
-    first = sorted(places[name] for name in times)
-    left_out = {places[name] for name in index if UNNAMED.fullmatch(name) and len(times) == 1} - {*first}
-    return [*first, *(k for k in range(len(schema)) if k not in {*first, *left_out})]
+    index = [name for name in names if name in of_pandas or UNNAMED.fullmatch(name)]
+    first = [name for name in names if is_time(split_heading(name)[0])][:1] or index
+    left_out = {name for name in index if UNNAMED.fullmatch(name) and len(first) == 1}
+    others = [k for k, name in enumerate(names) if name not in first and name not in left_out]
+    return [*(k for k, name in enumerate(names) if name in first), *others]
 
 
 def _column(name: str, unit: str, column: Any, *, is_text: bool) -> Column:
@@ -143,15 +125,8 @@ def _column(name: str, unit: str, column: Any, *, is_text: bool) -> Column:
     if types.is_binary(kind) or types.is_large_binary(kind) or types.is_fixed_size_binary(kind):
         return Column(name, unit, [(value or b"").hex() for value in column.to_pylist()], is_text=True)
     if is_whole and not column.null_count:
-        return Column(name, unit, whole_numbers(column.to_numpy()))
+        return Column(name, unit, plain_numbers(column.to_numpy()))
     if not (is_whole or types.is_floating(kind) or types.is_null(kind)):
-        fault = f"holds {kind}; write numbers"
-        if types.is_temporal(kind):
-            fault = f"holds moments or durations ({kind}); write seconds as numbers"
-        elif types.is_decimal(kind):
-            fault = f"holds decimals ({kind}); write them as double"
-        elif types.is_nested(kind):
-            fault = f"is nested ({str(kind)[:60]}); write one column a number"
-        return Column(name, unit, fault=fault)
+        return Column(name, unit, fault=f"holds {str(kind)[:60]}; write numbers, times in seconds, one column a number")
     values = column.cast("float64", safe=False).to_numpy()  # with NaN for missing ones
     return Column(name, unit, np.asarray(values, dtype=np.float64))

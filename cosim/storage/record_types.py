@@ -62,18 +62,13 @@ def fault_of(value: Any, kind: Any, name: str) -> WrongValue | None:
     outer = type(kind) if isinstance(kind, (list, dict)) else kind
     if type(value) not in ((float, int, NoneType) if outer is Number else (outer,)):
         return WrongValue(name, value, TITLES[outer])
-    if outer is kind:
-        return None
-    place, inner = ("{}[{}]", kind[0]) if isinstance(kind, list) else ("{}.{}", kind.get(EACH))
-    pairs: Iterable[tuple[Any, Any]] = enumerate(value) if isinstance(kind, list) else value.items()
-    if inner in (str, dict) and {type(part) for _, part in pairs} <= {inner}:
-        return None  # fast, for the units of thousands of signals
-    pairs = enumerate(value) if isinstance(kind, list) else value.items()
-    for key, part in pairs:
-        wanted = inner or kind.get(key)
-        if wanted is not None and (fault := fault_of(part, wanted, place.format(name, key))):
-            return fault
-    return None
+    parts: Iterable[tuple[str, Any, Any]] = ()
+    if isinstance(kind, list):
+        parts = ((f"{name}[{k}]", each, kind[0]) for k, each in enumerate(value))
+    elif isinstance(kind, dict) and not (kind.get(EACH) is str and {*map(type, value.values())} <= {str}):  # fast
+        parts = ((f"{name}.{key}", each, kind.get(EACH, kind.get(key))) for key, each in value.items())
+    faults = (fault_of(each, wanted, place) for place, each, wanted in parts if wanted is not None)
+    return next(filter(None, faults), None)
 
 
 def sound_part(file: Path, record: Mapping[str, Any]) -> tuple[dict[str, Any], tuple[str, ...]]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from array import array
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -17,20 +16,19 @@ from cosim.base.drafts import is_full
 from cosim.storage.table import (
     Column,
     Faults,
-    Table,
     Use,
     as_text,
-    is_there,
     is_time,
     note_wrong_first,
     numbers_of,
+    read_source,
     source_named,
-    source_of,
     suffixes,
     time_scale,
 )
 
 EXACT = 2**53  # integers below this size are doubles
+INTEGER = re.compile(r"0|-?[1-9]\d{0,19}")
 FEWER = 0.7  # share of the rows to try next on a full disk
 
 
@@ -76,12 +74,15 @@ class Results:
 
     def with_integers(self) -> Results:
         """Return results whose columns of 64-bit integers beside the doubles are numbers too, rounded to doubles."""
-        integers = ((name, whole_numbers_of(values)) for name, values in self.exact.items() if name not in self.words)
-        found = {name: values for name, values in integers if values is not None}
+        found: dict[str, Array] = {}
+        for name, values in self.exact.items():
+            is_whole = (INTEGER.fullmatch(v) if isinstance(v, str) else type(v) is int for v in values)
+            if name not in self.words and len(values) and all(is_whole):
+                found[name] = np.array([float(int(value)) for value in values])
         if not found:
             return self
-        values = np.column_stack([self.values, *found.values()])
-        return replace(self, columns=(*self.columns, *found), values=values, whole=self.whole | {*found})
+        every = np.column_stack([self.values, *found.values()])
+        return replace(self, columns=(*self.columns, *found), values=every, whole=self.whole | {*found})
 
     def texts(self) -> dict[str, list[str]]:
         """Return the columns beside the doubles as text."""
@@ -94,10 +95,9 @@ class Results:
     def write(self, path: Path) -> None:
         """Write time and all columns in the format of the suffix."""
         columns = [Column("time", "s", self.time)]
-        for k, name in enumerate(self.columns):
-            values = self.values[:, k]
-            unit = self.units.get(name, "")
-            columns.append(Column(name, unit, values.astype(np.int64) if name in self.whole else values))
+        for name, values in zip(self.columns, self.values.T, strict=True):
+            exact = values.astype(np.int64) if name in self.whole else values
+            columns.append(Column(name, self.units.get(name, ""), exact))
         columns += [Column(name, self.units.get(name, ""), list(values)) for name, values in self.exact.items()]
         source_named(path.suffix).write(path, columns)
 
@@ -113,20 +113,6 @@ class Results:
                 if not (count and is_full(error)):
                     raise
                 count = int(FEWER * count)
-
-
-INTEGER = re.compile(r"0|-?[1-9]\d{0,19}")
-
-
-def whole_numbers_of(values: Sequence[Any]) -> Array | None:
-    """Return integers, or texts that are integers of 64 bits, as doubles; None for other values."""
-    numbers = array("d")
-    for value in values:
-        is_whole = INTEGER.fullmatch(value) if isinstance(value, str) else type(value) is int
-        if not is_whole:
-            return None
-        numbers.append(float(int(value)))
-    return np.array(numbers) if numbers else None
 
 
 def is_rounded(values: Any) -> bool:
@@ -152,19 +138,15 @@ def read_results(
     Raises:
         InputError: The file has faults.
     """
-    faults, units, table = Faults(path), units or {}, Table()
-    if is_there(faults):
-        table = source_of(path).read(path, units, text)
-    faults.items += table.faults
+    faults, units = Faults(path), units or {}
+    table = read_source(faults, units, text)
     faults.raise_any()
     first = table.columns[0] if table.columns else Column("")
-    time: Array | None = None
-    if is_time(first.name):
-        use = Use("time", time_scale(faults, table.header, first.unit), role="the time")
-        time = numbers_of(replace(first, name="time", cell=1), use, table, faults, jumps=True)
-    else:
-        place = next((cell for cell, column in enumerate(table.columns, 1) if is_time(column.name)), 0)
-        note_wrong_first(faults, table.header, first.name, place)
+    if not is_time(first.name):
+        note_wrong_first(faults, table)
+        faults.raise_any()
+    use = Use("time", time_scale(faults, table.header, first.unit), role="the time")
+    time = numbers_of(replace(first, name="time", cell=1), use, table, faults, jumps=True)
     numbers: dict[str, Array] = {}
     exact, whole = dict[str, list[Any]](), set[str]()
     for cell, column in enumerate(table.columns[1:], 2):
@@ -180,7 +162,7 @@ def read_results(
             numbers[column.name] = values.astype(np.float64)
             whole |= {column.name} if values.dtype.kind == "i" else set()
     faults.raise_any()
-    assert time is not None  # else there was a fault
+    assert time is not None  # as it is not spare
     values = np.column_stack(list(numbers.values())) if numbers else np.empty((time.size, 0))
     own_units = {c.name: c.unit for c in table.columns[1:] if c.unit}
     own_units |= {name: unit for name, unit in units.items() if name in numbers or name in exact}

@@ -10,7 +10,7 @@ import math
 import re
 import shlex
 import sys
-from collections.abc import Callable, Collection, Container, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Container, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -26,12 +26,12 @@ from cosim.base.units import alternatives, factor
 from cosim.storage.files import open_bytes
 from cosim.storage.yaml_file import did_you_mean
 
-OWN = {
-    "csv": "cosim.storage.csv_source:CSV",
-    "parquet": "cosim.storage.parquet_source:PARQUET",
-    "mat": "cosim.storage.mat_source:MAT",
-    "hdf5": "cosim.storage.hdf5_source:HDF5",
-}
+OWN = (
+    "cosim.storage.csv_source:CSV",
+    "cosim.storage.parquet_source:PARQUET",
+    "cosim.storage.mat_source:MAT",
+    "cosim.storage.hdf5_source:HDF5",
+)
 HEAD = 64  # bytes examined to detect a format
 SHOWN_FAULTS = 5  # faults of cells that are shown for a file; the rest are counted
 MOST_TIME = math.sqrt(sys.float_info.max)  # [s] largest time whose square a double holds
@@ -133,11 +133,6 @@ class Use:
     role: str = ""
     spare: bool = False
 
-    @property
-    def cure(self) -> str:
-        """Return the remedy for a cell without a finite number."""
-        return "write a number or leave the row out" if self.role else "leave the cell empty where there is no value"
-
 
 class Source:
     """A table format.
@@ -174,11 +169,8 @@ class Source:
         """Raise InputError if a library for writing is missing."""
 
     def column_names(self, path: Path) -> list[str]:
-        """Return the column names, none if unreadable."""
-        try:
-            return [column.name for column in self.read(path).columns]
-        except InputError:
-            return []
+        """Return the column names; raise InputError or OSError if unreadable."""
+        return [column.name for column in self.read(path).columns]
 
 
 class Faults:
@@ -222,6 +214,25 @@ class Faults:
 # -- reading --------------------------------------------------------------------------------------
 
 
+def read_source(faults: Faults, names: Container[str] = (), text: Collection[str] = ()) -> Table:
+    """Return all columns of a file, and note its faults; an empty table if it cannot be read."""
+    path = faults.path
+    try:
+        if not path.is_file():
+            faults.note(0, 0, "is no file" if path.exists() else "no such file")
+            return Table()
+        table = source_of(path).read(path, names, text)
+    except InputError as error:
+        faults.items += error.faults
+        return Table()
+    except OSError as error:
+        faults.note(0, 0, f"cannot be read: {error.strerror}")
+        return Table()
+    faults.header = table.header
+    faults.items += table.faults
+    return table
+
+
 def read_table(
     faults: Faults,
     choose: Callable[[Column], Use | None],
@@ -241,28 +252,31 @@ def read_table(
         jumps: Whether equal times are allowed, which are a jump.
 
     Returns:
-        None if the file has no header that can be read.
+        None if the file has no header that can be read. If the first column is no time, which is a fault, the rest
+        follows without it.
     """
-    if not is_there(faults):
-        return None
-    try:
-        table = source_of(faults.path).read(faults.path, names)
-    except InputError as error:
-        faults.items += error.faults
-        return None
-    except OSError as error:
-        faults.note(0, 0, f"cannot be read: {error.strerror}")
-        return None
-    faults.header = table.header
-    faults.items += table.faults
+    table = read_source(faults, names)
     if not table.columns:
-        if not table.faults:
-            wanted = f"time, then {description}"
-            faults.note(0, 0, f"has no columns; the first line of a CSV names them: {wanted}")
+        if not faults.items:
+            faults.note(0, 0, f"has no columns; the first line of a CSV names them: time, then {description}")
         return None
-    uses = _chosen(table, choose, faults, times=times)
-    if "time" not in uses:
-        return None
+    first = table.columns[0].name
+    has_time = first in times or is_time(first)
+    if not has_time:
+        note_wrong_first(faults, table)
+    uses: dict[str, tuple[Use, Column]] = {}
+    for cell, column in enumerate(table.columns, 1):
+        if not has_time and (cell == 1 or is_time(column.name)):
+            continue
+        column = replace(column, cell=cell, name="time" if cell == 1 else column.name)
+        if column.name in uses:
+            before = uses[column.name][1].cell
+            faults.note(table.header, cell, f'column "{column.name}" stands twice, first as column {before}; keep one')
+        elif (use := choose(column)) is not None and use.name in uses:
+            before = uses[use.name][1].cell
+            faults.note(table.header, cell, f'column "{column.name}" is {use.name}, as column {before} is; keep one')
+        elif use is not None:
+            uses[use.name] = use, column
     columns, spoiled = list[Column](), list[str]()
     for use, column in uses.values():
         values = numbers_of(column, use, table, faults, jumps=jumps)
@@ -270,81 +284,49 @@ def read_table(
             spoiled.append(use.name)
         else:
             columns.append(replace(column, name=use.name, values=values))
-    return replace(table, columns=columns, lines=table.row_lines, first=table.columns[0].name, spoiled=spoiled)
-
-
-def _chosen(
-    table: Table, choose: Callable[[Column], Use | None], faults: Faults, *, times: Collection[str]
-) -> dict[str, tuple[Use, Column]]:
-    """Return name → use and column of the columns that a caller wants."""
-    first = table.columns[0].name
-    all_times = [cell for cell, column in enumerate(table.columns, 1) if is_time(column.name)]
-    uses: dict[str, tuple[Use, Column]] = {}
-    for cell, column in enumerate(table.columns, 1):
-        column = replace(column, cell=cell)
-        if cell == 1:
-            if is_time(first) or first in times:
-                column = replace(column, name="time")
-            else:
-                note_wrong_first(faults, table.header, first, next(iter(all_times), 0))
-                uses["time"] = Use("time", spare=True), column  # Reading continues with the remaining columns.
-                continue
-        elif 1 not in all_times and cell in all_times and first not in times:
-            continue  # The first column, which is not the time, stands for it from here on.
-        if column.name in uses:
-            before = uses[column.name][1].cell
-            faults.note(table.header, cell, f'column "{column.name}" stands twice, first as column {before}; keep one')
-        elif (use := choose(column)) is not None and use.name in uses:
-            before = uses[use.name][1].cell
-            message = f'column "{column.name}" is {use.name}, as column {before} is; keep one'
-            faults.note(table.header, cell, message)
-        elif use is not None:
-            uses[use.name] = use, column
-    return uses
+    return replace(table, columns=columns, lines=table.row_lines, first=first, spoiled=spoiled)
 
 
 def numbers_of(column: Column, use: Use, table: Table, faults: Faults, *, jumps: bool = False) -> Array | None:
     """Return a column's numbers in the wanted unit, and note its faulty cells; None for a spoiled spare column.
 
-    Times beyond `MOST_TIME`, or that do not increase, are faults too; equal times are allowed if they are `jumps`.
+    Times that are too large or do not increase are faults too; equal times are allowed if they are `jumps`.
     """
     lines, cell = table.row_lines, column.cell
     wrong = np.zeros(len(lines), bool)
     values = np.full(len(lines), np.nan)
-    is_fake_time = use.name == "time" and use.spare
     if column.numeric:
         values[:] = column.values
     elif column.fault or not table.header:  # Only the cells of a text have places.
-        if not use.spare:
-            faults.faulty.add(cell)
-            faults.note(table.header, cell, f"column {use.name} {column.fault or 'holds text; write numbers'}")
-        return values if is_fake_time or not use.spare else None
+        if use.spare:
+            return None
+        faults.faulty.add(cell)
+        faults.note(table.header, cell, f"column {use.name} {column.fault or 'holds text; write numbers'}")
+        return values
     else:
         for row, text in enumerate(column.values):
             number = number_of(text)
             wrong[row], values[row] = number is None, np.nan if number is None else number
-    if use.spare and not is_fake_time:
+    if use.spare:
         return use.factor * values if np.isfinite(values).all() else None
-    if not use.spare:
-        infinite, missing = np.isinf(values), np.isnan(values) & ~wrong
-        faults.note_cells(
-            np.flatnonzero(wrong), lines, cell, lambda row: _wrong_cell(str(column.values[row]).strip()[:30], use)
-        )
-        faults.note_cells(
-            np.flatnonzero(infinite),
-            lines,
-            cell,
-            lambda row: f'"{values[row]:g}" in column {use.name} is not finite; {use.cure}',
-        )
-        if use.role:
+    cure = "write a number or leave the row out" if use.role else "leave the cell empty where there is no value"
+    infinite, missing = np.isinf(values), np.isnan(values) & ~wrong & bool(use.role)
+
+    def message(row: int) -> str:
+        text = str(column.values[row]).strip()[:30]
+        if missing[row]:
             known = f"{use.role} is known at every row, so fill the cell or leave the row out"
-            faults.note_cells(
-                np.flatnonzero(missing), lines, cell, lambda row: f"{use.name} has no value here; {known}"
-            )
-        values[infinite] = np.nan
+            return f"{use.name} has no value here; {known}"
+        if DECIMAL_COMMA.fullmatch(text):
+            return f'"{text}" in column {use.name} has a decimal comma: write a point'
+        return f'"{text}" in column {use.name} is {"not finite" if infinite[row] else "no number"}; {cure}'
+
+    faults.note_cells(np.flatnonzero(wrong | infinite | missing), lines, cell, message)
+    values[infinite] = np.nan
     scaled: Array = values * use.factor
-    if use.name == "time" and not use.spare:
-        return _checked_times(scaled, lines, faults, jumps=jumps)
+    if use.name == "time":
+        _check_times(scaled, lines, faults, jumps=jumps)
+        return scaled
     return scaled + use.offset if use.offset else scaled  # Without offset, a negative zero keeps its sign.
 
 
@@ -358,53 +340,37 @@ def number_of(text: str) -> float | None:
         return None
 
 
-def _wrong_cell(cell: str, use: Use) -> str:
-    if DECIMAL_COMMA.fullmatch(cell):
-        return f'"{cell}" in column {use.name} has a decimal comma: write a point'
-    return f'"{cell}" in column {use.name} is no number; {use.cure}'
-
-
-def _checked_times(time: Array, lines: Sequence[int], faults: Faults, *, jumps: bool) -> Array:
-    """Note times that are too large or do not increase; return times clipped to `MOST_TIME`."""
+def _check_times(time: Array, lines: Sequence[int], faults: Faults, *, jumps: bool) -> None:
+    """Note times that are too large or do not increase."""
     cure = "too large to count differences of times; write seconds, or leave the row out"
-    faults.note_cells(
-        np.flatnonzero(np.abs(time) > MOST_TIME), lines, 1, lambda row: f"time is {time[row]:g} s, {cure}"
-    )
-    time = np.clip(time, -MOST_TIME, MOST_TIME)
-    rows = np.flatnonzero(np.isfinite(time))
+    large = np.abs(time) > MOST_TIME
+    faults.note_cells(np.flatnonzero(large), lines, 1, lambda row: f"time is {time[row]:g} s, {cure}")
+    rows = np.flatnonzero(np.isfinite(time) & ~large)
     steps = np.diff(time[rows])
     late = np.flatnonzero(steps < 0.0 if jumps else steps <= 0.0) + 1
     before = dict(zip(rows[late].tolist(), time[rows[late - 1]].tolist(), strict=True))
 
     def message(row: int) -> str:
-        spacing = math.ulp(time[row])
+        cure, spacing = "sort the rows, keep one of each", math.ulp(time[row])
         if time[row] == before[row] and spacing > FLOAT_RESOLUTION_S:
-            return (
-                f"time {time[row]:g} s does not increase: numbers of this size are {spacing:.2g} s apart in double "
-                "precision, so the times of rows cannot be told apart; subtract the first time from all times before "
-                "they are written"
-            )
-        cure = "sort the rows, keep one of each"
+            cure = f"doubles of this size are {spacing:.2g} s apart: subtract the first time from all before writing"
         return f"time {time[row]:g} s does not increase, {before[row]:g} s stands before it; {cure}"
 
     faults.note_cells(rows[late], lines, 1, message)
-    return time
 
 
-def note_wrong_first(faults: Faults, line: int, name: str, time: int = 0) -> None:
-    """Note a first column that is not time.
-
-    Args:
-        time: Number of the column of the time, 0 if there is none.
-    """
-    if time:
-        hint = f"; time is column {time}: move it to the front"
-    elif number_of(name) is not None and name:
+def note_wrong_first(faults: Faults, table: Table) -> None:
+    """Note a first column that is not time."""
+    first = table.columns[0].name if table.columns else ""
+    place = next((cell for cell, column in enumerate(table.columns, 1) if is_time(column.name)), 0)
+    if place:
+        hint = f"; time is column {place}: move it to the front"
+    elif number_of(first) is not None and first:
         hint = "; the file has no header: write the names of the columns into the first line"
     else:
-        rename = f"; rename it, or say it by --column {shlex.quote(f'{name}=time')} where a command has that option"
-        hint = did_you_mean(name, ["time"]) or rename
-    faults.note(line, 1, f'the first column is "{name}"; it must be "time" [s]{hint}')
+        rename = f"; rename it, or say it by --column {shlex.quote(f'{first}=time')} where a command has that option"
+        hint = did_you_mean(first, ["time"]) or rename
+    faults.note(table.header, 1, f'the first column is "{first}"; it must be "time" [s]{hint}')
 
 
 def read_columns(path: Path, names: Collection[str] = (), text: Collection[str] = ()) -> Table:
@@ -438,24 +404,11 @@ def read_columns(path: Path, names: Collection[str] = (), text: Collection[str] 
     return table
 
 
-def is_there(faults: Faults) -> bool:
-    """Return whether the file exists; note a missing one."""
-    path = faults.path
-    try:
-        if path.is_file():
-            return True
-        faults.note(0, 0, "is no file" if path.exists() else "no such file")
-    except OSError as error:
-        faults.note(0, 0, f"cannot be read: {error.strerror}")
-    return False
-
-
 def read_header(path: Path) -> list[str]:
     """Return a file's column names, none if unreadable."""
-    faults = Faults(path)
     try:
-        return source_of(path).column_names(path) if is_there(faults) else []
-    except InputError:
+        return source_of(path).column_names(path) if path.is_file() else []
+    except (InputError, OSError, ValueError):
         return []
 
 
@@ -467,10 +420,18 @@ def is_time(name: str) -> bool:
     return name.casefold() == "time"
 
 
-def time_among(names: Iterable[str]) -> str | None:
-    """Return the name of the time: `time` in any case, else `t`; `T` is rather a temperature."""
-    given = [*names]
-    return next((name for name in given if name.lower() == "time"), "t" if "t" in given else None)
+def table_by_time(columns: Sequence[Column]) -> Table:
+    """Return the columns as long as the time, which comes first, from a file of another tool; none without a time.
+
+    The time is `time` in any case, else `t`; `T` is rather a temperature.
+    """
+    names = [column.name for column in columns]
+    found = next((name for name in names if is_time(name)), "t" if "t" in names else None)
+    if found is None:
+        return Table()
+    time = columns[names.index(found)]
+    others = [column for column in columns if column is not time and len(column.values) == len(time.values)]
+    return Table([replace(time, name="time", unit=time.unit or "s"), *others])
 
 
 def time_scale(faults: Faults, line: int, unit: str) -> float:
@@ -494,8 +455,10 @@ def split_heading(text: str, names: Container[str] = ()) -> tuple[str, str]:
     return (whole, "") if INDEX.search(whole) and name not in names else (name, unit)
 
 
-def whole_numbers(values: Array) -> Array:
-    """Return integers with a sign, or without one if one is beyond 63 bits."""
+def plain_numbers(values: Array) -> Array:
+    """Return doubles, or integers with a sign, or without one if one is beyond 63 bits."""
+    if values.dtype.kind not in "biu":
+        return values.astype(np.float64)
     is_beyond = values.dtype.kind == "u" and bool(np.any(values > np.iinfo(np.int64).max))
     return values.astype(np.uint64 if is_beyond else np.int64)
 
@@ -511,7 +474,7 @@ def as_text(value: Any) -> str:
 @functools.cache
 def sources() -> tuple[Source, ...]:
     """Return the formats, installed packages last."""
-    own = [resolve(place) for place in OWN.values()]
+    own = [resolve(place) for place in OWN]
     added = (load(SOURCES, name) for name in names(SOURCES))
     return (*own, *(source for source in added if isinstance(source, Source)))
 
@@ -536,21 +499,17 @@ def source_of(path: Path) -> Source:
     if by_head := [s for s in (*by_suffix, *sources()) if s.magic and head.startswith(s.magic)]:
         return by_head[0]
     if not by_suffix and b"\0" in head:
-        raise InputError.at(path, f"has none of the formats that are read: {_formats(sources())}")
+        formats = ", ".join(f"{source.name} ({', '.join(source.suffixes)})" for source in sources())
+        raise InputError.at(path, f"has none of the formats that are read: {formats}")
     return (by_suffix or sources())[0]
 
 
 def source_named(name: str) -> Source:
     """Return the named format for results; raise InputError if unknown or read-only."""
     word = name.lower().removeprefix(".")
-    formats = _formats(source for source in sources() if source.writes)
-    for source in sources():
-        if word == source.name.lower() or f".{word}" in source.suffixes:
-            if source.writes:
-                return source
-            raise InputError.at(Path("--format"), f"{source.name} is read, not written; written are {formats}")
-    raise InputError.at(Path("--format"), f'no format "{name}"; known here: {formats}')
-
-
-def _formats(formats: Iterable[Source]) -> str:
-    return ", ".join(f"{source.name} ({', '.join(source.suffixes)})" for source in formats)
+    written = [source for source in sources() if source.writes]
+    found = [source for source in written if word == source.name.lower() or f".{word}" in source.suffixes]
+    if not found:
+        known = ", ".join(f"{source.name} ({', '.join(source.suffixes)})" for source in written)
+        raise InputError.at(Path("--format"), f'no format "{name}"; known here: {known}')
+    return found[0]

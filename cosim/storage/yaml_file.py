@@ -14,15 +14,10 @@ from pydantic import (
     Field,
     GetCoreSchemaHandler,
     GetJsonSchemaHandler,
-    Tag,
     ValidationError,
     ValidatorFunctionWrapHandler,
 )
-from pydantic_core.core_schema import (
-    CoreSchema,
-    no_info_before_validator_function,
-    no_info_wrap_validator_function,
-)
+from pydantic_core.core_schema import CoreSchema, no_info_wrap_validator_function
 
 from cosim.base.errors import Fault, InputError
 from cosim.base.suggestions import closest as closest
@@ -38,37 +33,31 @@ NotNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
 
 @dataclass(frozen=True)
 class InUnit:
-    """A number in a unit, or text such as `4 min` to convert."""
+    """A number in a unit, or text such as `4 min` to convert; without unit, text waits for `YamlFile.in_units`."""
 
-    unit: str
+    unit: str | None
     difference: bool = False
 
     def number(self, value: Any) -> Any:
         """Return the number of a text with a unit; return other values unchanged."""
-        if not isinstance(value, str):
+        if not isinstance(value, str) or self.unit is None:
             return value
         if not has_unit(value):
             raise ValueError(allowed_quantity(self.unit))
         return read_quantity(value, self.unit, difference=self.difference)
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        return no_info_before_validator_function(self.number, handler(source))
+        def number(value: Any, inner: ValidatorFunctionWrapHandler) -> Any:
+            waits = self.unit is None and isinstance(value, str) and has_unit(value)
+            return value if waits else inner(self.number(value))
+
+        return no_info_wrap_validator_function(number, handler(source))
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         number = handler(schema)
         if "anyOf" in number:
             return {**number, "anyOf": [*number["anyOf"], {"type": "string"}]}
         return {**number, "type": ["number", "string"]}
-
-
-class UnitOfKey(InUnit):
-    """A number in the unit of its key's signal; text with a unit waits for `YamlFile.in_units`."""
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        def number(value: Any, inner: ValidatorFunctionWrapHandler) -> Any:
-            return value if isinstance(value, str) and has_unit(value) else inner(value)
-
-        return no_info_wrap_validator_function(number, handler(source))
 
 
 Seconds = Annotated[Number, InUnit("s")]
@@ -81,7 +70,7 @@ PositiveAmount = Annotated[Positive, NUMBER_OR_TEXT]
 NotNegativeAmount = Annotated[NotNegative, NUMBER_OR_TEXT]
 
 
-UNIT_OF_KEY = UnitOfKey("")
+UNIT_OF_KEY = InUnit(None)
 Share = InUnit("1")  # a number, or text such as `5 %`
 
 MOST_BYTES = 8_000_000  # size of a file [bytes]
@@ -183,13 +172,12 @@ class YamlFile:
             is_alien = kind == "extra_forbidden" and bool(place) and closest(str(place[0]), model.model_fields) != first
             if len(place) < 2 and not is_alien:
                 raise InputError(faults)
-        for place, _ in places:
-            part = data
-            for depth, step in enumerate(place, 1):
-                if depth == len(place) or not isinstance(part.get(step), dict):
-                    part.pop(step, None)  # A list is removed whole to keep its indices.
-                    break
-                part = part[step]
+            part, key = data, place[0]
+            for step in place[1:]:
+                if not isinstance(part.get(key), dict):
+                    break  # A list is removed whole to keep its indices.
+                part, key = part[key], step
+            part.pop(key, None)
         try:
             return model.model_validate(data), faults
         except ValidationError:
@@ -197,28 +185,26 @@ class YamlFile:
 
     def _faults(self, model: type[BaseModel], error: ValidationError, data: Any, at: Location = ()) -> list[Fault]:
         errors = _errors_of_branches(error.errors(include_url=False), data)
-        faults = [self._pydantic_fault(model, e, data, at) for e in errors[:MOST_FAULTS]]
+        faults = []
+        for each in errors[:MOST_FAULTS]:
+            within = location_in(data, each["loc"], each["type"])
+            location = (*at, *within)
+            name = ".".join(map(short, location)) or "it"
+            is_key = "[key]" in each["loc"][len(within) :]
+            if each["type"] == "missing":
+                location, message = location[:-1], f'"{name}" is missing; add it'
+            elif each["type"] == "extra_forbidden":
+                is_key, key, keys = True, str(location[-1]), _allowed_keys(model, each["loc"][:-1])
+                message = f'unknown key "{short(key)}"{did_you_mean(key, keys)} (known here: {", ".join(keys)})'
+                if cure := REMOVED_KEYS.get(key):
+                    message = f'"{short(key)}" is no longer supported. {cure}'
+            else:
+                reasons = dict.fromkeys(map(_reason, (each, *each.get("else", ()))))
+                message = wrong_value(name, each.get("input"), ", or ".join(reasons))
+            faults.append(self.fault(location, message, key=is_key))
         if len(errors) > MOST_FAULTS:
             faults.append(Fault(self.path, 0, 0, f"{len(errors)} faults in all; the first {MOST_FAULTS} are shown"))
         return faults
-
-    def _pydantic_fault(self, model: type[BaseModel], error: Any, data: Any, at: Location) -> Fault:
-        kind = error["type"]
-        within = location_in(data, error["loc"], kind)
-        location = (*at, *within)
-        name = ".".join(map(short, location))
-        if kind == "extra_forbidden":
-            key = str(location[-1])
-            if cure := REMOVED_KEYS.get(key):
-                return self.fault(location, f'"{short(key)}" is no longer supported. {cure}', key=True)
-            keys, takers = _allowed_keys(model, error["loc"])
-            message = f'unknown key "{short(key)}"{takers or did_you_mean(key, keys)} (known here: {", ".join(keys)})'
-            return self.fault(location, message, key=True)
-        if kind == "missing":
-            return self.fault(location[:-1], f'"{name}" is missing; add it')
-        reason = ", or ".join(dict.fromkeys(map(_reason, (error, *error.get("else", ())))))
-        message = wrong_value(name or "it", error.get("input"), reason)
-        return self.fault(location, message, key="[key]" in error["loc"][len(within) :])
 
 
 def wrong_value(name: str, value: Any, reason: str) -> str:
@@ -247,22 +233,15 @@ def _text(path: Path) -> str:
 
 def format_value(value: Any) -> str:
     """Return a value in file notation, shortened if long."""
-    match value:
-        case None:
-            return "empty"
-        case bool():
-            return str(value).lower()
-        case str():
-            return repr(short(value))
-        case float():
-            return repr(value)
-        case int():
-            return str(value) if abs(value) < 10**LONGEST else "a very large number"
-        case dict():
-            return "a mapping"
-        case list() | tuple():
-            return "a list"
-    return "of another kind"
+    if isinstance(value, (str, float)):
+        return repr(short(value) if isinstance(value, str) else value)
+    if isinstance(value, int) and abs(value) >= 10**LONGEST:
+        return "a very large number"
+    if value is None or isinstance(value, int):
+        return "empty" if value is None else str(value).lower()
+    if isinstance(value, dict):
+        return "a mapping"
+    return "a list" if isinstance(value, (list, tuple)) else "of another kind"
 
 
 def short(text: object) -> str:
@@ -276,18 +255,14 @@ def _reason(error: Any) -> str:
     kind, context = error["type"], error.get("ctx") or {}
     if kind == "value_error":
         return str(context["error"])
-    if kind.startswith("bool"):
-        return "it is on or off"
     if kind == "string_pattern_mismatch":
-        pattern = str(context.get("pattern"))
-        return f"it should be {next(form for part, form in _PATTERNS.items() if part in pattern)}"
-    if kind in _WORDS:
-        return _WORDS[kind]
-    if kind in _LENGTHS and context.get("field_type") in {"List", "Tuple"}:
-        bound, key = _LENGTHS[kind]
-        return f"it should have {bound} {context.get(key)} entries, not {context.get('actual_length')}"
-    reason = str(error["msg"]).removeprefix("Value error, ").replace("Input should", "it should")
-    return reason[:1].lower() + reason[1:]
+        of = "component.variable, the component's name" if "\\." in str(context.get("pattern")) else "a name"
+        return f"it should be {of} of letters, digits and _ that begins with no digit"
+    if kind in {"too_short", "too_long"} and context.get("field_type") in {"List", "Tuple"}:
+        bound = f"at least {context['min_length']}" if kind == "too_short" else f"at most {context['max_length']}"
+        return f"it should have {bound} entries, not {context.get('actual_length')}"
+    reason = str(error["msg"]).replace("Input should", "it should")
+    return _WORDS.get(kind, reason[:1].lower() + reason[1:])
 
 
 REMOVED_KEYS: dict[str, str] = {  # key of earlier versions → what to use instead
@@ -298,14 +273,14 @@ REMOVED_KEYS: dict[str, str] = {  # key of earlier versions → what to use inst
     "design": "Design the controller beforehand: cosim build --model MODEL --design FILE.",
 }
 _WORDS = {
+    **dict.fromkeys(("bool_type", "bool_parsing"), "it is on or off"),
     **dict.fromkeys(("dict_type", "model_type", "model_attributes_type"), "it should be a mapping of keys to values"),
     **dict.fromkeys(("list_type", "tuple_type"), "it should be a list"),
-    **dict.fromkeys(("string_type", "string_unicode"), "it should be text"),
+    "string_type": "it should be text",
     "float_type": "it should be a valid number",
     "int_type": "it should be a whole number",
     "int_parsing_size": "it should be a smaller number",
 }
-_LENGTHS = {"too_short": ("at least", "min_length"), "too_long": ("at most", "max_length")}
 
 
 def _errors_of_branches(errors: Sequence[Any], data: Any) -> list[Any]:
@@ -328,10 +303,6 @@ def _errors_of_branches(errors: Sequence[Any], data: Any) -> list[Any]:
     return selection
 
 
-_PATTERNS = {  # part of a pattern in use → form of its texts
-    "\\.": "component.variable, the component's name of letters, digits and _ that begins with no digit",
-    "": "a name of letters, digits and _ that begins with no digit",
-}
 _FORMS = {"dict_type", "model_type", "list_type", "tuple_type", "string_type", "float_type", "string_pattern_mismatch"}
 
 
@@ -354,38 +325,23 @@ def location_in(data: Any, places: Sequence[str | int], kind: str) -> Location:
     return tuple(location)
 
 
-def _allowed_keys(model: type[BaseModel], places: Sequence[str | int]) -> tuple[list[str], str]:
-    """Return allowed keys, and a hint on other branches that take the key."""
-    annotation: Any = model
-    branches: dict[str, Any] = {}  # of the union that the last step chooses from: tag → type
-    *steps, key = places
-    for step in steps:
+def _allowed_keys(annotation: Any, places: Sequence[str | int]) -> list[str]:
+    """Return the allowed keys of the part at a place, whose names may be tags of a union's branches."""
+    for step in places:
         while get_origin(annotation) is Annotated:
             annotation = get_args(annotation)[0]
-        branches = {
-            mark.tag: branch
-            for branch in get_args(annotation)
-            for mark in getattr(branch, "__metadata__", ())
-            if isinstance(mark, Tag)
-        }
-        if step in branches:
-            annotation = branches[str(step)]
-            continue
-        branches = {}
+        branches = {getattr(mark, "tag", None): b for b in get_args(annotation) for mark in get_args(b)[1:]}
         field = getattr(annotation, "model_fields", {}).get(step)
-        annotation = field.annotation if field is not None else (get_args(annotation) or (annotation,))[-1]
-    takers = [name.strip("«»") for name, branch in branches.items() if key in _keys(branch)]
-    if not takers:
-        return _keys(annotation), ""
-    verb = "take" if takers[1:] else "takes"
-    return _keys(annotation), f": {' and '.join(takers)} {verb} it, {str(steps[-1]).strip('«»')} does not"
+        otherwise = field.annotation if field is not None else (get_args(annotation) or (annotation,))[-1]
+        annotation = branches.get(step, otherwise)
+    return _keys(annotation)
 
 
 def _keys(annotation: Any) -> list[str]:
     """Return the keys of the first model in an annotation."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [f.alias or name for name, f in annotation.model_fields.items()]
-    return next(filter(None, map(_keys, getattr(annotation, "__args__", ()))), [])
+    return next(filter(None, map(_keys, get_args(annotation))), [])
 
 
 class Part(BaseModel):

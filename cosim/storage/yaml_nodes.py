@@ -37,9 +37,10 @@ UNKNOWN: Place = (0, 0)
 class NotYaml(Exception):
     """Invalid or unsupported YAML text, with line and column from 1."""
 
-    def __init__(self, line: int, column: int, message: str) -> None:
+    def __init__(self, message: str, mark: Any = None) -> None:
         super().__init__(message)
-        self.line, self.column = line, column
+        self.line: int = 1 if mark is None else mark.line + 1
+        self.column: int = 1 if mark is None else mark.column + 1
 
 
 def _compose(text: str) -> Any:
@@ -53,16 +54,13 @@ def _compose(text: str) -> Any:
     try:
         return YAML(typ="safe", pure=True).compose(text)
     except RecursionError:
-        raise NotYaml(1, 1, TOO_DEEP) from None
+        raise NotYaml(TOO_DEEP) from None
     except (YAMLError, ValueError, IndexError, TypeError, AttributeError, AssertionError, OverflowError) as error:
+        told = " ".join(filter(None, (getattr(error, "context", None), getattr(error, "problem", None))))
+        if not told and isinstance(error, YAMLError):  # others come from mistakes of ruamel.yaml's scanner
+            told = str(error).partition("\n")[0]
         mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
-        problem = getattr(error, "problem", None) or ""
-        if not problem or problem.startswith("but "):
-            problem = f"{getattr(error, 'context', None) or ''} {problem}".strip()
-        if not problem and isinstance(error, YAMLError):  # others come from mistakes of ruamel.yaml's scanner
-            problem = str(error).partition("\n")[0]
-        message = f"is not YAML: {' '.join(problem.split())[:200] or 'it cannot be understood'}"
-        raise NotYaml(mark.line + 1 if mark else 1, mark.column + 1 if mark else 1, message) from None
+        raise NotYaml(f"is not YAML: {' '.join(told.split())[:200] or 'it cannot be understood'}", mark) from None
 
 
 @lru_cache(maxsize=1)
@@ -109,10 +107,8 @@ class Document:
             self._is_json = False
         if self._is_large:
             raise NotYaml(
-                1,
-                1,
                 f"has {len(text) / 1e6:.1f} MB of YAML, of which at most {MOST_YAML / 1e6:g} MB and about {MOST_MARKS} "
-                "keys and values are read; write it as JSON, which may have 8 MB, or make it shorter",
+                "keys and values are read; write it as JSON, which may have 8 MB, or make it shorter"
             )
         self.data = None if self._root is None else self._value(self._root, 0)
 
@@ -131,7 +127,7 @@ class Document:
         if self._is_json and self._is_large:
             return UNKNOWN
         try:
-            node, place = self._root, (1, 1)
+            node, place = self._root, None
         except NotYaml:
             return UNKNOWN
         for depth, step in enumerate(location, 1):
@@ -139,23 +135,24 @@ class Document:
             if node.id == "mapping" and step in (pairs := _pairs(node)):
                 at, node = pairs[str(step)]
                 # A missing key is reported at the key of its parent.
-                place = _place_of(at if (key and is_last) or (not is_last and node.id != "scalar") else node)
+                place = (at if (key and is_last) or (not is_last and node.id != "scalar") else node).start_mark
             elif node.id == "sequence" and isinstance(step, int) and step < len(node.value):
                 node = node.value[step]
-                place = _place_of(node)
+                place = node.start_mark
             else:
                 break
-        return place
+        return (1, 1) if place is None else (place.line + 1, place.column + 1)
 
     def _value(self, node: Any, depth: int) -> Any:
         """Return the plain data of a YAML node; raise a fault if the file is too large or nested too deeply."""
         self._parts += 1
         if self._parts > MOST_PARTS:
-            raise _fault(
-                node, f"has more than {MOST_PARTS} values when its aliases are expanded; use fewer values or aliases"
+            raise NotYaml(
+                f"has more than {MOST_PARTS} values when its aliases are expanded; use fewer values or aliases",
+                node.start_mark,
             )
         if depth > DEEPEST:
-            raise _fault(node, TOO_DEEP)
+            raise NotYaml(TOO_DEEP, node.start_mark)
         kind = str(node.tag).removeprefix(TAG)
         if node.id == "mapping" and kind in {"map", "None"}:
             return {key: self._value(value, depth + 1) for key, (_, value) in _pairs(node).items()}
@@ -163,7 +160,7 @@ class Document:
             return [self._value(value, depth + 1) for value in node.value]
         if node.id != "scalar" or kind not in SCALARS:
             tag = str(node.tag).replace(TAG, "!!")[:60]
-            raise _fault(node, f'the tag "{tag}" means nothing here; leave it out')
+            raise NotYaml(f'the tag "{tag}" means nothing here; leave it out', node.start_mark)
         text = _text_of(node)
         if kind == "null":
             return None
@@ -174,7 +171,7 @@ class Document:
         try:
             return getattr(_constructor(), f"construct_yaml_{kind}")(ScalarNode(node.tag, node.value))
         except (ValueError, IndexError):
-            raise _fault(node, f'"{text[:30]}" is no number') from None
+            raise NotYaml(f'"{text[:30]}" is no number', node.start_mark) from None
 
 
 document_of = lru_cache(maxsize=2)(Document)  # A file is examined for its kind first, and then read.
@@ -192,27 +189,23 @@ def _pairs(node: Any) -> dict[str, tuple[Any, Any]]:
         return entries
     node.value = None
     if entries is None:
-        raise _fault(node, "merges itself; take the merge out")
+        raise NotYaml("merges itself; take the merge out", node.start_mark)
     own: dict[str, tuple[Any, Any]] = {}
     merged: dict[str, tuple[Any, Any]] = {}
     for key, value in entries:
         if key.id != "scalar":
-            raise _fault(key, "a key is text, no list and no mapping")
+            raise NotYaml("a key is text, no list and no mapping", key.start_mark)
         if key.value == MERGE and not key.style:
             for other in value.value if value.id == "sequence" else [value]:
                 if other.id != "mapping":
-                    raise _fault(value, "only a mapping, or a list of mappings, can be merged")
+                    raise NotYaml("only a mapping, or a list of mappings, can be merged", value.start_mark)
                 merged = {**_pairs(other), **merged}
         elif (name := _text_of(key)) in own:
-            raise _fault(key, f'duplicate key "{name[:60]}"; keep one')
+            raise NotYaml(f'duplicate key "{name[:60]}"; keep one', key.start_mark)
         else:
             own[name] = key, value
     node.value = pairs = {**merged, **own}
     return pairs
-
-
-def _place_of(node: Any) -> Place:
-    return node.start_mark.line + 1, node.start_mark.column + 1
 
 
 def _text_of(node: Any) -> str:
@@ -221,13 +214,9 @@ def _text_of(node: Any) -> str:
     try:
         return text.encode("utf-16", "surrogatepass").decode("utf-16")
     except UnicodeDecodeError:
-        raise _fault(
-            node, "contains half a character (one half of a surrogate pair); write the whole character"
+        raise NotYaml(
+            "contains half a character (one half of a surrogate pair); write the whole character", node.start_mark
         ) from None
-
-
-def _fault(node: Any, message: str) -> NotYaml:
-    return NotYaml(*_place_of(node), message)
 
 
 def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
