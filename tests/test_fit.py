@@ -19,7 +19,7 @@ from cosim.base.errors import InputError, SimulationError, TimedOut
 from cosim.calibration import fit_record, fitted_fmu, simulations
 from cosim.calibration.estimate import Estimate
 from cosim.calibration.simulations import Logs
-from cosim.calibration.vary import candidates, read_vary
+from cosim.calibration.vary import candidates
 from cosim.residuals.drive import Drive, log_of_fmu
 from cosim.storage.kinds import kind_of
 from tests.cases import some
@@ -269,14 +269,13 @@ def coverage(folder: Path, count: int, rows: int, correlation: float) -> dict[st
             columns[name] += sigma * lfilter([1.0], [1.0, -correlation], white)[500:]
         log = log_of_fmu(write_log(folder / "log.csv", columns), fmu)
         with Drive(log, fmu) as drive:
-            estimate = Estimate(Logs([drive]), {}, lambda stage, share: None)
+            estimate = Estimate(Logs([drive]), lambda stage, share: None)
             offered = candidates(drive.description, {})
-            estimate.run(read_vary(drive.description, offered, [*hits]), screening=False)
-            assert estimate.likelihood is not None
-            assert estimate.point is not None
+            estimate.run([offered[name] for name in hits], screening=False)
             assert estimate.covariance is not None
-            for j, unknown in enumerate(estimate.likelihood.unknowns[: len(hits)]):
-                error = abs(estimate.point.x[j] - TRUTH[unknown.name])
+            likelihood, point = estimate.best
+            for j, unknown in enumerate(likelihood.unknowns[: len(hits)]):
+                error = abs(point.x[j] - TRUTH[unknown.name])
                 hits[unknown.name] += bool(error <= estimate.covariance.half(j))
     return hits
 

@@ -342,7 +342,7 @@ def test_results_hold_the_log_and_the_replay_row_by_row(log: Log, tmp_path: Path
 def test_a_recorded_log_is_replayed_and_reported(tmp_path: Path, plant_fmu: Path) -> None:
     log = read_log(RECORDED, *model_signals(plant_fmu))
     seen: list[tuple[int, int]] = []
-    comparison = write_replay(tmp_path, log, plant_fmu, rate=0.02, progress=lambda k, n: seen.append((k, n)))
+    comparison = write_replay(tmp_path, log, plant_fmu, progress=lambda k, n: seen.append((k, n)))
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert verdict(comparison).split(".")[0] in page
     for heading in (

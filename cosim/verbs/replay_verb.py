@@ -109,9 +109,9 @@ def command(
     Example: cosim replay log.csv --plant motor.fmu --column speed=w
     """
     from cosim.blocks.compiling import compiling
-    from cosim.residuals.comparison_data import as_json as numbers
-    from cosim.residuals.next_study import NEXT_STUDY
+    from cosim.residuals.compare import as_json as numbers
     from cosim.residuals.replay_sentences import verdict
+    from cosim.residuals.workflow import NEXT_STUDY
     from cosim.residuals.workflow import replay as replay_log
     from cosim.storage.results import rows_in
 
