@@ -32,20 +32,11 @@ class _Trial:
     """
 
     pair: Pair
+    states: Sequence[str]
     index: int
     speed: float
     slopes: Mapping[str, Array]
     places: list[tuple[float, Array, Array]]
-
-
-@dataclass(frozen=True, eq=False)
-class _Change:
-    """A change of a parameter, and the columns of the reactions: states with their rates, and sizes of all."""
-
-    parameter: str
-    change: float
-    sizes: Array
-    states: Sequence[str]
 
 
 def dampings(
@@ -63,48 +54,31 @@ def dampings(
     able = [p for p in parameters if p.acts and not p.starts and not p.failure]
     if not trials or not able:
         return ()
-    react = _Reactions(prober, course, trials)
+    places = [place for trial in trials for place in trial.places]
+
+    def react(values: Mapping[str, float]) -> Array:
+        """Return the reactions with parameter values, shape (trials, points, 4, columns)."""
+        table: Array = prober.call(reactions, prober.with_values(values), course, places)[1]
+        return table.reshape(len(trials), -1, 4, table.shape[1])
+
     base, found = react({}), dict[str, Damping]()
     for parameter in able:
-        value = float(prober.values.get(parameter.name, parameter.quantity.start))
-        by = _Change(parameter.name, _change_of(parameter, value), points.size, states)
+        name, (low, high) = parameter.name, parameter.quantity.bounds
+        value = float(prober.values.get(name, parameter.quantity.start))
+        size = abs(value) or abs(parameter.tried)
+        change = next((c * size for c in CHANGES if low <= value + 2.0 * c * size <= high), 0.0)
+        if not change:  # the bounds allow none
+            continue
         with suppress(SimulationError):
-            for damping in _of_parameter(react, base, value, by):
-                found.setdefault(damping.pair.velocity, damping)
+            once = react({name: value + change}) - base
+            likely = [_damping(o, 2.0 * o, trial, name, change, points) for o, trial in zip(once, trials, strict=True)]
+            if not any(likely):
+                continue
+            twice = react({name: value + 2.0 * change}) - base
+            for o, t, trial in zip(once, twice, trials, strict=True):
+                if (damping := _damping(o, t, trial, name, change, points)) is not None:
+                    found.setdefault(damping.pair.velocity, damping)
     return tuple(found.values())
-
-
-@dataclass(frozen=True)
-class _Reactions:
-    """Reactions of the FMU at the places of all trials."""
-
-    prober: Prober
-    course: Course
-    trials: Sequence[_Trial]
-
-    def __call__(self, values: Mapping[str, float]) -> Array:
-        """Return the reactions with parameter values, shape (trials, points, 4, columns)."""
-        places = [place for trial in self.trials for place in trial.places]
-        table: Array = self.prober.call(reactions, self.prober.with_values(values), self.course, places)[1]
-        return table.reshape(len(self.trials), -1, 4, table.shape[1])
-
-
-def _of_parameter(react: _Reactions, base: Array, value: float, by: _Change) -> list[Damping]:
-    """Return the dampings that a parameter is; none without a change that its bounds allow.
-
-    Args:
-        base: Reactions with the given value.
-    """
-
-    def judged(once: Array, twice: Array) -> list[Damping]:
-        return [*filter(None, (_damping(*each, by) for each in zip(once, twice, react.trials, strict=True)))]
-
-    if not by.change:
-        return []
-    once = react({by.parameter: value + by.change}) - base
-    if not judged(once, 2.0 * once):
-        return []
-    return judged(once, react({by.parameter: value + 2.0 * by.change}) - base)
 
 
 def _trial_of(
@@ -134,17 +108,10 @@ def _trial_of(
         places.append((t, z[:n], z[n:]))
     slopes = np.array(points.slopes[::every])
     acting = {port.input: slopes[:, :n, n + inputs.index(port.input)] for port in pair.ports}
-    return _Trial(pair, index, speed, acting, places)
+    return _Trial(pair, states, index, speed, acting, places)
 
 
-def _change_of(parameter: ProbedParameter, value: float) -> float:
-    """Return the change to try; 0 if the bounds allow none."""
-    low, high = parameter.quantity.bounds
-    size = abs(value) or abs(parameter.tried)
-    return next((c * size for c in CHANGES if low <= value + 2.0 * c * size <= high), 0.0)
-
-
-def _damping(once: Array, twice: Array, trial: _Trial, by: _Change) -> Damping | None:
+def _damping(once: Array, twice: Array, trial: _Trial, parameter: str, change: float, points: Points) -> Damping | None:
     """Return the damping from changes of the reactions; None if they are those of something else.
 
     Args:
@@ -155,22 +122,22 @@ def _damping(once: Array, twice: Array, trial: _Trial, by: _Change) -> Damping |
     once, twice = once[usable], twice[usable]
     if not len(once):
         return None
-    usual, noise, force = once[:, 1], SAME * by.sizes, -by.change * trial.speed
+    usual, noise, force = once[:, 1], SAME * points.size, -change * trial.speed
     near = noise + NEARLY * np.abs(usual).max(axis=0)
     equal = (once[:, 0], 0.0), (once[:, 2], 2.0 * usual), (once[:, 3], usual), (twice[:, 1], 2.0 * usual)
     if any((np.abs(one - other) > near).any() for one, other in equal):
         return None
     affected, own = np.flatnonzero((np.abs(usual) > noise).any(axis=0)), usual[:, trial.index] / force
-    if affected.max(initial=-1) >= len(by.states) or (own * abs(force) <= noise[trial.index]).any():
+    if affected.max(initial=-1) >= len(trial.states) or (own * abs(force) <= noise[trial.index]).any():
         return None
-    gain, rates = float(np.median(own)), tuple(by.states[k] for k in affected.tolist())
+    gain, rates = float(np.median(own)), tuple(trial.states[k] for k in affected.tolist())
     is_constant = len(rates) == 1 and bool(np.ptp(own) <= CONSTANT * gain)
-    direction = usual[:, : len(by.states)] / force
-    port = next((u for u, slopes in trial.slopes.items() if _are_parallel(slopes[usable], direction)), "")
-    return Damping(trial.pair, by.parameter, gain, rates, is_constant, port, by.change, trial.speed)
-
-
-def _are_parallel(slopes: Array, direction: Array) -> bool:
-    """Return True if slopes by an input are a constant multiple of a direction, both of shape (points, states)."""
-    factor = float((slopes * direction).sum() / (direction**2).sum())
-    return bool(np.abs(slopes - factor * direction).max() <= CONSTANT * np.abs(slopes).max())
+    direction = usual[:, : len(trial.states)] / force
+    port = ""
+    for name, slopes in trial.slopes.items():  # an input whose slopes are a constant multiple of the direction
+        along = slopes[usable]
+        factor = float((along * direction).sum() / (direction**2).sum())
+        if np.abs(along - factor * direction).max() <= CONSTANT * np.abs(along).max():
+            port = name
+            break
+    return Damping(trial.pair, parameter, gain, rates, is_constant, port, change, trial.speed)

@@ -97,8 +97,8 @@ def compare(drive: Drive, free: Replay, findings: Sequence[Finding] = ()) -> Com
             "warning",
             "hidden_state",
             c.name,
-            f"is missed by {size(c.floor.astray, c.unit)} over {plain(c.horizon)}\u00a0s where the FMU is restarted from "
-            "its own outputs: it keeps a state that no output shows, and only the free run measures it",
+            f"is missed by {size(c.floor.astray, c.unit)} over {plain(c.horizon)}\u00a0s where the FMU is restarted "
+            "from its own outputs: it keeps a state that no output shows, and only the free run measures it",
             {"rmse": c.floor.astray, "noise": c.floor.rmse},
         )
         for c in channels
