@@ -23,7 +23,7 @@ from cosim.estimation.posing import build_problem
 from cosim.experiment.chosen_input import Excitation, merit_of
 from cosim.experiment.fmu_experiment import FmuOpenLoop
 from cosim.experiment.question import Question, ask, refinement_folder
-from cosim.experiment.rigs import OpenLoop, Rig, RigAxis, Trial
+from cosim.experiment.rigs import OpenLoop, RigAxis, Trial
 from cosim.experiment.separation import Separation
 from cosim.logs.log import slowness
 from cosim.storage.csv_source import write_columns
@@ -89,7 +89,7 @@ def excite(
         time = _times(text, model.rate, duration)
         common = (question.limits, question.ranges, float(time[-1]))
         if question.of_fmu is not None:
-            rig: Rig = FmuOpenLoop(question.of_fmu, question.first, *common)
+            rig: OpenLoop = FmuOpenLoop(question.of_fmu, question.first, *common)
         else:  # of the model's class, or that of any model
             rig = registry.rig_of(type(model), OpenLoop)(model, *common)
         files = ("excitation.csv", "excitation.yaml", "plant.fmu", REPORT, *rig.files)
@@ -124,7 +124,9 @@ def _times(text: str, step: float, duration: float | None) -> Array:
     return step * np.arange(round(duration / step) + 1, dtype=np.float64)
 
 
-def _choose(question: Question, rig: Rig, time: Array, seed: int, count: int, report: Progress) -> Excitation | None:
+def _choose(
+    question: Question, rig: OpenLoop, time: Array, seed: int, count: int, report: Progress
+) -> Excitation | None:
     """Return the best of `count` experiments, None if all exceed the limits."""
     model, subject = question.loaded.model, question.subject
     usual_trial = rig.play(model, rig.usual_signals(time))

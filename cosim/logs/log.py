@@ -9,7 +9,7 @@ from functools import cached_property
 from itertools import islice, pairwise
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from cosim.base.arrays import Array, Rows
 from cosim.base.errors import Fault, refuse
 from cosim.base.units import Conversion, alternatives, assume_si, conversion
 from cosim.blocks.component import Signal
+from cosim.model.quantities import Quantity
 from cosim.storage.table import Column, Faults, Table, Use, read_table
 from cosim.storage.yaml_file import closest, did_you_mean, short
 
@@ -33,18 +34,6 @@ HINTS, SHOWN = 50, 40  # columns with a suggestion, and names in a message
 DRIFT = 2.0  # steps by which the last row of a log may be off before rows count as missing
 SHORT = 5.0  # percentile of the spacings of an irregular clock [%]
 MISSING = 1.5  # steps between rows from which a row is missing
-
-
-class SignalLike(Protocol):
-    """An input or output of a model: `cosim.blocks.component.Signal`, `cosim.model.Quantity`."""
-
-    @property
-    def name(self) -> str:
-        """Return the FMI name."""
-
-    @property
-    def unit(self) -> str:
-        """Return the unit of the signal; "" without one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,8 +106,8 @@ def rename_signals(log: Log, names: Mapping[str, str]) -> Log:
 
 def read_log(
     path: Path,
-    inputs: Sequence[SignalLike],
-    outputs: Sequence[SignalLike],
+    inputs: Sequence[Signal | Quantity],
+    outputs: Sequence[Signal | Quantity],
     *,
     columns: Mapping[str, str] = MappingProxyType({}),
     alone: bool = False,
