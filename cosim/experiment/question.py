@@ -222,23 +222,20 @@ def _fitted_rival(
     A fit without significance is often close to the neutral value, at which no input separates the rival.
     """
     others = set(names) - {r.name}
+    free = candidates[r.name].free
     for h in content.candidates:
-        if r.name not in h.names or others.intersection(h.names):
+        gain, kept = h.log_likelihood_gain, h.parameters
+        if r.name not in h.names or others.intersection(h.names) or r.name in content.hidden:
             continue
-        if _is_significant(candidates[r.name], h, content, values):
-            return Rival(r.name, h.parameters, tuple(f for n in h.names for f in candidates[n].free))
+        if not h.fitted or gain is None:
+            continue
+        if any(kept[f.name] in (f.low, f.high) and kept[f.name] != values[f.name] for f in free):
+            continue
+        rest = set(h.names) - {r.name}
+        simpler = [o.log_likelihood_gain or 0.0 for o in content.candidates if rest.issuperset(o.names)]
+        if gain - max(simpler, default=0.0) > 0.5 * SIGNIFICANT**2:
+            return Rival(r.name, kept, tuple(f for n in h.names for f in candidates[n].free))
     return r
-
-
-def _is_significant(c: Candidate, h: Ranked, content: RefineResultPart, values: Mapping[str, float]) -> bool:
-    """Return True if a candidate is fitted, within its limits, and significant."""
-    if c.name in content.hidden or not h.fitted or h.log_likelihood_gain is None:
-        return False
-    if any(h.parameters[f.name] in (f.low, f.high) and h.parameters[f.name] != values[f.name] for f in c.free):
-        return False
-    rest = set(h.names) - {c.name}
-    without = max((o.log_likelihood_gain or 0.0 for o in content.candidates if rest.issuperset(o.names)), default=0.0)
-    return h.log_likelihood_gain - without > 0.5 * SIGNIFICANT**2
 
 
 def _question_of_fmu(

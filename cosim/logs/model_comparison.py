@@ -102,31 +102,23 @@ def swaps(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
     """Yield findings on two outputs that follow each other's prediction better than their own at any delay."""
     names = [name for name in log.outputs if name in model]
     for one, other in combinations(names, 2):
-        correlations = [_correlation_across(log, a, b, model[b]) for a, b in ((one, other), (other, one))]
-        least = min(correlations)
-        own = 0.0  # the largest correlation of either with its own prediction, at any delay
+        least = 1.0  # correlation of either with the prediction of the other, of the same size as in the other's unit
+        for a, b in ((one, other), (other, one)):
+            fit = fit_slope(log, log.outputs[a], model[b])
+            own, others = (factor(log.written.get(n, ""), log.units[n]) or 1.0 for n in (a, b))
+            fits = fit is not None and fit.is_certain and SAME_SIZE[0] < fit.slope * others / own < SAME_SIZE[1]
+            least = min(least, abs(fit.correlation) if fit is not None and fits else 0.0)
+        largest = 0.0  # the largest correlation of either with its own prediction, at any delay
         for name in (one, other) if least >= 0.5 * TELLING else ():
             parts = moving_part(log, model[name]), moving_part(log, log.outputs[name])
             rho = correlation_at_lags(*parts, _longest_lag(log))
-            own = max(own, float(np.nanmax(np.abs(rho), initial=0.0)))
-        if least >= 0.5 * TELLING and own < least:
+            largest = max(largest, float(np.nanmax(np.abs(rho), initial=0.0)))
+        if least >= 0.5 * TELLING and largest < least:
             text = (
                 f"moves as {other} does in the model (correlation {plain(least, 2)}), and {other} as {one}: are "
                 "the columns swapped?"
             )
             yield Finding("warning", "swapped", one, text, {"correlation": least})
-
-
-def _correlation_across(log: Log, name: str, other: str, model: Array) -> float:
-    """Return the correlation of an output with the prediction of another; 0 if they differ in size or by chance.
-
-    The numbers of exchanged columns keep their size, apart from the units in their headers.
-    """
-    fit = fit_slope(log, log.outputs[name], model)
-    if fit is None or not fit.is_certain:
-        return 0.0
-    own, others = (factor(log.written.get(n, ""), log.units[n]) or 1.0 for n in (name, other))
-    return abs(fit.correlation) if SAME_SIZE[0] < fit.slope * others / own < SAME_SIZE[1] else 0.0
 
 
 def _longest_lag(log: Log) -> int:

@@ -11,7 +11,6 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import FmuError, InputError, SimulationError
 from cosim.blocks.derivatives import states_of
-from cosim.probing.damping_trials import dampings
 from cosim.probing.exchange_points import (
     CONSTANT,
     PLACES,
@@ -24,10 +23,10 @@ from cosim.probing.exchange_points import (
     start_point,
 )
 from cosim.probing.fmu_structure import Connection, Pair, Port, ProbedParameter, Structure
+from cosim.probing.force_trials import dampings, with_factors
 from cosim.probing.log_runs import SAME, Course, Run
 from cosim.probing.parameter_trials import tried_parameters
 from cosim.probing.prober import Prober, no_flags, quantities, separate_pairs
-from cosim.probing.ratio_trials import with_factors
 
 RATE_SHARE = 1e-6  # eigenvalue relative to the largest, below which it is zero
 STEADY = 1e-2  # share of a value that displaces an unmoved state or input

@@ -29,7 +29,7 @@ from cosim.model.quantities import parameters_of
 from cosim.model.traits import Traits
 from cosim.probing.fmu_structure import StartValue, Structure
 from cosim.residuals.remote_drive import MODULES, DriveApart
-from cosim.residuals.starts import StartParameter, start_parameters
+from cosim.residuals.starts import start_parameters
 from cosim.residuals.windows import Replay
 from cosim.subject.candidates import Candidate
 from cosim.subject.interface import Predict, Replayer, Start, Workplace
@@ -90,7 +90,18 @@ class FmuSubject(ModelSubject):
         """
         if structure.way == "co-simulation":
             with Worker(*MODULES) as worker, DriveApart(worker, logs[0], structure.fmu) as drive:
-                structure = _with_start_parameters(structure, start_parameters(drive))
+                shown = start_parameters(drive)
+            # start parameters are start values, not parameters
+            known, variables = {s.shown for s in structure.starts}, {p.name: p.quantity for p in structure.parameters}
+            more = []
+            for k, output in enumerate(structure.outputs):
+                start = shown.get(output.name)
+                if start is not None and k not in known and start.name in variables:
+                    size = (structure.scales.get(output.name) or 1.0) / abs(start.gain)
+                    more.append(StartValue(variables[start.name], size, k, start.gain))
+            names = {p.name for p in shown.values()}
+            left = tuple(p for p in structure.parameters if p.name not in names)
+            structure = replace(structure, starts=(*structure.starts, *more), parameters=left)
         return cls(LoadedModel(probed_model(structure, logs, terms), str(structure.fmu)), structure, limits)
 
     @property
@@ -278,18 +289,3 @@ class LibraryReplayer(Replayer):
                 table[first:] = kernel.simulate(data, p, x0, np.zeros(layout.memory)).outputs[grid[first:]]
             begun = {k: {n: v for n, v in start.states.items() if "." not in n} for k, start in begins.items()}
             yield Replay(log.time, horizon, begun, dict(zip(units, table.T, strict=True)), units)
-
-
-def _with_start_parameters(structure: Structure, shown: Mapping[str, StartParameter]) -> Structure:
-    """Return the structure with start parameters as start values, not as parameters."""
-    known = {s.shown for s in structure.starts}
-    variables = {p.name: p.quantity for p in structure.parameters}
-    more = []
-    for k, output in enumerate(structure.outputs):
-        parameter = shown.get(output.name)
-        if parameter is not None and k not in known and parameter.name in variables:
-            size = (structure.scales.get(output.name) or 1.0) / abs(parameter.gain)
-            more.append(StartValue(variables[parameter.name], size, k, parameter.gain))
-    names = {p.name for p in shown.values()}
-    left = tuple(p for p in structure.parameters if p.name not in names)
-    return replace(structure, starts=(*structure.starts, *more), parameters=left)
