@@ -72,17 +72,13 @@ def test_the_rows_of_a_run_are_the_rows_of_a_log(project: Path) -> None:
     assert largest(found.errors(read_log(path, INPUTS, OUTPUTS))) == 0.0  # the same steps: bit for bit
 
 
-def test_jitter_is_replayed_as_it_was(tmp_path: Path, plant_fmu: Path) -> None:
+@pytest.mark.parametrize("lost", [[], [50, 51, 120]])
+def test_jitter_is_replayed_as_it_was_and_lost_rows_are_stepped_over(
+    tmp_path: Path, plant_fmu: Path, lost: list[int]
+) -> None:
     time = times(6.0)
-    time[1:-1] += np.random.default_rng(1).uniform(-0.005, 0.005, time.size - 2)
-    flown = fly(time, start=MOVING)
-    log = log_of(tmp_path / "a.csv", measured(flown))
-    assert largest(replay(log, plant_fmu, flown.start(0)).errors(log)) < ROUNDING
-
-
-def test_rows_that_were_lost_are_stepped_over(tmp_path: Path, plant_fmu: Path) -> None:
-    time = np.delete(times(6.0), [50, 51, 120])
-    flown = fly(time, start=MOVING)  # the truth holds its commands over the holes as the replay does
+    time[1:-1] += np.random.default_rng(1).uniform(-0.005, 0.005, time.size - 2) * (not lost)
+    flown = fly(np.delete(time, lost), start=MOVING)  # the truth holds its commands over the holes as the replay does
     log = log_of(tmp_path / "a.csv", measured(flown))
     assert largest(replay(log, plant_fmu, flown.start(0)).errors(log)) < ROUNDING
 
@@ -320,14 +316,6 @@ def test_a_recorded_log_is_replayed_and_reported(tmp_path: Path, plant_fmu: Path
     comparison = write_replay(tmp_path, log, plant_fmu, progress=lambda k, n: seen.append((k, n)))
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert verdict(comparison).split(".")[0] in page
-    for heading in (
-        "Free run",
-        "Is the residual only noise?",
-        "Which command does the residual follow?",
-        "Numbers",
-        "The log",
-    ):
-        assert heading in page
     (seconds,) = re.findall(r"([\d.]+) s at ", page)
     assert float(seconds) == pytest.approx(log.time[-1] - log.time[0])
     assert re.search(r"https?://|@import|url\(|src=", page) is None  # complete in itself

@@ -170,7 +170,8 @@ class LogReader:
         columns = {name: self.table[name] for name in self.table.by_name}
         time = columns.pop("time")
         units = {n: self.units[n] for n in columns}
-        outputs, unwrapped = {n: values for n, values in columns.items() if n in self.outputs}, {}
+        outputs = {n: values for n, values in columns.items() if n in self.outputs}
+        unwrapped = dict[str, tuple[float, ...]]()
         for name in outputs:
             if units[name] == "rad":
                 outputs[name], jumps = _unwrap(outputs[name])
