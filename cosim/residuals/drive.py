@@ -183,7 +183,7 @@ class Drive:
 
     def answer(self, method: str, given: Mapping[str, Any], *arguments: Any) -> Any:
         """Return the result of a method with other values of every run, for a drive in another process."""
-        self.given = given
+        self.given = dict(given)
         return getattr(self, method)(*arguments)
 
     def initial(self, start: Mapping[str, Any], row: int) -> dict[str, float]:
