@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -77,9 +77,25 @@ def floors(
         noisy = predict({n: values + noise[n] for n, values in sampled.items()})
         errors.append({n: sampled[n] + noise[n] - (noisy[n] - (restarted[n] - free.outputs[n])) for n in sampled})
     totals, starts = pool_errors(errors), sorted(measured.starts)
-    squares = {n: np.concatenate([_mean_squares(e[n], starts) for e in errors]) for n in sampled}
-    astray = {n: 0.0 if horizon == FREE_RUN else _restart_error(v, restarted[n]) for n, v in sampled.items()}
-    return {n: ChannelFloor(totals[n], _limit(squares[n], count), astray[n]) for n in sampled}
+    found = {}
+    for name, model in sampled.items():
+        squares = []
+        for error in (e[name] for e in errors):  # the mean squared error of each window
+            finite = np.isfinite(error)
+            window = np.searchsorted(starts, np.flatnonzero(finite), side="left")
+            counts = np.bincount(window, minlength=len(starts) + 1)
+            sums = np.bincount(window, error[finite] ** 2, minlength=counts.size)
+            squares.append(sums[counts > 0] / counts[counts > 0])
+        astray = 0.0
+        if horizon != FREE_RUN:
+            error = model - restarted[name]
+            values = model[np.isfinite(error)]
+            size = (
+                max(EXACT * float(np.std(values)), ROUNDING * float(np.max(np.abs(values)))) if values.size else np.inf
+            )
+            astray = rest if (rest := rmse(error)) > size else 0.0
+        found[name] = ChannelFloor(totals[name], _limit(np.concatenate(squares), count), astray)
+    return found
 
 
 def _linear_run(
@@ -111,15 +127,6 @@ def _linear_run(
     return run
 
 
-def _mean_squares(error: Array, starts: Sequence[int]) -> Array:
-    """Return the mean squared error of each window."""
-    finite = np.isfinite(error)
-    window = np.searchsorted(starts, np.flatnonzero(finite), side="left")
-    counts = np.bincount(window, minlength=len(starts) + 1)
-    sums = np.bincount(window, error[finite] ** 2, minlength=counts.size)
-    return np.asarray(sums[counts > 0] / counts[counts > 0])
-
-
 def _limit(squares: Array, count: int) -> float:
     """Return the largest error of a correct model relative to the floor, at probability BY_CHANCE.
 
@@ -133,11 +140,3 @@ def _limit(squares: Array, count: int) -> float:
         return AT_LEAST
     freedom = max(1.0, 2.0 * mean**2 / spread) * squares.size / count
     return max(AT_LEAST, math.sqrt(float(fdtri(freedom, freedom * count, 1.0 - BY_CHANCE))))
-
-
-def _restart_error(model: Array, restarted: Array) -> float:
-    """Return the RMSE of a restarted model, 0 at rounding level."""
-    error = model - restarted
-    values = model[np.isfinite(error)]
-    least = max(EXACT * float(np.std(values)), ROUNDING * float(np.max(np.abs(values)))) if values.size else math.inf
-    return size if (size := rmse(error)) > least else 0.0
