@@ -266,8 +266,9 @@ def simulate(
         stop = error
     counts, made = block.event_counts, len(inputs)
     events = EventCount(course.name, counts["state"], counts["time"], counts["step"])
-    tables = [np.array(rows, float).reshape(made, -1 if made else 0) for rows in (states, inputs, values[:made])]
-    return Run(course.time[:made], *tables, events, stop)
+    parts = (np.array(rows, float).reshape(made, -1 if made else 0) for rows in (states, inputs, values[:made]))
+    known, acting, found = parts
+    return Run(course.time[:made], known, acting, found, events, stop)
 
 
 def run_along(block: FmuBlock, row: Any, course: Course) -> tuple[Array, SimulationError | None]:

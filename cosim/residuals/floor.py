@@ -90,10 +90,9 @@ def floors(
         if horizon != FREE_RUN:
             error = model - restarted[name]
             values = model[np.isfinite(error)]
-            size = (
-                max(EXACT * float(np.std(values)), ROUNDING * float(np.max(np.abs(values)))) if values.size else np.inf
-            )
-            astray = rest if (rest := rmse(error)) > size else 0.0
+            if values.size:
+                size = max(EXACT * float(np.std(values)), ROUNDING * float(np.max(np.abs(values))))
+                astray = rest if (rest := rmse(error)) > size else 0.0
         found[name] = ChannelFloor(totals[name], _limit(np.concatenate(squares), count), astray)
     return found
 
