@@ -54,7 +54,7 @@ class Places:
     def as_json(self) -> dict[str, Any]:
         """Return the places as plain data."""
         s = self.structure
-        shows = {shown: state for state, shown in reversed(s.shown.items())}
+        shows = {shown: state for state, shown in reversed([*s.shown.items()])}
 
         def entry(q: Quantity, **more: Any) -> dict[str, Any]:
             return {"name": q.name, "unit": q.unit, "start": q.start, **more}

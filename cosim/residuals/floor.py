@@ -67,7 +67,7 @@ def floors(
         if not parameters.keys() & readings.keys():  # a start without measurement is unchanged
             return free.outputs
         if linear is not None:
-            other.run = linear  # type: ignore[method-assign]
+            other.run = linear  # type: ignore[method-assign, assignment]
         return as_columns(other.run(0, log.rows - 1, first_start(other, parameters)), drive.outputs)
 
     restarted, errors = predict(sampled), []

@@ -128,8 +128,8 @@ def self_started(drive: Drive, parameters: Mapping[str, StartParameter], free: R
     for j, name in enumerate(drive.outputs):
         if name in log.outputs:  # predicted from the first window with sufficient past measurements
             times = log.time[np.isfinite(log.outputs[name])]
-            since = times[0] + SKIPPED * log.slowness - coarse_rounding(log) if times.size else np.inf
-            table[: min((k for k in starts if log.time[k] >= since), default=log.rows) + 1, j] = np.nan
+            earliest = times[0] + SKIPPED * log.slowness - coarse_rounding(log) if times.size else np.inf
+            table[: min((k for k in starts if log.time[k] >= earliest), default=log.rows) + 1, j] = np.nan
     return Replay(log.time, horizon, starts, as_columns(table, drive.outputs), drive.units)
 
 
