@@ -29,7 +29,7 @@ from cosim.logs.log import Log
 from cosim.model import Equations, Model, Namespace, Quantity, Values, parameter
 from cosim.model.model import Number
 from cosim.model.quantities import Parameter
-from cosim.probing.probe_structure import probe_structure
+from cosim.probing.places import probe_structure
 from cosim.subject.fmu_subject import FmuSubject
 from cosim.subject.model_subject import ModelSubject
 from cosim.terms.code import TermCode

@@ -18,7 +18,18 @@ from controller.loop import Loop
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.blocks.profile import Change, Profile, profile_function
-from cosim.experiment.rigs import FASTEST, SLOWEST, Ranges, RigAxis, Signals, Trial, clip, played_lines, trial_of
+from cosim.experiment.rigs import (
+    FASTEST,
+    SLOWEST,
+    OpenLoop,
+    Ranges,
+    RigAxis,
+    Signals,
+    Trial,
+    clip,
+    played_lines,
+    trial_of,
+)
 from cosim.fmi.fmu_build import build
 from cosim.model import Model, Values
 from cosim.storage.csv_source import write_columns
@@ -31,7 +42,7 @@ DITHER = 0.5  # share of the tilt limit; the loop needs the rest
 DUTY_DIFFERENCE = 0.3  # share of the duty limit for the difference; the rest is common
 
 
-class ClosedLoop:
+class ClosedLoop(OpenLoop):
     """Hovercraft under its own controller: references, common and differential tilt dither, duties."""
 
     usual = "the manoeuvre"

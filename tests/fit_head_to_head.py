@@ -1,20 +1,16 @@
-"""`cosim fit` against estim8 and scipy on the same binaries and logs: held-out error and number of simulations.
+"""`cosim fit` against scipy's local and global search on the same binaries and logs: held-out error and effort.
 
-    python -m tests.fit_head_to_head                    cosim fit, and scipy's local and global search
-    python -m tests.fit_head_to_head --estim8 PYTHON    also estim8, by the interpreter of an environment of its own
+    python -m tests.fit_head_to_head [PLANT …]
 
 Each plant of own C has wrong parameters, two logs of its true ones with white noise, and a held-out log. Every method
 runs the same library, starts from the same values or searches within the same bounds. scipy runs it by the driver of
-replays, estim8 by FMPy. A simulation is one run over one log. The held-out error is that of a free run, relative to the
+replays. A simulation is one run over one log. The held-out error is that of a free run, relative to the
 noise, as the geometric mean over the outputs; 1 is the noise itself.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
-import subprocess
 import sys
 import tempfile
 import time
@@ -36,7 +32,6 @@ from tests.logs import write_log
 
 FACTOR = 3.0  # bounds of each parameter about its first value, up and down
 SHARE = 0.01  # noise relative to the spread of an output
-SHEET = Path(__file__).with_name("fit_by_estim8.py")
 
 
 @dataclass(frozen=True)
@@ -167,23 +162,7 @@ def by_scipy(bench: Bench, *, everywhere: bool = False) -> Answer:
     return Answer(dict(zip(names, found.x.tolist(), strict=True)), runs, time.monotonic() - begin)
 
 
-def by_estim8(bench: Bench, python: str) -> Answer:
-    """Return the answer of estim8, with its default global optimizer, from a process of its own environment."""
-    request = {
-        "fmu": str(bench.fmu),
-        "logs": [str(p) for p in bench.logs],
-        "bounds": bench.bounds,
-        "sigma": bench.sigma,
-        "inputs": [v.name for v in PLANTS[bench.case.plant].inputs],
-    }
-    done = subprocess.run([python, str(SHEET), json.dumps(request)], capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise SystemExit(done.stderr)
-    answer = json.loads(done.stdout.splitlines()[-1])
-    return Answer(answer["values"], answer["runs"], answer["seconds"])
-
-
-def table(python: str | None, plants: Sequence[str]) -> Iterator[str]:
+def table(plants: Sequence[str]) -> Iterator[str]:
     """Yield the lines of the table."""
     yield "| plant | method | held-out error / noise | simulations | time [s] |"
     yield "|---|---|---|---|---|"
@@ -196,22 +175,11 @@ def table(python: str | None, plants: Sequence[str]) -> Iterator[str]:
             yield f"| | true values | {bench.error(bench.truth):.4f} | | |"
             methods: dict[str, Any] = {"cosim fit": by_cosim, "scipy least_squares": by_scipy}
             methods["scipy differential_evolution"] = partial(by_scipy, everywhere=True)
-            if python:
-                methods["estim8"] = lambda b: by_estim8(b, python)
             for name, method in methods.items():
                 answer = method(bench)
                 yield f"| | {name} | {bench.error(answer.values):.4f} | {answer.runs} | {answer.seconds:.1f} |"
 
 
-def main(arguments: Sequence[str]) -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--estim8", help="interpreter of an environment with estim8")
-    parser.add_argument("plants", nargs="*")
-    options = parser.parse_args(arguments)
-    for line in table(options.estim8, options.plants):
-        print(line, flush=True)
-
-
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    for line in table(sys.argv[1:]):
+        print(line, flush=True)

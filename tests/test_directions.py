@@ -18,7 +18,7 @@ from cosim.blocks.description import read_description
 from cosim.kernel.kernel import Data
 from cosim.logs.log import Log
 from cosim.probing.fmu_structure import Structure
-from cosim.probing.probe_structure import probe_structure
+from cosim.probing.places import probe_structure
 from cosim.subject.fmu_subject import FmuSubject
 from cosim.terms.term_printing import term_code
 from cosim.wrapping.wrap import wrap

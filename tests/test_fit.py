@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import subprocess
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,7 @@ from cosim.base.errors import InputError, SimulationError, TimedOut
 from cosim.calibration import fit_record, fitted_fmu, simulations
 from cosim.calibration.estimate import Estimate
 from cosim.calibration.simulations import Logs
-from cosim.calibration.vary import candidates, read_vary
+from cosim.calibration.vary import candidates
 from cosim.residuals.drive import Drive, log_of_fmu
 from cosim.storage.kinds import kind_of
 from tests.cases import some
@@ -242,17 +241,6 @@ def test_an_fmu_whose_library_follows_its_file_gets_a_copy_with_the_values(bench
     assert float(np.nanstd(again.residual["free_run.velocity"])) < 0.02  # type: ignore[index]
 
 
-def test_the_command_prints_verdict_estimates_and_files(bench: Path, tmp_path: Path) -> None:
-    logs = [slider_log(tmp_path / f"{k}.csv", seed=k, seconds=6.0) for k in (1, 2)]
-    done: subprocess.CompletedProcess[str] = command(
-        "fit", logs[0], "--fmu", bench / "slider.fmu", "--vary", "mass", "--vary", "damping", "--sealed",
-        logs[1], "--out", tmp_path / "out",
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    assert {"fit.json", "fitted.ssv", "report.html"} <= {p.name for p in (tmp_path / "out").iterdir()}
-    assert command("report", tmp_path / "out").returncode == 2
-
-
 # -- methods ------------------------------------------------------------------------------------------
 
 
@@ -267,26 +255,21 @@ def coverage(folder: Path, count: int, rows: int, correlation: float) -> dict[st
             columns[name] += sigma * lfilter([1.0], [1.0, -correlation], white)[500:]
         log = log_of_fmu(write_log(folder / "log.csv", columns), fmu)
         with Drive(log, fmu) as drive:
-            estimate = Estimate(Logs([drive]), {}, lambda stage, share: None)
+            estimate = Estimate(Logs([drive]), lambda stage, share: None)
             offered = candidates(drive.description, {})
-            estimate.run(read_vary(drive.description, offered, [*hits]), screening=False)
-            assert estimate.likelihood is not None
-            assert estimate.point is not None
+            estimate.run([offered[name] for name in hits], screening=False)
             assert estimate.covariance is not None
-            for j, unknown in enumerate(estimate.likelihood.unknowns[: len(hits)]):
-                error = abs(estimate.point.x[j] - TRUTH[unknown.name])
+            likelihood, point = estimate.best
+            for j, unknown in enumerate(likelihood.unknowns[: len(hits)]):
+                error = abs(point.x[j] - TRUTH[unknown.name])
                 hits[unknown.name] += bool(error <= estimate.covariance.half(j))
     return hits
 
 
 @pytest.mark.thorough
-def test_intervals_hold_the_truth_under_white_noise(tmp_path: Path) -> None:
-    assert min(coverage(tmp_path, 100, 301, 0.0).values()) >= 88  # 95 ± 7
-
-
-@pytest.mark.thorough
-def test_intervals_hold_the_truth_under_a_coloured_disturbance(tmp_path: Path) -> None:
-    assert min(coverage(tmp_path, 60, 301, 0.8).values()) >= 50  # of 60
+@pytest.mark.parametrize(("count", "correlation", "least"), [(100, 0.0, 88), (60, 0.8, 50)])  # 95 ± 7 of 100; of 60
+def test_intervals_hold_the_truth(tmp_path: Path, count: int, correlation: float, least: int) -> None:
+    assert min(coverage(tmp_path, count, 301, correlation).values()) >= least
 
 
 # -- study files --------------------------------------------------------------------------------------

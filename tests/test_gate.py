@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,10 +12,8 @@ import numpy as np
 import pytest
 
 from cosim.base.errors import InputError
-from cosim.logs.finding import Finding
 from cosim.logs.gate import gate, gate_faults
 from cosim.logs.log import Log, read_log
-from cosim.logs.model_comparison import delay, delays, scales
 from cosim.model import Equations, Model, Namespace, Quantity
 from cosim.model.traits import Traits
 from cosim.verbs.check_verb import check as check_files
@@ -40,15 +38,6 @@ CRAFT = Traits.of(Hovercraft())
 
 def serious(log: Log, rate: float | None = STEP) -> list[tuple[str, str, str]]:
     return [(f.severity, f.kind, f.channel) for f in gate(log, rate, traits=CRAFT) if f.severity != "note"]
-
-
-def against(log: Log, model: Mapping[str, Array]) -> list[Finding]:
-    return [*scales(log, model), *delays(log, model)]
-
-
-def one(log: Log, kind: str) -> Finding:
-    (found,) = (f for f in gate(log, STEP, traits=CRAFT) if f.kind == kind)
-    return found
 
 
 def test_a_sound_log_passes_without_a_warning(tmp_path: Path, flight: Flight) -> None:
@@ -100,46 +89,6 @@ DEFECTS: dict[str, tuple[Any, ...]] = {  # what is done to the log, what is foun
 def test_each_defect_is_found_and_nothing_else(tmp_path: Path, flight: Flight, defect: str) -> None:
     change, *expected = DEFECTS[defect]
     assert serious(log_of(tmp_path / "a.csv", change(columns(flight)))) == expected
-
-
-@pytest.mark.parametrize(
-    ("name", "factor"),
-    [
-        ("psi_dot", 180.0 / math.pi),
-        ("x_world", 1000.0),
-        ("ax", 1.0 / 9.81),
-    ],
-)
-def test_another_unit_is_told_by_a_replay(tmp_path: Path, flight: Flight, name: str, factor: float) -> None:
-    c = measured(flight)  # heading and rate both in degrees agree with one another: only the model tells
-    changed = {"psi": factor * c["psi"]} if name == "psi_dot" else {}
-    log = log_of(tmp_path / "a.csv", c | changed | {name: factor * c[name]})
-    told = [f for f in against(log, flight.outputs) if f.kind == "unit" and f.channel == name]
-    assert [f.severity for f in told] == ["fault"]
-
-
-def test_an_accelerometer_mounted_backwards_moves_against_the_model(tmp_path: Path, flight: Flight) -> None:
-    log = log_of(tmp_path / "a.csv", columns(flight, ax=-flight.outputs["ax"]))
-    assert ("warning", "sign", "ax") in [(f.severity, f.kind, f.channel) for f in against(log, flight.outputs)]
-    sound = log_of(tmp_path / "b.csv", columns(flight))
-    assert not any(f.kind in ("unit", "sign", "delay") for f in against(sound, flight.outputs))
-
-
-@pytest.mark.parametrize("late", [0.06, 0.01, 0.0])
-def test_a_delay_is_measured_to_a_part_of_a_row(tmp_path: Path, flight: Flight, late: float) -> None:
-    model = Hovercraft().with_values({"actuator_delay.time": late} if late else {})
-    log = log_of(tmp_path / "a.csv", measured(fly(flight.time, model, MOVING), noise=1.0))
-    found = delay(log, log.outputs["psi_dot"], flight.outputs["psi_dot"])
-    assert found is not None
-    assert found.time == pytest.approx(late, abs=0.003)  # seen over seeds: 1 ms standard deviation
-    told = [f.channel for f in delays(log, flight.outputs) if f.severity == "warning"]
-    assert ("psi_dot" in told) == (late > STEP)
-
-
-def test_delay_is_silent_where_the_model_has_nothing_in_common(tmp_path: Path, flight: Flight) -> None:
-    log = log_of(tmp_path / "a.csv", columns(flight))
-    other = np.random.default_rng(1).standard_normal(flight.time.size)
-    assert delay(log, log.outputs["psi_dot"], other) is None
 
 
 def test_a_log_of_another_model_is_checked_as_such(tmp_path: Path) -> None:

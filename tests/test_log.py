@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import re
 from pathlib import Path
 
@@ -190,12 +189,6 @@ def test_a_gigabyte_is_refused_before_it_is_read(tmp_path: Path, monkeypatch: py
     monkeypatch.setattr(csv_source, "open_bytes", lambda path: pytest.fail("it was opened"))
     with pytest.raises(InputError, match=r"1000 MB, more than the 200 MB .* pieces"):
         read_log(path, INPUTS, OUTPUTS)
-
-
-def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "a.csv")
-    with pytest.raises(InputError, match="is no file"):
-        read_log(tmp_path / "a.csv", INPUTS, OUTPUTS)
 
 
 @pytest.mark.parametrize(

@@ -83,26 +83,25 @@ def test_jitter_is_noted_from_a_hundredth_and_a_warning_from_a_tenth() -> None:
 
 
 @pytest.mark.parametrize(
-    ("ratio", "strict", "severity"),
+    ("ratio", "severity"),
     [
-        (1.0, False, None),
-        (1.01, False, None),
-        (1.3, False, "note"),
-        (1.5, True, "note"),
-        (1.6, False, "warning"),
-        (1.6, True, "fault"),
-        (0.5, False, "note"),
-        (0.4, False, "note"),
-        (1 / 49, False, "note"),
-        (1 / 51, False, "warning"),
-        (600.0, False, "fault"),
-        (1900.0, False, "fault"),
-        (2100.0, False, "warning"),
-        (6e5, False, "fault"),
+        (1.0, None),
+        (1.01, None),
+        (1.3, "note"),
+        (1.5, "note"),
+        (1.6, "warning"),
+        (0.5, "note"),
+        (0.4, "note"),
+        (1 / 49, "note"),
+        (1 / 51, "warning"),
+        (600.0, "fault"),
+        (1900.0, "fault"),
+        (2100.0, "warning"),
+        (6e5, "fault"),
     ],
 )
-def test_rows_are_as_far_apart_as_the_steps_of_the_model(ratio: float, strict: bool, severity: Any) -> None:
-    found = kinds(moving(), 0.02 / ratio, strict=strict).get("rate")
+def test_rows_are_as_far_apart_as_the_steps_of_the_model(ratio: float, severity: Any) -> None:
+    found = kinds(moving(), 0.02 / ratio).get("rate")
     assert (found and found.severity) == severity
 
 

@@ -14,7 +14,7 @@ from cosim.fmi.native.compiler import compiler
 from cosim.logs.log import Log
 from cosim.probing.log_runs import moved_within
 from cosim.probing.own_step import probe_own_step
-from cosim.probing.probe_structure import probe_structure
+from cosim.probing.places import probe_structure
 from cosim.probing.prober import separate_pairs
 from cosim.residuals.drive import log_of_fmu
 from cosim.verbs.check_verb import check as check_files

@@ -27,7 +27,6 @@ from tests.cart import cart_fmu
 from tests.logs import (
     IMU,
     MOVING,
-    NOISE,
     POSITION,
     Flight,
     fly,
@@ -73,17 +72,13 @@ def test_the_rows_of_a_run_are_the_rows_of_a_log(project: Path) -> None:
     assert largest(found.errors(read_log(path, INPUTS, OUTPUTS))) == 0.0  # the same steps: bit for bit
 
 
-def test_jitter_is_replayed_as_it_was(tmp_path: Path, plant_fmu: Path) -> None:
+@pytest.mark.parametrize("lost", [[], [50, 51, 120]])
+def test_jitter_is_replayed_as_it_was_and_lost_rows_are_stepped_over(
+    tmp_path: Path, plant_fmu: Path, lost: list[int]
+) -> None:
     time = times(6.0)
-    time[1:-1] += np.random.default_rng(1).uniform(-0.005, 0.005, time.size - 2)
-    flown = fly(time, start=MOVING)
-    log = log_of(tmp_path / "a.csv", measured(flown))
-    assert largest(replay(log, plant_fmu, flown.start(0)).errors(log)) < ROUNDING
-
-
-def test_rows_that_were_lost_are_stepped_over(tmp_path: Path, plant_fmu: Path) -> None:
-    time = np.delete(times(6.0), [50, 51, 120])
-    flown = fly(time, start=MOVING)  # the truth holds its commands over the holes as the replay does
+    time[1:-1] += np.random.default_rng(1).uniform(-0.005, 0.005, time.size - 2) * (not lost)
+    flown = fly(np.delete(time, lost), start=MOVING)  # the truth holds its commands over the holes as the replay does
     log = log_of(tmp_path / "a.csv", measured(flown))
     assert largest(replay(log, plant_fmu, flown.start(0)).errors(log)) < ROUNDING
 
@@ -217,13 +212,6 @@ def test_a_free_run_is_held_against_the_noise_too(tmp_path: Path) -> None:
 
 
 @pytest.mark.thorough
-def test_a_model_that_stands_still_as_the_craft_does_misses_nothing(tmp_path: Path, plant_fmu: Path) -> None:
-    still = measured(fly(times(12.0), share=0.0))
-    comparison = write_replay(tmp_path, log_of(tmp_path / "a.csv", still), plant_fmu, report=False)
-    assert "–" not in verdict(comparison)
-
-
-@pytest.mark.thorough
 def test_an_answer_that_is_wrong_in_kind_is_told_though_it_is_small(tmp_path: Path, plant_fmu: Path) -> None:
     """A wrong mass shows in the accelerometer, below its noise, but in step with the tilts."""
     heavy = Hovercraft().with_values({"mass": 1.2})
@@ -242,15 +230,6 @@ def test_a_model_without_the_signals_of_the_log_is_refused(log: Log, tmp_path: P
 
 
 # -- the answer -------------------------------------------------------------------------------
-
-
-@pytest.mark.thorough  # a recorded log is replayed and reported below
-def test_the_plant_explains_its_own_flight(log: Log, tmp_path: Path, plant_fmu: Path) -> None:
-    comparison = write_replay(tmp_path / "out", log, plant_fmu)
-    assert "nothing that the model lacks" in verdict(comparison)
-    psi_dot = next(c for c in comparison.channels if c.name == "psi_dot")
-    # 500 rows: standard error of an RMSE is 3 %; the start adds a little
-    assert psi_dot.scores[2.0].rmse == pytest.approx(NOISE["psi_dot"], rel=0.15)
 
 
 @pytest.mark.thorough
@@ -318,14 +297,6 @@ def test_a_late_actuator_is_named_a_delay(tmp_path: Path, plant_fmu: Path) -> No
 
 
 @pytest.mark.thorough
-def test_friction_shows_in_position_and_only_there(tmp_path: Path, plant_fmu: Path) -> None:
-    rough = Hovercraft().with_values({"coulomb_friction.force": 0.08})
-    log = log_of(tmp_path / "a.csv", measured(fly(times(20.0), rough, MOVING), noise=1.0))
-    comparison = write_replay(tmp_path / "out", log, plant_fmu, report=False)
-    assert {c.name for c in comparison.channels if not c.is_matched} == {"x_world", "y_world"}
-
-
-@pytest.mark.thorough
 def test_results_hold_the_log_and_the_replay_row_by_row(log: Log, tmp_path: Path, plant_fmu: Path) -> None:
     comparison = write_replay(tmp_path, log, plant_fmu)
     results = read_columns(tmp_path / "results.csv")
@@ -342,33 +313,15 @@ def test_results_hold_the_log_and_the_replay_row_by_row(log: Log, tmp_path: Path
 def test_a_recorded_log_is_replayed_and_reported(tmp_path: Path, plant_fmu: Path) -> None:
     log = read_log(RECORDED, *model_signals(plant_fmu))
     seen: list[tuple[int, int]] = []
-    comparison = write_replay(tmp_path, log, plant_fmu, rate=0.02, progress=lambda k, n: seen.append((k, n)))
+    comparison = write_replay(tmp_path, log, plant_fmu, progress=lambda k, n: seen.append((k, n)))
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert verdict(comparison).split(".")[0] in page
-    for heading in (
-        "Free run",
-        "Is the residual only noise?",
-        "Which command does the residual follow?",
-        "Numbers",
-        "The log",
-    ):
-        assert heading in page
     (seconds,) = re.findall(r"([\d.]+) s at ", page)
     assert float(seconds) == pytest.approx(log.time[-1] - log.time[0])
     assert re.search(r"https?://|@import|url\(|src=", page) is None  # complete in itself
     assert len(page) < 600_000
     assert seen
     assert all(a <= b and k <= n for (a, _), (b, _), (k, n) in zip(seen, seen[1:], seen, strict=False))
-
-
-@pytest.mark.thorough
-def test_the_name_of_a_log_never_becomes_markup(tmp_path: Path, plant_fmu: Path) -> None:
-    path = tmp_path / "<i>&.csv"
-    path.write_bytes(RECORDED.read_bytes())
-    write_replay(tmp_path / "out", read_log(path, INPUTS, OUTPUTS), plant_fmu)
-    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
-    assert "<i>" not in page
-    assert "&lt;i&gt;&amp;.csv" in page
 
 
 @pytest.mark.thorough

@@ -251,12 +251,6 @@ def test_an_object_that_is_no_model_is_refined_to_its_dry_friction(refined: cosi
     assert (entry["parameters"]["force"]["unit"], refined.record["grade"]) == ("N", "claimed")
 
 
-def test_the_refined_object_is_one_of_its_kind(refined: cosim.Refined) -> None:
-    assert isinstance(refined.subject, Rail)
-    assert refined.subject.values["coulomb.force"] == pytest.approx(FORCE, rel=0.05)
-    assert refined.subject.present == {"coulomb"}
-
-
 def test_the_error_is_proven_on_the_sealed_log_by_its_own_replayer(refined: cosim.Refined) -> None:
     error = refined.record["error"]
     assert refined.record["replays"]["through"] == "own"

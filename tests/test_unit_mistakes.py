@@ -13,7 +13,6 @@ from cosim.logs.log import Log, read_log
 from cosim.logs.log_check import log_findings
 from cosim.logs.model_comparison import scales
 from cosim.logs.unit_mistakes import input_unit_findings
-from cosim.residuals.workflow import replay
 from cosim.storage.csv_source import write_table
 from plant.hovercraft import INPUTS, OUTPUTS
 
@@ -51,14 +50,6 @@ def test_check_names_a_duty_in_shares_of_one(tmp_path: Path) -> None:
 def test_check_names_the_unit_of_an_acceleration(factor: float, unit: str, tmp_path: Path) -> None:
     (found,) = warnings_of(scaled(tmp_path, ax=factor))
     assert f'is its unit {unit}? Then call the column "ax [{unit}]"' in found
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize(("column", "factor"), [("ax", 1000.0), ("duty_left", 0.01)])
-def test_replay_names_the_unit_of_a_noisy_output_and_of_an_input(column: str, factor: float, tmp_path: Path) -> None:
-    path = scaled(tmp_path, **{column: factor})
-    comparison = replay(path, tmp_path / "out", report=False, in_process=True)
-    assert [(f.severity, f.channel) for f in comparison.findings if f.kind == "unit"] == [("warning", column)]
 
 
 @pytest.fixture

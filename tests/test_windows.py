@@ -15,9 +15,6 @@ from cosim.base.arrays import Array
 from cosim.logs.log import Log
 from cosim.logs.model_comparison import delay, delays, scales
 from cosim.residuals import windows
-from cosim.residuals.residual_statistics import (
-    input_correlations,
-)
 from cosim.residuals.windows import chains, window_rows
 
 
@@ -63,18 +60,6 @@ def test_after_a_pause_a_chain_settles_as_long_as_is_skipped_at_the_start() -> N
 
 
 # -- statistics -------------------------------------------------------------------------------------
-
-
-def test_slow_signals_have_the_band_of_bartlett() -> None:
-    rng, phi = np.random.default_rng(4), 0.9
-    r, u = np.zeros(20_000), np.zeros(20_000)
-    for x in (r, u):
-        e = rng.standard_normal(x.size)
-        for t in range(1, x.size):
-            x[t] = phi * x[t - 1] + e[t]
-    (found,) = input_correlations(r, {"u": u}, 20)
-    alike = (1 + phi**2) / (1 - phi**2)  # Σ φ^2|k|
-    assert found.band == pytest.approx(1.96 * math.sqrt(alike / 20_000), rel=0.25)
 
 
 # -- against a model --------------------------------------------------------------------------------

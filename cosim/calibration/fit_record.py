@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -12,11 +12,11 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 from pydantic.json_schema import GenerateJsonSchema
 
-from cosim.base.arrays import Array
 from cosim.base.version import __version__
 from cosim.calibration.estimate import Estimate
 from cosim.calibration.replay_proof import Part
-from cosim.residuals.residual_statistics import FREE_RUN
+from cosim.calibration.vary import Parameter
+from cosim.residuals.residual_statistics import FREE_RUN, remaining_excess
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Verdict = Literal["improved", "unchanged", "worse", "stopped"]
@@ -151,11 +151,11 @@ class Outcome:
     """
 
     fmu: Path
-    logs: tuple[Path, ...]
-    sealed: tuple[Path, ...]
+    logs: Sequence[Path]
+    sealed: Sequence[Path]
     estimate: Estimate
     given: Mapping[str, Any]
-    parts: tuple[Part, ...]
+    parts: Sequence[Part]
     risen: tuple[str, ...]
     parameters: Mapping[str, ParameterEntry]
 
@@ -177,61 +177,92 @@ class Outcome:
 
 def parameter_entries(estimate: Estimate) -> dict[str, ParameterEntry]:
     """Return the entries of the parameters that all logs share, held ones last."""
-    likelihood, point, matrix = estimate.likelihood, estimate.point, estimate.covariance
-    assert likelihood is not None
-    assert point is not None
+    likelihood, point = estimate.best
     alone = {n for c in estimate.combinations for n in c.names}
     entries = {}
+
+    def add(p: Parameter, value: float, half: float, status: Any) -> None:
+        entries[p.name] = ParameterEntry(
+            value=value,
+            unit=p.unit,
+            start=p.start,
+            low=_finite(p.low),
+            high=_finite(p.high),
+            tolerance=p.tolerance,
+            ci95=_interval(value, half),
+            status=status,
+        )
+
     for j, unknown in enumerate(likelihood.unknowns):
-        p, value = unknown.parameter, float(point.x[j])
-        if unknown.log is not None:
-            continue
-        at_bound = value in (p.low, p.high)
-        half = None if matrix is None or p.name in alone else matrix.half(j)
-        entries[p.name] = _parameter_entry(p, value, half, "at_bound" if at_bound else "estimated")
-    for name, held in estimate.held.items():
-        entries[name] = _parameter_entry(held, held.start, None, "held")
+        if unknown.log is None:
+            p, value = unknown.parameter, float(point.x[j])
+            half = math.nan if p.name in alone else _half(estimate, j)
+            add(p, value, half, "at_bound" if value in (p.low, p.high) else "estimated")
+    for held in estimate.held.values():
+        add(held, held.start, math.nan, "held")
     return entries
 
 
-def _parameter_entry(p: Any, value: float, half: float | None, status: Any) -> ParameterEntry:
-    return ParameterEntry(
-        value=value,
-        unit=p.unit,
-        start=p.start,
-        low=_finite(p.low),
-        high=_finite(p.high),
-        tolerance=p.tolerance,
-        ci95=_interval(value, half),
-        status=status,
-    )
+def _half(estimate: Estimate, j: int) -> float:
+    return math.nan if estimate.covariance is None else estimate.covariance.half(j)
 
 
-def _interval(value: float, half: float | None) -> tuple[float, float] | None:
-    return None if half is None or not math.isfinite(half) else (value - half, value + half)
+def _interval(value: float, half: float) -> tuple[float, float] | None:
+    return (value - half, value + half) if math.isfinite(half) else None
 
 
-def _starts(estimate: Estimate) -> Iterator[StartEntry]:
-    likelihood, point, matrix = estimate.likelihood, estimate.point, estimate.covariance
-    assert likelihood is not None
-    assert point is not None
-    for j, unknown in enumerate(likelihood.unknowns):
-        if unknown.log is not None:
-            value, p = float(point.x[j]), unknown.parameter
-            ci95 = _interval(value, None if matrix is None else matrix.half(j))
-            log = str(estimate.logs.drives[unknown.log].log.path)
-            yield StartEntry(log=log, name=p.name, value=value, unit=p.unit, ci95=ci95, named=unknown.hidden)
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
 
 
 def record(fitted: Outcome, sentence: str, seconds: float, warnings: Sequence[str], notes: Sequence[str]) -> Record:
     """Return the content of fit.json."""
     estimate = fitted.estimate
-    point = estimate.point
-    assert point is not None
-    channels = estimate.logs.channels
-    colour = np.full(len(channels), np.nan) if estimate.covariance is None else estimate.covariance.colour
-    sigmas = zip(channels, point.residuals.sigma.tolist(), colour.tolist(), strict=True)
-    names = {False: "estimation", True: "sealed"}
+    likelihood, point = estimate.best
+    channels, spread = estimate.logs.channels, estimate.covariance
+    colour = [math.nan] * len(channels) if spread is None else spread.colour.tolist()
+    sigmas = zip(channels, point.sigma.tolist(), colour, strict=True)
+    correlation = None
+    if spread is not None:
+        shared = [j for j, u in enumerate(likelihood.unknowns) if u.log is None]
+        matrix = spread.matrix[np.ix_(shared, shared)]
+        roots = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+        correlation = np.clip(matrix / np.outer(roots, roots), -1.0, 1.0).tolist()
+    starts = [
+        StartEntry(
+            log=str(estimate.logs.drives[u.log].log.path),
+            name=u.name,
+            value=value,
+            unit=u.parameter.unit,
+            ci95=_interval(value, _half(estimate, j)),
+            named=u.hidden,
+        )
+        for j, (u, value) in enumerate(zip(likelihood.unknowns, point.x.tolist(), strict=True))
+        if u.log is not None
+    ]
+    errors = {}
+    for part in fitted.parts:
+        units = {n: u for r in part.after for n, u in r.log.units.items()}
+        decisive = {
+            name: ChannelErrors(
+                unit=units[name],
+                before=_finite(before),
+                after=_finite(after),
+                noise_floor=_finite(part.floor.get(name, math.nan)),
+                excess_left=_finite(remaining_excess(before, after, part.floor.get(name, 0.0))),
+            )
+            for name, (before, after) in part.errors(part.horizon).items()
+        }
+        common = set.intersection(*(set(r.replays) for r in (*part.before, *part.after)))
+        horizons = {
+            "free run" if h == FREE_RUN else f"{h:g} s": {
+                n: (_finite(a), _finite(b)) for n, (a, b) in part.errors(h).items()
+            }
+            for h in sorted(common, key=lambda h: (h != part.horizon, h))
+        }
+        errors["sealed" if part.sealed else "estimation"] = PartErrors(
+            horizon=_finite(part.horizon), channels=decisive, horizons=horizons
+        )
     return Record(
         fmu=str(fitted.fmu),
         logs=[str(p) for p in fitted.logs],
@@ -241,20 +272,14 @@ def record(fitted: Outcome, sentence: str, seconds: float, warnings: Sequence[st
         windows=estimate.logs.horizon,
         windows_reason=estimate.reason,
         parameters=dict(fitted.parameters),
-        starts=list(_starts(estimate)),
+        starts=starts,
         given=dict(fitted.given),
-        correlation=None if estimate.covariance is None else correlation(estimate).tolist(),
+        correlation=correlation,
         singular_values=estimate.singular.tolist(),
-        combinations=[
-            CombinationEntry(names=list(c.names), held=c.held, form=c.form, expression=c.expression)
-            for c in estimate.combinations
-        ],
-        screening=[
-            ChoiceEntry(name=c.name, effect=_finite(c.effect), estimated=c.estimated, reason=c.reason)
-            for c in estimate.screened
-        ],
+        combinations=[CombinationEntry(**{**asdict(c), "names": list(c.names)}) for c in estimate.combinations],
+        screening=[ChoiceEntry(**{**c._asdict(), "effect": _finite(c.effect)}) for c in estimate.screened],
         noise={n: NoiseEntry(sigma=s, colour=_finite(c)) for n, s, c in sigmas},
-        errors={names[p.sealed]: _part_errors(p) for p in fitted.parts},
+        errors=errors,
         simulations=estimate.logs.count,
         failed_simulations=estimate.logs.failed,
         seconds=seconds,
@@ -263,37 +288,3 @@ def record(fitted: Outcome, sentence: str, seconds: float, warnings: Sequence[st
     )
 
 
-def correlation(estimate: Estimate) -> Array:
-    """Return the correlation matrix of the estimated parameters."""
-    assert estimate.covariance is not None
-    assert estimate.likelihood is not None
-    shared = [j for j, u in enumerate(estimate.likelihood.unknowns) if u.log is None]
-    matrix = estimate.covariance.matrix[np.ix_(shared, shared)]
-    roots = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    return np.asarray(np.clip(matrix / np.outer(roots, roots), -1.0, 1.0))
-
-
-def _part_errors(part: Part) -> PartErrors:
-    units = {n: u for r in part.after for n, u in r.log.units.items()}
-    floor = part.floor
-    channels = {
-        name: ChannelErrors(
-            unit=units[name],
-            before=_finite(before),
-            after=_finite(after),
-            noise_floor=_finite(floor.get(name, math.nan)),
-            excess_left=_finite(part.excess(name)),
-        )
-        for name, (before, after) in part.errors(part.horizon).items()
-    }
-    horizons = {
-        "free run" if h == FREE_RUN else f"{h:g} s": {
-            n: (_finite(a), _finite(b)) for n, (a, b) in part.errors(h).items()
-        }
-        for h in part.horizons
-    }
-    return PartErrors(horizon=_finite(part.horizon), channels=channels, horizons=horizons)
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None

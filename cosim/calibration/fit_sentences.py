@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from cosim.base.messages import Note
 from cosim.base.text import amount, counted, join_names, plain, size
 from cosim.calibration.fit_record import Outcome
-from cosim.calibration.replay_proof import Part
 from cosim.residuals.replay_sentences import horizon_name
 from cosim.residuals.residual_statistics import FREE_RUN
 
@@ -15,51 +13,23 @@ MOST = 2  # outputs in a headline
 
 
 def verdict(fitted: Outcome) -> str:
-    """Return the verdict: a headline, and sentences on what was estimated."""
+    """Return the verdict: a headline with the outputs that change most, and a sentence on what was estimated."""
     part = fitted.decisive
     count = sum(entry.status != "held" for entry in fitted.parameters.values())
-    estimate = fitted.estimate
-    runs = counted(estimate.logs.count, "simulation")
+    runs = counted(fitted.estimate.logs.count, "simulation")
     effort = f"{counted(count, 'parameter')} from {counted(len(fitted.logs), 'log')} by {runs}."
     if part is None:
         return f"The fit was stopped before its proof. The best values so far: {effort}"
-    return f"{_headline(fitted, part)} {effort}"
-
-
-def _headline(fitted: Outcome, part: Part) -> str:
     logs = counted(len(part.after), "sealed log" if part.sealed else "log")
     where = f"On {logs}" if part.sealed else f"On the {logs} of the estimate"
     error = "free-run error" if part.horizon == FREE_RUN else f"error over {horizon_name(part.horizon)}"
-    words = _changes(fitted, part)
-    unproven = "" if part.sealed else " No sealed log confirms it."
-    if fitted.verdict == "improved":
-        return f"{where} the {error} falls: {words}.{unproven}"
-    if fitted.verdict == "worse":
-        return f"{where} the {error} does not fall: {words}."
-    return f"{where} the {error} hardly changes: {words}."
-
-
-def _changes(fitted: Outcome, part: Part) -> str:
-    """Return the errors before and after of the outputs that change most."""
     errors = {n: (a, b) for n, (a, b) in part.errors(part.horizon).items() if a > 0.0 and b > 0.0}
     units = {n: u for r in part.after for n, u in r.log.units.items()}
     order = sorted(errors, key=lambda n: errors[n][1] / errors[n][0], reverse=fitted.verdict == "worse")
     texts = [f"{n} from {size(errors[n][0], units[n])} to {size(errors[n][1], units[n])}" for n in order[:MOST]]
-    return join_names(texts) or "there is none"
-
-
-def _about_values(fitted: Outcome) -> Iterator[str]:
-    """Yield warnings about bounds and wide intervals."""
-    for name, entry in fitted.parameters.items():
-        if entry.status == "at_bound":
-            yield (
-                f"{name} ends at its bound {amount(entry.value, entry.unit, 4)}: its interval ignores the bound, "
-                "and the bound may be wrong"
-            )
-        elif entry.ci95 is not None and entry.ci95[1] - entry.ci95[0] > abs(entry.start) > 0.0:
-            yield (
-                f"{name} is barely determined by these logs: its 95 % interval is wider than its value before the fit"
-            )
+    change = {"improved": "falls", "worse": "does not fall"}.get(fitted.verdict, "hardly changes")
+    unproven = " No sealed log confirms it." if fitted.verdict == "improved" and not part.sealed else ""
+    return f"{where} the {error} {change}: {join_names(texts) or 'there is none'}.{unproven} {effort}"
 
 
 def warnings(fitted: Outcome) -> Iterator[str]:
@@ -72,16 +42,23 @@ def warnings(fitted: Outcome) -> Iterator[str]:
         )
     if estimate.idle:
         yield f"no effect on any measured output of these logs, so the value is kept: {join_names(estimate.idle)}"
-    yield from _about_values(fitted)
+    for name, entry in fitted.parameters.items():
+        if entry.status == "at_bound":
+            yield (
+                f"{name} ends at its bound {amount(entry.value, entry.unit, 4)}: its interval ignores the bound, "
+                "and the bound may be wrong"
+            )
+        elif entry.ci95 is not None and entry.ci95[1] - entry.ci95[0] > abs(entry.start) > 0.0:
+            yield (
+                f"{name} is barely determined by these logs: its 95 % interval is wider than its value before the fit"
+            )
     if estimate.covariance is not None and not estimate.settled:
         yield "the estimate did not settle: the likelihood is rough, and the intervals are unsure"
     if estimate.logs.first_failure is not None:
         values, error = estimate.logs.first_failure
         shown = ", ".join(f"{n} = {plain(v, 4)}" for n, v in values.items() if n in fitted.parameters)
-        counts = {"count": estimate.logs.failed, "runs": estimate.logs.count}
-        yield "{count} of {runs} simulations failed and were rejected, first at {values}: {reason}".format(
-            **counts, values=shown, reason=error
-        )
+        count = f"{estimate.logs.failed} of {estimate.logs.count}"
+        yield f"{count} simulations failed and were rejected, first at {shown}: {error}"
     if estimate.dropped:
         yield f"windows have start values of their own, so {join_names(estimate.dropped)} is not estimated"
     if fitted.risen:
@@ -93,10 +70,3 @@ def warnings(fitted: Outcome) -> Iterator[str]:
             f"the error of {join_names(names)} stays above the noise and is not white: no value of these "
             "parameters explains it. `cosim refine` looks for what the FMU lacks, with a study of the same logs"
         )
-
-
-def notes(fitted: Outcome) -> Iterator[str]:
-    """Yield the notes of a fit."""
-    estimate = fitted.estimate
-    if estimate.logs.horizon is not None:
-        yield Note(f"the estimate uses windows of {estimate.logs.horizon:g} s in place of free runs: {estimate.reason}")

@@ -7,7 +7,6 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 from pydantic import BaseModel, ConfigDict
 
@@ -70,29 +69,16 @@ class Request:
         """Return all logs, sealed ones last."""
         return [*self.estimation, *self.sealed]
 
-    def vary_fault(self, name: str, message: str) -> Fault:
-        """Return a fault of a parameter to estimate."""
-        return (
-            Fault(Path("--vary"), 0, 0, message)
-            if self.yaml is None
-            else self.yaml.fault(("vary", name), message, key=True)
-        )
-
-    def start_fault(self, name: str, message: str) -> Fault:
-        """Return a fault of a further value."""
-        return Fault(self.fmu, 0, 0, message) if self.yaml is None else self.yaml.fault(("start", name), message)
-
-    def no_logs_fault(self, message: str) -> Fault:
-        """Return a fault of a request without logs."""
-        return Fault(Path("LOG"), 0, 0, message) if self.yaml is None else self.yaml.fault(("logs",), message)
+    def fault(self, place: Sequence[str | int], message: str, option: Path) -> Fault:
+        """Return a fault of a key of the study; without a study, of an option or file."""
+        if self.yaml is None:
+            return Fault(option, 0, 0, message)
+        return self.yaml.fault(tuple(place), message, key=place[0] == "vary")
 
     def log_fault(self, index: int, message: str) -> Fault:
         """Return a fault of a log's name."""
-        if self.yaml is None:
-            return Fault(self.logs[index], 0, 0, message)
-        count = len(self.estimation)
-        part = ("estimation", index) if index < count else ("validation", index - count)
-        return self.yaml.fault(("logs", *part), message)
+        part, first = ("estimation", 0) if index < len(self.estimation) else ("validation", len(self.estimation))
+        return self.fault(("logs", part, index - first), message, self.logs[index])
 
 
 def read_fit_study(path: FilePath, *, vary: Sequence[str] = (), start: Sequence[str] = ()) -> Request:
@@ -109,42 +95,25 @@ def read_fit_study(path: FilePath, *, vary: Sequence[str] = (), start: Sequence[
     check_form(path, STUDY, FIT_STUDY)
     yaml = YamlFile(path)
     refuse_other(path, kind_by_keys(yaml.root), STUDY, FIT_STUDY)
-    unused = ()
-    data = dict(yaml.root)
-    if kind_by_keys(yaml.root) == STUDY:
-        unused = tuple(k for k in data if k not in FitStudyFile.model_fields)
-        data = {k: v for k, v in data.items() if k not in unused}
+    is_refine = kind_by_keys(yaml.root) == STUDY
+    unused = tuple(k for k in yaml.root if is_refine and k not in FitStudyFile.model_fields)
+    data = {k: v for k, v in yaml.root.items() if k not in unused}
     content = yaml.validate(FitStudyFile, data)
+    named = content.vary
     if not content.model.lower().endswith(FMU_SUFFIX):
-        refuse(
-            [
-                yaml.fault(
-                    ("model",),
-                    f"{content.model} is no FMU, and `cosim fit` needs one; `cosim refine` estimates the parameters "
-                    "of a model file",
-                )
-            ]
-        )
+        message = f"{content.model} is no FMU, and `cosim fit` needs one; `cosim refine` estimates the parameters"
+        refuse([yaml.fault(("model",), f"{message} of a model file")])
     return Request(
         _beside(path, content.model),
         [_beside(path, name) for name in content.logs.estimation],
         [_beside(path, name) for name in content.logs.validation],
-        vary or _vary_texts(content.vary),
-        [*(f"{n}={_text(v)}" for n, v in content.start.items()), *start],
+        vary or ([f"{n}={json.dumps(v)}" for n, v in named.items()] if isinstance(named, dict) else named),
+        [*(f"{n}={str(v).lower() if isinstance(v, bool) else v}" for n, v in content.start.items()), *start],
         content.columns,
         content.limits or Limits(),
         yaml,
         unused,
     )
-
-
-def _vary_texts(vary: Sequence[str] | Mapping[str, Any]) -> list[str]:
-    """Return the parameters as on the command line."""
-    return [f"{n}={json.dumps(v)}" for n, v in vary.items()] if isinstance(vary, Mapping) else list(vary)
-
-
-def _text(value: Any) -> str:
-    return str(value).lower() if isinstance(value, bool) else str(value)
 
 
 def request_of(
@@ -175,10 +144,8 @@ def request_of(
         if fmu is not None or sealed or columns:
             raise InputError.at(
                 Path(logs[0]),
-                (
-                    f"is {kind}, which names its FMU, logs and columns; `cosim fit` takes it without --fmu, --sealed "
-                    "and --column"
-                ),
+                f"is {kind}, which names its FMU, logs and columns; `cosim fit` takes it without --fmu, --sealed "
+                "and --column",
             )
         request = read_fit_study(logs[0], vary=vary, start=start)
         return replace(request, limits=most) if limits else request
@@ -187,23 +154,6 @@ def request_of(
             check_given(Path(log), LOG, STUDY, FIT_STUDY)
         raise InputError.at(Path("--fmu"), "no FMU is named; add --fmu X.fmu, or give a study file alone")
     return Request(Path(fmu), [*map(Path, logs)], [*map(Path, sealed)], vary, start, columns, most)
-
-
-def check_missing(request: Request) -> list[Fault]:
-    """Return faults of missing files."""
-    if request.yaml is None:
-        return []
-    faults = []
-    if not request.fmu.is_file():
-        faults.append(
-            request.yaml.fault(
-                ("model",), f"{request.yaml.root['model']} does not exist; file names are relative to the study"
-            )
-        )
-    for index, path in enumerate(request.logs):
-        if not path.exists():
-            faults.append(request.log_fault(index, f"{path.name} does not exist; file names are relative to the study"))
-    return faults
 
 
 def _beside(study: Path, name: str) -> Path:

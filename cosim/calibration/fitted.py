@@ -38,15 +38,18 @@ class Fitted:
         return str(self.record.get("sentence", ""))
 
     @property
+    def _entries(self) -> dict[str, Any]:
+        return dict(self.record.get("parameters") or {})
+
+    @property
     def values(self) -> dict[str, float]:
         """Return parameter → estimate."""
-        return {name: entry["value"] for name, entry in dict(self.record.get("parameters") or {}).items()}
+        return {name: entry["value"] for name, entry in self._entries.items()}
 
     @property
     def intervals(self) -> dict[str, tuple[float, float] | None]:
         """Return parameter → 95 % interval, None if the logs do not determine it alone."""
-        entries = dict(self.record.get("parameters") or {})
-        return {name: entry["ci95"] and tuple(entry["ci95"]) for name, entry in entries.items()}
+        return {name: entry["ci95"] and tuple(entry["ci95"]) for name, entry in self._entries.items()}
 
     def to_pandas(self) -> pandas.DataFrame:
         """Return one row per parameter; raise ImportError without pandas."""
@@ -55,7 +58,7 @@ class Fitted:
         except ImportError:
             raise ImportError("to_pandas() needs pandas: pip install pandas") from None
         rows = []
-        for name, entry in dict(self.record.get("parameters") or {}).items():
+        for name, entry in self._entries.items():
             low, high = entry["ci95"] or (None, None)
             rows.append({"parameter": name, **entry, "ci95_low": low, "ci95_high": high})
         return pandas.DataFrame(rows).drop(columns="ci95", errors="ignore")
@@ -66,7 +69,7 @@ class Fitted:
 
         figure = Figure(layout="constrained")
         axes = figure.add_subplot()
-        entries = list(dict(self.record.get("parameters") or {}).items())
+        entries = list(self._entries.items())
         for row, (_, entry) in enumerate(entries):
             scale = abs(entry["start"]) or 1.0
             low, high = entry["ci95"] or (entry["value"],) * 2
@@ -89,7 +92,7 @@ class Fitted:
                 *(name, f"{entry['start']:.5g}", f"{entry['value']:.5g}", entry["unit"]),
                 " … ".join(f"{end:.5g}" for end in entry["ci95"] or ()) or entry["status"],
             )
-            for name, entry in dict(self.record.get("parameters") or {}).items()
+            for name, entry in self._entries.items()
         ]
         estimates = table(("parameter", "before", "estimate", "unit", "95 % interval"), rows) if rows else ""
         return heading(self.verdict, self.sentence) + estimates

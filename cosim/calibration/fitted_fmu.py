@@ -13,51 +13,33 @@ import numpy as np
 
 from cosim.base.drafts import draft_of
 from cosim.base.errors import FmuError, SimulationError
-from cosim.base.messages import Note
 from cosim.residuals.drive import Drive
 from cosim.storage.archive import DESCRIPTION, description_of
-
-UNREADABLE_XML = "the start value of {name} was not found in modelDescription.xml"
 
 START = re.compile(rb"(\sstart\s*=\s*)(\"[^\"]*\"|'[^']*')")
 TAG = re.compile(rb"<(?:[^>\"']|\"[^\"]*\"|'[^']*')*>")
 TYPED = {"Float64", "Float32"}  # elements of FMI 3 that are variables themselves
-Loader = Callable[[Path], AbstractContextManager[Drive]]
 EQUAL = 1e-9  # difference of outputs relative to their range
 
 
-def with_starts(text: bytes, values: Mapping[str, float]) -> bytes:
-    """Return a model description with other start values; every other byte stays.
+def write_copy(fmu: Path, values: Mapping[str, float], path: Path) -> None:
+    """Write a copy of an FMU with other start values; every other byte and file stays, with its date and place.
 
     Raises:
         ValueError: A start value is not found.
     """
-    places = _places(text)
-    for name in values:
-        if name not in places:
-            raise ValueError(Note(UNREADABLE_XML.format(name=name)))
-    for name, place in sorted(places.items(), key=lambda item: -item[1]):
-        if name not in values:
-            continue
-        tag = TAG.match(text, place)
-        if tag is None or not START.search(tag[0]):
-            raise ValueError(Note(UNREADABLE_XML.format(name=name)))
-        number = repr(float(values[name])).encode()
-        text = text[:place] + START.sub(rb'\g<1>"' + number + b'"', tag[0], count=1) + text[tag.end() :]
-    return text
-
-
-def _places(text: bytes) -> dict[str, int]:
-    """Return variable → position of the element that holds its start value."""
-    places: dict[str, int] = {}
+    text = description_of(fmu)
+    places: dict[str, int] = {}  # variable → position of the element that holds its start value
     inside = ""
 
     def begin(tag: str, attributes: dict[str, str]) -> None:
         nonlocal inside
         if tag == "ScalarVariable":
             inside = attributes.get("name", "")
-        elif (tag == "Real" and inside) or (tag in TYPED and "name" in attributes):
-            places[attributes.get("name", inside) if tag in TYPED else inside] = parser.CurrentByteIndex
+        elif tag in TYPED and "name" in attributes:
+            places[attributes["name"]] = parser.CurrentByteIndex
+        elif tag == "Real" and inside:
+            places[inside] = parser.CurrentByteIndex
 
     def end(tag: str) -> None:
         nonlocal inside
@@ -67,16 +49,13 @@ def _places(text: bytes) -> dict[str, int]:
     parser.StartElementHandler, parser.EndElementHandler = begin, end
     with suppress(expat.ExpatError):
         parser.Parse(text, True)
-    return places
-
-
-def write_copy(fmu: Path, values: Mapping[str, float], path: Path) -> None:
-    """Write a copy of an FMU with other start values; every other file keeps its bytes, date and place.
-
-    Raises:
-        ValueError: A start value is not found.
-    """
-    text = with_starts(description_of(fmu), values)
+    for name in sorted(values, key=lambda name: -places.get(name, 0)):
+        place = places.get(name, 0)
+        tag = TAG.match(text, place)
+        if name not in places or tag is None or not START.search(tag[0]):
+            raise ValueError(f"the start value of {name} was not found in modelDescription.xml")
+        number = repr(float(values[name])).encode()
+        text = text[:place] + START.sub(rb'\g<1>"' + number + b'"', tag[0], count=1) + text[tag.end() :]
     with draft_of(path) as draft, zipfile.ZipFile(fmu) as old, zipfile.ZipFile(draft, "w") as new:
         for member in old.infolist():
             content = text if member.filename == DESCRIPTION else old.read(member)
@@ -84,7 +63,11 @@ def write_copy(fmu: Path, values: Mapping[str, float], path: Path) -> None:
 
 
 def why_no_copy(
-    drive: Drive, values: Mapping[str, float], start: Mapping[str, float], path: Path, load: Loader
+    drive: Drive,
+    values: Mapping[str, float],
+    start: Mapping[str, float],
+    path: Path,
+    load: Callable[[Path], AbstractContextManager[Drive]],
 ) -> str | None:
     """Write a copy with other start values if its library follows them; return the reason if there is none.
 
@@ -109,6 +92,4 @@ def why_no_copy(
     if np.all(np.abs(actual - wanted) <= EQUAL * np.maximum(span, np.abs(wanted).max(axis=0))):
         return None
     path.unlink(missing_ok=True)
-    return Note(
-        "the library ignores the start values of modelDescription.xml, so a changed copy would still start as before"
-    )
+    return "the library ignores the start values of modelDescription.xml, so a changed copy would still start as before"

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -43,8 +44,7 @@ class Covariance:
         return float(self.factors[j]) * math.sqrt(max(0.0, float(self.matrix[j, j])))
 
 
-@dataclass(frozen=True)
-class Autoregression:
+class Autoregression(NamedTuple):
     """Residuals e of a channel: a(q)·e = ε, ε white with variance `variance`."""
 
     a: Array
@@ -54,91 +54,70 @@ class Autoregression:
 
 def covariance(likelihood: Likelihood, point: Point, slopes: Jacobian) -> Covariance:
     """Return the covariance of the estimates at a point."""
+    from scipy.signal import lfilter
     from scipy.special import stdtrit
 
-    tables, counts, unknowns = point.residuals.tables, point.residuals.counts, point.x.size
+    sigma, unknowns = point.sigma, point.x.size
     information, _ = likelihood.equations(point, slopes)
     scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
     inverse = pseudo_inverse(information / np.outer(scale, scale)) / np.outer(scale, scale)
-    sandwich = _Sandwich(slopes, point.residuals.sigma, inverse, np.diag(likelihood.precision))
-    models = sandwich.models(tables)
-    matrix, spread = sandwich.covariance(tables, models)
-    colour = np.array([m.colour for m in models])
-    freedom = max(1.0, float(np.sum(counts / np.maximum(1.0, colour))) - unknowns)
-    factors = np.full(unknowns, float(stdtrit(freedom, 0.975)))
-    if freedom < MANY * unknowns:
-        factors = np.maximum(factors, sandwich.quantiles(tables, models, spread))
-    return Covariance(matrix, factors, colour)
 
+    def models_of(tables: Sequence[Array]) -> list[Autoregression]:
+        return [_autoregression([t[np.isfinite(t[:, c]), c] for t in tables]) for c in range(sigma.size)]
 
-@dataclass(frozen=True, eq=False)
-class _Sandwich:
-    """Everything that the covariances of the estimate and of its repetitions have in common."""
-
-    slopes: Jacobian
-    sigma: Array
-    inverse: Array
-    prior: Array
-
-    def models(self, tables: Sequence[Array]) -> list[Autoregression]:
-        """Return the autoregression of each channel."""
-        return [_autoregression([t[np.isfinite(t[:, c]), c] for t in tables]) for c in range(self.sigma.size)]
-
-    def covariance(self, tables: Sequence[Array], models: Sequence[Autoregression]) -> tuple[Array, Array]:
+    def sandwich(tables: Sequence[Array], models: Sequence[Autoregression]) -> tuple[Array, Array]:
         """Return the covariance of the estimates, and of the channels' innovations."""
         innovations, filtered = [], []
-        for table, slope in zip(tables, self.slopes, strict=True):
+        for table, slope in zip(tables, slopes, strict=True):
             whitened, smoothed = np.full(table.shape, np.nan), np.zeros(slope.shape)
             for c, model in enumerate(models):
                 rows = np.isfinite(table[:, c])
-                whitened[rows, c] = _whitened(model, table[rows, c])
-                smoothed[rows, c] = _backwards(model, slope[rows, c] / self.sigma[c] ** 2)
+                whitened[rows, c] = lfilter(model.a, [1.0], table[rows, c])
+                backwards = (slope[rows, c] / sigma[c] ** 2)[::-1]
+                smoothed[rows, c] = lfilter([1.0], model.a, backwards, axis=0)[::-1]
             innovations.append(whitened)
             filtered.append(smoothed)
         spread = _spread(np.vstack(innovations))
-        middle = self.prior
+        middle = np.diag(likelihood.precision)
         for smoothed in filtered:
-            rows = smoothed.transpose(1, 0, 2)
+            parts = smoothed.transpose(1, 0, 2)
             for c, d in np.argwhere(spread != 0.0).tolist():
-                middle = middle + spread[c, d] * rows[c].T @ rows[d]
+                middle = middle + spread[c, d] * parts[c].T @ parts[d]
         total = sum(int(np.isfinite(t).sum()) for t in tables)
-        middle = middle * total / max(1, total - self.inverse.shape[0])
-        return self.inverse @ middle @ self.inverse, spread
+        middle = middle * total / max(1, total - unknowns)
+        return inverse @ middle @ inverse, spread
 
-    def quantiles(self, tables: Sequence[Array], models: Sequence[Autoregression], spread: Array) -> Array:
-        """Return the 95 % quantiles of |error|/standard deviation of the estimates, over repetitions.
-
-        In each repetition the autoregressions make new residuals, from which the linearized estimate and its standard
-        deviation are computed as from the log (bootstrap-t). That allows for the part of slow residuals that the
-        parameters absorb, and for the uncertain colour.
-        """
-        rng, ratios = np.random.default_rng(SEED), []
-        values, vectors = np.linalg.eigh(spread)
-        root = vectors * np.sqrt(np.maximum(values, 0.0))
-        for _ in range(DRAWS):
-            drawn = [self._draw(t, models, root, rng) for t in tables]
-            gradient = sum(
-                np.einsum("tci,tc->i", np.nan_to_num(s), np.nan_to_num(e) / self.sigma**2)
-                for s, e in zip(self.slopes, drawn, strict=True)
-            )
-            shift = -self.inverse @ gradient
-            left = [e + s @ shift for s, e in zip(self.slopes, drawn, strict=True)]
-            matrix, _ = self.covariance(left, self.models(left))
-            ratios.append(np.abs(shift) / np.sqrt(np.maximum(np.diag(matrix), 1e-300)))
-        return np.asarray(np.quantile(ratios, 0.95, axis=0))
-
-    @staticmethod
-    def _draw(table: Array, models: Sequence[Autoregression], root: Array, rng: np.random.Generator) -> Array:
-        """Return residuals of the autoregressions at measured values."""
-        from scipy.signal import lfilter
-
-        count, settling = table.shape[0], SETTLING * MOST_LAGS
-        noise = rng.standard_normal((count + settling, root.shape[0])) @ root.T
-        drawn = np.full(table.shape, np.nan)
-        for c, model in enumerate(models):
-            rows = np.isfinite(table[:, c])
-            drawn[rows, c] = lfilter([1.0], model.a, noise[:, c])[settling:][: int(rows.sum())]
-        return drawn
+    models = models_of(point.tables)
+    matrix, spread = sandwich(point.tables, models)
+    colour = np.array([m.colour for m in models])
+    freedom = max(1.0, float(np.sum(point.counts / np.maximum(1.0, colour))) - unknowns)
+    factors = np.full(unknowns, float(stdtrit(freedom, 0.975)))
+    if freedom >= MANY * unknowns:
+        return Covariance(matrix, factors, colour)
+    # In each repetition the autoregressions make new residuals, from which the linearized estimate and its standard
+    # deviation are computed as from the log (bootstrap-t). That allows for the part of slow residuals that the
+    # parameters absorb, and for the uncertain colour.
+    rng, ratios = np.random.default_rng(SEED), []
+    values, vectors = np.linalg.eigh(spread)
+    root, settling = vectors * np.sqrt(np.maximum(values, 0.0)), SETTLING * MOST_LAGS
+    for _ in range(DRAWS):
+        drawn = []
+        for table in point.tables:
+            noise = rng.standard_normal((table.shape[0] + settling, root.shape[0])) @ root.T
+            residual = np.full(table.shape, np.nan)
+            for c, model in enumerate(models):
+                rows = np.isfinite(table[:, c])
+                residual[rows, c] = lfilter([1.0], model.a, noise[:, c])[settling:][: int(rows.sum())]
+            drawn.append(residual)
+        gradient = sum(
+            np.einsum("tci,tc->i", np.nan_to_num(s), np.nan_to_num(e) / sigma**2)
+            for s, e in zip(slopes, drawn, strict=True)
+        )
+        shift = -inverse @ gradient
+        left = [e + s @ shift for s, e in zip(slopes, drawn, strict=True)]
+        repeated, _ = sandwich(left, models_of(left))
+        ratios.append(np.abs(shift) / np.sqrt(np.maximum(np.diag(repeated), 1e-300)))
+    return Covariance(matrix, np.maximum(factors, np.quantile(ratios, 0.95, axis=0)), colour)
 
 
 def _autoregression(parts: Sequence[Array]) -> Autoregression:
@@ -156,7 +135,10 @@ def _autoregression(parts: Sequence[Array]) -> Autoregression:
     forward, backward, variance, least = list(parts), list(parts), square, count * math.log(square)
     for order in range(1, min(MOST_LAGS, count // FEW) + 1):
         forward, backward = [f[1:] for f in forward], [b[:-1] for b in backward]
-        k = _reflection(forward, backward)
+        products = [(float(f @ b), float(f @ f + b @ b)) for f, b in zip(forward, backward, strict=True)]
+        size = sum(size for _, size in products)
+        # the reflection coefficient with the smallest prediction errors
+        k = -2.0 * sum(cross for cross, _ in products) / size if size > 0.0 else 0.0
         longer = np.append(a, 0.0)
         a = longer + k * longer[::-1]
         variance *= max(1e-12, 1.0 - k * k)
@@ -166,26 +148,6 @@ def _autoregression(parts: Sequence[Array]) -> Autoregression:
         if criterion < least:
             least, best = criterion, Autoregression(a, variance, variance / float(np.sum(a)) ** 2 / square)
     return best
-
-
-def _reflection(forward: Sequence[Array], backward: Sequence[Array]) -> float:
-    """Return the reflection coefficient with the smallest prediction errors."""
-    pairs = [(float(f @ b), float(f @ f + b @ b)) for f, b in zip(forward, backward, strict=True)]
-    size = sum(size for _, size in pairs)
-    return -2.0 * sum(cross for cross, _ in pairs) / size if size > 0.0 else 0.0
-
-
-def _whitened(model: Autoregression, values: Array) -> Array:
-    from scipy.signal import lfilter
-
-    return np.asarray(lfilter(model.a, [1.0], values))
-
-
-def _backwards(model: Autoregression, columns: Array) -> Array:
-    """Return columns filtered by 1/a from their end."""
-    from scipy.signal import lfilter
-
-    return np.asarray(lfilter([1.0], model.a, columns[::-1], axis=0)[::-1])
 
 
 def _spread(innovations: Array) -> Array:

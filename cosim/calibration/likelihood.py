@@ -8,14 +8,15 @@ differences Broyden's update follows the steps.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from cosim.base.arrays import Array, Flags
 from cosim.base.linear_algebra import solution
-from cosim.calibration.simulations import SMALLEST, Logs, Residuals, Unknown
+from cosim.calibration.simulations import Logs, Unknown
 
+SMALLEST = 1e-8  # least standard deviation of a residual, relative to the spread of its channel
 STEP, SMALL, TINY = 1e-2, 1e-3, 1e-4  # steps of differences, relative to the scale of an unknown
 ALIKE = 0.02  # relative difference of two slopes up to which the smaller step is trusted
 ITERATIONS = 40
@@ -28,10 +29,18 @@ Jacobian = list[Array]  # for each log (rows, channels, unknowns); NaN where the
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """Values of the unknowns with their residuals and cost."""
+    """Values of the unknowns with the residuals of all logs.
+
+    Attributes:
+        tables: For each log (rows, channels), NaN without a value.
+        counts, sigma: Number of values and standard deviation of each channel.
+        cost: −log-likelihood with the noise levels concentrated out, up to a constant: Σ n·ln σ and the priors.
+    """
 
     x: Array
-    residuals: Residuals
+    tables: tuple[Array, ...]
+    counts: Array
+    sigma: Array
     cost: float
 
 
@@ -46,7 +55,7 @@ class Likelihood:
 
     logs: Logs
     unknowns: Sequence[Unknown]
-    given: Mapping[str, float]
+    given: Mapping[str, float] = field(default_factory=dict)
     steps: Array = field(default_factory=lambda: np.zeros(0))
     best: Point | None = None
 
@@ -55,18 +64,16 @@ class Likelihood:
         self.low, self.high = (np.array([getattr(p, end) for p in parameters]) for end in ("low", "high"))
         self.prior = np.array([p.start for p in parameters])
         self.precision = np.array([p.sigma**-2 for p in parameters])
-        self.scales = np.array([self._scale(u) for u in self.unknowns])
+        self.scales = np.array([p.scale for p in parameters])
+        for j, unknown in enumerate(self.unknowns):  # a shown start value has the spread of its output
+            if unknown.log is not None and unknown.is_shown:
+                for output, p in self.logs.starts[unknown.log].items():
+                    if p.name == unknown.name:
+                        self.scales[j] = 0.1 * self.logs.spread[output] / abs(p.gain)
+                        break
         self.least = SMALLEST * np.array([self.logs.spread[n] for n in self.logs.channels])
         if not self.steps.size:
             self.steps = np.zeros(len(self.unknowns))
-
-    def _scale(self, unknown: Unknown) -> float:
-        """Return a typical size of an unknown; that of a shown start value is the spread of its output."""
-        if unknown.log is not None and unknown.is_shown:
-            for output, p in self.logs.starts[unknown.log].items():
-                if p.name == unknown.name:
-                    return 0.1 * self.logs.spread[output] / abs(p.gain)
-        return unknown.parameter.scale
 
     # -- residuals ----------------------------------------------------------------------------
 
@@ -86,10 +93,13 @@ class Likelihood:
             if (table := self.table(x, k)) is None:
                 return None
             tables.append(table)
-        residuals = Residuals.of(tables, self.least)
-        point = Point(x, residuals, residuals.cost + 0.5 * float(self.precision @ (x - self.prior) ** 2))
-        if not np.isfinite(point.cost):
+        counts = np.asarray(sum(np.isfinite(t).sum(axis=0) for t in tables), float)
+        squares = sum(np.nansum(t * t, axis=0) for t in tables)
+        sigma = np.maximum(np.sqrt(squares / np.maximum(counts, 1)), self.least)
+        cost = float(counts @ np.log(sigma)) + 0.5 * float(self.precision @ (x - self.prior) ** 2)
+        if not np.isfinite(cost):
             return None
+        point = Point(x, tuple(tables), counts, sigma, cost)
         if self.best is None or point.cost < self.best.cost:
             self.best = point
         return point
@@ -101,17 +111,18 @@ class Likelihood:
         }
         unknowns = [u for u, k in zip(self.unknowns, kept, strict=True) if k]
         inner = Likelihood(self.logs, unknowns, {**self.given, **held}, self.steps[kept])
-        prior = 0.5 * float(inner.precision @ (point.x[kept] - inner.prior) ** 2)
-        inner.best = Point(point.x[kept], point.residuals, point.residuals.cost + prior)
+        x = point.x[kept]
+        cost = float(point.counts @ np.log(point.sigma)) + 0.5 * float(inner.precision @ (x - inner.prior) ** 2)
+        inner.best = replace(point, x=x, cost=cost)
         return inner, inner.best
 
     # -- slopes -------------------------------------------------------------------------------
 
     def jacobian(self, point: Point, central: bool = False) -> Jacobian:
         """Return the slopes of the residuals by differences."""
-        slopes = [np.full((*t.shape, len(self.unknowns)), np.nan) for t in point.residuals.tables]
-        for k, table in enumerate(point.residuals.tables):
-            slopes[k][np.isfinite(table)] = 0.0
+        slopes = [np.full((*t.shape, len(self.unknowns)), np.nan) for t in point.tables]
+        for slope, table in zip(slopes, point.tables, strict=True):
+            slope[np.isfinite(table)] = 0.0
         for j, unknown in enumerate(self.unknowns):
             known: dict[int, Array | None] = {}
             if not self.steps[j] and unknown.is_shown:
@@ -119,12 +130,9 @@ class Likelihood:
             elif not self.steps[j]:
                 known[unknown.log or 0] = self._choose_step(point, j)
             for k in range(len(slopes)) if unknown.log is None else (unknown.log,):
-                column = (
-                    known[k]
-                    if k in known
-                    else self._slope(point, j, k, self.steps[j], central and not unknown.is_shown)
-                )
-                if column is not None:
+                if k not in known:
+                    known[k] = self._slope(point, j, k, self.steps[j], central and not unknown.is_shown)
+                if (column := known[k]) is not None:
                     slopes[k][..., j] = column
         return slopes
 
@@ -133,13 +141,17 @@ class Likelihood:
 
         The slope is that of the unknown's log, or of the first log.
         """
+
+        def size(slope: Array) -> float:
+            return float(np.sqrt(np.nansum(slope * slope)))
+
         k = self.unknowns[j].log or 0
         large, small = (self._slope(point, j, k, step) for step in (STEP, SMALL))
         self.steps[j] = SMALL
-        if large is None or small is None or _size(small - large) <= ALIKE * _size(large):
+        if large is None or small is None or size(small - large) <= ALIKE * size(large):
             return small
         tiny = self._slope(point, j, k, TINY)
-        if tiny is not None and _size(tiny - small) < _size(small - large):
+        if tiny is not None and size(tiny - small) < size(small - large):
             return small
         self.steps[j] = STEP
         return large
@@ -147,10 +159,10 @@ class Likelihood:
     def _slope(self, point: Point, j: int, k: int, step: float, central: bool = False) -> Array | None:
         """Return the slope of log k's residuals by unknown j; None if the FMU fails on both sides."""
         size, x = step * self.scales[j], point.x[j]
-        base = point.residuals.tables[k]
-        sides = [s for s in (size, -size) if self.low[j] <= x + s <= self.high[j]]
         tables = []
-        for side in sides:
+        for side in (size, -size):
+            if not self.low[j] <= x + side <= self.high[j]:
+                continue
             moved = point.x.copy()
             moved[j] += side
             if (table := self.table(moved, k)) is not None:
@@ -159,26 +171,21 @@ class Likelihood:
                     break
         if len(tables) == 2:
             return np.asarray((tables[0][1] - tables[1][1]) / (2.0 * size))
-        return (tables[0][1] - base) / tables[0][0] if tables else None
+        return (tables[0][1] - point.tables[k]) / tables[0][0] if tables else None
 
     # -- the estimate -------------------------------------------------------------------------
 
     def equations(self, point: Point, slopes: Jacobian) -> tuple[Array, Array]:
         """Return information matrix and gradient of the cost."""
-        weights = point.residuals.sigma**-2
+        weights = point.sigma**-2
         matrix = np.diag(self.precision)
         gradient = self.precision * (point.x - self.prior)
-        for table, slope in zip(point.residuals.tables, slopes, strict=True):
+        for table, slope in zip(point.tables, slopes, strict=True):
             good = np.isfinite(table)
             rows, weight = slope[good], np.broadcast_to(weights, table.shape)[good]
             matrix = matrix + rows.T @ (weight[:, None] * rows)
             gradient = gradient + rows.T @ (weight * table[good])
         return matrix, gradient
-
-    def free(self, point: Point, gradient: Array) -> Flags:
-        """Return True for each unknown that no bound stops."""
-        at_low, at_high = point.x <= self.low, point.x >= self.high
-        return np.asarray(~((at_low & (gradient > 0.0)) | (at_high & (gradient < 0.0))))
 
     def maximize(self, start: Point, slopes: Jacobian, report: Callable[[int], None]) -> bool:
         """Move from a point to the largest likelihood, `best`; return True if it settled."""
@@ -211,8 +218,7 @@ class Likelihood:
     def _follow(self, slopes: Jacobian, point: Point, moved: Point) -> Jacobian:
         """Return slopes that explain the last step (Broyden 1965), in units of the scales."""
         updated = []
-        tables = zip(slopes, point.residuals.tables, moved.residuals.tables, strict=True)
-        for k, (slope, before, after) in enumerate(tables):
+        for k, (slope, before, after) in enumerate(zip(slopes, point.tables, moved.tables, strict=True)):
             acting = np.array([u.log in (None, k) for u in self.unknowns])
             step = np.where(acting, moved.x - point.x, 0.0)
             weighted = step / self.scales**2
@@ -224,7 +230,8 @@ class Likelihood:
     def _step(self, point: Point, slopes: Jacobian, damping: float) -> tuple[Array, float]:
         """Return a step within the bounds, and the gain that the quadratic model expects of it."""
         matrix, gradient = self.equations(point, slopes)
-        step, free = np.zeros(point.x.size), self.free(point, gradient)
+        at_low, at_high = point.x <= self.low, point.x >= self.high
+        step, free = np.zeros(point.x.size), ~((at_low & (gradient > 0.0)) | (at_high & (gradient < 0.0)))
         scales = np.maximum(self.scales, np.abs(point.x))
         for _ in range(point.x.size + 1):  # an unknown that reaches its bound stays there
             inner = matrix[np.ix_(free, free)]
@@ -240,7 +247,3 @@ class Likelihood:
         largest = float(np.max(np.abs(step) / scales, initial=0.0))
         step = step * min(1.0, LARGEST_STEP / largest) if largest > 0.0 else step
         return step, -float(gradient @ step + 0.5 * step @ matrix @ step)
-
-
-def _size(values: Array) -> float:
-    return float(np.sqrt(np.nansum(values * values)))

@@ -5,20 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
-from cosim.calibration.simulations import SetDrive
 from cosim.logs.log import Log
 from cosim.residuals.drive import Drive
 from cosim.residuals.floor import floors
-from cosim.residuals.residual_statistics import FREE_RUN, pool_errors, remaining_excess
+from cosim.residuals.residual_statistics import FREE_RUN, pool_errors
 from cosim.residuals.starts import start_parameters
 from cosim.residuals.windows import Replay, free_run, horizons, self_started
 
 
-@dataclass(frozen=True, eq=False)
-class Replayed:
+class Replayed(NamedTuple):
     """Replays of one log with one set of values, by horizon, and the noise floor by channel."""
 
     log: Log
@@ -37,21 +37,15 @@ class Part:
 
     sealed: bool
     horizon: float
-    before: tuple[Replayed, ...]
-    after: tuple[Replayed, ...]
+    before: Sequence[Replayed]
+    after: Sequence[Replayed]
 
     def errors(self, horizon: float) -> dict[str, tuple[float, float]]:
         """Return channel → root mean square error before and after, pooled over the logs."""
         old, new = (pool_errors(r.replays[horizon].errors(r.log) for r in side) for side in (self.before, self.after))
         return {name: (old[name], new[name]) for name in old}
 
-    @property
-    def horizons(self) -> list[float]:
-        """Return the horizons that every log has, the decisive one first."""
-        common = set.intersection(*(set(r.replays) for r in (*self.before, *self.after)))
-        return sorted(common, key=lambda h: (h != self.horizon, h))
-
-    @property
+    @cached_property
     def floor(self) -> dict[str, float]:
         """Return channel → noise floor over the decisive horizon, root mean square over the logs."""
         names = dict.fromkeys(n for r in self.after for n in r.floor)
@@ -64,29 +58,6 @@ class Part:
         pairs = [(a, b) for a, b in self.errors(self.horizon).values() if a > 0.0 and b > 0.0 and math.isfinite(a * b)]
         return math.exp(float(np.mean([math.log(b / a) for a, b in pairs]))) if pairs else math.nan
 
-    def excess(self, name: str) -> float:
-        """Return the share of a channel's mean square error above the floor that remains."""
-        before, after = self.errors(self.horizon)[name]
-        return remaining_excess(before, after, self.floor.get(name, 0.0))
-
-
-def replayed(drive: Drive, values: Mapping[str, float], horizon: float, *, with_floor: bool) -> Replayed:
-    """Return the free run and the windows of a log with these values, as `cosim replay` makes them.
-
-    Args:
-        horizon: Horizon of the noise floor; FREE_RUN for free runs.
-    """
-    moved = SetDrive(drive, values)
-    log, parameters, free = moved.log, start_parameters(moved), free_run(moved)
-    replays = {FREE_RUN: free}
-    windowed = self_started(moved, parameters, free, horizons(log)[-1])
-    if windowed is not None:
-        replays[windowed.horizon] = windowed
-    if not with_floor:
-        return Replayed(log, replays, {})
-    decisive = replays.get(horizon, free)
-    return Replayed(log, replays, {n: f.rmse for n, f in floors(moved, parameters, free, decisive).items()})
-
 
 def prove(
     drives: Sequence[Drive],
@@ -96,9 +67,23 @@ def prove(
     *,
     sealed: bool,
 ) -> Part:
-    """Return the errors of a set of logs with the values before and after."""
-    old = [replayed(d, v, horizon, with_floor=False) for d, v in zip(drives, before, strict=True)]
-    new = [replayed(d, v, horizon, with_floor=True) for d, v in zip(drives, after, strict=True)]
-    if not all(horizon in r.replays for r in (*old, *new)):
+    """Return the errors of a set of logs with the values before and after, with the noise floor after.
+
+    Args:
+        horizon: Horizon of the noise floor; FREE_RUN for free runs.
+    """
+    sides: tuple[list[Replayed], list[Replayed]] = [], []
+    for side, every in zip(sides, (before, after), strict=True):
+        for drive, values in zip(drives, every, strict=True):
+            moved = drive.with_values(values)
+            log, parameters, free = moved.log, start_parameters(moved), free_run(moved)
+            replays, floor = {FREE_RUN: free}, dict[str, float]()
+            if (windowed := self_started(moved, parameters, free, horizons(log)[-1])) is not None:
+                replays[windowed.horizon] = windowed
+            if side is sides[1]:
+                decisive = replays.get(horizon, free)
+                floor = {n: f.rmse for n, f in floors(moved, parameters, free, decisive).items()}
+            side.append(Replayed(log, replays, floor))
+    if not all(horizon in r.replays for side in sides for r in side):
         horizon = FREE_RUN
-    return Part(sealed, horizon, tuple(old), tuple(new))
+    return Part(sealed, horizon, *sides)

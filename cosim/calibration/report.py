@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -30,52 +29,86 @@ def page(outcome: Outcome, record: Record) -> str:
     """Return a self-contained page."""
     charts = Charts()
     headline, details = split_sentence(record.sentence)
-    part = outcome.decisive
+    part, estimate = outcome.decisive, outcome.estimate
+    verdict, tone = str(record.verdict), TONES.get(record.verdict, "plain")
+    if verdict == "improved" and not estimate.settled:  # no success yet
+        verdict, tone = "improved, not settled", "warn"
+    badges = [
+        Badge(verdict, tone),
+        Badge(counted(len(record.logs), "log")),
+        Badge(counted(len(record.sealed), "sealed log")),
+        Badge(counted(record.simulations, "simulation")),
+    ]
+    if record.warnings:
+        badges.append(Badge(counted(len(record.warnings), "warning"), "warn"))
+    starts = [
+        {"name": s.name, "log": Path(s.log).name, "value": amount(s.value, s.unit, 4), "interval": _range(s)}
+        for s in record.starts
+    ]
+    names, matrix = [n for n, p in record.parameters.items() if p.status != "held"], record.correlation or []
+    rows = [(n, [plain(v, 2) for v in row]) for n, row in zip(names, matrix, strict=False)]
+    strong = [
+        f"{names[i]} and {names[j]} ({plain(matrix[i][j], 2)})"
+        for i in range(len(matrix))
+        for j in range(i)
+        if abs(matrix[i][j]) > STRONG
+    ]
+    screening = [
+        {
+            "name": c.name,
+            "effect": MISSING if c.effect is None else f"{plain(c.effect, 2)} σ",
+            "verdict": "estimated" if c.estimated else "left",
+            "why": c.reason,
+        }
+        for c in record.screening
+    ]
+    units = {n: u for d in estimate.logs.drives for n, u in d.log.units.items()}
+    noise = [
+        {
+            "name": n,
+            "sigma": size(entry.sigma, units[n]),
+            "colour": MISSING if entry.colour is None else plain(entry.colour, 2),
+        }
+        for n, entry in record.noise.items()
+    ]
+    way = "free runs" if record.windows is None else f"windows of {record.windows:g} s: {record.windows_reason}"
+    failed = f", {record.failed_simulations} failed" if record.failed_simulations else ""
+    provenance = [
+        Row("FMU", record.fmu),
+        Row("Logs of the estimate", "\n".join(record.logs)),
+        Row("Sealed logs", "\n".join(record.sealed) or "none"),
+        Row("Method", f"output-error maximum likelihood, {way}"),
+        Row("Effort", f"{counted(record.simulations, 'simulation')} of a whole log{failed}, {plain(record.seconds)} s"),
+        Row("cosim", __version__),
+    ]
     return render(
         TEMPLATE,
         {
             "name": f"Fit of {outcome.fmu.name}",
             "headline": headline,
             "details": details,
-            "tone": _verdict(outcome, record)[1],
-            "badges": _badges(outcome, record),
+            "tone": tone,
+            "badges": badges,
             "warnings": [*record.warnings, *record.notes],
             "plots": [] if part is None else _plots(part, charts),
             "log": "" if part is None else part.after[-1].log.path.name,
             "is_sealed": part is not None and part.sealed,
             "horizon": "" if part is None else horizon_name(part.horizon),
             "parameters": [_parameter(n, p) for n, p in record.parameters.items()],
-            "starts": [_start(s) for s in record.starts],
-            "correlation": _correlation(record),
-            "strong": _strong_pairs(record),
+            "starts": starts,
+            "correlation": {"columns": names, "rows": rows} if len(matrix) > 1 else None,
+            "strong": join_names(strong),
             "singular": [plain(v) for v in record.singular_values],
-            "combinations": [c.sentence for c in outcome.estimate.combinations],
-            "errors": list(_errors(record)),
-            "screening": [_choice(c) for c in record.screening],
-            "noise": [_noise(n, record, outcome) for n in record.noise],
+            "combinations": [c.sentence for c in estimate.combinations],
+            "errors": _errors(record),
+            "screening": screening,
+            "noise": noise,
             "repeat": shlex.join(_repeat(outcome, record)),
-            "provenance": _provenance(record),
+            "provenance": provenance,
             "data": charts.data(),  # after all drawings
             "version": __version__,
         },
     )
-
-
-def _verdict(outcome: Outcome, record: Record) -> tuple[str, str]:
-    """Return the verdict as a short text, and its tone; an improvement by an unsettled estimate is no success yet."""
-    if record.verdict == "improved" and not outcome.estimate.settled:
-        return "improved, not settled", "warn"
-    return record.verdict, TONES.get(record.verdict, "plain")
-
-
-def _badges(outcome: Outcome, record: Record) -> list[Badge]:
-    badges = [
-        Badge(*_verdict(outcome, record)),
-        Badge(counted(len(record.logs), "log")),
-        Badge(counted(len(record.sealed), "sealed log")),
-        Badge(counted(record.simulations, "simulation")),
-    ]
-    return badges + ([Badge(counted(len(record.warnings), "warning"), "warn")] if record.warnings else [])
 
 
 def _plots(part: Part, charts: Charts) -> list[Plot]:
@@ -107,69 +140,40 @@ def _parameter(name: str, p: ParameterEntry) -> dict[str, Any]:
         return float(round(100.0 * (value - low + margin) / (high - low + 2.0 * margin), 2))
 
     notes = {"estimated": "", "at_bound": "at its bound", "held": "held at its start"}
-    span = None if p.ci95 is None else (place(p.ci95[0]), round(place(p.ci95[1]) - place(p.ci95[0]), 2))
+    bounds = MISSING
+    if p.tolerance is not None:
+        bounds = f"± {amount(p.tolerance, p.unit, 2)}, prior"
+    elif p.low is not None or p.high is not None:
+        ends = ["" if end is None else plain(display(p.unit)[1] * end) for end in (p.low, p.high)]
+        bounds = f"{ends[0] or '−∞'} … {ends[1] or '∞'}"
     return {
         "name": name,
         "start": amount(p.start, p.unit, 4),
         "value": amount(p.value, p.unit, 5),
-        "interval": MISSING if p.ci95 is None else _range(p.ci95, p.unit),
-        "bounds": _bounds(p),
+        "interval": _range(p),
+        "bounds": bounds,
         "note": notes[p.status] or ("not identifiable alone" if p.ci95 is None else ""),
         "at": place(p.value),
         "old": place(p.start),
-        "span": span,
+        "span": p.ci95 and (place(p.ci95[0]), round(place(p.ci95[1]) - place(p.ci95[0]), 2)),
     }
 
 
-def _bounds(p: ParameterEntry) -> str:
-    if p.tolerance is not None:
-        return f"± {amount(p.tolerance, p.unit, 2)}, prior"
-    if p.low is None and p.high is None:
+def _range(entry: ParameterEntry | StartEntry) -> str:
+    """Return a confidence interval with as many digits as its width deserves."""
+    if entry.ci95 is None:
         return MISSING
-    ends = ["" if end is None else plain(display(p.unit)[1] * end) for end in (p.low, p.high)]
-    return f"{ends[0] or '−∞'} … {ends[1] or '∞'}"
-
-
-def _range(interval: tuple[float, float], unit: str) -> str:
-    symbol, factor = display(unit)
-    half = 0.5 * (interval[1] - interval[0])
-    centre = 0.5 * abs(interval[1] + interval[0])
+    low, high = entry.ci95
+    symbol, factor = display(entry.unit)
+    half, centre = 0.5 * (high - low), 0.5 * abs(high + low)
     digits = 2 + max(0, math.ceil(math.log10(centre / half))) if half > 0.0 and centre > half else 3
-    ends = " … ".join(plain(end * factor, min(digits, 8)) for end in interval)
+    ends = " … ".join(plain(end * factor, min(digits, 8)) for end in (low, high))
     return f"{ends} {symbol}".strip()
 
 
-def _start(s: StartEntry) -> dict[str, str]:
-    interval = MISSING if s.ci95 is None else _range(s.ci95, s.unit)
-    return {"name": s.name, "log": Path(s.log).name, "value": amount(s.value, s.unit, 4), "interval": interval}
-
-
-def _estimated(record: Record) -> list[str]:
-    return [n for n, p in record.parameters.items() if p.status != "held"]
-
-
-def _correlation(record: Record) -> dict[str, Any] | None:
-    if record.correlation is None or len(record.correlation) < 2:
-        return None
-    names = _estimated(record)
-    rows = [(n, [plain(v, 2) for v in row]) for n, row in zip(names, record.correlation, strict=True)]
-    return {"columns": names, "rows": rows}
-
-
-def _strong_pairs(record: Record) -> str:
-    names, matrix = _estimated(record), record.correlation or []
-    pairs = [
-        f"{names[i]} and {names[j]} ({plain(matrix[i][j], 2)})"
-        for i in range(len(matrix))
-        for j in range(i)
-        if abs(matrix[i][j]) > STRONG
-    ]
-    return join_names(pairs)
-
-
-def _errors(record: Record) -> Iterator[dict[str, Any]]:
-    """Yield an error table for each set of logs."""
-    titles = {"estimation": "Logs of the estimate", "sealed": "Sealed logs"}
+def _errors(record: Record) -> list[dict[str, Any]]:
+    """Return an error table for each set of logs."""
+    titles, tables = {"estimation": "Logs of the estimate", "sealed": "Sealed logs"}, []
     for part, errors in record.errors.items():
         horizon = horizon_name(FREE_RUN if errors.horizon is None else errors.horizon)
         rows = []
@@ -177,24 +181,8 @@ def _errors(record: Record) -> Iterator[dict[str, Any]]:
             sizes = [MISSING if v is None else size(v, c.unit) for v in (c.before, c.after, c.noise_floor)]
             left = MISSING if c.excess_left is None else percent(max(0.0, c.excess_left))
             rows.append({"name": name, "before": sizes[0], "after": sizes[1], "floor": sizes[2], "left": left})
-        yield {"title": f"{titles[part]}, {horizon}", "rows": rows}
-
-
-def _choice(choice: Any) -> dict[str, str]:
-    effect = MISSING if choice.effect is None else f"{plain(choice.effect, 2)} σ"
-    return {
-        "name": choice.name,
-        "effect": effect,
-        "verdict": "estimated" if choice.estimated else "left",
-        "why": choice.reason,
-    }
-
-
-def _noise(name: str, record: Record, outcome: Outcome) -> dict[str, str]:
-    units: Mapping[str, str] = {n: u for d in outcome.estimate.logs.drives for n, u in d.log.units.items()}
-    noise = record.noise[name]
-    colour = MISSING if noise.colour is None else plain(noise.colour, 2)
-    return {"name": name, "sigma": size(noise.sigma, units[name]), "colour": colour}
+        tables.append({"title": f"{titles[part]}, {horizon}", "rows": rows})
+    return tables
 
 
 def _repeat(outcome: Outcome, record: Record) -> list[str]:
@@ -214,16 +202,3 @@ def _repeat(outcome: Outcome, record: Record) -> list[str]:
     called = {c: n for d in outcome.estimate.logs.drives for c, n in d.log.called.items()}
     words += [word for c, n in called.items() for word in ("--column", f"{c}={n}")]
     return [*words, *(["--compile"] if permission.get() else [])]
-
-
-def _provenance(record: Record) -> list[Row]:
-    way = "free runs" if record.windows is None else f"windows of {record.windows:g} s: {record.windows_reason}"
-    failed = f", {record.failed_simulations} failed" if record.failed_simulations else ""
-    return [
-        Row("FMU", record.fmu),
-        Row("Logs of the estimate", "\n".join(record.logs)),
-        Row("Sealed logs", "\n".join(record.sealed) or "none"),
-        Row("Method", f"output-error maximum likelihood, {way}"),
-        Row("Effort", f"{counted(record.simulations, 'simulation')} of a whole log{failed}, {plain(record.seconds)} s"),
-        Row("cosim", __version__),
-    ]

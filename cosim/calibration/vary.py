@@ -7,7 +7,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import Fault, refuse
@@ -21,7 +20,6 @@ from cosim.storage.yaml_file import did_you_mean, short
 
 NOT_VARIED = '--vary "{text}" is none of NAME, NAME=20% and NAME=LOW..HIGH, as in mass=0.3..2'
 
-OPTION = Path("--vary")
 REALS = {"Real", "Float64", "Float32"}
 FREE = {"", "free", "null"}  # values of NAME=… that mean NAME alone
 MOST_NAMES = 8  # names in a message
@@ -61,41 +59,25 @@ class Parameter:
 def candidates(description: Any, given: Mapping[str, Any]) -> dict[str, Parameter]:
     """Return every variable that can be estimated; parameters first, in the order of the FMU.
 
+    These are scalar real parameters and states with a start value that may be set.
+
     Args:
         given: Values that replace start values of the FMU.
     """
     names = {v.name for v in description.modelVariables}
     found = {}
-    for variable in description.modelVariables:
-        if _is_estimable(variable):
-            low, high = limits_of(variable)
-            value = given.get(variable.name, variable.start)
-            start, unit = float(value), unit_of(variable)
-            per_log = not _is_parameter(variable) or variable.name.removesuffix("_start") in names - {variable.name}
-            found[variable.name] = Parameter(variable.name, unit, start, low, high, None, per_log)
+    for v in description.modelVariables:
+        is_parameter = "parameter" in (v.causality, v.variability)  # the latter in FMI 1.0
+        is_state = v.causality in {"local", "internal", "output", None}
+        if v.type in REALS and not v.shape and v.start is not None and settable(v) and (is_parameter or is_state):
+            low, high = limits_of(v)
+            per_log = not is_parameter or v.name.removesuffix("_start") in names - {v.name}
+            found[v.name] = Parameter(v.name, unit_of(v), float(given.get(v.name, v.start)), low, high, None, per_log)
     return dict(sorted(found.items(), key=lambda item: item[1].per_log))
 
 
-def _is_parameter(variable: Any) -> bool:
-    return "parameter" in (variable.causality, variable.variability)  # the latter in FMI 1.0
-
-
-def _is_estimable(variable: Any) -> bool:
-    """Return whether a variable is a scalar real parameter or state with a start value that may be set."""
-    if variable.type not in REALS or variable.shape or variable.start is None or not settable(variable):
-        return False
-    return _is_parameter(variable) or variable.causality in {"local", "internal", "output", None}
-
-
-def _option_fault(name: str, message: str) -> Fault:
-    return Fault(OPTION, 0, 0, message)
-
-
 def read_vary(
-    description: Any,
-    offered: Mapping[str, Parameter],
-    texts: Sequence[str],
-    fault: Callable[[str, str], Fault] = _option_fault,
+    description: Any, offered: Mapping[str, Parameter], texts: Sequence[str], fault: Callable[[str, str], Fault]
 ) -> list[Parameter]:
     """Return the parameters named by texts such as `mass`, `mass=20%`, `mass=0.3..2 kg`.
 
@@ -110,8 +92,10 @@ def read_vary(
     faults: list[Fault] = []
     for text in texts:
         name, _, value = split_assignment(text, variables)
-        with suppress(ValueError):
-            value = _plain(json.loads(value))
+        with suppress(ValueError):  # a value of Python: a pair is a range, None is no bound
+            read = json.loads(value)
+            is_pair = isinstance(read, list) and len(read) == 2
+            value = f"{read[0]}..{read[1]}" if is_pair else "" if read is None else str(read)
         try:
             if not name:
                 raise ValueError(NOT_VARIED.format(text=short(text)))
@@ -119,27 +103,17 @@ def read_vary(
                 raise ValueError(_not_offered(name, variables, offered))
             if name in chosen:
                 raise ValueError(f"{name} is named twice; name it once")
-            parameter = _bounded(description, variables[name], offered[name], str(value))
+            parameter = _bounded(description, variables[name], offered[name], value)
             if not parameter.low <= parameter.start <= parameter.high:
-                ends = {"low": parameter.low, "high": parameter.high}
                 raise ValueError(
-                    (
-                        "{name} starts at {value:g}, outside {low:g} to {high:g}; give another value as --start "
-                        "{name}=VALUE"
-                    ).format(name=name, value=parameter.start, **ends)
+                    f"{name} starts at {parameter.start:g}, outside {parameter.low:g} to {parameter.high:g}; give "
+                    f"another value as --start {name}=VALUE"
                 )
             chosen[name] = parameter
         except ValueError as error:
             faults.append(fault(name, error.args[0]))
     refuse(faults)
     return list(chosen.values())
-
-
-def _plain(value: Any) -> str:
-    """Return a value of Python as text: a pair is a range, None is no bound."""
-    if isinstance(value, list) and len(value) == 2:
-        return f"{value[0]}..{value[1]}"
-    return "" if value is None else str(value)
 
 
 def _not_offered(name: str, variables: Mapping[str, Any], offered: Mapping[str, Parameter]) -> str:
@@ -160,42 +134,34 @@ def _not_offered(name: str, variables: Mapping[str, Any], offered: Mapping[str, 
 
 def _bounded(description: Any, variable: Any, parameter: Parameter, text: str) -> Parameter:
     """Return the parameter with bounds or prior."""
+    name = parameter.name
     if text in FREE:
         return parameter
     if text.endswith("%"):
-        share = _percentage(parameter.name, text)
+        share = _number(text.removesuffix("%"))
+        if share is None or not 0.0 < share < math.inf:
+            raise ValueError(f"{name}: {short(text)} is no tolerance; give a percentage above 0, such as 20%")
         if parameter.start == 0.0:
-            raise ValueError(f"{parameter.name} starts at 0, of which {text} is nothing; give a range LOW..HIGH")
-        return replace(parameter, tolerance=share * abs(parameter.start))
+            raise ValueError(f"{name} starts at 0, of which {text} is nothing; give a range LOW..HIGH")
+        return replace(parameter, tolerance=share / 100.0 * abs(parameter.start))
     first, dots, second = (part.strip() for part in text.partition(".."))
     if not (dots and first and second):
-        raise ValueError(NOT_VARIED.format(text=short(f"{parameter.name}={text}")))
+        raise ValueError(NOT_VARIED.format(text=short(f"{name}={text}")))
     unit = (split_quantity(second) or (0.0, ""))[1]
-    ends = [f"{first} {unit}" if unit and _is_number(first) else first, second]
-    low, high = (_converted(description, variable, end) for end in ends)
+    ends = []
+    for end in (f"{first} {unit}" if unit and _number(first) is not None else first, second):
+        number = _number(end)
+        value = convert_value(description, variable, end if number is None else number)
+        if isinstance(value, Misfit):
+            raise ValueError(f"{variable.name}: {short(end)} is not allowed: {value.reason}")
+        ends.append(float(value))
+    low, high = ends
     if not low < high:
-        raise ValueError(f"{parameter.name}: {low:g} is not below {high:g}; give LOW..HIGH with LOW below HIGH")
+        raise ValueError(f"{name}: {low:g} is not below {high:g}; give LOW..HIGH with LOW below HIGH")
     return replace(parameter, low=max(low, parameter.low), high=min(high, parameter.high))
 
 
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
-def _percentage(name: str, text: str) -> float:
+def _number(text: str) -> float | None:
     with suppress(ValueError):
-        share = float(text.removesuffix("%")) / 100.0
-        if 0.0 < share < math.inf:
-            return share
-    raise ValueError(f"{name}: {short(text)} is no tolerance; give a percentage above 0, such as 20%")
-
-
-def _converted(description: Any, variable: Any, text: str) -> float:
-    value = convert_value(description, variable, float(text) if _is_number(text) else text)
-    if isinstance(value, Misfit):
-        raise ValueError(f"{variable.name}: {short(text)} is not allowed: {value.reason}")
-    return float(value)
+        return float(text)
+    return None

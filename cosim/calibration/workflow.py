@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
 from typing import Any
@@ -18,8 +18,8 @@ from cosim.blocks.compiling import permission
 from cosim.blocks.description import read_description, unit_definition, unit_of
 from cosim.calibration.estimate import Estimate, Report
 from cosim.calibration.fit_record import Outcome, Record, parameter_entries, record
-from cosim.calibration.fit_sentences import notes, verdict, warnings
-from cosim.calibration.fit_study import Request, check_missing, read_fit_study
+from cosim.calibration.fit_sentences import verdict, warnings
+from cosim.calibration.fit_study import Request, read_fit_study
 from cosim.calibration.fitted_fmu import why_no_copy
 from cosim.calibration.replay_proof import Part, prove
 from cosim.calibration.simulations import Logs, OutOfTime
@@ -69,35 +69,58 @@ def fit(
     """
     begin = time.monotonic()
     most, path, place = request.limits, request.fmu, named_path(folder)
-    estimation, test = request.estimation, request.sealed
-    read, chosen, given = _read(request)
+    read, chosen, given, fixed = _read(request)
     files = [*request.logs, path, *([request.yaml.path] if request.yaml else [])]
     check_writable(place, FILES, files)
     progress("probing the FMU", 0.0)
     if not in_process:
-        refuse_own_step(request, read[0], given)
+        _refuse_own_step(request, read[0], given)
     with ExitStack() as stack:
         worker = None if in_process else stack.enter_context(Worker(*MODULES))
         inner = most.model_copy(update={"total": None, "step": most.step or most.total})
-        fixed = _without(given, chosen)
 
         def load(log: Log, file: Path = path) -> AbstractContextManager[Drive]:
             return DriveApart(worker, log, file, limits=inner, given=fixed) if worker else Drive(log, file, given=fixed)
 
         drives = [stack.enter_context(load(log)) for log in read]
         _refuse_bad(drives)
-        opened, closed = drives[: len(estimation)], drives[len(estimation) :]
-        estimate = Estimate(Logs(opened, begin + (most.total or np.inf)), {}, progress)
-        stop = _run(estimate, chosen, screening=not request.vary, limits=most)
-        parts, stop = ((), stop) if stop else _prove_or_stop(estimate, chosen, opened, closed)
+        opened, closed = drives[: len(request.estimation)], drives[len(request.estimation) :]
+        estimate = Estimate(Logs(opened, begin + (most.total or np.inf)), progress)
+        stop, parts = _run(estimate, chosen, screening=not request.vary, limits=most), list[Part]()
+        if stop is None:
+            progress("replaying with the values before and after", 0.0)
+            try:
+                parts = _prove(estimate, chosen, opened, closed)
+            except SimulationError as error:
+                stop = error
+            except (KeyboardInterrupt, Terminated) as signal:
+                stop = stop_error(signal, 0.0, "the proof")
         hold_stops()
+        risen = ()
+        if parts and parts[-1].sealed:
+            part = parts[-1]
+            before, after = ([(r.log, r.replays[part.horizon]) for r in side] for side in (part.before, part.after))
+            risen = tuple(find_rises(before, after))
         entries = parameter_entries(estimate)
-        outcome = Outcome(path, tuple(estimation), tuple(test), estimate, fixed, parts, _risen(parts), entries)
+        outcome = Outcome(path, request.estimation, request.sealed, estimate, fixed, parts, risen, entries)
         remove_earlier(place, read=files)
-        unused = (
-            [f"`cosim fit` does not use {join_names(request.unused)}: `cosim refine` does"] if request.unused else []
-        )
-        written, told = _write(place, outcome, begin, stop, lambda file: load(read[0], file), unused)
+        told = [*warnings(outcome)]
+        if request.unused:
+            told.insert(0, f"`cosim fit` does not use {join_names(request.unused)}: `cosim refine` does")
+        values = _write_values(place, outcome)
+        if stop is None and values:
+            likelihood, point = estimate.best
+            start = {n: v for n, v in likelihood.values(point.x, 0).items() if n not in values}
+            reason = why_no_copy(drives[0], values, start, place / "fitted.fmu", lambda file: load(read[0], file))
+            if reason is not None:
+                sets = [word for n, v in values.items() for word in ("--set", f"{n}={v!r}")]
+                words = ["cosim", "simulate", str(path), *sets, *(["--compile"] if permission.get() else [])]
+                told.append(f"no fitted.fmu: {reason}. fitted.ssv has the values; `{shlex.join(words)}` sets them")
+        notes = []
+        if (horizon := estimate.logs.horizon) is not None:
+            notes.append(Note(f"the estimate uses windows of {horizon:g} s in place of free runs: {estimate.reason}"))
+        written = record(outcome, verdict(outcome), time.monotonic() - begin, told, notes)
+        write_json(place / "fit.json", written.model_dump(mode="json"), allow_nan=False)
         if report:
             from cosim.calibration.report import page
 
@@ -105,7 +128,7 @@ def fit(
     if stop is not None:
         stop.left = place
         raise stop
-    return written, told
+    return written, [*told, *notes]
 
 
 # -- input ------------------------------------------------------------------------------------------
@@ -119,26 +142,25 @@ def check_fit_study(path: Path, checking: Checking) -> list[str]:
         FmuError: Only the FMU has faults.
     """
     request = read_fit_study(path)
-    logs, chosen, given = _read(request)
+    logs, chosen, given, fixed = _read(request)
     if checking.worker is not None:
         with ExitStack() as stack:
-            fixed = _without(given, chosen)
             apart = [DriveApart(checking.worker, g, request.fmu, limits=request.limits, given=fixed) for g in logs]
             _refuse_bad([stack.enter_context(drive) for drive in apart])
-        refuse_own_step(request, logs[0], given)
+        _refuse_own_step(request, logs[0], given)
     aim = "" if request.vary else "what the logs determine of "
     return [Note(f"`cosim fit` will estimate {aim}{join_names([p.name for p in chosen])}")]
 
 
-def _read(request: Request) -> tuple[list[Log], list[Parameter], dict[str, Any]]:
-    """Return logs, parameters to estimate and given values.
+def _read(request: Request) -> tuple[list[Log], list[Parameter], dict[str, Any], dict[str, Any]]:
+    """Return logs, parameters to estimate, given values, and those of them that are not estimated.
 
     Raises:
         InputError: Every fault of logs and arguments.
         FmuError: Only the FMU has faults.
     """
-    fmu = request.fmu
-    faults, paths = _path_faults(request)
+    fmu, logs, yaml = request.fmu, request.logs, request.yaml
+    faults: list[Fault] = []
 
     def attempt(function: Callable[..., Any], default: Any, *arguments: Any) -> Any:
         try:
@@ -147,39 +169,52 @@ def _read(request: Request) -> tuple[list[Log], list[Parameter], dict[str, Any]]
             faults.extend(error.faults)
             return default
 
-    refuse(faults if request.yaml is not None and not fmu.exists() else ())
+    if yaml is not None:
+        beside = "does not exist; file names are relative to the study"
+        if not fmu.is_file():
+            faults.append(yaml.fault(("model",), f"{yaml.root['model']} {beside}"))
+        faults += [request.log_fault(k, f"{p.name} {beside}") for k, p in enumerate(logs) if not p.exists()]
+    paths = [p for p in logs if not faults or p.exists()]
+    if not request.estimation:
+        message = "names no log to estimate from; name at least one"
+        faults.append(request.fault(("logs",), message, Path("LOG")))
+    faults += [
+        request.log_fault(k, "is named twice; a log is used once, for the estimate or as a sealed log")
+        for k, p in enumerate(logs)
+        if p in logs[:k]
+    ]
+    refuse(faults if yaml is not None and not fmu.exists() else ())
     for path in paths or [fmu]:
         attempt(check_files, None, path, fmu)
     refuse(faults if any(f.file == fmu for f in faults) or {f.file for f in faults} >= {*paths} else ())
     description = read_description(fmu)
-    given = attempt(start_values, {}, fmu, request.start, request.start_fault)
-    chosen = attempt(_chosen, [], request, description, given)
+    given = attempt(start_values, {}, fmu, request.start, lambda n, text: request.fault(("start", n), text, fmu))
+
+    def choose() -> list[Parameter]:
+        numbers = {n: v for n, v in given.items() if isinstance(v, (int, float)) and not isinstance(v, bool)}
+        offered = candidates(description, numbers)
+        if request.vary:
+            option = Path("--vary")
+            return read_vary(description, offered, request.vary, lambda n, m: request.fault(("vary", n), m, option))
+        chosen = [p for p in offered.values() if not p.per_log and p.low <= p.start <= p.high and p.name not in given]
+        if not chosen:
+            message = "has no parameter to estimate: no floating-point parameter with a start value may be set"
+            raise InputError.at(fmu, f"{message} before a run")
+        return chosen
 
     def read(path: Path) -> Log:
         columns = request.columns
         columns = columns if isinstance(columns, Mapping) else read_column_names(columns, path)
         return log_of_fmu(path, fmu, columns, alone=len(paths) == 1)
 
-    logs = [attempt(read, None, path) for path in paths]
+    chosen: list[Parameter] = attempt(choose, [])
+    read_logs = [attempt(read, None, path) for path in paths]
     refuse(faults)
-    return logs, chosen, given
+    varied = {p.name for p in chosen}
+    return read_logs, chosen, given, {n: v for n, v in given.items() if n not in varied}
 
 
-def _path_faults(request: Request) -> tuple[list[Fault], list[Path]]:
-    """Return the faults of the paths of a request, and the logs that can be read."""
-    faults = check_missing(request)
-    paths = [p for p in request.logs if not faults or p.exists()]
-    if not request.estimation:
-        faults.append(request.no_logs_fault("names no log to estimate from; name at least one"))
-    faults += [
-        request.log_fault(k, "is named twice; a log is used once, for the estimate or as a sealed log")
-        for k, p in enumerate(request.logs)
-        if p in request.logs[:k]
-    ]
-    return faults, paths
-
-
-def refuse_own_step(request: Request, log: Log, given: Mapping[str, Any]) -> None:
+def _refuse_own_step(request: Request, log: Log, given: Mapping[str, Any]) -> None:
     """Raise InputError if the FMU makes steps of its own that are longer than those of a log."""
     numbers = {n: v for n, v in given.items() if isinstance(v, float)}
     try:
@@ -197,21 +232,6 @@ def refuse_own_step(request: Request, log: Log, given: Mapping[str, Any]) -> Non
         )
 
 
-def _chosen(request: Request, description: Any, given: Mapping[str, Any]) -> list[Parameter]:
-    """Return the parameters to vary, or all."""
-    numbers = {n: v for n, v in given.items() if isinstance(v, (int, float)) and not isinstance(v, bool)}
-    offered = candidates(description, numbers)
-    if request.vary:
-        return read_vary(description, offered, request.vary, request.vary_fault)
-    chosen = [p for p in offered.values() if not p.per_log and p.low <= p.start <= p.high and p.name not in given]
-    if not chosen:
-        raise InputError.at(
-            request.fmu,
-            ("has no parameter to estimate: no floating-point parameter with a start value may be set before a run"),
-        )
-    return chosen
-
-
 def _refuse_bad(drives: Sequence[Drive]) -> None:
     """Refuse logs with faults of clock, units or channels; every fault of every log at once."""
     faults: list[Fault] = []
@@ -222,12 +242,6 @@ def _refuse_bad(drives: Sequence[Drive]) -> None:
     refuse(faults)
 
 
-def _without(given: Mapping[str, Any], chosen: Sequence[Parameter]) -> dict[str, Any]:
-    """Return the given values that are not estimated."""
-    varied = {p.name for p in chosen}
-    return {n: v for n, v in given.items() if n not in varied}
-
-
 # -- estimate and proof -------------------------------------------------------------------------------
 
 
@@ -236,44 +250,23 @@ def _run(estimate: Estimate, chosen: Sequence[Parameter], *, screening: bool, li
     try:
         estimate.run(chosen, screening=screening)
     except OutOfTime:
-        error = TimedOut(
-            "the fit",
-            0.0,
-            (
-                f"the limit of {limits.total:g} s (limits: total) is reached; the best values so far are written, "
-                "without proof"
-            ),
-        )
-        if estimate.point is None:
+        reached = f"the limit of {limits.total:g} s (limits: total) is reached"
+        error = TimedOut("the fit", 0.0, f"{reached}; the best values so far are written, without proof")
+        if estimate.likelihood is None:
             raise error from None
         return error
     except (KeyboardInterrupt, Terminated) as stop:
-        if estimate.point is None:
+        if estimate.likelihood is None:
             raise
         return stop_error(stop, 0.0, "the fit")
     return None
 
 
-def _prove_or_stop(
-    estimate: Estimate, chosen: Sequence[Parameter], opened: Sequence[Drive], closed: Sequence[Drive]
-) -> tuple[tuple[Part, ...], SimulationError | None]:
-    """Return the proof, or the reason without one."""
-    estimate.report("replaying with the values before and after", 0.0)
-    try:
-        return _prove(estimate, chosen, opened, closed), None
-    except SimulationError as error:
-        return (), error
-    except (KeyboardInterrupt, Terminated) as signal:
-        return (), stop_error(signal, 0.0, "the proof")
-
-
 def _prove(
     estimate: Estimate, chosen: Sequence[Parameter], opened: Sequence[Drive], closed: Sequence[Drive]
-) -> tuple[Part, ...]:
+) -> list[Part]:
     """Return the errors before and after, on the logs of the estimate and then on sealed logs."""
-    likelihood, point = estimate.likelihood, estimate.point
-    assert likelihood is not None
-    assert point is not None
+    likelihood, point = estimate.best
     varied = {p.name for p in chosen}
     horizon = FREE_RUN if estimate.logs.horizon is None else estimate.logs.horizon
     first = {p.name: p.start for p in chosen if not p.per_log}
@@ -282,64 +275,22 @@ def _prove(
     if closed:
         mean = {n: float(np.mean([each[n] for each in own])) for n in own[0]}
         parts.append(prove(closed, [first] * len(closed), [mean] * len(closed), horizon, sealed=True))
-    return tuple(parts)
+    return parts
 
 
-def _risen(parts: Sequence[Part]) -> tuple[str, ...]:
-    """Return outputs whose error rises significantly on sealed logs."""
-    if not parts or not parts[-1].sealed:
-        return ()
-    part = parts[-1]
-    before, after = ([(r.log, r.replays[part.horizon]) for r in side] for side in (part.before, part.after))
-    return tuple(find_rises(before, after))
+def _write_values(place: Path, outcome: Outcome) -> dict[str, float]:
+    """Write estimated and given values as fitted.ssv; return those for start attributes of an FMU.
 
-
-# -- files --------------------------------------------------------------------------------------------
-
-
-def _write(
-    place: Path,
-    outcome: Outcome,
-    begin: float,
-    stop: SimulationError | None,
-    load: Callable[[Path], AbstractContextManager[Drive]],
-    told: Sequence[str] = (),
-) -> tuple[Record, list[str]]:
-    """Write fitted.ssv, fitted.fmu and fit.json; return the content of the last, and all warnings and notes."""
-    values, told = dict(_values(outcome)), [*told, *warnings(outcome)]
-    _write_set(place / "fitted.ssv", outcome, values)
-    estimate = outcome.estimate
-    if stop is None and values and estimate.likelihood is not None and estimate.point is not None:
-        start = {n: v for n, v in estimate.likelihood.values(estimate.point.x, 0).items() if n not in values}
-        reason = why_no_copy(estimate.logs.drives[0], values, start, place / "fitted.fmu", load)
-        if reason is not None:
-            told.append(f"no fitted.fmu: {reason}. fitted.ssv has the values; `{command(outcome, values)}` sets them")
-    remarks = list(notes(outcome))
-    written = record(outcome, verdict(outcome), time.monotonic() - begin, told, remarks)
-    write_json(place / "fit.json", written.model_dump(mode="json"), allow_nan=False)
-    return written, [*told, *remarks]
-
-
-def _write_set(path: Path, outcome: Outcome, values: Mapping[str, float]) -> None:
-    """Write estimated and set values as an SSV file."""
+    These are all parameters, and named start values of a single log.
+    """
+    values = {name: entry.value for name, entry in outcome.parameters.items()}
+    if len(outcome.logs) == 1:
+        likelihood, point = outcome.estimate.best
+        values |= {u.name: v for u, v in zip(likelihood.unknowns, point.x.tolist(), strict=True) if u.hidden}
     described = read_description(outcome.fmu)
     units = {v.name: unit_of(v) for v in described.modelVariables}
     numbers = {n: v for n, v in outcome.given.items() if isinstance(v, float)}
     sets = {n: (v, units[n]) for n, v in {**numbers, **values}.items()}
     definitions = {u: d for u in {u for _, u in sets.values()} if (d := unit_definition(described, u)) is not None}
-    write_parameter_set(path, f"{outcome.fmu.stem}-fitted", sets, definitions)
-
-
-def _values(outcome: Outcome) -> Iterator[tuple[str, float]]:
-    """Yield the values for new start attributes: all parameters, and named start values of a single log."""
-    yield from ((name, entry.value) for name, entry in outcome.parameters.items())
-    likelihood, point = outcome.estimate.likelihood, outcome.estimate.point
-    if len(outcome.logs) == 1 and likelihood is not None and point is not None:
-        named = zip(likelihood.unknowns, point.x.tolist(), strict=True)
-        yield from ((u.name, value) for u, value in named if u.hidden)
-
-
-def command(outcome: Outcome, values: Mapping[str, float]) -> str:
-    """Return the command that simulates with the values."""
-    sets = [word for n, v in values.items() for word in ("--set", f"{n}={v!r}")]
-    return shlex.join(["cosim", "simulate", str(outcome.fmu), *sets, *(["--compile"] if permission.get() else [])])
+    write_parameter_set(place / "fitted.ssv", f"{outcome.fmu.stem}-fitted", sets, definitions)
+    return values

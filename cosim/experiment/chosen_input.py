@@ -9,7 +9,7 @@ import numpy as np
 
 from cosim.base.text import counted
 from cosim.experiment.question import Question
-from cosim.experiment.rigs import Rig, Trial
+from cosim.experiment.rigs import OpenLoop, Trial
 from cosim.experiment.separation import Pair
 
 MIN_SEPARATION = 3.0  # standard deviations between rivals from which a log decides
@@ -28,7 +28,7 @@ class Excitation:
     """
 
     question: Question
-    rig: Rig
+    rig: OpenLoop
     trial: Trial
     rivals: Mapping[str, Trial]
     apart: Mapping[Pair, float]

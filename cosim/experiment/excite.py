@@ -7,7 +7,8 @@ influence on the choice.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+import math
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from shutil import copyfile
@@ -20,10 +21,9 @@ from cosim.base.errors import InputError
 from cosim.base.settings import Count, ModelName, Names, PositiveSeconds, Seed
 from cosim.estimation.posing import build_problem
 from cosim.experiment.chosen_input import Excitation, merit_of
-from cosim.experiment.excitation import draw_signals
 from cosim.experiment.fmu_experiment import FmuOpenLoop
 from cosim.experiment.question import Question, ask, refinement_folder
-from cosim.experiment.rigs import OpenLoop, Rig, Trial
+from cosim.experiment.rigs import OpenLoop, RigAxis, Trial
 from cosim.experiment.separation import Separation
 from cosim.logs.log import slowness
 from cosim.storage.csv_source import write_columns
@@ -32,11 +32,14 @@ from cosim.storage.folders import new_run, remove_earlier
 
 EXPERIMENTS = 48
 DURATION, SHORTEST, LONGEST = 40.0, 5.0, 600.0  # [s] for a model with a step of 50 ms or less
-MAX_RIVALS_PER_TRIAL = (
-    4  # rivals up to which each is simulated for every preferred experiment; more are simulated at the end
-)
+MAX_RIVALS_PER_TRIAL = 4  # up to which each is simulated for every preferred experiment; more at the end
 EXCURSION_SHARE = 0.95  # share of the allowed excursion for a second attempt
 MIN_DISTANCE = 1.0  # standard deviations below which noise hides the difference
+TONES = 12
+MAX_PARTS = 6  # parts of a trial in which an axis moves or rests
+MOVE_PROBABILITY = 0.75  # probability that an axis moves in a part
+AMPLITUDE_SHARE = (0.3, 1.0)  # share of an axis' amplitude
+KINDS = ("multisine", "chirp", "steps", "ramps")
 REPORT = "report.html"
 Progress = Callable[[str, float], None]
 
@@ -84,7 +87,11 @@ def excite(
         question = ask(text, against, limits, measured, ranges, duration)
         model = question.loaded.model
         time = _times(text, model.rate, duration)
-        rig = _rig(question, float(time[-1]))
+        common = (question.limits, question.ranges, float(time[-1]))
+        if question.of_fmu is not None:
+            rig: OpenLoop = FmuOpenLoop(question.of_fmu, question.first, *common)
+        else:  # of the model's class, or that of any model
+            rig = registry.rig_of(type(model), OpenLoop)(model, *common)
         files = ("excitation.csv", "excitation.yaml", "plant.fmu", REPORT, *rig.files)
         check_writable(place, files, [source / "plant.fmu"] if (source := refinement_folder(text)) else [])
         excitation = _choose(question, rig, time, seed, experiments, show_stage)
@@ -107,32 +114,19 @@ def excite(
         return excitation
 
 
-def _rig(question: Question, duration: float) -> Rig:
-    """Return the rig of an FMU, of the model's class, or that of any model."""
-    model, common = question.loaded.model, (question.limits, question.ranges, duration)
-    if question.of_fmu is not None:
-        return FmuOpenLoop(question.of_fmu, question.first, *common)
-    rig: Rig = registry.rig_of(type(model), OpenLoop)(model, *common)
-    return rig
-
-
 def _times(text: str, step: float, duration: float | None) -> Array:
     """Return the times of all rows [s]; a model with long steps gets a longer default duration."""
     default, shortest, longest = (slowness(step) * seconds for seconds in (DURATION, SHORTEST, LONGEST))
     duration = default if duration is None else duration
     if not shortest <= duration <= longest:
-        limits = {"shortest": shortest, "longest": longest, "step": step}
-        raise InputError.at(
-            Path(text),
-            (
-                "--duration {duration:g}: an experiment lasts between {shortest:g} and {longest:g} s for a step of "
-                "{step:g} s"
-            ).format(duration=duration, **limits),
-        )
+        message = f"--duration {duration:g}: an experiment lasts between {shortest:g} and {longest:g} s"
+        raise InputError.at(Path(text), f"{message} for a step of {step:g} s")
     return step * np.arange(round(duration / step) + 1, dtype=np.float64)
 
 
-def _choose(question: Question, rig: Rig, time: Array, seed: int, count: int, report: Progress) -> Excitation | None:
+def _choose(
+    question: Question, rig: OpenLoop, time: Array, seed: int, count: int, report: Progress
+) -> Excitation | None:
     """Return the best of `count` experiments, None if all exceed the limits."""
     model, subject = question.loaded.model, question.subject
     usual_trial = rig.play(model, rig.usual_signals(time))
@@ -141,36 +135,67 @@ def _choose(question: Question, rig: Rig, time: Array, seed: int, count: int, re
     separation = Separation(subject, problem, question.rivals, question.pairs)
     usual = separation.of(log)
     best: Excitation | None = None
+
+    def play_rivals(trial: Trial) -> dict[str, Trial]:
+        """Simulate each rival with the signals of a trial."""
+        models = {r.name: question.model_if(r) for r in question.rivals}
+        return {name: rig.play(m, trial.signals) for name, m in models.items() if m != model}
+
     for k in range(-1, count):  # the usual input first, so that a worse one is never preferred
         report("trying experiments", max(0, k) / count)
         trial, apart = usual_trial, usual
         if k >= 0:
-            trial = _play(question, rig, draw_signals(np.random.default_rng([seed, k]), rig.axes, time))
+            trial = rig.play(model, draw_signals(np.random.default_rng([seed, k]), rig.axes, time))
+            if (excess := trial.excess(question.limits)) > 1.0:  # once more, within the limits
+                smaller = {name: signal * EXCURSION_SHARE / excess for name, signal in trial.signals.items()}
+                trial = rig.play(model, smaller)
         if trial.excess(question.limits) > 1.0:
             continue
         if k >= 0:
             apart = separation.of(trial.log(model, question.measured))
         if best is None or merit_of(apart) > best.score:
-            rivals = _play_rivals(question, rig, trial) if len(question.rivals) <= MAX_RIVALS_PER_TRIAL else {}
+            rivals = play_rivals(trial) if len(question.rivals) <= MAX_RIVALS_PER_TRIAL else {}
             other = Excitation(question, rig, trial, rivals, apart, usual, usual_trial)
             best = other if best is None or other.score > best.score else best
-    return best and replace(best, rivals=_play_rivals(question, rig, best.trial))
+    return best and replace(best, rivals=play_rivals(best.trial))
 
 
-def _play_rivals(question: Question, rig: Rig, trial: Trial) -> dict[str, Trial]:
-    """Simulate each rival with the signals of a trial, and return rival → trial."""
-    models = {r.name: question.model_if(r) for r in question.rivals}
-    return {name: rig.play(m, trial.signals) for name, m in models.items() if m != question.loaded.model}
+# -- signals -----------------------------------------------------------------------------------
 
 
-def _play(question: Question, rig: Rig, signals: Mapping[str, Array]) -> Trial:
-    """Simulate the model; if the trial exceeds the limits, scale the signals down once and repeat."""
-    trial = rig.play(question.loaded.model, signals)
-    if (excess := trial.excess(question.limits)) <= 1.0:
-        return trial
-    return rig.play(
-        question.loaded.model, {name: signal * EXCURSION_SHARE / excess for name, signal in signals.items()}
-    )
+def draw_signals(rng: np.random.Generator, axes: Sequence[RigAxis], time: Array) -> dict[str, Array]:
+    """Return random signals of one experiment for all axes."""
+    parts = int(rng.integers(1, MAX_PARTS + 1))
+    part = np.minimum((time / time[-1] * parts).astype(int), parts - 1)
+    signals = {}
+    for axis in axes:
+        kind = str(rng.choice(KINDS))
+        size = axis.amplitude * rng.uniform(*AMPLITUDE_SHARE)
+        moves = rng.random(parts) < MOVE_PROBABILITY
+        signals[axis.name] = size * _wave(rng, kind, axis, time) * moves[part]
+    return signals
+
+
+def _wave(rng: np.random.Generator, kind: str, axis: RigAxis, time: Array) -> Array:
+    """Return a signal within ±1: a multisine, chirp, ramps or steps."""
+    if kind == "multisine":
+        frequency = np.geomspace(axis.slowest, axis.fastest, TONES)
+        phase = rng.uniform(0.0, 2.0 * math.pi, TONES)
+        wave = np.sin(2.0 * math.pi * np.outer(time, frequency) + phase).sum(axis=1)
+        return np.asarray(wave / np.abs(wave).max())
+    if kind == "chirp":
+        from scipy.signal import chirp
+
+        swept = chirp(time, axis.slowest, time[-1], axis.fastest, method="logarithmic", phi=-90)
+        return np.asarray(swept if rng.random() < 0.5 else swept[::-1])
+    # Levels are held, or joined by lines, for between half a period of the fastest and of the slowest frequency.
+    knots, ahead = [0.0], (0.5 / axis.fastest, 0.5 / axis.slowest)
+    while knots[-1] < time[-1]:
+        knots.append(knots[-1] + math.exp(rng.uniform(math.log(ahead[0]), math.log(ahead[1]))))
+    levels = np.concatenate([[0.0], rng.uniform(-1.0, 1.0, len(knots) - 1)])
+    if kind == "ramps":
+        return np.asarray(np.interp(time, knots, levels))
+    return np.asarray(levels[np.searchsorted(knots, time, side="right") - 1])
 
 
 # -- files --------------------------------------------------------------------------------------

@@ -6,11 +6,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from cosim.base.arrays import Array
 from cosim.base.errors import Fault, refuse
 from cosim.blocks.description import read_description
 from cosim.estimation.data import data_of
@@ -83,22 +81,6 @@ class FmuOpenLoop(OpenLoop):
         yield from (f'  - {{from: excitation.{q.name}, to: "plant.{model.variables[q.name]}"}}' for q in model.inputs)
 
 
-def usual_log(fmu: Path, time: Array, inputs: Mapping[str, Array]) -> Log:
-    """Return the response of an FMU to inputs.
-
-    Raises:
-        FmuError: The FMU cannot be loaded.
-        SimulationError: The FMU fails.
-    """
-    signals = model_signals(fmu)
-    units = {q.name: q.unit for group in signals for q in group}
-    step = float(time[1] - time[0])
-    log = Log(fmu.with_suffix(".csv"), time, dict(inputs), {}, units, step, units, {})
-    with Worker(*MODULES) as worker, DriveApart(worker, log, fmu) as drive:
-        table = drive.run(0, time.size - 1, {})
-        return replace(log, outputs=dict(zip(drive.outputs, table.T, strict=True)))
-
-
 def subject_of_fmu(
     fmu: Path, duration: float | None, limits: Sequence[str], ranges: Sequence[str]
 ) -> tuple[FmuSubject, dict[str, float]]:
@@ -116,8 +98,10 @@ def subject_of_fmu(
     course = sine_course(description, {})
     step = float(course.time[1] - course.time[0])
     time = step * np.arange(round((duration or float(course.time[-1])) / step) + 1, dtype=np.float64)
-    inputs, outputs = (quantities(description, [q.name for q in group]) for group in model_signals(fmu))
-    bare = _bare_model(fmu, inputs, outputs, step)
+    signals = model_signals(fmu)
+    inputs, outputs = (quantities(description, [q.name for q in group]) for group in signals)
+    named = [tuple(replace(q, name=with_place(q.name)) for q in group) for group in (outputs, inputs, outputs)]
+    bare = fmu_model(fmu.stem, (named[0], named[1], named[2]), (), (), rate=step)  # with its signals only
     faults = list[str]()
     reaches, spans = limits_and_ranges(bare, limits, ranges, {}, faults)
     refuse(Fault(fmu, 0, 0, fault) for fault in faults)
@@ -125,7 +109,11 @@ def subject_of_fmu(
     pulses = rig.usual_signals(time)
     names = {with_place(q.name): q for q in inputs}
     played = {q.name: clip(q.start + pulses[name], name, spans) for name, q in names.items()}
-    log = usual_log(fmu, time, played)
+    units = {q.name: q.unit for group in signals for q in group}
+    log = Log(fmu.with_suffix(".csv"), time, played, {}, units, step, units, {})
+    with Worker(*MODULES) as worker, DriveApart(worker, log, fmu) as drive:
+        table = drive.run(0, time.size - 1, {})
+        log = replace(log, outputs=dict(zip(drive.outputs, table.T, strict=True)))
     subject = FmuSubject.of_fmu(probe_places(fmu, [log]).structure, [log], limits=Limits())
     return subject, first_outputs(log)
 
@@ -134,12 +122,6 @@ def first_outputs(log: Log) -> dict[str, float]:
     """Return output → its first reading in a log, in names of the model."""
     readings = {with_place(n): values[np.isfinite(values)] for n, values in log.outputs.items()}
     return {name: float(values[0]) for name, values in readings.items() if values.size}
-
-
-def _bare_model(fmu: Path, inputs: Sequence[Any], outputs: Sequence[Any], step: float) -> FmuModel:
-    """Return a model with the FMU's signals only."""
-    signals = [tuple(replace(q, name=with_place(q.name)) for q in group) for group in (outputs, inputs, outputs)]
-    return fmu_model(fmu.stem, (signals[0], signals[1], signals[2]), (), (), rate=step)
 
 
 def confused_groups(model: Model) -> list[set[str]]:

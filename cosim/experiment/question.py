@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from itertools import chain
+from itertools import chain, combinations
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict
@@ -13,7 +14,7 @@ from cosim.base.errors import Fault, InputError, refuse
 from cosim.experiment.fmu_experiment import confused_groups, first_outputs, subject_of_fmu
 from cosim.experiment.ranges import inputs_to_limit, limits_and_ranges, logged_ranges
 from cosim.experiment.rigs import Ranges
-from cosim.experiment.separation import Pair, Rival, all_pairs, typical_rival
+from cosim.experiment.separation import Pair, Rival, typical_rival
 from cosim.loading.file import LoadedModel, load_model
 from cosim.loading.refined import names_refine
 from cosim.loading.substep import with_substep
@@ -115,18 +116,24 @@ def ask(
     Raises:
         InputError: An argument has faults, or the model has no states.
     """
-    if Path(text).is_file() and kind_by_form(Path(text)) == FMU:
-        path, question = Path(text), _question_of_fmu(Path(text), against, limits, ranges, duration)
+    path = Path(text)
+    folder = refinement_folder(text)
+    if path.is_file() and kind_by_form(path) == FMU:
+        question = _question_of_fmu(path, against, limits, ranges, duration)
     else:
-        path, question = _read_question(text, against)
+        if path.exists() and not names_refine(path) and ".py:" not in text:
+            (check_given if path.suffix == ".json" else check_form)(path, ANSWER, MODEL, CODE, FMU)
+        if folder and path.exists():
+            path = folder / "refine.json" if path.is_dir() else path
+            question = _question_of_refinement(path, against)
+        else:
+            question = _question_of_model(path, with_substep(load_model(text, Path()))[0], against)
     model, faults = question.base.model, list[str]()
     if not model.base_states:
         raise InputError.at(
             path,
-            (
-                f"{model.title} has no states, so an input over time adds no information; told_apart_by of the model "
-                "names rows that separate its rivals"
-            ),
+            f"{model.title} has no states, so an input over time adds no information; told_apart_by of the model "
+            "names rows that separate its rivals",
         )
     reaches, spans = limits_and_ranges(model, limits, ranges, question.ranges, faults)
     outputs = [q.name for q in model.outputs]
@@ -139,20 +146,6 @@ def ask(
         )
     refuse(Fault(path, 0, 0, fault) for fault in faults)
     return replace(question, limits=reaches, ranges=spans, measured=logged)
-
-
-def _read_question(text: str, against: Sequence[str]) -> tuple[Path, Question]:
-    """Return the named file (of a folder, its refine.json), and the question.
-
-    The question is the file's model with the rivals `against`, or default ones.
-    """
-    path = Path(text)
-    if path.exists() and not names_refine(path) and ".py:" not in text:
-        (check_given if path.suffix == ".json" else check_form)(path, ANSWER, MODEL, CODE, FMU)
-    if (folder := refinement_folder(text)) and path.exists():
-        path = folder / "refine.json" if path.is_dir() else path
-        return path, _question_of_refinement(path, against)
-    return path, _question_of_model(path, with_substep(load_model(text, Path()))[0], against)
 
 
 def refinement_folder(text: str) -> Path | None:
@@ -170,14 +163,8 @@ def _question_of_refinement(path: Path, against: Sequence[str]) -> Question:
     content = yaml.validate(RefineResultPart)
     file = Path(content.study)
     if not file.is_file():
-        raise InputError(
-            [
-                yaml.fault(
-                    ("study",),
-                    f"no such study: {file}; a relative path starts from the current folder, so run the command there",
-                )
-            ]
-        )
+        message = f"no such study: {file}; a relative path starts from the current folder, so run the command there"
+        raise InputError([yaml.fault(("study",), message)])
     yaml = YamlFile(file)
     study = yaml.validate(StudyFile)
     if study.model.lower().endswith(FMU_SUFFIX):
@@ -189,8 +176,11 @@ def _question_of_refinement(path: Path, against: Sequence[str]) -> Question:
         return replace(question, noise=noise, ranges=logged, of_fmu=subject, first=first_outputs(of_study.logs[0]))
     loaded, _ = with_substep(load_model(study.model, file.parent, yaml))
     question = _rivals_of_refinement(path, content, loaded, against)
-    noise, ranges = {**content.sensor_noise, **study.noise}, _read_logged_ranges(loaded.model, file.parent, study)
-    return replace(question, noise=noise, ranges=ranges)
+    model, logs = loaded.model, []
+    for name in study.logs.estimation if inputs_to_limit(model) else ():
+        with suppress(InputError):  # missing logs are skipped
+            logs.append(read_log(file.parent / name, model.inputs, model.outputs, columns=study.columns))
+    return replace(question, noise={**content.sensor_noise, **study.noise}, ranges=logged_ranges(logs))
 
 
 def _rivals_of_refinement(
@@ -202,38 +192,22 @@ def _rivals_of_refinement(
     if any(TOGETHER in name for name in names):
         parts = {name: tuple(name.split(TOGETHER)) for name in names}
         _check_names(path, list(dict.fromkeys(chain.from_iterable(parts.values()))), candidates)
-        fitted = tuple(_joint_rival(name, parts[name], content, candidates) for name in names)
-        pairs: Sequence[Pair] = all_pairs(names)
+        values_of = {frozenset(h.names): h.parameters for h in reversed(content.candidates)}
+        fitted = tuple(
+            Rival(
+                name,
+                values_of.get(frozenset(parts[name]), {}),
+                tuple(f for n in parts[name] for f in candidates[n].free),
+            )
+            for name in names
+        )
+        pairs: Sequence[Pair] = [*combinations(names, 2)]
     else:
         _check_names(path, names, candidates)
         rivals, pairs = _rivals(loaded, candidates, names)
         values = ModelSubject(loaded).values
         fitted = tuple(_fitted_rival(r, names, content, candidates, values) for r in rivals)
     return Question(loaded, loaded, fitted, tuple(pairs), tuple(content.measured), {}, {})
-
-
-def _joint_rival(
-    text: str, names: Sequence[str], content: RefineResultPart, candidates: Mapping[str, Candidate]
-) -> Rival:
-    """Return one rival that contains all candidates in `names`, with their fitted values."""
-    parameters = next((h.parameters for h in content.candidates if set(h.names) == set(names)), {})
-    return Rival(text, parameters, tuple(f for n in names for f in candidates[n].free))
-
-
-def _read_logged_ranges(model: Model, folder: Path, study: StudyFile) -> Ranges:
-    """Return undeclared input ranges from a study's logs.
-
-    Missing logs are skipped.
-    """
-    if not inputs_to_limit(model):
-        return {}
-    logs = []
-    for name in study.logs.estimation:
-        try:
-            logs.append(read_log(folder / name, model.inputs, model.outputs, columns=study.columns))
-        except InputError:
-            continue
-    return logged_ranges(logs)
 
 
 def _fitted_rival(
@@ -248,23 +222,20 @@ def _fitted_rival(
     A fit without significance is often close to the neutral value, at which no input separates the rival.
     """
     others = set(names) - {r.name}
+    free = candidates[r.name].free
     for h in content.candidates:
-        if r.name not in h.names or others.intersection(h.names):
+        gain, kept = h.log_likelihood_gain, h.parameters
+        if r.name not in h.names or others.intersection(h.names) or r.name in content.hidden:
             continue
-        if _is_significant(candidates[r.name], h, content, values):
-            return Rival(r.name, h.parameters, tuple(f for n in h.names for f in candidates[n].free))
+        if not h.fitted or gain is None:
+            continue
+        if any(kept[f.name] in (f.low, f.high) and kept[f.name] != values[f.name] for f in free):
+            continue
+        rest = set(h.names) - {r.name}
+        simpler = [o.log_likelihood_gain or 0.0 for o in content.candidates if rest.issuperset(o.names)]
+        if gain - max(simpler, default=0.0) > 0.5 * SIGNIFICANT**2:
+            return Rival(r.name, kept, tuple(f for n in h.names for f in candidates[n].free))
     return r
-
-
-def _is_significant(c: Candidate, h: Ranked, content: RefineResultPart, values: Mapping[str, float]) -> bool:
-    """Return True if a candidate is fitted, within its limits, and significant."""
-    if c.name in content.hidden or not h.fitted or h.log_likelihood_gain is None:
-        return False
-    if any(h.parameters[f.name] in (f.low, f.high) and h.parameters[f.name] != values[f.name] for f in c.free):
-        return False
-    rest = set(h.names) - {c.name}
-    without = max((o.log_likelihood_gain or 0.0 for o in content.candidates if rest.issuperset(o.names)), default=0.0)
-    return h.log_likelihood_gain - without > 0.5 * SIGNIFICANT**2
 
 
 def _question_of_fmu(
@@ -283,7 +254,8 @@ def _question_of_fmu(
     if against:
         rivals, pairs = _rivals(subject.loaded, candidates, list(against))
     else:
-        pairs = tuple(pair for group in confused_groups(subject.model) for pair in all_pairs(sorted(group)))
+        groups = confused_groups(subject.model)
+        pairs = tuple(pair for group in groups for pair in combinations(sorted(group), 2))
         names = dict.fromkeys(chain.from_iterable(pairs))
         rivals = tuple(typical_rival(subject, candidates[name]) for name in names)
     if not pairs:
@@ -310,19 +282,13 @@ def _question_of_model(path: Path, loaded: LoadedModel, against: Sequence[str]) 
     groups = [group for group in _groups(model, candidates) if not group.isdisjoint(own)]
     names = list(against) or sorted(set().union(*groups).difference(own))
     rivals, pairs = _rivals(base, candidates, names)
-    if own and names:
-        present = _present_rival(loaded, own, candidates)
+    if own and names:  # against the active effects, with their values in the model
+        free, values = tuple(f for n in own for f in candidates[n].free), ModelSubject(loaded).values
+        present = Rival(" and ".join(own), {f.name: values[f.name] for f in free}, free)
         rivals = (present, *(r for r in rivals if r.name != NOTHING))
         pairs = tuple((present.name, name) for name in names)
     measured = model.measured or tuple(model.sensor_variance)
     return Question(loaded, base, rivals, pairs, measured or tuple(q.name for q in model.outputs), {}, {})
-
-
-def _present_rival(loaded: LoadedModel, own: Sequence[str], candidates: Mapping[str, Candidate]) -> Rival:
-    """Return the rival that consists of the model's active effects, with their values in the model."""
-    free = tuple(f for n in own for f in candidates[n].free)
-    values = ModelSubject(loaded).values
-    return Rival(" and ".join(own), {f.name: values[f.name] for f in free}, free)
 
 
 def _candidates(loaded: LoadedModel) -> dict[str, Candidate]:
@@ -354,6 +320,6 @@ def _rivals(
     if len(names) == 1:
         return (typical_rival(subject, candidates[names[0]]), Rival(NOTHING, {}, ())), ((names[0], NOTHING),)
     groups = [names] if names else [sorted(group) for group in _groups(loaded.model, candidates)]
-    pairs = tuple(pair for group in groups for pair in all_pairs(group))
+    pairs = tuple(pair for group in groups for pair in combinations(group, 2))
     rivals = dict.fromkeys(chain.from_iterable(pairs))
     return tuple(typical_rival(subject, candidates[name]) for name in rivals), pairs

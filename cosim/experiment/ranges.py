@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -40,8 +40,35 @@ def limits_and_ranges(
     A range is the declared range, narrowed by NAME=MIN..MAX, or for an input without range and limit the range in logs.
     """
     spans = {q.name: q.bounds for q in model.inputs}
-    faults += _narrow_ranges(model, ranges, spans)
-    reaches, starts = _limits(model, limits, faults), dict(zip(spans, model.start_command(), strict=True))
+    units = {q.name: q.unit for q in (*model.outputs, *model.inputs)}
+    for text in ranges:
+        match, name = RANGE.fullmatch(text.strip()), text.partition("=")[0].strip()
+        if name not in spans:
+            faults.append(f'--range {text}: no input "{name}"{did_you_mean(name, spans)} (inputs: {", ".join(spans)})')
+            continue
+        unit, (low, high) = units[name], spans[name]
+        convert = conversion(match["unit"].strip(), unit) if match else None
+        lower, upper = (convert(float(match[end])) if match and convert else math.nan for end in ("low", "high"))
+        if not lower < upper:
+            message = f"say between what {name} stays, lower end first [{unit}], as {name}=0..10"
+            faults.append(f"--range {text}: {message}")
+        elif not max(lower, low) < min(upper, high):
+            message = f"the model declares {low:g}..{high:g} {unit} of {name}; choose a range that overlaps"
+            faults.append(f"--range {text}: {message}")
+        else:
+            spans[name] = max(lower, low), min(upper, high)
+    reaches, starts = dict(model.excursion), dict(zip(spans, model.start_command(), strict=True))
+    for text in limits:
+        match, name = LIMIT.fullmatch(text.strip()), text.partition("=")[0].strip()
+        if name not in units:
+            faults.append(f'--limit {text}: no input or output "{name}"{did_you_mean(name, units)}')
+            continue
+        convert = conversion(match["unit"].strip(), units[name], difference=True) if match else None
+        size = convert(float(match["number"])) if match and convert else math.nan
+        if size > 0:
+            reaches[name] = size
+        else:
+            faults.append(f"--limit {text}: say how far {name} may go, above 0 [{units[name]}], such as {name}=0.1")
     for q in model.inputs:
         if q.name in reaches:
             continue
@@ -56,48 +83,3 @@ def limits_and_ranges(
                 f"{q.name}=MIN..MAX [{q.unit}]"
             )
     return reaches, {name: span for name, span in spans.items() if any(map(math.isfinite, span))}
-
-
-def _read_items(pattern: re.Pattern[str], texts: Sequence[str]) -> Iterator[tuple[str, str, re.Match[str] | None]]:
-    """Yield each text, the name in it, and its match, None for a text of another form."""
-    for text in texts:
-        yield text, text.partition("=")[0].strip(), pattern.fullmatch(text.strip())
-
-
-def _limits(model: Model, texts: Sequence[str], faults: list[str]) -> dict[str, float]:
-    """Return excursion limits: the model's, overridden by NAME=VALUE with unit."""
-    units = {q.name: q.unit for q in (*model.outputs, *model.inputs)}
-    limits = dict(model.excursion)
-    for text, name, match in _read_items(LIMIT, texts):
-        if name not in units:
-            cure = did_you_mean(name, units)
-            faults.append(f'--limit {text}: no input or output "{name}"{cure}')
-            continue
-        convert = conversion(match["unit"].strip(), units[name], difference=True) if match else None
-        size = convert(float(match["number"])) if match and convert else math.nan
-        if size > 0:
-            limits[name] = size
-        else:
-            faults.append(f"--limit {text}: say how far {name} may go, above 0 [{units[name]}], such as {name}=0.1")
-    return limits
-
-
-def _narrow_ranges(model: Model, texts: Sequence[str], spans: dict[str, tuple[float, float]]) -> Iterator[str]:
-    """Narrow the declared ranges in `spans` by texts NAME=MIN..MAX with a unit; yield a message for each fault."""
-    units = {q.name: q.unit for q in model.inputs}
-    for text, name, match in _read_items(RANGE, texts):
-        if name not in units:
-            cure, inputs = did_you_mean(name, units), ", ".join(units)
-            yield f'--range {text}: no input "{name}"{cure} (inputs: {inputs})'
-            continue
-        convert, (low, high) = conversion(match["unit"].strip(), units[name]) if match else None, spans[name]
-        lower, upper = (convert(float(match[end])) if match and convert else math.nan for end in ("low", "high"))
-        if not lower < upper:
-            yield f"--range {text}: say between what {name} stays, lower end first [{units[name]}], as {name}=0..10"
-        elif not max(lower, low) < min(upper, high):
-            yield (
-                f"--range {text}: the model declares {low:g}..{high:g} {units[name]} of {name}; choose a range "
-                "that overlaps"
-            )
-        else:
-            spans[name] = max(lower, low), min(upper, high)

@@ -14,7 +14,7 @@ from cosim.base.text import append_unit, counted, display, plain
 from cosim.base.version import __version__
 from cosim.experiment.chosen_input import MIN_SEPARATION, Excitation
 from cosim.experiment.separation import Pair
-from cosim.report.charts import Charts, Drawing, Plot
+from cosim.report.charts import Charts
 from cosim.report.html_tables import Badge
 from cosim.report.panels import Panel, Trace, by_unit
 from cosim.report.template import render
@@ -30,7 +30,8 @@ def page(excitation: Excitation, scenario: Path) -> str:
     """Return the self-contained page of an experiment; `scenario` is the file that plays the input."""
     question, charts = excitation.question, Charts()
     seconds = float(excitation.trial.time[-1] - excitation.trial.time[0])
-    outputs = _outputs(excitation)
+    model = question.loaded.model
+    units = {q.name: q.unit for q in (*model.inputs, *model.outputs)}
     drawing = charts.over(excitation.trial.time)
     pairs, names = excitation.hardest_first, question.measured
     largest = max(
@@ -48,14 +49,14 @@ def page(excitation: Excitation, scenario: Path) -> str:
                 Badge(f"measured: {', '.join(names[:MAX_BADGE_NAMES])}{', …' if names[MAX_BADGE_NAMES:] else ''}"),
             ],
             "cautions": excitation.warnings,
-            "inputs": drawing.plots(_input_panels(excitation)),
+            "inputs": drawing.plots(_input_panels(excitation, units)),
             "needed": plain(MIN_SEPARATION, None),
             "mark": round(100.0 * MIN_SEPARATION / largest, 2),
             "usual": excitation.rig.usual,
             "pairs": [_pair(excitation, pair, largest) for pair in pairs[:MAX_PAIRS]],
             "more_pairs": max(0, len(pairs) - MAX_PAIRS),
-            "limits": _limits(excitation),
-            "outputs": _output_plots(excitation, outputs, drawing),
+            "limits": _limits(excitation, units),
+            "outputs": drawing.plots(_output_panels(excitation, units)),
             "play": shlex.join(["cosim", "run", str(scenario)]),
             "data": charts.data(),  # after all drawings
             "version": __version__,
@@ -63,14 +64,9 @@ def page(excitation: Excitation, scenario: Path) -> str:
     )
 
 
-def _units(excitation: Excitation) -> Mapping[str, str]:
-    model = excitation.question.loaded.model
-    return {q.name: q.unit for q in (*model.inputs, *model.outputs)}
-
-
-def _input_panels(excitation: Excitation) -> list[Panel]:
+def _input_panels(excitation: Excitation, units: Mapping[str, str]) -> list[Panel]:
     """Return the inputs, grouped by unit."""
-    inputs, units = excitation.trial.inputs, _units(excitation)
+    inputs = excitation.trial.inputs
     panels = []
     for unit, names in by_unit(inputs, units.__getitem__, inputs.__getitem__):
         unit_text, factor = display(unit)
@@ -79,16 +75,11 @@ def _input_panels(excitation: Excitation) -> list[Panel]:
     return panels
 
 
-def _outputs(excitation: Excitation) -> list[str]:
-    """Return the outputs that get a chart: limited outputs first, then measured outputs."""
-    question, outputs = excitation.question, excitation.trial.outputs
-    limited = [name for name in outputs if name in question.limits]
-    return list(dict.fromkeys((*limited, *question.measured)))[:MAX_OUTPUTS]
-
-
-def _output_plots(excitation: Excitation, names: list[str], drawing: Drawing) -> list[Plot]:
-    """Draw each output of the model and of its rivals, with the limits."""
-    rivals, units = list(excitation.rivals.items())[:MAX_RIVALS], _units(excitation)
+def _output_panels(excitation: Excitation, units: Mapping[str, str]) -> list[Panel]:
+    """Return each output of the model and of its rivals with its limits: limited outputs first, then measured ones."""
+    question, rivals = excitation.question, list(excitation.rivals.items())[:MAX_RIVALS]
+    limited = [name for name in excitation.trial.outputs if name in question.limits]
+    names = list(dict.fromkeys((*limited, *question.measured)))[:MAX_OUTPUTS]
     panels = []
     for name in names:
         unit_text, factor = display(units[name])
@@ -97,10 +88,10 @@ def _output_plots(excitation: Excitation, names: list[str], drawing: Drawing) ->
         for k, (rival, trial) in enumerate(rivals):
             other = trial.outputs[name] * factor
             traces.append(Trace(f"if {rival} is true", np.where(np.isfinite(other), other, np.nan), f"s{k}"))
-        limit = excitation.question.limits.get(name)
+        limit = question.limits.get(name)
         edges = () if limit is None else (float(values[0] - limit * factor), float(values[0] + limit * factor))
         panels.append(Panel(name, unit_text or "1", traces, None, edges, "limit" if edges else ""))
-    return drawing.plots(panels)
+    return panels
 
 
 def _pair(excitation: Excitation, pair: Pair, largest: float) -> Mapping[str, Any]:
@@ -116,13 +107,9 @@ def _pair(excitation: Excitation, pair: Pair, largest: float) -> Mapping[str, An
     }
 
 
-def _limits(excitation: Excitation) -> list[Mapping[str, Any]]:
+def _limits(excitation: Excitation, units: Mapping[str, str]) -> list[Mapping[str, Any]]:
     """Return a table row for each limited signal: allowed excursion, the model's, and the largest of any rival."""
-    model, units, trials = (
-        excitation.question.loaded.model,
-        _units(excitation),
-        {"": excitation.trial, **excitation.rivals},
-    )
+    model, trials = excitation.question.loaded.model, {"": excitation.trial, **excitation.rivals}
     starts = dict(zip((q.name for q in model.inputs), model.start_command(), strict=True))
     rows: list[Mapping[str, Any]] = []
     for name, limit in excitation.question.limits.items():

@@ -9,7 +9,6 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
@@ -62,41 +61,16 @@ class Trial:
         return float(max(shares, default=0.0))
 
 
-class Rig(Protocol):
-    """A rig that plays an experiment within input ranges and writes its scenario.
+class OpenLoop:
+    """Open-loop rig for any model: each input gets a signal around its start value. Other rigs derive from it.
+
+    A rig plays an experiment within input ranges and writes its scenario.
 
     Attributes:
         axes: Signals that an experiment varies.
         usual: Description of the usual input, for comparison.
         files: Files beside excitation.csv, excitation.yaml and plant.fmu.
     """
-
-    usual: str
-    files: tuple[str, ...]
-    axes: tuple[RigAxis, ...]
-
-    def play(self, model: Model, signals: Signals) -> Trial:
-        """Return a model's response to axis signals."""
-
-    def usual_signals(self, time: Array) -> Signals:
-        """Return the signals of the usual input."""
-
-    def write(self, folder: Path, trial: Trial) -> None:
-        """Write the files listed in `files`."""
-
-    def components(self) -> Iterator[str]:
-        """Yield the scenario lines of further components, besides `plant` and `excitation`."""
-
-    def connections(self, model: Model, trial: Trial, variance: Mapping[str, float]) -> Iterator[str]:
-        """Yield the scenario lines of the connections.
-
-        Args:
-            variance: Noise variance of each output.
-        """
-
-
-class OpenLoop:
-    """Open-loop rig for any model: each input gets a signal around its start value."""
 
     usual = "a step of each input in turn"
     files: tuple[str, ...] = ()
@@ -108,27 +82,31 @@ class OpenLoop:
         self.axes = tuple(RigAxis(q.name, limits[q.name], slowest, fastest) for q in model.inputs)
 
     def play(self, model: Model, signals: Signals) -> Trial:
-        """Simulate the model with input signals, clipped to the ranges of the inputs, and return the trial."""
+        """Return a model's response to axis signals, clipped to the ranges of the inputs."""
         starts = {q.name: start for q, start in zip(model.inputs, model.start_command(), strict=True)}
         commands = [clip(start + signals[name], name, self.ranges).tolist() for name, start in starts.items()]
         rows = [*zip(*commands, strict=True)]
         return trial_of(model, len(rows), lambda k, y: rows[k], signals, {})
 
     def usual_signals(self, time: Array) -> Signals:
-        """Return a half-amplitude pulse of each input in turn, in both directions."""
+        """Return the signals of the usual input: a half-amplitude pulse of each input in turn, in both directions."""
         place = time / time[-1] * len(self.axes)
         waves = ((place >= k) * 1.0 - 2.0 * (place >= k + 0.5) + (place >= k + 1) for k in range(len(self.axes)))
         return {axis.name: 0.5 * axis.amplitude * wave for axis, wave in zip(self.axes, waves, strict=True)}
 
     def write(self, folder: Path, trial: Trial) -> None:
-        """Write no files; open loop needs none."""
+        """Write the files listed in `files`."""
 
     def components(self) -> Iterator[str]:
-        """Yield no further components."""
+        """Yield the scenario lines of further components, besides `plant` and `excitation`."""
         yield from ()
 
     def connections(self, model: Model, trial: Trial, variance: Mapping[str, float]) -> Iterator[str]:
-        """Yield the connection of every input."""
+        """Yield the scenario lines of the connections.
+
+        Args:
+            variance: Noise variance of each output.
+        """
         yield from played_lines(q.name for q in model.inputs)
 
 

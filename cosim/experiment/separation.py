@@ -11,9 +11,8 @@ D counts standard deviations; the expected log-likelihood is ½·D².
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 
 import numpy as np
 
@@ -21,12 +20,10 @@ from cosim.base.arrays import Array
 from cosim.base.linear_algebra import least_squares
 from cosim.estimation.data import count_unscored, data_of
 from cosim.estimation.fit import DIFFERENCE
-from cosim.estimation.noise_model import Noise
 from cosim.estimation.posing import coarsen
 from cosim.estimation.problem import Problem
 from cosim.estimation.readings import readings_of
 from cosim.logs.log import Log
-from cosim.model.quantities import Parameter
 from cosim.subject.base_parameters import base_parameters
 from cosim.subject.candidates import Candidate, Free
 from cosim.subject.interface import Subject
@@ -55,17 +52,12 @@ def typical_rival(subject: Subject, candidate: Candidate) -> Rival:
         value = subject.values[free.name]
         wrong = PARAMETER_ERROR * abs(value) if free.name in subject.calibrated else free.size
         return Rival(candidate.name, {free.name: value + wrong}, candidate.free)
-    values = {name: _detectable_value(subject.declared[name]) for name in candidate.parameters}
+    declared = [(name, subject.declared[name]) for name in candidate.parameters]
+    values = {
+        name: float(p.default) if p.neutral is None or p.typical is None else p.neutral + p.typical
+        for name, p in declared
+    }
     return Rival(candidate.name, values, candidate.free)
-
-
-def _detectable_value(p: Parameter) -> float:
-    return float(p.default) if p.neutral is None or p.typical is None else p.neutral + p.typical
-
-
-def all_pairs(names: Iterable[str]) -> list[Pair]:
-    """Return every pair of two different names."""
-    return list(combinations(names, 2))
 
 
 class Separation:
@@ -89,66 +81,45 @@ class Separation:
         data = replace(data_of(self.subject, log, layout, self.problem.settle), substeps=self.substeps)
         start = start_state(self.subject, data, layout.outputs, layout.states)
         readings = [readings_of(data.y, count_unscored(data))]
-        innovations = _Innovations(replace(self.problem, logs=[data], readings=readings, x0=[start]), self.noise)
-        shift = {name: innovations.at(r.values) for name, r in self.rivals.items()}
-        own = {name: innovations.slopes(r.free, r.values, shift[name]) for name, r in self.rivals.items()}
-        base = innovations.slopes(self.base, {}, np.zeros(innovations.count))
+        problem = replace(self.problem, logs=[data], readings=readings, x0=[start])
+        scored = problem.score(problem.values, self.noise)
+        sigma, count = np.sqrt(scored.variances), len(scored.errors)
+
+        def change(values: Mapping[str, float]) -> Array:
+            """Return the change of the filter's innovations at parameter values, 0 for a diverged filter."""
+            errors = problem.score({**problem.values, **values}, self.noise).errors
+            return np.asarray(np.nan_to_num((errors - scored.errors) / sigma, nan=0.0, posinf=0.0, neginf=0.0))
+
+        def slopes(free: Sequence[Free], values: Mapping[str, float], shift: Array) -> Array:
+            """Return the derivatives by scaled parameters at `values`, shape (parameters, measurements)."""
+            rows = np.empty((len(free), count))
+            for row, f in zip(rows, free, strict=True):
+                value = values.get(f.name, problem.values[f.name])
+                h = DIFFERENCE * f.size if value + DIFFERENCE * f.size <= f.high else -DIFFERENCE * f.size
+                row[:] = (change({**values, f.name: value + h}) - shift) * (f.size / h)
+            return rows
+
+        shift = {name: change(r.values) for name, r in self.rivals.items()}
+        own = {name: slopes(r.free, r.values, shift[name]) for name, r in self.rivals.items()}
+        base = slopes(self.base, {}, np.zeros(count))
 
         def distance(truth: str, adapted: str) -> float:
-            return self._remaining_distance(shift[truth] - shift[adapted], own[adapted], base, self.rivals[adapted])
+            """Return what remains after fitting the free parameters of one hypothesis and of the base."""
+            names = {f.name for f in self.rivals[adapted].free}
+            others = [k for k, f in enumerate(self.base) if f.name not in names]
+            design = np.vstack([own[adapted], base[others]]).T
+            # one row per prior, δ in units of the parameter's size
+            priors = np.zeros((len(others), design.shape[1]))
+            for row, k in enumerate(others):
+                if prior := self.base[k].prior:
+                    priors[row, len(own[adapted]) + row] = self.base[k].size / prior[1]
+            A = np.vstack([design, priors])
+            b = np.concatenate([shift[truth] - shift[adapted], np.zeros(len(others))])
+            return float(np.linalg.norm(b - A @ least_squares(A, b)))
 
-        return {pair: min(distance(*way) for way in self._adaptations(*pair)) for pair in self.pairs}
-
-    def _adaptations(self, a: str, b: str) -> list[Pair]:
-        """Return the pairs (truth, adapted) to test; only the hypothesis with fewer free parameters is adapted.
-
-        A hypothesis with more parameters could imitate the other.
-        """
-        counts = {name: len(self.rivals[name].free) for name in (a, b)}
-        return [(truth, adapted) for truth, adapted in ((a, b), (b, a)) if counts[truth] >= counts[adapted]]
-
-    def _remaining_distance(self, difference: Array, own: Array, base: Array, adapted: Rival) -> float:
-        """Return the distance that remains after fitting the free parameters of one hypothesis and of the base.
-
-        Args:
-            difference: Difference of the innovations under both hypotheses.
-            own, base: Derivatives of the innovations by the parameters of `adapted` and of the base.
-        """
-        names = {f.name for f in adapted.free}
-        others = [k for k, f in enumerate(self.base) if f.name not in names]
-        slopes = np.vstack([own, base[others]]).T
-        # one row per prior, δ in units of the parameter's size
-        priors = np.zeros((len(others), slopes.shape[1]))
-        for row, k in enumerate(others):
-            if prior := self.base[k].prior:
-                priors[row, len(own) + row] = self.base[k].size / prior[1]
-        A, b = np.vstack([slopes, priors]), np.concatenate([difference, np.zeros(len(others))])
-        return float(np.linalg.norm(b - A @ least_squares(A, b)))
-
-
-class _Innovations:
-    """Changes of the filter's innovations from their values at the base parameters [standard deviations]."""
-
-    def __init__(self, problem: Problem, noise: Noise) -> None:
-        self.problem, self.noise = problem, noise
-        scored = problem.score(problem.values, noise)
-        self.errors, self.sigma = scored.errors, np.sqrt(scored.variances)
-        self.count = len(self.errors)
-
-    def at(self, values: Mapping[str, float]) -> Array:
-        """Return the change of the innovations at parameter values, 0 for a diverged filter."""
-        errors = self.problem.score({**self.problem.values, **values}, self.noise).errors
-        return np.asarray(np.nan_to_num((errors - self.errors) / self.sigma, nan=0.0, posinf=0.0, neginf=0.0))
-
-    def slopes(self, free: Sequence[Free], values: Mapping[str, float], shift: Array) -> Array:
-        """Return the derivatives by scaled parameters, shape (parameters, measurements).
-
-        Args:
-            shift: Change of the innovations at `values`.
-        """
-        rows = np.empty((len(free), self.count))
-        for row, f in zip(rows, free, strict=True):
-            value = values.get(f.name, self.problem.values[f.name])
-            h = DIFFERENCE * f.size if value + DIFFERENCE * f.size <= f.high else -DIFFERENCE * f.size
-            row[:] = (self.at({**values, f.name: value + h}) - shift) * (f.size / h)
-        return rows
+        # Only the hypothesis with fewer free parameters is adapted: one with more could imitate the other.
+        counts = {name: len(r.free) for name, r in self.rivals.items()}
+        return {
+            (a, b): min(distance(*way) for way in ((a, b), (b, a)) if counts[way[0]] >= counts[way[1]])
+            for a, b in self.pairs
+        }

@@ -9,12 +9,11 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.linear_algebra import least_squares
-from cosim.base.messages import Note
 from cosim.base.text import amount, counted, plain
 from cosim.logs.channel_noise import noise_level
 from cosim.logs.finding import Finding, Severity
 from cosim.logs.log import TURN, Log
-from cosim.logs.planar_motion import axis_findings
+from cosim.model.planar import PlanarFrame
 from cosim.model.traits import Traits, rate_of
 
 STILL = 1e-9  # [unit of the signal] change below which only rounding is visible
@@ -22,6 +21,11 @@ DEGREES = 180.0 / math.pi
 MIN_AGREEMENT = 0.9  # correlation of the change of a signal with the integral of its rate
 FAR_OFF = 8.0  # multiple of the usual miss, or of the noise
 PAUSE = 0.2  # [s] without a reading
+TURNED = 9.0  # ratio of sideways motion to that of the mirror image from which an axis is reversed
+LEAST_POSITIONS = 20  # positions
+SPACING = 0.2  # [s] between positions
+MIN_TURN = 0.2  # [rad] standard deviation of the heading from which exchanged axes differ from motion sideways
+JUMP = 10.0  # multiple of a step that 99 % of the rows do not exceed
 BLOCK = 0.5  # [s] over which a signal's change is compared with the integral of its rate
 
 
@@ -44,8 +48,8 @@ def frame_findings(log: Log, traits: Traits | None = None) -> Iterator[Finding]:
             f"has {counted(len(times), 'jump')} of a turn, first at t = {times[0]:.6g} s; undone, it is continuous"
         )
         yield Finding("note", "wrapped", name, message, {"count": float(len(times)), "first": times[0]})
-    if traits and traits.planar:
-        yield from axis_findings(log, traits.planar)
+    if traits and (frame := traits.planar) and {frame.x, frame.y, frame.heading} <= log.outputs.keys():
+        yield from _axis_findings(log, frame)
 
 
 def _against_rate(log: Log, name: str, rate: str, *, declared: bool) -> Iterator[Finding]:
@@ -58,8 +62,15 @@ def _against_rate(log: Log, name: str, rate: str, *, declared: bool) -> Iterator
         return
     rho = float(np.corrcoef(change, integral)[0, 1])
     if abs(rho) < MIN_AGREEMENT:
-        jumps = list(_jump_findings(log, name, rate, (change, integral), change - integral))
-        yield from jumps or _disagreement(log, name, rate, (change, integral), rho)
+        jumps = [*_jump_findings(log, name, rate, (change, integral), change - integral)]
+        yield from jumps
+        moved, turned = float(np.std(change)), float(np.std(integral))
+        if not jumps and moved > FAR_OFF * noise_level(log.outputs[name]) and turned > 0.5 * moved:
+            message = (
+                f"does not follow the integral of {rate} (correlation {plain(rho, 2)}), though both move far beyond "
+                "their noise: one of them has another sign in a part of the log, or belongs to another body"
+            )
+            yield Finding("warning", "disagreement", name, message, {"correlation": rho})
         return
     design = np.column_stack((integral, length))
     slope, drift = least_squares(design, change)
@@ -77,7 +88,10 @@ def _against_rate(log: Log, name: str, rate: str, *, declared: bool) -> Iterator
         yield Finding(severity, "sign", rate, message, numbers)
     elif any(0.7 < slope / scale < 1.4 for scale in (DEGREES, 1.0 / DEGREES)):
         degrees, other, unit = (name, rate, "deg") if slope > 1.0 else (rate, name, "deg/s")
-        ratio, cure = plain(float(max(slope, 1 / slope)), 3), _unit_cure(log, degrees, other, unit)
+        ratio, cure = plain(float(max(slope, 1 / slope)), 3), f'Give the unit in the header, "{degrees} [{unit}]"'
+        if log.written.get(degrees):
+            headers = " and ".join(f'"{n} [{log.written[n]}]"' for n in (degrees, other) if log.written.get(n))
+            cure = f"The header says {headers}: one of the units is wrong"
         message = f"is {ratio} times what {other} says: one is in degrees, the other in radians. {cure}"
         yield Finding(severity, "degrees", degrees, message, numbers)
     elif abs(slope - 1.0) > max(0.03, 5.0 * error_slope):
@@ -88,13 +102,8 @@ def _against_rate(log: Log, name: str, rate: str, *, declared: bool) -> Iterator
         yield Finding("warning", "scale", rate, message, numbers)
     if slope > 0.0 and abs(drift) > 5.0 * error_drift and abs(drift) > 0.003 * float(np.nanstd(log.outputs[rate])):
         bias = amount(float(-drift / slope), log.units[rate], 2)
-        yield Finding(
-            "note",
-            "drift",
-            rate,
-            Note(f"is {bias} above d {name}/dt throughout: a bias of one of the sensors"),
-            numbers,
-        )
+        message = f"is {bias} above d {name}/dt throughout: a bias of one of the sensors"
+        yield Finding("note", "drift", rate, message, numbers)
 
 
 def _jump_findings(log: Log, name: str, rate: str, moves: tuple[Array, Array], miss: Array) -> Iterator[Finding]:
@@ -117,31 +126,6 @@ def _jump_findings(log: Log, name: str, rate: str, moves: tuple[Array, Array], m
         yield Finding("warning", "jumps", name, message, {"size": float(miss[k])})
 
 
-def _disagreement(log: Log, name: str, rate: str, moves: tuple[Array, Array], rho: float) -> Iterator[Finding]:
-    """Yield a warning for a signal that does not follow the integral of its rate, though both move beyond noise."""
-    change, integral = (float(np.std(values)) for values in moves)
-    if change > FAR_OFF * noise_level(log.outputs[name]) and integral > 0.5 * change:
-        message = (
-            f"does not follow the integral of {rate} (correlation {plain(rho, 2)}), though both move far beyond "
-            "their noise: one of them has another sign in a part of the log, or belongs to another body"
-        )
-        yield Finding("warning", "disagreement", name, message, {"correlation": rho})
-
-
-def _unit_cure(log: Log, degrees: str, other: str, unit: str) -> str:
-    """Return the cure for a column whose values are in degrees, according to the units in the header.
-
-    Args:
-        degrees: Name of the column.
-        other: Signal that contradicts the column.
-        unit: Unit to state in the header.
-    """
-    headers = " and ".join(f'"{name} [{log.written[name]}]"' for name in (degrees, other) if log.written.get(name))
-    if log.written.get(degrees):
-        return f"The header says {headers}: one of the units is wrong"
-    return f'Give the unit in the header, "{degrees} [{unit}]"'
-
-
 def _blocks(log: Log, values: Array, rates: Array) -> tuple[Array, Array, Array]:
     """Return change, integrated rate and length of consecutive blocks with both signals."""
     good = np.flatnonzero(np.isfinite(values) & np.isfinite(rates))
@@ -158,13 +142,6 @@ def _blocks(log: Log, values: Array, rates: Array) -> tuple[Array, Array, Array]
     return change[whole], integral[whole], length[whole]
 
 
-def angle_cure(log: Log, name: str) -> str:
-    """Return advice for an angle that is too large: check the unit in the header, or state degrees."""
-    if written := log.written.get(name):
-        return f'its header says "{written}": is it so, and may the model not go there?'
-    return f'if it is in degrees, call it "{name} [deg]"'
-
-
 def _magnitude(log: Log, name: str, values: Array, bounds: tuple[float, float] | None) -> Iterator[Finding]:
     """Yield findings on angles that are too large for radians, and on jumps by a full turn.
 
@@ -173,7 +150,9 @@ def _magnitude(log: Log, name: str, values: Array, bounds: tuple[float, float] |
     """
     good = values[np.isfinite(values)]
     size, numbers = float(np.abs(good).max()), {"largest": float(np.abs(good).max())}
-    cure, stated = angle_cure(log, name), bool(log.written.get(name))
+    cure, stated = f'if it is in degrees, call it "{name} [deg]"', log.written.get(name)
+    if stated:
+        cure = f'its header says "{stated}": is it so, and may the model not go there?'
     if bounds and not bounds[0] <= float(good.min()) <= float(good.max()) <= bounds[1]:
         low, high = (plain(v) for v in bounds)
         message = f"reaches {plain(size)} rad, beyond what the model allows ({low} to {high}); {cure}"
@@ -188,3 +167,41 @@ def _magnitude(log: Log, name: str, values: Array, bounds: tuple[float, float] |
             "is continuous"
         )
         yield Finding("warning", "jumps", name, message, {"count": float(jumps.size), "first": first})
+
+
+def _axis_findings(log: Log, frame: PlanarFrame) -> Iterator[Finding]:
+    """Yield warnings for a reversed axis, exchanged axes and jumps; a body mostly moves along its heading."""
+    x, y, heading = (log.outputs[name] for name in (frame.x, frame.y, frame.heading))
+    good = np.flatnonzero(np.isfinite(x + y + heading))[:: max(1, round(SPACING / log.step))]
+    if good.size < LEAST_POSITIONS:
+        return
+    dx, dy, pointing = np.diff(x[good]), np.diff(y[good]), 0.5 * (heading[good][1:] + heading[good][:-1])
+    pairs = {"as recorded": (dx, dy), "mirrored": (dx, -dy), "exchanged": (dy, dx), "turned": (dy, -dx)}
+    sideways = {way: float(np.sum((a * np.sin(pointing) - b * np.cos(pointing)) ** 2)) for way, (a, b) in pairs.items()}
+    best = min(sideways, key=lambda way: sideways[way])
+    ratio = sideways["as recorded"] / sideways[best] if sideways[best] > 0.0 else 0.0
+    if ratio > TURNED and best == "mirrored":
+        message = (
+            f"the body moves sideways unless {frame.x}, {frame.y} or {frame.heading} is turned round: world Y "
+            f"points left and {frame.heading} is positive to the left"
+        )
+        yield Finding("warning", "mirrored", frame.y, message, {"ratio": ratio})
+    elif ratio > TURNED and float(pointing.std()) > MIN_TURN:
+        message = f"the body moves sideways unless {frame.x} and {frame.y} are exchanged: are the columns swapped?"
+        yield Finding("warning", "swapped", frame.x, message, {"ratio": ratio})
+    for name in (frame.x, frame.y):  # a position that jumps between two rows and stays there
+        good = np.flatnonzero(np.isfinite(log.outputs[name]))
+        steps = np.abs(np.diff(log.outputs[name][good]))
+        if steps.size < LEAST_POSITIONS or not (largest := float(steps.max())) > JUMP * float(np.quantile(steps, 0.99)):
+            continue
+        k = int(np.argmax(steps))
+        before, after = (
+            np.median(log.outputs[name][good[rows]]) for rows in (slice(max(0, k - 4), k + 1), slice(k + 1, k + 6))
+        )
+        if abs(after - before) > 0.5 * largest:
+            message = (
+                f"jumps by {amount(largest, log.units[name])} in the row at t = "
+                f"{float(log.time[good[k + 1]]):.6g} s, far more than in other rows: was the sensor set anew, or "
+                "are two logs joined?"
+            )
+            yield Finding("warning", "jumps", name, message, {"size": largest})

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import islice, pairwise
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from cosim.base.arrays import Array, Rows
 from cosim.base.errors import Fault, refuse
 from cosim.base.units import Conversion, alternatives, assume_si, conversion
 from cosim.blocks.component import Signal
+from cosim.model.quantities import Quantity
 from cosim.storage.table import Column, Faults, Table, Use, read_table
 from cosim.storage.yaml_file import closest, did_you_mean, short
 
@@ -33,18 +34,6 @@ HINTS, SHOWN = 50, 40  # columns with a suggestion, and names in a message
 DRIFT = 2.0  # steps by which the last row of a log may be off before rows count as missing
 SHORT = 5.0  # percentile of the spacings of an irregular clock [%]
 MISSING = 1.5  # steps between rows from which a row is missing
-
-
-class SignalLike(Protocol):
-    """An input or output of a model: `cosim.blocks.component.Signal`, `cosim.model.Quantity`."""
-
-    @property
-    def name(self) -> str:
-        """Return the FMI name."""
-
-    @property
-    def unit(self) -> str:
-        """Return the unit of the signal; "" without one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,8 +106,8 @@ def rename_signals(log: Log, names: Mapping[str, str]) -> Log:
 
 def read_log(
     path: Path,
-    inputs: Sequence[SignalLike],
-    outputs: Sequence[SignalLike],
+    inputs: Sequence[Signal | Quantity],
+    outputs: Sequence[Signal | Quantity],
     *,
     columns: Mapping[str, str] = MappingProxyType({}),
     alone: bool = False,
@@ -182,7 +171,11 @@ class LogReader:
         time = columns.pop("time")
         units = {n: self.units[n] for n in columns}
         outputs = {n: values for n, values in columns.items() if n in self.outputs}
-        outputs, unwrapped = _unwrap_angles(outputs, units, time)
+        unwrapped = dict[str, tuple[float, ...]]()
+        for name in outputs:
+            if units[name] == "rad":
+                outputs[name], jumps = _unwrap(outputs[name])
+                unwrapped |= {name: tuple(time[jumps].tolist())} if jumps.size else {}
         inputs, step = {name: columns[name] for name in self.inputs}, usual_step(time)
         cells = {column.name: column.cell for column in self.table.columns}
         written = {column.name: column.unit for column in self.table.columns}
@@ -228,52 +221,7 @@ class LogReader:
 
     def _check_header(self) -> None:
         """Note faults of missing inputs and outputs."""
-        self._check_renamed_columns()
-        line, columns = self.table.header, self.table.by_name
-        missing = [name for name in self.inputs if name not in columns]
-        if missing and not self._is_of_model():
-            self.faults.note(
-                line,
-                1,
-                (
-                    f"holds none of the columns of the model: {name_list(self.signals)}; a log of another model is "
-                    "checked with --model FILE:CLASS and replayed with --plant FMU; where columns have other names, "
-                    "--column COLUMN=VARIABLE, or `columns` of a study, says which is which"
-                ),
-            )
-            return
-        inputs = name_list(self.inputs)
-        for name in missing:
-            if close := closest(name, self.unread):
-                message = (
-                    f'"{close}" is no column of the model; did you mean "{name}", which is missing? A log holds '
-                    f"every input of the model: {inputs}"
-                )
-                self.faults.note(line, self.cells[close], message)
-            else:
-                self.faults.note(
-                    line,
-                    1,
-                    (
-                        f'input "{name}" is missing; a log holds every input of the model: {inputs}; for a column of '
-                        f"another name say --column COLUMN={name}, or `columns` in a study"
-                    ),
-                )
-        if not missing and not any(name in columns for name in self.outputs):
-            cure = "".join(dict.fromkeys(self._unread().values()))
-            self.faults.note(
-                line,
-                1,
-                (
-                    f"holds no output of the model{cure}; at least one of {name_list(self.outputs)} is measured; "
-                    "where columns have other names, --column COLUMN=VARIABLE, or `columns` of a study, says which "
-                    "is which"
-                ),
-            )
-
-    def _check_renamed_columns(self) -> None:
-        """Note faults of renamed columns."""
-        line, first = self.table.header, self.table.first
+        line, first, columns = self.table.header, self.table.first, self.table.by_name
         for column, name in self.renamings.items():
             if name == "time":
                 if column != first:
@@ -286,12 +234,36 @@ class LogReader:
             elif column not in self.cells and (self.alone or name not in self.table):
                 cure = did_you_mean(column, self.cells)
                 self.faults.note(line, 1, f'has no column "{column}"{cure} (it is to be {name})')
-
-    def _is_of_model(self) -> bool:
-        """Return True if some column belongs to the model, or has a name similar to one of its signals."""
-        if self.renamings or len(self.unread) > HINTS or any(name in self.table for name in self.signals):
-            return True
-        return any(closest(name, self.unread) for name in self.signals)
+        missing = [name for name in self.inputs if name not in columns]
+        # of the model is a log with some column of it, or with a name similar to one of its signals
+        known = self.renamings or len(self.unread) > HINTS or any(name in self.table for name in self.signals)
+        other = "where columns have other names, --column COLUMN=VARIABLE, or `columns` of a study, says which is which"
+        if missing and not known and not any(closest(name, self.unread) for name in self.signals):
+            message = (
+                f"holds none of the columns of the model: {name_list(self.signals)}; a log of another model is checked "
+                f"with --model FILE:CLASS and replayed with --plant FMU; {other}"
+            )
+            self.faults.note(line, 1, message)
+            return
+        inputs = name_list(self.inputs)
+        for name in missing:
+            if close := closest(name, self.unread):
+                message = (
+                    f'"{close}" is no column of the model; did you mean "{name}", which is missing? A log holds '
+                    f"every input of the model: {inputs}"
+                )
+                self.faults.note(line, self.cells[close], message)
+            else:
+                message = (
+                    f'input "{name}" is missing; a log holds every input of the model: {inputs}; for a column of '
+                    f"another name say --column COLUMN={name}, or `columns` in a study"
+                )
+                self.faults.note(line, 1, message)
+        if not missing and not any(name in columns for name in self.outputs):
+            cure = "".join(dict.fromkeys(self._unread().values()))
+            outputs = name_list(self.outputs)
+            message = f"holds no output of the model{cure}; at least one of {outputs} is measured; {other}"
+            self.faults.note(line, 1, message)
 
     # -- rows ---------------------------------------------------------------------------------
 
@@ -314,8 +286,14 @@ class LogReader:
                 self.faults.note(
                     table.header, column.cell, f'column "{name}" holds no value (NaN in every row); delete the column'
                 )
-            message = partial(_absurd_value, name, values, cure)
-            self.faults.note_cells(_absurd_rows(values), table.lines, column.cell, message)
+
+            def absurd(row: int, name: str = name, values: Array = values, cure: str = cure) -> str:
+                return f'{name} is {values[row]:g} here, far beyond the rest: a mark for "invalid"? Then {cure}'
+
+            size = np.abs(values)  # a logger may write 3.4e38 for `invalid`
+            if not np.isnan(size).all():
+                most = min(max(BEYOND * float(np.nanmedian(size)), ORDINARY), NEVER)
+                self.faults.note_cells(np.flatnonzero(size > most), table.lines, column.cell, absurd)
 
 
 def read_column_names(texts: Sequence[str], log: Path) -> dict[str, str]:
@@ -324,31 +302,19 @@ def read_column_names(texts: Sequence[str], log: Path) -> dict[str, str]:
     Raises:
         InputError: A text has another form.
     """
-    parts = [(text, *text.partition("=")) for text in texts]
-    wrong = [text for text, column, sign, name in parts if not (column.strip() and sign and name.strip())]
+    parts = [[part.strip() for part in text.partition("=")] for text in texts]
     refuse(
         Fault(log, 0, 0, f'--column "{short(text)}" is not COLUMN=VARIABLE, as in measured_speed=motor.w')
-        for text in wrong
+        for text, part in zip(texts, parts, strict=True)
+        if not all(part)
     )
-    return {column.strip(): name.strip() for _, column, _, name in parts}
+    return {column: name for column, _, name in parts}
 
 
 def name_list(names: Collection[str]) -> str:
     """Return names in a line, shortened if very many."""
     more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
     return ", ".join(islice(names, SHOWN)) + more
-
-
-def _absurd_value(name: str, values: Array, cure: str, row: int) -> str:
-    return f'{name} is {values[row]:g} here, far beyond the rest: a mark for "invalid"? Then {cure}'
-
-
-def _absurd_rows(values: Array) -> Rows:
-    """Return rows of absurd values, such as a logger's 3.4e38 for `invalid`."""
-    size = np.abs(values)
-    if np.isnan(size).all():
-        return np.zeros(0, np.intp)
-    return np.flatnonzero(size > min(max(BEYOND * float(np.nanmedian(size)), ORDINARY), NEVER))
 
 
 def _unwrap(angle: Array) -> tuple[Array, Rows]:
@@ -363,18 +329,6 @@ def _unwrap(angle: Array) -> tuple[Array, Rows]:
         return angle, jumps[:0]
     smooth = angle.copy()
     smooth[rows] = np.unwrap(values)
-    return smooth, jumps
-
-
-def _unwrap_angles(
-    outputs: Mapping[str, Array], units: Mapping[str, str], time: Array
-) -> tuple[dict[str, Array], dict[str, tuple[float, ...]]]:
-    """Return the outputs with continuous angles, and the times of removed jumps."""
-    smooth, jumps = dict(outputs), dict[str, tuple[float, ...]]()
-    for name in outputs:
-        if units[name] == "rad":
-            smooth[name], rows = _unwrap(outputs[name])
-            jumps |= {name: tuple(time[rows].tolist())} if rows.size else {}
     return smooth, jumps
 
 

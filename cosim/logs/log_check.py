@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
@@ -10,18 +11,19 @@ from types import MappingProxyType
 import numpy as np
 
 from cosim.base.registry import BASE, is_model
+from cosim.base.text import counted
+from cosim.base.units import assume_si, parse
 from cosim.loading.file import LoadedModel, load_model
 from cosim.loading.own_run import predicted_outputs
 from cosim.loading.substep import substep_notes, with_substep
-from cosim.logs.alone import findings_without_model
 from cosim.logs.gate import gate, refuse_faults
-from cosim.logs.log import first_rows, read_log
+from cosim.logs.log import LogReader, first_rows, read_log
 from cosim.logs.model_comparison import output_findings
 from cosim.logs.spikes import drop_outliers, find_spikes
 from cosim.logs.unit_mistakes import input_unit_findings
 from cosim.model.traits import Traits
 from cosim.storage.artefact import Checking
-from cosim.storage.table import read_header
+from cosim.storage.table import Column, Use, read_header
 
 ROWS = 1000  # first rows of a log in which the model's outputs are predicted
 
@@ -32,12 +34,12 @@ def check_log(path: Path, checking: Checking) -> list[str]:
     The log is compared with the named model, by default with the base model if an input matches, else with no model.
     """
     if checking.model is None and not is_model(BASE):
-        return findings_without_model(path, checking.columns)
+        return _findings_without_model(path, checking.columns)
     loaded = load_model(checking.model or BASE, Path())
     if checking.model is None:
         names = {checking.columns.get(name, name) for name in read_header(path)}
         if names and names.isdisjoint(q.name for q in loaded.model.inputs):
-            return findings_without_model(path, checking.columns)
+            return _findings_without_model(path, checking.columns)
     return log_findings(path, loaded, checking.columns)
 
 
@@ -61,3 +63,56 @@ def log_findings(path: Path, loaded: LoadedModel, columns: Mapping[str, str] = M
     refuse_faults(log, against)
     findings += against
     return [*(f.line for f in findings), *substep_notes(loaded, [drop_outliers(log, spikes)])]
+
+
+def _findings_without_model(path: Path, columns: Mapping[str, str]) -> list[str]:
+    """Return the findings on a log without a model, one line each: clock, gaps, units and channels as measured.
+
+    Raises:
+        InputError: The log has faults.
+    """
+    reader = _AloneReader(path, columns)
+    log = reader.log()
+    findings = gate(log)
+    refuse_faults(log, findings)
+    lines = [f.line for f in findings]
+    lines += [
+        f'warning: {name} "{unit}" is no unit known here: its numbers are taken as they are'
+        for name, unit in reader.unknown.items()
+        if name in log.outputs
+    ]
+    if reader.text:
+        lines.append(f"note: {counted(len(reader.text), 'column')} of text not read: {', '.join(reader.text)}")
+    return [*lines, "note: checked without a model: --model FILE:CLASS holds names, units and signs against one"]
+
+
+class _AloneReader(LogReader):
+    """Reader of a log without a model.
+
+    Every numeric column is an output, in SI if its header has a unit. Text columns are skipped.
+    """
+
+    def __init__(self, path: Path, columns: Mapping[str, str]) -> None:
+        self.unknown: dict[str, str] = {}  # column → unit unknown to the framework
+        self.text: list[str] = []
+        super().__init__(path, {}, {}, columns)
+
+    def _use(self, column: Column) -> Use | None:
+        if column.cell > 1:
+            column = replace(column, name=self.renamings.get(column.name, column.name))
+            if not column.name:
+                self.faults.note(self.faults.header, column.cell, "the column has no name; name it or delete it")
+                return None
+            if column.holds_words:
+                self.text.append(column.name)
+                return None
+            unit = assume_si(column.unit).unit if column.unit else ""
+            self.outputs[column.name] = self.signals[column.name] = self.units[column.name] = unit
+            if column.unit and parse(column.unit) is None:
+                self.unknown[column.name] = column.unit
+        return super()._use(column)
+
+    def _check_header(self) -> None:
+        """Note a fault if the log has no column besides time."""
+        if not (self.outputs or self.text):
+            self.faults.note(self.table.header, 1, "holds no column beside the time; a log holds what was measured")

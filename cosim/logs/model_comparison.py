@@ -62,86 +62,63 @@ def scales(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
     for name, measured in log.outputs.items():
         if name not in model or (fit := fit_slope(log, measured, model[name])) is None:
             continue
+        unit, written = log.units[name], log.written.get(name, "")
         numbers = {"slope": fit.slope, "error": fit.error, "correlation": fit.correlation}
+        times = f"{plain(fit.slope)} ± {plain(fit.error, 1)} times as far"
         is_alike = fit.correlation > LIKE
         if fit.correlation < -LIKE or (fit.is_certain and SAME_SIZE[0] < -fit.slope < SAME_SIZE[1]):
-            text = {"slope": plain(fit.slope), "error": plain(fit.error, 1), "correlation": plain(fit.correlation, 2)}
-            yield Finding(
-                "warning",
-                "sign",
-                name,
-                (
-                    "moves against the model ({slope} ± {error} times as far, correlation {correlation}): it, or a "
-                    "command, has the wrong sign"
-                ).format(**text),
-                numbers,
+            message = (
+                f"moves against the model ({times}, correlation {plain(fit.correlation, 2)}): it, or a command, has "
+                "the wrong sign"
             )
+            yield Finding("warning", "sign", name, message, numbers)
         elif is_alike or fit.is_certain:
-            if message := _unit_mistake(log, name, fit):
-                yield Finding("fault" if is_alike else "warning", "unit", name, message, numbers)
-        else:
-            yield from _size_findings(log, name, model[name])
+            by = factor(written, unit)
+            beyond = by is not None and not 1.0 / OTHER_SIZE < by < OTHER_SIZE
+            if by is not None and beyond and SAME_SIZE[0] < fit.slope / by < SAME_SIZE[1]:
+                message = (
+                    f"was converted from {written} to {unit}, but agrees with the model without this conversion: leave "
+                    f'"[{written}]" out of the header'
+                )
+            elif other := other_unit(unit, fit.slope):
+                message = f"moves with the model, but {times}; {_is_unit(name, other)}"
+            else:
+                continue
+            yield Finding("fault" if is_alike else "warning", "unit", name, message, numbers)
+        else:  # unlike its prediction, a signal may still move more than it by the factor of another unit
+            size, own = (float(np.nanstd(moving_part(log, values))) for values in (measured, model[name]))
+            ratio = size / own if own > 0.0 else 0.0
+            moves = ratio > OTHER_SIZE and size > MIN_SIGNAL * noise_level(measured)
+            if moves and (other := other_unit(unit, ratio)):
+                message = f"moves {plain(ratio, 2)} times as far as the model; {_is_unit(name, other)}"
+                yield Finding("warning", "unit", name, message, {"ratio": ratio})
 
 
-def _unit_mistake(log: Log, name: str, fit: SlopeFit) -> str | None:
-    """Return the message on a signal whose slope over its prediction is the factor between two units."""
-    if _is_converted_wrongly(log, name, fit.slope):
-        return (
-            f"was converted from {log.written[name]} to {log.units[name]}, but agrees with the model without this "
-            f'conversion: leave "[{log.written[name]}]" out of the header'
-        )
-    if not (unit := other_unit(log.units[name], fit.slope)):
-        return None
-    return (
-        f"moves with the model, but {plain(fit.slope)} ± {plain(fit.error, 1)} times as far; is its unit {unit}? "
-        f'Then call the column "{name} [{unit}]"'
-    )
-
-
-def _size_findings(log: Log, name: str, model: Array) -> Iterator[Finding]:
-    """Yield a warning if a signal unlike its prediction moves more than it by the factor of another unit."""
-    y, noise = log.outputs[name], noise_level(log.outputs[name])
-    size, own = (float(np.nanstd(moving_part(log, values))) for values in (y, model))
-    ratio = size / own if own > 0.0 else 0.0
-    if ratio > OTHER_SIZE and size > MIN_SIGNAL * noise and (unit := other_unit(log.units[name], ratio)):
-        text = (
-            f"moves {plain(ratio, 2)} times as far as the model; is its unit {unit}? Then call the column "
-            f'"{name} [{unit}]"'
-        )
-        yield Finding("warning", "unit", name, text, {"ratio": ratio})
+def _is_unit(name: str, unit: str) -> str:
+    return f'is its unit {unit}? Then call the column "{name} [{unit}]"'
 
 
 def swaps(log: Log, model: Mapping[str, Array]) -> Iterator[Finding]:
     """Yield findings on two outputs that follow each other's prediction better than their own at any delay."""
     names = [name for name in log.outputs if name in model]
     for one, other in combinations(names, 2):
-        correlations = [_correlation_across(log, a, b, model[b]) for a, b in ((one, other), (other, one))]
-        least = min(correlations)
-        own = (_largest_correlation(log, log.outputs[name], model[name]) for name in (one, other))
-        if least >= 0.5 * TELLING and max(own) < least:
+        least = 1.0  # correlation of either with the prediction of the other, of the same size as in the other's unit
+        for a, b in ((one, other), (other, one)):
+            fit = fit_slope(log, log.outputs[a], model[b])
+            own, others = (factor(log.written.get(n, ""), log.units[n]) or 1.0 for n in (a, b))
+            fits = fit is not None and fit.is_certain and SAME_SIZE[0] < fit.slope * others / own < SAME_SIZE[1]
+            least = min(least, abs(fit.correlation) if fit is not None and fits else 0.0)
+        largest = 0.0  # the largest correlation of either with its own prediction, at any delay
+        for name in (one, other) if least >= 0.5 * TELLING else ():
+            parts = moving_part(log, model[name]), moving_part(log, log.outputs[name])
+            rho = correlation_at_lags(*parts, _longest_lag(log))
+            largest = max(largest, float(np.nanmax(np.abs(rho), initial=0.0)))
+        if least >= 0.5 * TELLING and largest < least:
             text = (
                 f"moves as {other} does in the model (correlation {plain(least, 2)}), and {other} as {one}: are "
                 "the columns swapped?"
             )
             yield Finding("warning", "swapped", one, text, {"correlation": least})
-
-
-def _correlation_across(log: Log, name: str, other: str, model: Array) -> float:
-    """Return the correlation of an output with the prediction of another; 0 if they differ in size or by chance.
-
-    The numbers of exchanged columns keep their size, apart from the units in their headers.
-    """
-    fit = fit_slope(log, log.outputs[name], model)
-    if fit is None or not fit.is_certain:
-        return 0.0
-    own, others = (factor(log.written.get(n, ""), log.units[n]) or 1.0 for n in (name, other))
-    return abs(fit.correlation) if SAME_SIZE[0] < fit.slope * others / own < SAME_SIZE[1] else 0.0
-
-
-def _largest_correlation(log: Log, measured: Array, model: Array) -> float:
-    """Return the largest magnitude of the correlation at any delay up to LONGEST_DELAY."""
-    rho = correlation_at_lags(moving_part(log, model), moving_part(log, measured), _longest_lag(log))
-    return float(np.nanmax(np.abs(rho), initial=0.0))
 
 
 def _longest_lag(log: Log) -> int:
@@ -179,12 +156,6 @@ def fit_slope(log: Log, measured: Array, model: Array) -> SlopeFit | None:
     if x.size >= BLOCKS * MIN_BLOCK:
         error = math.hypot(*(float(part.sum()) for part in np.array_split(x * (y - slope * x), BLOCKS))) / square
     return SlopeFit(slope, error, both / size)
-
-
-def _is_converted_wrongly(log: Log, name: str, slope: float) -> bool:
-    """Return True if the signal fits the model without the conversion from its header's unit."""
-    by = factor(log.written.get(name, ""), log.units[name])
-    return by is not None and not 1.0 / OTHER_SIZE < by < OTHER_SIZE and SAME_SIZE[0] < slope / by < SAME_SIZE[1]
 
 
 class MeasuredDelay(NamedTuple):

@@ -30,35 +30,20 @@ def input_unit_findings(
     for name, values in log.inputs.items():
         size, start = float(np.abs(values).max()), abs(starts.get(name, 0.0))
         bound = max(map(abs, bounds.get(name, (math.inf,))))
-        if size > OTHER_SIZE * bound and log.units[name] != "rad":  # angles are checked against their bounds elsewhere
-            yield _beyond_bound(log, name, size, bound)
-        elif start and (other := other_unit(log.units[name], size / start)):
+        unit = log.units[name]
+        if size > OTHER_SIZE * bound and unit != "rad":  # angles are checked against their bounds elsewhere
+            # in the right unit, the input would lie within its bound
+            other = other_unit(unit, size / bound, (MIN_SHARE_OF_BOUND, 1.0))
+            text = f"reaches {amount(size, unit)}, far beyond the {amount(bound, unit)} that the model allows"
+            cure = f'; is its unit {other}? Then call the column "{name} [{other}]"'
+            text += cure if other else ": is it scaled, or in another unit?"
+            yield Finding("fault", "unit", name, text, {"ratio": size / bound})
+        elif start and (other := other_unit(unit, size / start)):
             text = (
-                "reaches {size}, where the model starts at {reference}; is its unit {unit}? Then call the "
-                'column "{name} [{unit}]"'
-            ).format(**_sizes(log, name, size, start), unit=other, name=name)
+                f"reaches {amount(size, unit)}, where the model starts at {amount(start, unit)}; is its unit {other}? "
+                f'Then call the column "{name} [{other}]"'
+            )
             yield Finding("warning", "unit", name, text, {"ratio": size / start})
-
-
-def _beyond_bound(log: Log, name: str, size: float, bound: float) -> Finding:
-    """Return the fault of an input far beyond its bound; it names the unit in which the input would lie within."""
-    sizes, other = _sizes(log, name, size, bound), other_unit(log.units[name], size / bound, (MIN_SHARE_OF_BOUND, 1.0))
-    text = (
-        (
-            "reaches {size}, far beyond the {reference} that the model allows; is its unit {unit}? Then call the "
-            'column "{name} [{unit}]"'
-        ).format(**sizes, unit=other, name=name)
-        if other
-        else (
-            "reaches {size}, far beyond the {reference} that the model allows: is it scaled, or in another unit?"
-        ).format(**sizes)
-    )
-    return Finding("fault", "unit", name, text, {"ratio": size / bound})
-
-
-def _sizes(log: Log, name: str, size: float, reference: float) -> dict[str, str]:
-    """Return the size of an input and that of the model, with units."""
-    return {"size": amount(size, log.units[name]), "reference": amount(reference, log.units[name])}
 
 
 def other_unit(unit: str, ratio: float, around: tuple[float, float] = SAME_SIZE) -> str | None:

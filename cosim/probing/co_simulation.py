@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
-from functools import partial
 from itertools import permutations
 
 import numpy as np
@@ -16,9 +15,8 @@ from cosim.blocks.derivatives import reals, scalars
 from cosim.blocks.description import takes_any_step
 from cosim.probing.fmu_structure import Pair, Port, ProbedParameter, Structure
 from cosim.probing.log_runs import SAME, Course, Fmu, amplitude_of, limits_of, moved_within, run_along
-from cosim.probing.parameter_trials import settable_parameters, tried_parameters
+from cosim.probing.parameter_trials import settable_parameters, start_values, tried_parameters
 from cosim.probing.prober import Prober, no_flags, quantities, separate_pairs
-from cosim.probing.start_trials import start_values
 
 ROWS = 300  # rows of a simulation for responses
 FEW_ROWS, FEWEST_ROWS = 60, 5  # rows of a first simulation for a parameter
@@ -64,8 +62,14 @@ def co_simulation_structure(prober: Prober, courses: Sequence[Course]) -> Struct
     responses = Responses(prober, short, base, size)
     chosen = separate_pairs(_fits(good))
     ports = responses.ports(inputs, [v for _, v, _ in chosen])
-    feeds = _feeds(responses, inputs, outputs, chosen)
-    spreads = {name: float(np.std(_input_values(name, good))) for name in inputs}
+    # the outputs of pairs are no storages; the first input that changes a storage alone feeds it
+    paired = {k for position, velocity, _ in chosen for k in (position, velocity)}
+    found = responses.ports(inputs, [k for k in range(len(outputs)) if k not in paired], LASTS)
+    feeds = {outputs[k]: port for k, acting in found.items() for port in acting[::-1] if port.is_alone}
+    spreads = {}
+    for name in inputs:
+        columns = [course.inputs[name] for course, _ in good if name in course.inputs]
+        spreads[name] = float(np.std(np.concatenate(columns))) if columns else 0.0
     return Structure(
         fmu=prober.path,
         way="co-simulation",
@@ -90,19 +94,6 @@ def co_simulation_structure(prober: Prober, courses: Sequence[Course]) -> Struct
     )
 
 
-def _feeds(
-    responses: Responses, inputs: Sequence[str], outputs: Sequence[str], pairs: Sequence[tuple[int, int, float]]
-) -> dict[str, Port]:
-    """Return storage → the first input that changes it alone.
-
-    Args:
-        pairs: Position, velocity and gain; their outputs are no storages.
-    """
-    paired = {k for position, velocity, _ in pairs for k in (position, velocity)}
-    ports = responses.ports(inputs, [k for k in range(len(outputs)) if k not in paired], LASTS)
-    return {outputs[k]: port for k, found in ports.items() for port in found[::-1] if port.is_alone}
-
-
 def _parameters(prober: Prober, course: Course, size: Array) -> tuple[ProbedParameter, ...]:
     """Return each settable parameter with what it changes; a longer simulation for those that change nothing.
 
@@ -114,27 +105,24 @@ def _parameters(prober: Prober, course: Course, size: Array) -> tuple[ProbedPara
     per_row = (time.monotonic() - begin) / few.time.size
     count = max(1, len(settable_parameters(prober.description)))
     rows = int(min(FEW_ROWS, max(FEWEST_ROWS, SECONDS / (TRIALS * count * per_row))))
-    quickly = tried_parameters(prober, partial(_react, prober, course.first(rows)), size)
+
+    def react_along(course: Course) -> Callable[[Fmu], tuple[Array, Array]]:
+        def react(fmu: Fmu) -> tuple[Array, Array]:
+            """Return initial and later outputs."""
+            table, stop = prober.call(outputs_along, fmu, course)
+            if not len(table):
+                raise stop
+            return table[0], table[1:]
+
+        return react
+
+    quickly = tried_parameters(prober, react_along(course.first(rows)), size)
     idle = {p.name for p in quickly if not p.acts and not p.starts and not p.failure}
     longer = min(course.time.size, int(SECONDS / (TRIALS * max(1, len(idle)) * per_row)))
     if not idle or longer <= rows:
         return quickly
-    again = {p.name: p for p in tried_parameters(prober, partial(_react, prober, course.first(longer)), size, idle)}
+    again = {p.name: p for p in tried_parameters(prober, react_along(course.first(longer)), size, idle)}
     return tuple(again.get(p.name, p) for p in quickly)
-
-
-def _react(prober: Prober, course: Course, fmu: Fmu) -> tuple[Array, Array]:
-    """Return initial and later outputs along a course."""
-    table, stop = prober.call(outputs_along, fmu, course)
-    if not len(table):
-        raise stop
-    return table[0], table[1:]
-
-
-def _input_values(name: str, good: Sequence[tuple[Course, Array]]) -> Array:
-    """Return the values of an input along all courses, 0 without any."""
-    values = [course.inputs[name] for course, _ in good if name in course.inputs]
-    return np.concatenate(values) if values else np.zeros(1)
 
 
 def _fits(good: Sequence[tuple[Course, Array]]) -> list[tuple[int, int, float]]:
@@ -144,9 +132,16 @@ def _fits(good: Sequence[tuple[Course, Array]]) -> list[tuple[int, int, float]]:
     increments of an FMU that rounds communication points to steps of its own jitter; then longer ones decide.
     """
     width = good[0][1].shape[1]
-    known = [_areas(course, table) for course, table in good]
-    rises, areas, euler = (np.concatenate([each[k] for each in known]) for k in range(3))
-    long_rises, long_areas = (np.concatenate([_summed(each[k]) for each in known]) for k in range(2))
+    # increments of all outputs, their trapezoidal integrals, and the sums of both over spans of rows
+    parts: tuple[list[Array], ...] = [], [], [], [], []
+    for course, table in good:
+        h = np.diff(course.time[: len(table)])[:, None]
+        steps = np.diff(table, axis=0), 0.5 * h * (table[1:] + table[:-1])
+        spans = len(steps[0]) // SPAN
+        sums = (each[: spans * SPAN].reshape(spans, SPAN, width).sum(axis=1) for each in steps)
+        for part, values in zip(parts, (*steps, 0.5 * h * steps[0], *sums), strict=True):
+            part.append(values)
+    rises, areas, euler, long_rises, long_areas = map(np.concatenate, parts)
     fits = []
     for q, v in permutations(range(width), 2):
         power = float(areas[:, v] @ areas[:, v])
@@ -160,18 +155,6 @@ def _fits(good: Sequence[tuple[Course, Array]]) -> list[tuple[int, int, float]]:
             bias = max(UNITY, error / size if not is_exact else first_order**2 * areas.shape[0] / power)
             fits.append((q, v, 1.0 if abs(gain - 1.0) <= bias else gain))
     return fits
-
-
-def _areas(course: Course, table: Array) -> tuple[Array, Array, Array]:
-    """Return increments of all outputs, their trapezoidal integrals, and the error of Euler's method for each step."""
-    h = np.diff(course.time[: len(table)])[:, None]
-    return np.diff(table, axis=0), 0.5 * h * (table[1:] + table[:-1]), 0.5 * h * np.diff(table, axis=0)
-
-
-def _summed(values: Array) -> Array:
-    """Return sums over spans of rows."""
-    spans = len(values) // SPAN
-    return np.asarray(values[: spans * SPAN].reshape(spans, SPAN, values.shape[1]).sum(axis=1))
 
 
 def _rms(values: Array) -> float:
@@ -200,8 +183,7 @@ class Responses:
         """Return whether an input (column) changes an output (row) at any time."""
         columns = []
         for name in inputs:
-            row, parted = self._place(STEPS[0], 1)
-            difference, _ = self._response(name, row, STEPS[0], parted)
+            _, _, difference, _ = self._response(name, STEPS[0], 1)
             columns.append((np.abs(difference) > self.noise).any(axis=0))
         return np.column_stack(columns) if columns else no_flags(self._size.size, 0)
 
@@ -239,8 +221,7 @@ class Responses:
         """Return the gain over a part of a step, the median over the places."""
         gains = []
         for share in STEPS:
-            row, course = self._place(share, parts)
-            difference, size = self._response(name, row, share, course)
+            row, course, difference, size = self._response(name, share, parts)
             if len(difference) <= row + 2:
                 continue
             once, twice = difference[row + 1 : row + 3, velocity]
@@ -248,13 +229,13 @@ class Responses:
                 gains.append(float(once) / (size * float(course.time[row + 1] - course.time[row])))
         return float(np.median(gains)) if 2 * len(gains) > len(STEPS) else 0.0
 
-    def _place(self, share: float, parts: int) -> tuple[int, Course]:
-        """Return the row of an input step, and the course with the two steps after it divided into parts."""
-        row = int(share * (self._course.time.size - 3))
-        return row, self._course.parted(row, parts)
+    def _response(self, name: str, share: float, parts: int) -> tuple[int, Course, Array, float]:
+        """Return the row of an input step, the course with the two steps after it divided into parts, and the response.
 
-    def _response(self, name: str, row: int, share: float, course: Course) -> tuple[Array, float]:
-        """Return the differences of all outputs after a step of an input, and its size."""
+        The response is the differences of all outputs, and the size of the input step.
+        """
+        row = int(share * (self._course.time.size - 3))
+        course = self._course.parted(row, parts)
         key = share, course.time.size
         if key not in self._bases:
             self._bases[key], _ = self._prober.call(outputs_along, self._prober.fmu, course)
@@ -268,4 +249,4 @@ class Responses:
         moved = course.with_input(name, np.where(np.arange(course.time.size) < row, held, changed))
         table, _ = self._prober.call(outputs_along, self._prober.fmu, moved)
         rows = min(len(table), len(self._bases[key]))
-        return table[:rows] - self._bases[key][:rows], size
+        return row, course, table[:rows] - self._bases[key][:rows], size

@@ -52,7 +52,7 @@ class Points:
         n, z = x.size, np.concatenate([x, u])
 
         def at(z: Array) -> Array:
-            return safe_rates(block, z[:n], z[n:])
+            return _safe_rates(block, z[:n], z[n:])
 
         value = at(z)
         slopes = np.zeros((value.size, z.size))
@@ -95,10 +95,10 @@ class Points:
         return known[finite], values[finite]
 
 
-def safe_rates(block: DifferentiableFmu, x: Array, u: Array) -> Array:
-    """Return rates and outputs, NaN where the FMU refuses the point."""
+def _safe_rates(block: DifferentiableFmu, x: Array, u: Array, t: float | None = None) -> Array:
+    """Return rates and outputs, at another time if given; NaN where the FMU refuses the point."""
     try:
-        return block.rates(x, u)
+        return block.rates(x if t is None else block.move(t, x, u), u)
     except SimulationError:
         return np.full(block.order + len(scalars(reals(block.description, "output"))), np.nan)
 
@@ -106,21 +106,11 @@ def safe_rates(block: DifferentiableFmu, x: Array, u: Array) -> Array:
 # -- jobs of the worker -----------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class StartPoint:
-    """Values of an FMU after its initialization.
+def start_point(fmu: Fmu, course: Course) -> tuple[Array, Array, dict[int, int]]:
+    """Return states and outputs of the FMU after its initialization, and state → output that equals it.
 
-    Attributes:
-        shown: State → output that equals it, from points displaced about the start.
+    The equalities are those at points displaced about the start.
     """
-
-    states: Array
-    outputs: Array
-    shown: dict[int, int]
-
-
-def start_point(fmu: Fmu, course: Course) -> StartPoint:
-    """Return the values of the FMU after its initialization."""
     block, _ = fmu.opened(course)
     with closing(block):
         block.start()
@@ -130,10 +120,10 @@ def start_point(fmu: Fmu, course: Course) -> StartPoint:
         for _ in range(STARTS):
             z = x + 0.1 * np.where(x == 0.0, 1.0, np.abs(x)) * rng.uniform(-1.0, 1.0, x.size)
             known.append(z)
-            values.append(safe_rates(block, z, u))
+            values.append(_safe_rates(block, z, u))
     table = np.array(values)
     finite = np.isfinite(table).all(axis=1)
-    return StartPoint(x, start, equal_columns(np.array(known)[finite], table[finite][:, x.size :]))
+    return x, start, equal_columns(np.array(known)[finite], table[finite][:, x.size :])
 
 
 def equal_columns(known: Array, values: Array) -> dict[int, int]:
@@ -180,10 +170,4 @@ def reactions(fmu: Fmu, course: Course, places: Sequence[tuple[float, Array, Arr
     with closing(block):
         block.start()
         states, _ = block.current_point()
-        rows = []
-        for t, x, u in places:
-            try:
-                rows.append(block.rates(block.move(t, x, u), u))
-            except SimulationError:
-                rows.append(np.full(block.order + len(fmu.names[2]), np.nan))
-    return states, np.array(rows)
+        return states, np.array([_safe_rates(block, x, u, t) for t, x, u in places])

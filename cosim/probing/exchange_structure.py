@@ -5,20 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations, permutations
-from typing import Any
 
 import numpy as np
 
-from cosim.base.arrays import Array, Flags
+from cosim.base.arrays import Array
 from cosim.base.errors import FmuError, InputError, SimulationError
 from cosim.blocks.derivatives import states_of
-from cosim.probing.damping_trials import dampings
 from cosim.probing.exchange_points import (
     CONSTANT,
     PLACES,
     POINTS,
     Points,
-    StartPoint,
     equal_columns,
     evaluated,
     reactions,
@@ -26,10 +23,10 @@ from cosim.probing.exchange_points import (
     start_point,
 )
 from cosim.probing.fmu_structure import Connection, Pair, Port, ProbedParameter, Structure
+from cosim.probing.force_trials import dampings, with_factors
 from cosim.probing.log_runs import SAME, Course, Run
 from cosim.probing.parameter_trials import tried_parameters
 from cosim.probing.prober import Prober, no_flags, quantities, separate_pairs
-from cosim.probing.ratio_trials import with_factors
 
 RATE_SHARE = 1e-6  # eigenvalue relative to the largest, below which it is zero
 STEADY = 1e-2  # share of a value that displaces an unmoved state or input
@@ -49,10 +46,19 @@ def exchange_structure(prober: Prober, courses: Sequence[Course]) -> Structure:
             FmuError.exit_code,
         )
     names = states, inputs, outputs = prober.fmu.names
-    start: StartPoint = prober.call(start_point, prober.fmu, courses[0])
-    firsts = [_measured_start(course, start.shown, outputs) for course in courses]
-    runs = _simulations(prober, courses, firsts)
-    points, scales = _points(prober, courses, firsts, [run for run in runs if run.time.size], runs)
+    first_states, first_outputs, shown = prober.call(start_point, prober.fmu, courses[0])
+    firsts = []  # the initial states that the first row of each log measures
+    for course in courses:
+        columns = {k: course.outputs.get(outputs[j]) for k, j in shown.items()}
+        firsts.append({k: float(v[0]) for k, v in columns.items() if v is not None and np.isfinite(v[0])})
+    runs: list[Run] = [
+        prober.call(simulated, prober.fmu, course, first) for course, first in zip(courses, firsts, strict=True)
+    ]
+    if not any(run.time.size for run in runs):
+        raise runs[0].stop or SimulationError(
+            prober.fmu.name, float(courses[0].time[0]), "the log has too few rows to probe the FMU; give a longer one"
+        )
+    points, scales = _points(prober, courses, firsts, runs)
     known, table = points.known_table
     n = len(states)
     found = equal_columns(known[:, :n], table[:, n:])
@@ -62,23 +68,28 @@ def exchange_structure(prober: Prober, courses: Sequence[Course]) -> Structure:
     parameters = _parameters(prober, courses[0], firsts[0], points, has_events)
     is_single = bool(getattr(prober.description.modelExchange, "canBeInstantiatedOnlyOncePerProcess", False))
     braking = dampings(prober, courses[0], points, pairs, parameters)
-    largest, slowest = _rates([s[:n, :n] for s in points.slopes])
+    # states in no pair with a rate that an input or another state changes
+    paired = {name for pair in pairs for name in (pair.position, pair.velocity)}
+    storages = [name for k, name in enumerate(states) if name not in paired and np.delete(depends[k], k).any()]
+    matrices = [s[:n, :n] for s in points.slopes if n and np.isfinite(s[:n, :n]).all()]
+    sizes = np.abs(np.concatenate([np.linalg.eigvals(m) for m in matrices])) if matrices else np.zeros(1)
+    largest = float(sizes.max())
     return Structure(
         fmu=prober.path,
         way="model-exchange",
-        states=quantities(prober.description, states, start.states),
+        states=quantities(prober.description, states, first_states),
         inputs=quantities(prober.description, inputs),
-        outputs=quantities(prober.description, outputs, start.outputs),
+        outputs=quantities(prober.description, outputs, first_outputs),
         state_in_rate=depends[:n, :n],
         input_in_rate=depends[:n, n:],
         state_in_output=depends[n:, :n],
         input_in_output=depends[n:, n:],
         pairs=pairs,
         connections=with_factors(prober, courses[0], points, [*_connections(states, pairs, points, runs)], parameters),
-        storages=_storages(states, pairs, depends),
+        storages=tuple(storages),
         shown={states[k]: outputs[j] for k, j in found.items()},
         largest_rate=largest,
-        slowest=slowest,
+        slowest=float(sizes[sizes >= RATE_SHARE * largest].min()),
         scales=scales,
         step=min(course.step for course in courses),
         events=tuple(run.events for run in runs),
@@ -88,34 +99,21 @@ def exchange_structure(prober: Prober, courses: Sequence[Course]) -> Structure:
     )
 
 
-def _simulations(prober: Prober, courses: Sequence[Course], firsts: Sequence[Mapping[int, float]]) -> list[Run]:
-    """Return the simulations along all courses; raise SimulationError if none has a row."""
-    runs: list[Run] = [
-        prober.call(simulated, prober.fmu, course, first) for course, first in zip(courses, firsts, strict=True)
-    ]
-    if not any(run.time.size for run in runs):
-        raise runs[0].stop or SimulationError(
-            prober.fmu.name, float(courses[0].time[0]), "the log has too few rows to probe the FMU; give a longer one"
-        )
-    return runs
-
-
-def _measured_start(course: Course, shown: Mapping[int, int], outputs: Sequence[str]) -> dict[int, float]:
-    """Return the initial states that the first row of a log measures."""
-    measured = {k: course.outputs.get(outputs[j]) for k, j in shown.items()}
-    return {k: float(v[0]) for k, v in measured.items() if v is not None and np.isfinite(v[0])}
-
-
 def _points(
-    prober: Prober, courses: Sequence[Course], firsts: Sequence[Mapping[int, float]], good: Sequence[Run], runs: Any
+    prober: Prober, courses: Sequence[Course], firsts: Sequence[Mapping[int, float]], runs: Sequence[Run]
 ) -> tuple[Points, dict[str, float]]:
     """Return evaluations about points of all simulations, and the spread of each signal."""
     states, inputs, outputs = prober.fmu.names
+    good = [run for run in runs if run.time.size]
     known = np.concatenate([np.hstack([run.states, run.inputs]) for run in good])
     values = np.concatenate([run.values for run in good])
     spread, spreads = known.std(axis=0), values.std(axis=0)
     largest = np.abs(known).max(axis=0)
-    nominal = np.array([_nominal(prober.description, name) for name in (*states, *inputs)])
+    sizes = {
+        v.name: getattr(v, "nominal", None) or getattr(v.declaredType, "nominal", None)
+        for v in reversed(prober.description.modelVariables)
+    }
+    nominal = np.array([abs(float(sizes.get(name) or 1.0)) for name in (*states, *inputs)])
     unmoved = np.where(largest > 0.0, STEADY * largest, nominal)
     scale = np.where(spread > SAME * largest, spread, unmoved)
     size = np.maximum(np.abs(values).max(axis=0), SAME)
@@ -133,22 +131,6 @@ def _points(
     rates = [f"der({name})" for name in states]
     columns = (*states, *inputs, *rates, *outputs)
     return points, dict(zip(columns, map(float, (*spread, *spreads)), strict=True))
-
-
-def _storages(states: Sequence[str], pairs: Sequence[Pair], depends: Flags) -> tuple[str, ...]:
-    """Return the states in no pair with a rate that an input or another state changes."""
-    paired = {name for pair in pairs for name in (pair.position, pair.velocity)}
-    fed = [np.delete(depends[k], k).any() for k in range(len(states))]
-    return tuple(name for name, is_fed in zip(states, fed, strict=True) if is_fed and name not in paired)
-
-
-def _nominal(description: Any, name: str) -> float:
-    """Return a variable's nominal value, 1 without one."""
-    for variable in description.modelVariables:
-        if variable.name == name:
-            own = getattr(variable, "nominal", None) or getattr(variable.declaredType, "nominal", None)
-            return abs(float(own or 1.0))
-    return 1.0
 
 
 def _pairs(names: Sequence[Sequence[str]], known: Array, table: Array, points: Points) -> tuple[Pair, ...]:
@@ -205,16 +187,6 @@ def _constant_ratio(*ends: tuple[Array, Array]) -> float | None:
     return float(np.median(ratios[0]))
 
 
-def _rates(matrices: Sequence[Array]) -> tuple[float, float]:
-    """Return the largest and the smallest magnitude of eigenvalues that are not zero to rounding."""
-    finite = [m for m in matrices if m.size and np.isfinite(m).all()]
-    if not finite:
-        return 0.0, 0.0
-    sizes = np.abs(np.concatenate([np.linalg.eigvals(m) for m in finite]))
-    largest = float(sizes.max())
-    return largest, float(sizes[sizes >= RATE_SHARE * largest].min())
-
-
 def _parameters(
     prober: Prober, course: Course, first: Mapping[int, float], points: Points, has_events: bool
 ) -> tuple[ProbedParameter, ...]:
@@ -224,16 +196,14 @@ def _parameters(
     if not has_events:
         return tried
     base: Run = prober.call(simulated, prober.fmu, course, first)
-    return tuple(p if p.acts or p.starts else _tried_in_events(prober, course, first, base, p) for p in tried)
-
-
-def _tried_in_events(
-    prober: Prober, course: Course, first: Mapping[int, float], base: Run, parameter: ProbedParameter
-) -> ProbedParameter:
-    """Return a parameter that changes no rate, with what it changes along a simulation with events."""
-    try:
-        run: Run = prober.call(simulated, prober.with_values({parameter.name: parameter.tried}), course, first)
-    except SimulationError as error:
-        return replace(parameter, failure=str(error))
-    same = run.values.shape == base.values.shape and np.allclose(run.values, base.values, rtol=SAME, atol=0.0)
-    return replace(parameter, acts=not same)
+    found = []
+    for p in tried:
+        if not (p.acts or p.starts):  # along a simulation with events, it may change more
+            try:
+                run: Run = prober.call(simulated, prober.with_values({p.name: p.tried}), course, first)
+                same = run.values.shape == base.values.shape and np.allclose(run.values, base.values, SAME, 0.0)
+                p = replace(p, acts=not same)
+            except SimulationError as error:
+                p = replace(p, failure=str(error))
+        found.append(p)
+    return tuple(found)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -187,14 +187,14 @@ def bound_row(block: FmuBlock, course: Course, place: Path) -> Any:
     row = (ctypes.c_double * max(1, len(block.inputs) + len(block.outputs)))()
     exact = len(block.exact_inputs) + len(block.exact_outputs)
     block.bind(row, 0, [None] * exact, 0)
-    block.load_and_begin(float(course.time[0]), float(course.time[-1]) + course.step, loaded=_name_reading)
+
+    def name_reading() -> None:
+        """Announce the reading of outputs, which follows the calls of the initialization; loading has its own limit."""
+        here.progress.doing[0] = GET
+
+    block.load_and_begin(float(course.time[0]), float(course.time[-1]) + course.step, loaded=name_reading)
     put_row(block, row, course, 0)
     return row
-
-
-def _name_reading() -> None:
-    """Announce the reading of outputs, which follows the calls of the initialization; loading has its own limit."""
-    here.progress.doing[0] = GET
 
 
 def put_row(block: FmuBlock, row: Any, course: Course, k: int) -> None:
@@ -244,7 +244,11 @@ def simulate(
     stop: SimulationError | None = None
     try:
         block.start()
-        _set_states(block, float(course.time[0]), first)
+        if first:
+            x, u = block.current_point()
+            x[[*first]] = [*first.values()]
+            block.move(float(course.time[0]), x, u)
+            block.restart_solver(float(course.time[0]))
         for k, t in enumerate(course.time.tolist()):
             put_row(block, row, course, k)
             x, u = block.current_point()
@@ -262,21 +266,9 @@ def simulate(
         stop = error
     counts, made = block.event_counts, len(inputs)
     events = EventCount(course.name, counts["state"], counts["time"], counts["step"])
-    return Run(course.time[:made], _table(states), _table(inputs), _table(values[:made]), events, stop)
-
-
-def _table(rows: Sequence[Array]) -> Array:
-    return np.array(rows, float).reshape(len(rows), -1) if rows else np.zeros((0, 0))
-
-
-def _set_states(block: DifferentiableFmu, t: float, first: Mapping[int, float]) -> None:
-    """Replace initial states."""
-    if first:
-        x, u = block.current_point()
-        for number, value in first.items():
-            x[number] = value
-        block.move(t, x, u)
-        block.restart_solver(t)
+    parts = (np.array(rows, float).reshape(made, -1 if made else 0) for rows in (states, inputs, values[:made]))
+    known, acting, found = parts
+    return Run(course.time[:made], known, acting, found, events, stop)
 
 
 def run_along(block: FmuBlock, row: Any, course: Course) -> tuple[Array, SimulationError | None]:

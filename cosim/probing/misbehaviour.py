@@ -6,7 +6,7 @@ import ctypes
 import os
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +14,11 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import FmuError, SimulationError
-from cosim.base.scratch import temporary_folder
 from cosim.blocks.description import Way, library_of, ways
 from cosim.isolation.memory import resident
-from cosim.isolation.process import Worker
 from cosim.probing.log_runs import SAME, Course, Fmu, begin, outputs_by, put_row, run_along, sine_course, step_row
 from cosim.probing.own_step import excited_course
-from cosim.probing.prober import LIMITS, MODULES, Prober
-from cosim.storage.archive import unpack
+from cosim.probing.prober import Prober
 
 WARM, INSTANCES = 2, 6  # instances before and during the measurement of memory
 LEAK = 1e6  # growth per instance that is no waste of the allocator [bytes]
@@ -30,14 +27,10 @@ NOISE = 5.0  # difference relative to that of equal simulations, from which it i
 
 def misbehaviour(fmu: Path) -> Iterator[str]:
     """Yield a sentence on each misbehaviour of an FMU along small sines; nothing of one that fails at its start."""
-    path = fmu.resolve()
-    with ExitStack() as stack:
-        place = stack.enter_context(temporary_folder("check"))
-        prober = Prober(path, {}, stack.enter_context(Worker(*MODULES)), place, LIMITS)
+    with Prober(fmu) as prober:
         way, *_ = ways(prober.description)
         if prober.description.fmiVersion.startswith("1"):
             return
-        unpack(path, place)
         course = excited_course(prober, sine_course(prober.description, {}))
         start = time.monotonic()
         try:
@@ -58,7 +51,7 @@ def misbehaviour(fmu: Path) -> Iterator[str]:
         noise = np.zeros(first.shape[1]) if isinstance(again, Exception) else _gaps(first, again)
         yield from _on_difference("a second simulation", first, again)
         yield from _on_difference(
-            "a simulation in another working directory", first, tried(outputs_in, str(place)), noise
+            "a simulation in another working directory", first, tried(outputs_in, str(prober.place)), noise
         )
         yield from _on_difference("a simulation after a reset", first, tried(outputs_after_reset), noise)
         part = prober.description.coSimulation

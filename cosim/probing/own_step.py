@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -14,15 +13,12 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import FmuError, SimulationError
-from cosim.base.scratch import temporary_folder
 from cosim.blocks.derivatives import reals
 from cosim.blocks.description import state_names, ways
 from cosim.isolation.limits import Limits
-from cosim.isolation.process import Worker
 from cosim.logs.log import Log
 from cosim.probing.log_runs import SAME, Course, amplitude_of, limits_of, moved_within, outputs_by, sine_course
-from cosim.probing.prober import LIMITS, MODULES, Prober
-from cosim.storage.archive import unpack
+from cosim.probing.prober import LIMITS, Prober
 
 ROWS = 60  # rows of a simulation
 DOUBLINGS = 6  # of the step, in the search for an own step
@@ -72,13 +68,9 @@ def probe_own_step(
         FmuError: The FMU is invalid or does not load.
         SimulationError: The FMU fails, crashes or hangs at its start with its own parameters.
     """
-    path = Path(fmu).resolve()
-    with ExitStack() as stack:
-        place = stack.enter_context(temporary_folder("probe"))
-        prober = Prober(path, values, stack.enter_context(Worker(*MODULES)), place, limits)
+    with Prober(fmu, values, limits) as prober:
         if "co-simulation" not in ways(prober.description):
             return None
-        unpack(path, place)
         course = excited_course(prober, Course.of(logs[0]) if logs else sine_course(prober.description, values))
         states = frozenset(state_names(prober.description)) - {v.name for v in reals(prober.description, "output")}
         begin = time.monotonic()
@@ -92,9 +84,8 @@ def probe_own_step(
         def steps(step: float, count: int) -> Array:
             """Return the outputs after each of `count` steps with the first inputs held."""
             times = np.asarray(course.time[0] + step * np.arange(count + 1), np.float64)
-            held = Course(
-                course.name, times, {n: np.repeat(v[:1], count + 1) for n, v in course.inputs.items()}, {}, step
-            )
+            inputs = {n: np.repeat(v[:1], count + 1) for n, v in course.inputs.items()}
+            held = Course(course.name, times, inputs, {}, step)
             result: Array = prober.call(outputs_by, "co-simulation", prober.fmu, held, states, limits=quick)[0]
             return result
 

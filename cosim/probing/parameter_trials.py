@@ -1,10 +1,9 @@
-"""Trials of the parameters that may be set before initialization: which of them act."""
+"""Trials of the parameters and start values that may be set before initialization: which of them act."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Container
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,25 +11,13 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import SimulationError
 from cosim.blocks.derivatives import REALS
-from cosim.probing.fmu_structure import ProbedParameter
-from cosim.probing.log_runs import SAME, Fmu
-from cosim.probing.prober import Prober, quantities
+from cosim.probing.fmu_structure import ProbedParameter, StartValue
+from cosim.probing.log_runs import SAME, Course, Fmu
+from cosim.probing.prober import Job, Prober, quantities
 from cosim.scenario.start_values import settable
 
-
-@dataclass(frozen=True, eq=False)
-class Reference:
-    """Reaction of the FMU with its own parameters, against which others are compared.
-
-    Attributes:
-        start, table: Reaction of the FMU: states after initialization, rates with outputs.
-        state_noise, noise: Differences of equal numbers, by rounding or by chance.
-    """
-
-    start: Array
-    table: Array
-    state_noise: Array
-    noise: Array
+START_STEP = 1e-2  # displacement of a start value, as a share of its size or nominal value
+MOST_STARTS = 40  # start values tried
 
 
 def settable_parameters(description: Any) -> list[Any]:
@@ -38,13 +25,12 @@ def settable_parameters(description: Any) -> list[Any]:
     return [
         v
         for v in description.modelVariables
-        if v.causality == "parameter"
-        and v.variability in {"fixed", "tunable"}
-        and v.type in REALS
-        and not v.shape
-        and v.start is not None
-        and settable(v)
+        if v.causality == "parameter" and v.variability in {"fixed", "tunable"} and _is_settable_real(v)
     ]
+
+
+def _is_settable_real(v: Any) -> bool:
+    return v.type in REALS and not v.shape and v.start is not None and settable(v)
 
 
 def tried_parameters(
@@ -65,40 +51,79 @@ def tried_parameters(
     again, repeated = react(prober.fmu)
     took = time.monotonic() - begin
     rows = min(len(table), len(repeated))
-    noise = np.nan_to_num(np.abs(table[:rows] - repeated[:rows])).max(axis=0, initial=0.0)
-    reference = Reference(
-        start, table, 10.0 * np.abs(again - start) + SAME * np.maximum(np.abs(start), SAME), SAME * size + 10.0 * noise
-    )
+    # differences of equal numbers, by rounding or by chance
+    apart = np.nan_to_num(np.abs(table[:rows] - repeated[:rows])).max(axis=0, initial=0.0)
+    noise = SAME * size + 10.0 * apart
+    state_noise = 10.0 * np.abs(again - start) + SAME * np.maximum(np.abs(start), SAME)
+    found = []
     with prober.hurry(took):
-        return tuple(_tried(prober, variable, react, reference) for variable in parameters)
+        for variable in parameters:
+            (quantity,) = quantities(prober.description, [variable.name])
+            value = float(prober.values.get(variable.name, variable.start))
+            acts = starts = False
+            failure, tried = "", value
+            for tried in _trial_values(value, quantity.bounds):
+                try:
+                    state, reaction = react(prober.with_values({variable.name: tried}))
+                except SimulationError as error:
+                    failure = failure or str(error)
+                    continue
+                rows = min(len(reaction), len(table))
+                differs = np.abs(reaction[:rows] - table[:rows]) > noise
+                refused = np.isnan(reaction[:rows]) & ~np.isnan(table[:rows])
+                acts = acts or bool((differs | refused).any()) or len(reaction) != len(table)
+                starts = starts or bool((np.abs(state - start) > state_noise).any())
+                if acts or starts:
+                    break
+            found.append(ProbedParameter(quantity, acts, starts, tried, failure))
+    return tuple(found)
 
 
-def _tried(prober: Prober, variable: Any, react: Any, reference: Reference) -> ProbedParameter:
-    (quantity,) = quantities(prober.description, [variable.name])
-    value = float(prober.values.get(variable.name, variable.start))
-    acts = starts = False
-    failure, tried = "", value
-    for tried in trial_values(value, quantity.bounds):
-        try:
-            start, table = react(prober.with_values({variable.name: tried}))
-        except SimulationError as error:
-            failure = failure or str(error)
-            continue
-        rows = min(len(table), len(reference.table))
-        differs = np.abs(table[:rows] - reference.table[:rows]) > reference.noise
-        refused = np.isnan(table[:rows]) & ~np.isnan(reference.table[:rows])
-        acts = acts or bool((differs | refused).any()) or len(table) != len(reference.table)
-        starts = starts or bool((np.abs(start - reference.start) > reference.state_noise).any())
-        if acts or starts:
-            break
-    return ProbedParameter(quantity, acts, starts, tried, failure)
-
-
-def trial_values(value: float, bounds: tuple[float, float]) -> list[float]:
+def _trial_values(value: float, bounds: tuple[float, float]) -> list[float]:
     """Return values to try instead of a parameter's value, the nearest first."""
-    wanted = [1.1 * value, 0.9 * value, 2.0 * value, 0.5 * value] if value else [0.1, 1.0, -0.1, -1.0]
-    inside = [v for v in wanted if bounds[0] <= v <= bounds[1]]
     low, high = bounds
+    wanted = [1.1 * value, 0.9 * value, 2.0 * value, 0.5 * value] if value else [0.1, 1.0, -0.1, -1.0]
+    inside = [v for v in wanted if low <= v <= high]
     if not inside and np.isfinite([low, high]).all() and low < high:
         inside = [low + share * (high - low) for share in (0.1, 0.9)]
     return inside
+
+
+def start_values(prober: Prober, simulate: Job, course: Course, base: Array, noise: Array) -> tuple[StartValue, ...]:
+    """Return the start values of states of an FMU for co-simulation that change an output: its unknown start states.
+
+    Parameters are not tried: those of a start are a matter of names.
+
+    Args:
+        simulate: Function of FMU and course, in the worker, that returns the outputs and an error.
+        base: Outputs along the course with the FMU's own start values.
+        noise: Differences of equal outputs.
+    """
+    found = []
+    spread = np.maximum(base.std(axis=0), 10.0 * noise)
+    used = {"input", "parameter", "calculatedParameter", "structuralParameter", "independent"}
+    states = [
+        v
+        for v in prober.description.modelVariables
+        if v.causality not in used and v.variability in {None, "continuous"} and _is_settable_real(v)
+    ]
+    for variable in states[:MOST_STARTS]:
+        (quantity,) = quantities(prober.description, [variable.name])
+        nominal, value = float(getattr(variable, "nominal", None) or 0.0), quantity.start
+        size = START_STEP * (abs(value) or abs(nominal) or 1.0)
+        moved = value + size if value + size <= quantity.bounds[1] else value - size
+        try:
+            table, _ = prober.call(simulate, prober.with_values({variable.name: moved}), course)
+        except SimulationError:
+            continue
+        rows = min(len(table), len(base))
+        change, by = table[:rows] - base[:rows], moved - value
+        if not rows or not (np.abs(change) > noise).any():
+            continue
+        reach = float((np.abs(change) / spread).max()) / abs(by)
+        # the output that alone shows it after initialization
+        slopes = change[0] / by
+        shown = np.flatnonzero(np.abs(slopes) > noise / abs(by))
+        output = (int(shown[0]), float(slopes[shown[0]])) if len(shown) == 1 else (-1, 0.0)
+        found.append(StartValue(quantity, 1.0 / reach, *output))
+    return tuple(found)

@@ -13,10 +13,12 @@ from cosim.blocks.description import Way, read_description, ways
 from cosim.isolation.limits import Limits
 from cosim.logs.log import Log
 from cosim.model.quantities import Quantity
+from cosim.probing.co_simulation import co_simulation_structure
+from cosim.probing.exchange_structure import exchange_structure
 from cosim.probing.fmu_structure import Structure
+from cosim.probing.log_runs import Course, sine_course
 from cosim.probing.own_step import OwnStep, probe_own_step
-from cosim.probing.probe_structure import probe_structure
-from cosim.probing.prober import LIMITS
+from cosim.probing.prober import LIMITS, Prober
 
 FASTEST = 20.0  # largest product of step and eigenvalue of a filter over the states
 
@@ -40,40 +42,34 @@ class Places:
     def findings(self) -> tuple[str, ...]:
         """Return sentences on a step of its own, on failures, and on dampings that could not be tried."""
         stops = [f"{stop}; the structure is that before it" for stop in self.structure.stops]
-        apart = [d for d in self.structure.directions if not d.in_step]
         lost = [
-            (
-                f"{d.parameter} brakes {d.pair.velocity} and would tell how forces there change other rates, but a "
-                "second instance cannot be kept in step: events occur, or a process holds one instance only; forces "
-                f"at {d.pair.velocity} act through an input, or on its rate alone"
-            )
-            for d in apart
+            f"{d.parameter} brakes {d.pair.velocity} and would tell how forces there change other rates, but a second "
+            "instance cannot be kept in step: events occur, or a process holds one instance only; forces at "
+            f"{d.pair.velocity} act through an input, or on its rate alone"
+            for d in self.structure.directions
+            if not d.in_step
         ]
         return (*([self.own_step.finding] if self.own_step else []), *lost, *stops)
 
     def as_json(self) -> dict[str, Any]:
         """Return the places as plain data."""
         s = self.structure
+        shows = {shown: state for state, shown in reversed([*s.shown.items()])}
+
+        def entry(q: Quantity, **more: Any) -> dict[str, Any]:
+            return {"name": q.name, "unit": q.unit, "start": q.start, **more}
+
         return {
             "way": self.way,
             "reason": self.reason,
             "pairs": [asdict(pair) for pair in s.pairs],
             "connections": [asdict(connection) for connection in s.connections],
             "dampings": [asdict(damping) for damping in s.dampings],
-            "storages": [_entry(s.states or s.outputs, name) for name in s.storages],
+            "storages": [entry(next(q for q in s.states or s.outputs if q.name == name)) for name in s.storages],
             "feeds": {name: asdict(port) for name, port in s.feeds.items()},
-            "sensors": [
-                {
-                    **_entry(s.outputs, q.name),
-                    "shows": next((state for state, shown in s.shown.items() if shown == q.name), ""),
-                }
-                for q in s.outputs
-            ],
-            "inputs": [_entry(s.inputs, q.name) for q in s.inputs],
-            "parameters": [
-                {**_entry([p.quantity], p.name), "acts": p.acts, "starts": p.starts, "failure": p.failure}
-                for p in s.parameters
-            ],
+            "sensors": [entry(q, shows=shows.get(q.name, "")) for q in s.outputs],
+            "inputs": [entry(q) for q in s.inputs],
+            "parameters": [entry(p.quantity, acts=p.acts, starts=p.starts, failure=p.failure) for p in s.parameters],
             "largest_rate": s.largest_rate,
             "step": s.step,
             "events": [asdict(count) for count in s.events],
@@ -82,9 +78,35 @@ class Places:
         }
 
 
-def _entry(quantities: Sequence[Quantity], name: str) -> dict[str, Any]:
-    quantity = next(q for q in quantities if q.name == name)
-    return {"name": name, "unit": quantity.unit, "start": quantity.start}
+def probe_structure(
+    fmu: Path,
+    logs: Sequence[Log] = (),
+    values: Mapping[str, float] = MappingProxyType({}),
+    *,
+    way: Way | None = None,
+    limits: Limits = LIMITS,
+) -> Structure:
+    """Return the structure of a binary, from simulations along logs, or along small sines without logs.
+
+    Args:
+        values: Start values by name.
+        way: Interface to probe; None prefers model exchange.
+        limits: Limits of each simulation.
+
+    Raises:
+        InputError: The FMU lacks the interface.
+        FmuError: The FMU is invalid or does not load.
+        SimulationError: The FMU fails, crashes or hangs at its start.
+    """
+    with Prober(fmu, values, limits) as prober:
+        offered = ways(prober.description)
+        chosen = way or ("model-exchange" if "model-exchange" in offered else "co-simulation")
+        if chosen not in offered:
+            raise InputError.at(prober.path, f"has no usable interface for {chosen}; it offers {', '.join(offered)}")
+        courses = [Course.of(log) for log in logs] or [sine_course(prober.description, values)]
+        if chosen == "co-simulation":
+            return co_simulation_structure(prober, courses)
+        return exchange_structure(prober, courses)
 
 
 def probe_places(
@@ -107,20 +129,19 @@ def probe_places(
     """
     offered = ways(read_description(fmu))
     own_step = probe_own_step(fmu, logs, values, limits=limits)
-    if "model-exchange" not in offered:
-        structure = probe_structure(fmu, logs, values, limits=limits)
-        return Places("co-simulation", "it has no model exchange", structure, own_step)
-    try:
-        exchange = probe_structure(fmu, logs, values, way="model-exchange", limits=limits)
-    except (InputError, FmuError, SimulationError) as error:
-        if "co-simulation" not in offered:
-            raise
-        structure = probe_structure(fmu, logs, values, way="co-simulation", limits=limits)
-        return Places("co-simulation", f"its model exchange fails: {error!s}", structure, own_step)
-    way, reason = choose_way(exchange, own_step, offered)
-    if way == "co-simulation":
-        exchange = probe_structure(fmu, logs, values, way=way, limits=limits)
-    return Places(way, reason, exchange, own_step)
+    way: Way = "co-simulation"
+    reason, structure = "it has no model exchange", None
+    if "model-exchange" in offered:
+        try:
+            structure = probe_structure(fmu, logs, values, way="model-exchange", limits=limits)
+            way, reason = choose_way(structure, own_step, offered)
+        except (InputError, FmuError, SimulationError) as error:
+            if "co-simulation" not in offered:
+                raise
+            way, reason = "co-simulation", f"its model exchange fails: {error!s}"
+    if structure is None or way == "co-simulation":
+        structure = probe_structure(fmu, logs, values, way=way, limits=limits)
+    return Places(way, reason, structure, own_step)
 
 
 def choose_way(exchange: Structure, own_step: OwnStep | None, offered: Sequence[Way]) -> tuple[Way, str]:

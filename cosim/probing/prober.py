@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any
+from types import MappingProxyType
+from typing import Any, Self
 
 import numpy as np
 
 from cosim.base.arrays import Array, Flags
 from cosim.base.errors import Fault, refuse
+from cosim.base.scratch import temporary_folder
 from cosim.blocks.compiling import permission, with_permission
 from cosim.blocks.description import read_description, unit_of
 from cosim.blocks.fmi_types import element_names
@@ -19,6 +21,7 @@ from cosim.isolation.process import Worker
 from cosim.isolation.watch import Watch, fmi_calls
 from cosim.model.quantities import Quantity
 from cosim.probing.log_runs import Fmu, limits_of
+from cosim.storage.archive import unpack
 from cosim.storage.yaml_file import did_you_mean
 
 Job = Callable[..., Any]
@@ -29,20 +32,29 @@ USUAL_STEP, USUAL_LOAD = 5.0, 10.0  # least time limits of a trial [s]
 SLOW = 30.0  # time limit of a trial as a multiple of the time of an ordinary simulation
 
 
-class Prober:
-    """An unpacked FMU with a worker process that makes its simulations.
+class Prober(ExitStack):
+    """An FMU with a worker process that makes its simulations, as a context that unpacks it.
 
     Args:
         values: Start values of every instance.
         limits: Limits of every job.
     """
 
-    def __init__(self, path: Path, values: Mapping[str, Any], worker: Worker, place: Path, limits: Limits) -> None:
-        self.path, self.description = path, read_description(path)
-        self.values, self._worker, self._limits, self.place = dict(values), worker, limits, place
+    def __init__(self, fmu: Path, values: Mapping[str, Any] = MappingProxyType({}), limits: Limits = LIMITS) -> None:
+        super().__init__()
+        self.path = path = Path(fmu).resolve()
+        self.description, self.values, self._limits = read_description(path), dict(values), limits
         variables = {v.name for v in self.description.modelVariables}
         unknown = [f'has no variable "{n}"{did_you_mean(n, variables)}' for n in values if n not in variables]
         refuse(Fault(path, 0, 0, message) for message in unknown)
+
+    def __enter__(self) -> Self:
+        with ExitStack() as stack:
+            self.place = stack.enter_context(temporary_folder("probe"))
+            self._worker = stack.enter_context(Worker(*MODULES))
+            unpack(self.path, self.place)
+            self.enter_context(stack.pop_all())
+        return self
 
     def with_values(self, values: Mapping[str, Any]) -> Fmu:
         """Return the FMU with further start values."""
@@ -64,10 +76,9 @@ class Prober:
 
     def hurried(self, took: float) -> Limits:
         """Return the limits of a trial that may hang, from the time [s] that an ordinary simulation took."""
-        step = max(USUAL_STEP, SLOW * took)
-        load = max(USUAL_LOAD, SLOW * took)
-        most = self._limits.step or step, self._limits.load or load
-        return self._limits.model_copy(update={"step": min(step, most[0]), "load": min(load, most[1])})
+        step, load = max(USUAL_STEP, SLOW * took), max(USUAL_LOAD, SLOW * took)
+        most = {"step": min(step, self._limits.step or step), "load": min(load, self._limits.load or load)}
+        return self._limits.model_copy(update=most)
 
     def call(self, job: Job, *arguments: Any, limits: Limits | None = None) -> Any:
         """Return the result of a job in the worker."""
@@ -102,16 +113,15 @@ def quantities(
     made = []
     for k, name in enumerate(names):
         variable = variables[name]
-        start = _start(variable, name) if starts is None else float(starts[k])
+        if starts is None:
+            given = variable.start
+            values = given if isinstance(given, (list, tuple)) else str(given or "0").split()
+            start = float(values[element_names(variable).index(name) if len(values) > 1 else 0])
+        else:
+            start = float(starts[k])
         text = " ".join((variable.description or "").split())
         made.append(Quantity(name, unit_of(variable), text, start, limits_of(variable)))
     return tuple(made)
-
-
-def _start(variable: Any, name: str) -> float:
-    """Return the start value in the description of a variable or of its element, 0 without one."""
-    values = str(variable.start or "0").split() if not isinstance(variable.start, (list, tuple)) else variable.start
-    return float(values[element_names(variable).index(name) if len(values) > 1 else 0])
 
 
 def no_flags(rows: int, columns: int) -> Flags:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from cosim.base.text import plain, size
 from cosim.logs.channel_noise import least_noise_level
@@ -36,52 +37,30 @@ class ChannelSummary:
 
     Attributes:
         horizon: Horizon of the windows [s].
+        measure: Horizon that decides the verdict [s]: that of the windows if available, else FREE_RUN.
         noise: Standard deviation of the measurement noise.
         floor: Noise floor over the horizon, or over the free run without windows.
         scores: Horizon → score.
         whiteness, inputs: Statistics of the residual over the shortest horizon.
+        lost: Restarts without noise miss by more than the noise floor, due to a state without output.
+        excess: RMSE relative to the noise floor; NaN without a valid floor.
+        is_matched: The error is not above that of noise or rounding.
+        is_explained: The error is matched, and follows no input.
     """
 
     name: str
     unit: str
     horizon: float
+    measure: float
     noise: float
     floor: ChannelFloor
     scores: Mapping[float, Score]
     whiteness: Whiteness
     inputs: tuple[InputCorrelation, ...]
-
-    @property
-    def measure(self) -> float:
-        """Return the horizon that decides the verdict [s]: that of the windows if available, else FREE_RUN."""
-        return self.horizon if self.horizon in self.scores else FREE_RUN
-
-    @property
-    def lost(self) -> bool:
-        """Return True if restarts without noise miss by more than the noise floor, due to a state without output."""
-        return self.floor.astray > self.floor.rmse
-
-    @property
-    def excess(self) -> float:
-        """Return the RMSE relative to the noise floor; NaN without a valid floor."""
-        floor = self.floor.rmse
-        return self.scores[self.measure].rmse / floor if not self.lost and floor > 0.0 else math.nan
-
-    @property
-    def exact(self) -> bool:
-        """Return True if the error is at rounding level, or if nothing can be compared."""
-        score = self.scores[self.measure]
-        return score.rows == 0 or score.rmse == 0.0 or score.fit > 100.0 * (1.0 - EXACT)
-
-    @property
-    def is_matched(self) -> bool:
-        """Return True if the error is not above that of noise or rounding."""
-        return not self.lost and (self.exact or self.excess < self.floor.limit)
-
-    @property
-    def is_explained(self) -> bool:
-        """Return True if the error is not above noise or rounding, and follows no input."""
-        return self.is_matched and (self.exact or not any(u.strength > FOLLOWS for u in self.inputs[:1]))
+    lost: bool
+    excess: float
+    is_matched: bool
+    is_explained: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,16 +72,6 @@ class Comparison:
     replays: Mapping[float, Replay]
     channels: tuple[ChannelSummary, ...]
     findings: tuple[Finding, ...]
-
-    @property
-    def measure(self) -> float:
-        """Return the horizon that decides the verdict [s]: the last of `horizons`."""
-        return horizons(self.log)[-1]
-
-    @property
-    def basis(self) -> float:
-        """Return the shortest horizon, whose residual is tested."""
-        return min(self.replays)
 
 
 def compare(drive: Drive, free: Replay, findings: Sequence[Finding] = ()) -> Comparison:
@@ -123,24 +92,25 @@ def compare(drive: Drive, free: Replay, findings: Sequence[Finding] = ()) -> Com
             replays[horizon] = windowed
     floor = floors(drive, parameters, free, replays.get(measure, free))
     channels = tuple(_summary(log, replays, name, measure, floor[name]) for name in log.outputs)
-    everything = sorted((*findings, *against, *_hidden_states(channels)), key=lambda f: ORDER.index(f.severity))
+    hidden = [
+        Finding(
+            "warning",
+            "hidden_state",
+            c.name,
+            f"is missed by {size(c.floor.astray, c.unit)} over {plain(c.horizon)}\u00a0s where the FMU is restarted "
+            "from its own outputs: it keeps a state that no output shows, and only the free run measures it",
+            {"rmse": c.floor.astray, "noise": c.floor.rmse},
+        )
+        for c in channels
+        if c.lost
+    ]
+    everything = sorted((*findings, *against, *hidden), key=lambda f: ORDER.index(f.severity))
     return Comparison(log, drive, replays, channels, tuple(everything))
 
 
 def steps_of(log: Log) -> int:
     """Return the approximate number of steps of a comparison."""
     return log.rows * (1 + len(HORIZONS) + 1 + draws(log, horizons(log)[-1]))
-
-
-def _hidden_states(channels: Sequence[ChannelSummary]) -> Iterator[Finding]:
-    for c in channels:
-        if c.lost:
-            message = (
-                f"is missed by {size(c.floor.astray, c.unit)} over {plain(c.horizon)} s where the FMU is "
-                "restarted from its own outputs: it keeps a state that no output shows, and only the free run "
-                "measures it"
-            )
-            yield Finding("warning", "hidden_state", c.name, message, {"rmse": c.floor.astray, "noise": c.floor.rmse})
 
 
 def _summary(
@@ -150,6 +120,53 @@ def _summary(
     scores = {horizon: score(measured, r.outputs[name]) for horizon, r in sorted(replays.items())}
     residual = measured - replays[min(replays)].outputs[name]
     lags = lags_of(log.rows, log.step)
-    noise = least_noise_level(measured, replays[FREE_RUN].outputs[name])
     inputs = input_correlations(residual, log.inputs, lags)
-    return ChannelSummary(name, log.units[name], horizon, noise, floor, scores, whiteness(residual, lags), inputs)
+    measure = horizon if horizon in scores else FREE_RUN
+    error, lost = scores[measure], floor.astray > floor.rmse
+    excess = error.rmse / floor.rmse if not lost and floor.rmse > 0.0 else math.nan
+    # at rounding level, or without anything to compare
+    exact = error.rows == 0 or error.rmse == 0.0 or error.fit > 100.0 * (1.0 - EXACT)
+    matched = not lost and (exact or excess < floor.limit)
+    return ChannelSummary(
+        name=name,
+        unit=log.units[name],
+        horizon=horizon,
+        measure=measure,
+        noise=least_noise_level(measured, replays[FREE_RUN].outputs[name]),
+        floor=floor,
+        scores=scores,
+        whiteness=whiteness(residual, lags),
+        inputs=inputs,
+        lost=lost,
+        excess=excess,
+        is_matched=matched,
+        is_explained=matched and (exact or not any(u.strength > FOLLOWS for u in inputs[:1])),
+    )
+
+
+def as_json(comparison: Comparison) -> list[dict[str, Any]]:
+    """Return RMSE, fit [%], rows and noise floor of each channel and horizon.
+
+    Infinite values are None; `horizon` [s] is that of the verdict, None for the free run.
+    """
+
+    def finite(value: float) -> float | None:
+        return float(value) if math.isfinite(value) else None
+
+    channels = []
+    for c in comparison.channels:
+        scores = {h: {"rmse": finite(s.rmse), "fit": finite(s.fit), "rows": s.rows} for h, s in c.scores.items()}
+        channels.append(
+            {
+                "name": c.name,
+                "unit": c.unit,
+                "horizon": finite(c.measure),
+                **scores[c.measure],
+                "noise_floor": finite(c.floor.rmse),
+                "times_noise": finite(c.excess),
+                "explained": c.is_explained,
+                "free_run": scores[FREE_RUN],
+                "windows": [{"horizon": h, **s} for h, s in sorted(scores.items()) if h != FREE_RUN],
+            }
+        )
+    return channels

@@ -25,7 +25,6 @@ from cosim.fmi.annotation import traits_of
 from cosim.fmi.state import Memory, Own
 from cosim.isolation.rows import ADVANCE, GET, OTHER, PUT, Rows
 from cosim.logs.log import Log, read_log
-from cosim.model.planar import PlanarFrame
 from cosim.storage.kinds import FMU, LOG, check_given
 from cosim.storage.yaml_file import did_you_mean
 
@@ -115,6 +114,8 @@ class Drive:
         given: Start values of every run, unless the run states others.
 
     Attributes:
+        starts: Start values of the real inputs with one.
+        frame: Signal names of a planar motion that the FMU declares.
         left: Finished outputs of an interrupted run to the end of the log; None without interruption.
     """
 
@@ -128,18 +129,27 @@ class Drive:
         interpolated: Container[str] = (),
         given: Mapping[str, Any] = MappingProxyType({}),
     ) -> None:
-        self.given = given  # start values of every run, overridden by those of the run
+        self.given = dict(given)
         self.log, self.fmu, self.progress = log, fmu, progress
-        self.description = read_description(fmu)
+        self.description = description = read_description(fmu)
         self.traits = traits_of(fmu)  # None for an FMU of another tool
-        self.block = RestartableFmu(PLANT, fmu, self.description, {}, frozenset(log.inputs))
+        self.frame = self.traits.planar if self.traits else None
+        self.block = RestartableFmu(PLANT, fmu, description, {}, frozenset(log.inputs))
         self.block.await_inputs(always=True)
         self._check_signals()
         self.inputs = tuple(s.name for s in self.block.inputs if s.name in log.inputs)
         self.outputs = tuple(s.name for s in self.block.outputs)
         self.free_inputs = tuple(s.name for s in self.block.inputs if s.name not in log.inputs)
-        self.variables = {v.name for v in self.description.modelVariables}
-        self.variable_step = takes_any_step(self.description)
+        texts = {v.name: v.start for v in description.modelVariables}
+        self.variables = frozenset(texts)
+        real = [s.name for s in self.block.inputs if s.name in self.inputs and not s.is_whole]
+        self.starts = {name: float(texts[name]) for name in real if texts.get(name)}
+        step = description.defaultExperiment and description.defaultExperiment.stepSize
+        self.rate = float(step) if step else None  # default step size [s]
+        self.variable_step = takes_any_step(description)
+        about = description.coSimulation  # None for an FMU of model exchange only
+        flags = about and about.canGetAndSetFMUstate and about.canSerializeFMUstate
+        self.has_readable_state = bool(self.traits and flags and self.variable_step)  # of a cosim FMU, and restored
         self._table = np.column_stack([log.inputs[name] for name in self.inputs]) if self.inputs else np.empty((0, 0))
         self._commands = self._table.tolist()
         self._ramps = np.array([name in interpolated for name in self.inputs], bool)
@@ -155,41 +165,26 @@ class Drive:
         self.block.close()
 
     @property
-    def rate(self) -> float | None:
-        """Return the default step size of the FMU [s]."""
-        experiment = self.description.defaultExperiment
-        step = None if experiment is None else experiment.stepSize
-        return float(step) if step else None
-
-    @property
-    def frame(self) -> PlanarFrame | None:
-        """Return the signal names of a planar motion declared by the FMU."""
-        return self.traits.planar if self.traits else None
-
-    @property
-    def has_readable_state(self) -> bool:
-        """Return True if the state of a cosim FMU can be read and restored."""
-        about = self.description.coSimulation  # None for an FMU of model exchange only
-        flags = about and about.canGetAndSetFMUstate and about.canSerializeFMUstate
-        return bool(self.traits and flags and self.variable_step)
-
-    @property
     def units(self) -> dict[str, str]:
         """Return the unit of every output."""
         return {s.name: s.unit for s in self.block.outputs}
 
-    @property
-    def starts(self) -> dict[str, float]:
-        """Return start values of the real inputs with one."""
-        texts = {v.name: v.start for v in self.description.modelVariables}
-        real = [s.name for s in self.block.inputs if s.name in self.inputs and not s.is_whole]
-        return {name: float(texts[name]) for name in real if texts.get(name)}
+    def with_values(self, values: Mapping[str, Any]) -> Self:
+        """Return a drive of the same loaded FMU that sets further values in every run."""
+        other = copy.copy(self)
+        other.given = {**self.given, **values}
+        return other
 
     def on(self, log: Log) -> Drive:
         """Return a copy of this drive for another log."""
         other = copy.copy(self)
         other.log = log
         return other
+
+    def answer(self, method: str, given: Mapping[str, Any], *arguments: Any) -> Any:
+        """Return the result of a method with other values of every run, for a drive in another process."""
+        self.given = dict(given)
+        return getattr(self, method)(*arguments)
 
     def initial(self, start: Mapping[str, Any], row: int) -> dict[str, float]:
         """Return the initial outputs at a row."""
@@ -209,43 +204,37 @@ class Drive:
         """Return the current state of a cosim FMU, at the end of the last run."""
         return self.block.own()
 
+    def run(self, first: int, last: int, start: Mapping[str, Any], memory: Memory | None = None) -> Array:
+        """Simulate the FMU from row `first` to `last` and return the outputs, shape (rows, outputs)."""
+        return self.run_and_keep(first, last, start, (), memory)[0]
+
     def run_and_keep(
-        self, first: int, last: int, start: Mapping[str, Any], rows: Container[int]
-    ) -> tuple[Array, dict[int, Own]]:
-        """Run the FMU; return its outputs, and the complete states of a cosim FMU at the rows in `rows`."""
-        states: dict[int, Own] = {}
-
-        def keep(k: int) -> None:
-            if k in rows:
-                states[k] = self.block.own()
-
-        return self.run(first, last, start, visit=keep), states
-
-    def run(
         self,
         first: int,
         last: int,
         start: Mapping[str, Any],
+        rows: Container[int],
         memory: Memory | None = None,
-        visit: Callable[[int], None] | None = None,
-    ) -> Array:
-        """Simulate the FMU from row `first` to `last` and return the outputs, shape (rows, outputs).
+    ) -> tuple[Array, dict[int, Own]]:
+        """Simulate the FMU; return its outputs, and the complete states of a cosim FMU at the rows in `rows`.
 
         The command of row k is held from t_k to t_k+1. The outputs of row k are those to its command.
 
         Args:
             memory: State of a cosim FMU at the first row, instead of the state after initialization.
-            visit: Callback at each row between, for an FMU with variable step.
 
         Raises:
             StoppedReplay: The FMU fails.
         """
-        steps = self._steps(first, last)
+        steps, states = self._steps(first, last), dict[int, Own]()
         written = self._new_rows(len(steps.reached), len(self.outputs))
         table, done, doing = written.table, written.made, written.doing
         here, size = ctypes.addressof(self._row) + 8 * len(self.block.inputs), 8 * len(self.outputs)
         there, block, acting, whole = table.ctypes.data, self.block, first, 0
-        following, width = self._rows_at(steps) if self._commands else [], len(self.inputs)
+        reached, width = np.array(steps.reached), len(self.inputs)
+        close = roundings(reached, COARSE * self.log.step)
+        following = np.searchsorted(self.log.time, reached + close, side="right") - 1  # row that acts at each reading
+        commands = [self._commands[k] for k in following.tolist()] if self._commands else []
         each = zip(steps.times, steps.lengths, steps.rows, self._puts(steps, first), steps.reads, strict=True)
         try:
             doing[0] = OTHER
@@ -257,8 +246,8 @@ class Drive:
             ctypes.memmove(there, here, size)
             whole = done[0] = 1
             for made, (t, h, k, command, reads) in enumerate(each, 1):
-                if k != acting and visit is not None:
-                    visit(k)
+                if k != acting and k in rows:
+                    states[k] = block.own()
                 acting = k
                 if command is not None:
                     self._row[:width] = command
@@ -268,8 +257,8 @@ class Drive:
                 block.advance(t, h)
                 if reads:
                     doing[0] = PUT
-                    if whole < len(following) and (command := self._commands[following[whole]]) != self._row[:width]:
-                        self._row[:width] = command
+                    if commands and commands[whole] != self._row[:width]:
+                        self._row[:width] = commands[whole]
                         block.put()
                     else:
                         block.settle()
@@ -282,12 +271,13 @@ class Drive:
         except SimulationError as error:
             raise StoppedReplay(error, self._at_rows(table[:whole], steps.reached, first, last)) from None
         self._count(steps)
-        return self._at_rows(table, steps.reached, first, last)
+        return self._at_rows(table, steps.reached, first, last), states
 
     # -- internals ----------------------------------------------------------------------------
 
     def _begin(self, start: Mapping[str, Any], row: int, stop: float) -> None:
-        self._check_start(start)
+        cures = {name: did_you_mean(name, self.variables) for name in start.keys() - self.variables}
+        refuse(Fault(self.fmu, 0, 0, f'has no parameter "{name}"{cure}') for name, cure in cures.items())
         self.block.begin({**self.given, **start}, float(self.log.time[row]), stop)
         if self._commands:
             self._row[: len(self.inputs)] = self._commands[row]
@@ -345,13 +335,6 @@ class Drive:
         ).tolist()
         return moved
 
-    def _rows_at(self, steps: DriveSteps) -> list[int]:
-        """Return the row that acts at each reading of the outputs."""
-        times = np.array(steps.reached)
-        close = roundings(times, COARSE * self.log.step)
-        rows: list[int] = (np.searchsorted(self.log.time, times + close, side="right") - 1).tolist()
-        return rows
-
     def _at_rows(self, table: Array, times: Sequence[float], first: int, last: int) -> Array:
         """Return the outputs at the finished rows of the log, interpolated between steps."""
         times, wanted = times[: len(table)], self.log.time[first : last + 1]
@@ -378,11 +361,6 @@ class Drive:
                         f"{name} is in {units[name]} here and in {other} in the log as it was read; read the log "
                         "for this FMU"
                     )
-        refuse(Fault(self.fmu, 0, 0, message) for message in faults)
-
-    def _check_start(self, start: Mapping[str, Any]) -> None:
-        cures = {name: did_you_mean(name, self.variables) for name in start.keys() - self.variables}
-        faults = (f'has no parameter "{name}"{cure}' for name, cure in cures.items())
         refuse(Fault(self.fmu, 0, 0, message) for message in faults)
 
 

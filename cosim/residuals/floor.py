@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -11,7 +11,6 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import SimulationError
-from cosim.fmi.state import Memory
 from cosim.logs.channel_noise import least_noise_level
 from cosim.logs.log import Log
 from cosim.residuals.drive import Drive, as_columns
@@ -58,16 +57,18 @@ def floors(
     sampled = {n: np.where(np.isfinite(v), free.outputs[n], np.nan) for n, v in log.outputs.items()}
     levels = {name: least_noise_level(values, free.outputs[name]) for name, values in log.outputs.items()}
 
-    run_drive = _linearize(drive, parameters, free, levels) if horizon == FREE_RUN else drive
+    linear = _linear_run(drive, parameters, free, levels) if horizon == FREE_RUN else None
 
     def predict(readings: Mapping[str, Array]) -> Mapping[str, Array]:
-        if horizon == FREE_RUN:  # A start without measurement is unchanged.
-            if not parameters.keys() & readings.keys():
-                return free.outputs
-            other = run_drive.on(replace(log, outputs=readings))
-            return as_columns(other.run(0, log.rows - 1, first_start(other, parameters)), drive.outputs)
-        replayed = self_started(drive.on(replace(log, outputs=readings)), parameters, free, horizon)
-        return {} if replayed is None else replayed.outputs
+        other = drive.on(replace(log, outputs=readings))
+        if horizon != FREE_RUN:
+            replayed = self_started(other, parameters, free, horizon)
+            return {} if replayed is None else replayed.outputs
+        if not parameters.keys() & readings.keys():  # a start without measurement is unchanged
+            return free.outputs
+        if linear is not None:
+            other.run = linear  # type: ignore[method-assign, assignment]
+        return as_columns(other.run(0, log.rows - 1, first_start(other, parameters)), drive.outputs)
 
     restarted, errors = predict(sampled), []
     for draw in range(count := draws(log, horizon)):
@@ -76,45 +77,32 @@ def floors(
         noisy = predict({n: values + noise[n] for n, values in sampled.items()})
         errors.append({n: sampled[n] + noise[n] - (noisy[n] - (restarted[n] - free.outputs[n])) for n in sampled})
     totals, starts = pool_errors(errors), sorted(measured.starts)
-    squares = {n: np.concatenate([_mean_squares(e[n], starts) for e in errors]) for n in sampled}
-    astray = {n: 0.0 if horizon == FREE_RUN else _restart_error(v, restarted[n]) for n, v in sampled.items()}
-    return {n: ChannelFloor(totals[n], _limit(squares[n], count), astray[n]) for n in sampled}
+    found = {}
+    for name, model in sampled.items():
+        squares = []
+        for error in (e[name] for e in errors):  # the mean squared error of each window
+            finite = np.isfinite(error)
+            window = np.searchsorted(starts, np.flatnonzero(finite), side="left")
+            counts = np.bincount(window, minlength=len(starts) + 1)
+            sums = np.bincount(window, error[finite] ** 2, minlength=counts.size)
+            squares.append(sums[counts > 0] / counts[counts > 0])
+        astray = 0.0
+        if horizon != FREE_RUN:
+            error = model - restarted[name]
+            values = model[np.isfinite(error)]
+            if values.size:
+                size = max(EXACT * float(np.std(values)), ROUNDING * float(np.max(np.abs(values))))
+                astray = rest if (rest := rmse(error)) > size else 0.0
+        found[name] = ChannelFloor(totals[name], _limit(np.concatenate(squares), count), astray)
+    return found
 
 
-class _LinearDrive(Drive):
-    """A drive whose FMU is replaced by its linearization about one run, with respect to the start values.
-
-    Args:
-        about: Start values of that run.
-        table: Outputs of that run, shape (rows, outputs).
-        slopes: Start value → derivative of the table.
-    """
-
-    def __init__(self, drive: Drive, about: Mapping[str, float], table: Array, slopes: Mapping[str, Array]) -> None:
-        self.__dict__.update(drive.__dict__)
-        self._about, self._run, self._slopes = about, table, slopes
-
-    def run(
-        self,
-        first: int,
-        last: int,
-        start: Mapping[str, Any],
-        memory: Memory | None = None,
-        visit: Callable[[int], None] | None = None,
-    ) -> Array:
-        """Return the linearized outputs from the first row on."""
-        assert first == 0, "only the run from the first row is known"
-        changes = {name: start[name] - value for name, value in self._about.items() if name in start}
-        table = self._run + sum(change * self._slopes[name] for name, change in changes.items())
-        return np.asarray(table[: last + 1])
-
-
-def _linearize(
+def _linear_run(
     drive: Drive, parameters: Mapping[str, StartParameter], free: Replay, levels: Mapping[str, float]
-) -> Drive:
-    """Return a drive linearized with respect to the start values of the free run, to save FMU runs.
+) -> Callable[[int, int, Mapping[str, Any]], Array] | None:
+    """Return a run of the FMU's linearization about the free run, with respect to the start values, to save FMU runs.
 
-    Each start value needs one FMU run, instead of five runs per draw. If a run fails, the drive itself is returned.
+    Each start value needs one FMU run, instead of five runs per draw. The result is None if a run fails.
     """
     table = np.column_stack([free.outputs[name] for name in drive.outputs])
     start = free.starts[0]
@@ -128,17 +116,14 @@ def _linearize(
             outputs = drive.run(0, drive.log.rows - 1, {**start, **about, p.name: about[p.name] + step})
             slopes[p.name] = (outputs - table) / step
     except SimulationError:
-        return drive
-    return _LinearDrive(drive, about, table, slopes)
+        return None
 
+    def run(first: int, last: int, start: Mapping[str, Any]) -> Array:
+        changes = {name: start[name] - value for name, value in about.items() if name in start}
+        moved = table + sum(change * slopes[name] for name, change in changes.items())
+        return np.asarray(moved[: last + 1])
 
-def _mean_squares(error: Array, starts: Sequence[int]) -> Array:
-    """Return the mean squared error of each window."""
-    finite = np.isfinite(error)
-    window = np.searchsorted(starts, np.flatnonzero(finite), side="left")
-    counts = np.bincount(window, minlength=len(starts) + 1)
-    sums = np.bincount(window, error[finite] ** 2, minlength=counts.size)
-    return np.asarray(sums[counts > 0] / counts[counts > 0])
+    return run
 
 
 def _limit(squares: Array, count: int) -> float:
@@ -154,11 +139,3 @@ def _limit(squares: Array, count: int) -> float:
         return AT_LEAST
     freedom = max(1.0, 2.0 * mean**2 / spread) * squares.size / count
     return max(AT_LEAST, math.sqrt(float(fdtri(freedom, freedom * count, 1.0 - BY_CHANCE))))
-
-
-def _restart_error(model: Array, restarted: Array) -> float:
-    """Return the RMSE of a restarted model, 0 at rounding level."""
-    error = model - restarted
-    values = model[np.isfinite(error)]
-    least = max(EXACT * float(np.std(values)), ROUNDING * float(np.max(np.abs(values)))) if values.size else math.inf
-    return size if (size := rmse(error)) > least else 0.0

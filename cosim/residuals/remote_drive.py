@@ -12,6 +12,7 @@ from cosim.base.errors import SimulationError
 from cosim.base.scratch import ScratchFolder, scratch
 from cosim.blocks.compiling import with_permission
 from cosim.blocks.shared_code import claim
+from cosim.fmi.state import Memory, Own
 from cosim.isolation import worker as here
 from cosim.isolation.limits import Limits
 from cosim.isolation.process import Remote, Worker
@@ -23,10 +24,10 @@ from cosim.residuals.drive import PLANT, Drive, StoppedReplay
 MODULES = ("cosim.residuals.remote_drive", "fmpy.fmi2", "fmpy.logging")
 
 
-def hosted_drive(log: Log, fmu: Path, interpolated: frozenset[str], given: Mapping[str, Any], table: Path) -> Drive:
+def hosted_drive(log: Log, fmu: Path, interpolated: frozenset[str], table: Path) -> Drive:
     """Return a drive in the worker that writes its rows into a file; its FMU is loaded at the first run."""
     claim(fmu)
-    drive, progress = Drive(log, fmu, interpolated=interpolated, given=given), here.progress
+    drive, progress = Drive(log, fmu, interpolated=interpolated), here.progress
     here.share_log(drive.block)
     drive._new_rows = lambda rows, columns: Rows(
         mapped_table(table, rows, columns), made=progress.made, doing=progress.doing
@@ -34,16 +35,15 @@ def hosted_drive(log: Log, fmu: Path, interpolated: frozenset[str], given: Mappi
     return drive
 
 
-def _there(call: str, method: str) -> Any:
-    """Return a method that is called in the worker by `DriveApart._ask` or `DriveApart._run`."""
-    return lambda self, *arguments: getattr(self, call)(method, *arguments)
+def _there(method: str) -> Any:
+    """Return a method that is called in the worker."""
+    return lambda self, *arguments: self._ask(method, *arguments)
 
 
 class DriveApart(Drive):
     """Drive whose FMU runs in a worker process, and is reloaded there after a crash."""
 
-    initial, own, state = (_there("_ask", method) for method in ("initial", "own", "state"))
-    run, run_and_keep = _there("_run", "run"), _there("_run", "run_and_keep")
+    initial, own, state = map(_there, ("initial", "own", "state"))
 
     def __init__(
         self,
@@ -64,7 +64,7 @@ class DriveApart(Drive):
         self._held: ScratchFolder = scratch("cosim-replay-rows-")
         self._file = self._held.path / "rows"
         between = frozenset(name for name, ramps in zip(self.inputs, self._ramps, strict=True) if ramps)
-        drive = self._full, self.fmu.resolve(), between, dict(self.given), self._file
+        drive = self._full, self.fmu.resolve(), between, self._file
         self._remote = Remote(self._worker, with_permission, self.block.compiles, hosted_drive, *drive)
         return self
 
@@ -75,17 +75,25 @@ class DriveApart(Drive):
         finally:
             self._held.remove()
 
-    # -- internals ----------------------------------------------------------------------------
-
-    def _run(self, method: str, first: int, last: int, *arguments: Any) -> Any:
+    def run_and_keep(
+        self,
+        first: int,
+        last: int,
+        start: Mapping[str, Any],
+        rows: Container[int],
+        memory: Memory | None = None,
+    ) -> tuple[Array, dict[int, Own]]:
+        """Run the FMU as `Drive.run_and_keep`; the finished rows of an interrupted run are in `left`."""
         steps = self._steps(first, last)
         self.left = None
         try:
-            answer = self._ask(method, first, last, *arguments, times=steps.reached)
+            answer: tuple[Array, dict[int, Own]]
+            answer = self._ask("run_and_keep", first, last, start, rows, memory, times=steps.reached)
         except StoppedReplay:
             raise
         except BaseException as error:
-            done = self._at_rows(self._finished_rows(), steps.reached, first, last)
+            finished = read_table(self._file, self._worker.progress.made[0], len(self.outputs))
+            done = self._at_rows(finished, steps.reached, first, last)
             if isinstance(error, SimulationError):
                 raise StoppedReplay(error, done) from None
             if last == self._full.rows - 1:
@@ -101,7 +109,7 @@ class DriveApart(Drive):
             self._worker.take_along(self._file.parent)
             allocate(self._file, 8 * self._most * len(self.outputs))
             self._remote.make(self._watch(()))
-        return self._remote.call(method, *arguments, watch=self._watch(times))
+        return self._remote.call("answer", method, self.given, *arguments, watch=self._watch(times))
 
     def _watch(self, times: Any) -> Watch:
         begin = float(self.log.time[0])
@@ -115,7 +123,3 @@ class DriveApart(Drive):
             self._worker.spent,
             None if progress is None else lambda made: progress(driven + made),
         )
-
-    def _finished_rows(self) -> Array:
-        """Return the rows finished before the worker ended."""
-        return read_table(self._file, self._worker.progress.made[0], len(self.outputs))

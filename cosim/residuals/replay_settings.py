@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,6 @@ from cosim.blocks.description import read_description
 from cosim.scenario.start_values import NOT_NUMBERS, Misfit, convert_value, settable
 from cosim.storage.yaml_file import did_you_mean, short
 
-Given = Mapping[str, float | int | bool | str]
 SWITCHES = {"true": True, "on": True, "1": True, "false": False, "off": False, "0": False}
 
 
@@ -44,7 +43,14 @@ def start_values(
         elif not settable(variable):
             value = Misfit("FMI lets nobody set it before a run")
         else:
-            value = convert_value(description, variable, _read(written, variable.type))
+            read: float | int | bool | str = written
+            if variable.type == "Boolean":
+                read = SWITCHES.get(written.lower(), written)
+            elif variable.type not in NOT_NUMBERS:
+                for number in (float, int):  # a whole number is one
+                    with suppress(ValueError):
+                        read = number(written)
+            value = convert_value(description, variable, read)
         if isinstance(value, Misfit):
             message = f'--start "{short(text)}": {value.reason}'
             faults.append(Fault(fmu, 0, 0, message) if fault is None else fault(name, message))
@@ -52,13 +58,3 @@ def start_values(
             values[name] = value
     refuse(faults)
     return values
-
-
-def _read(text: str, kind: str) -> float | int | bool | str:
-    """Return a value of this kind, or the text if not numeric."""
-    if kind == "Boolean":
-        return SWITCHES.get(text.lower(), text)
-    for number in (int, float) if kind not in NOT_NUMBERS else ():
-        with suppress(ValueError):
-            return number(text)
-    return text

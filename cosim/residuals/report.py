@@ -2,58 +2,27 @@
 
 from __future__ import annotations
 
+import math
 import shlex
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from cosim.base.arrays import Rows
 from cosim.base.text import MISSING, amount, counted, display, percent, plain, size, split_sentence
 from cosim.base.version import __version__
-from cosim.logs.finding import Finding
-from cosim.logs.log import Log
 from cosim.report.charts import Abscissa, Charts, Drawing, Plot
 from cosim.report.html_tables import Badge, Row
 from cosim.report.panels import OTHERS_PER_PANEL, Band, Panel, Trace, by_unit
-from cosim.residuals import replay_sentences as words
 from cosim.residuals.compare import ChannelSummary, Comparison
-from cosim.residuals.drive import Drive
-from cosim.residuals.lags import every_lag, lag_drawing, neighbours
-from cosim.residuals.residual_statistics import FREE_RUN
-from cosim.residuals.windows import SKIPPED
+from cosim.residuals.replay_sentences import horizon_name, verdict
+from cosim.residuals.residual_statistics import FREE_RUN, Whiteness
+from cosim.residuals.windows import SKIPPED, horizons
 
 TEMPLATE = Path(__file__).with_name("templates") / "replay.html.j2"
 STEMS = 100  # about, lags of an autocorrelation
-
-
-# -- the page ---------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class TableRow:
-    """One channel of the tables, as text."""
-
-    name: str
-    noise: str
-    scores: tuple[tuple[str, str], ...]
-    excess: str
-    matched: bool
-    neighbours: str
-    p_value: str
-    white: str
-    follows: str
-
-
-def _command(log: Log, drive: Drive, passing: bool) -> list[str]:
-    """Return the command to repeat this replay."""
-    options = [] if passing else ["--plant", str(drive.fmu)]
-    for name, value in drive.given.items():
-        options += ["--start", f"{name}={str(value).lower() if isinstance(value, bool) else value}"]
-    for column, name in log.called.items():
-        options += ["--column", f"{column}={name}"]
-    return ["cosim", "replay", str(log.path), *options]
 
 
 def context(comparison: Comparison, *, passing: bool = False) -> Mapping[str, Any]:
@@ -62,73 +31,76 @@ def context(comparison: Comparison, *, passing: bool = False) -> Mapping[str, An
     Args:
         passing: True if the FMU was built for this replay only.
     """
-    log, drive = comparison.log, comparison.drive
+    log, drive, findings = comparison.log, comparison.drive, comparison.findings
+    channels, replays = comparison.channels, comparison.replays
     charts = Charts()
     drawing = charts.over(log.time)
-    windowed, measure = comparison.measure in comparison.replays, comparison.measure
-    skipped = SKIPPED * log.slowness
-    horizons = sorted(comparison.replays)
-    findings = comparison.findings
-    headline, details = split_sentence(words.verdict(comparison))
+    measure, basis, skipped = horizons(log)[-1], min(replays), SKIPPED * log.slowness
+    headline, details = split_sentence(verdict(comparison))
+    explained, warnings = sum(c.is_explained for c in channels), sum(f.severity == "warning" for f in findings)
+    badges = [
+        Badge(f"{explained} of {counted(len(channels), 'channel')} explained"),
+        Badge(f"{plain(float(log.time[-1] - log.time[0]))} s at {plain(1.0 / log.step)} Hz"),
+        Badge(counted(log.rows, "row")),
+    ]
+    quality = "Clock, units, signs and channels of the log are in order."
+    if warnings:
+        badges.append(Badge(counted(warnings, "warning"), "warn"))
+        quality = f"{counted(warnings, 'warning')} about the log, to be known before the numbers are believed."
+    tiles = []
+    for c in channels[:6]:
+        over = "in a free run" if c.measure == FREE_RUN else f"rms over {horizon_name(c.measure)}"
+        noise = f", {plain(c.excess, 2)} × what noise explains" if np.isfinite(c.excess) else ""
+        tiles.append(Row(c.name, size(c.scores[c.measure].rmse, c.unit), over + noise))
+    units = {v.name: v.unit or "" for v in drive.description.modelVariables}
+    starts = [
+        Row(n, amount(v, units.get(n, ""), 4) if isinstance(v, float) else str(v))
+        for n, v in replays[FREE_RUN].starts[0].items()
+    ]
+    words = [] if passing else ["--plant", str(drive.fmu)]
+    for name, value in drive.given.items():
+        words += ["--start", f"{name}={str(value).lower() if isinstance(value, bool) else value}"]
+    for column, name in log.called.items():
+        words += ["--column", f"{column}={name}"]
     return {
         "name": log.path.name,
         "description": f"Replayed through {drive.description.modelName} ({drive.fmu.name}): the recorded commands "
         "drive the model; its outputs are compared with the measurements.",
         "headline": headline,
         "details": details,
-        "tone": "good" if all(c.is_explained for c in comparison.channels) else "plain",
-        "badges": _badges(comparison),
-        "tiles": [_tile(c) for c in comparison.channels[:6]],
-        "horizons": [words.horizon_name(h) for h in horizons],
-        "measure": words.horizon_name(measure),
-        "skipped": words.horizon_name(skipped),
-        "least": words.horizon_name(skipped + measure),
-        "basis": "the free run" if comparison.basis == FREE_RUN else words.horizon_name(comparison.basis),
-        "within": drawing.plots(_pair_panels(comparison, measure)) if windowed else [],
+        "tone": "good" if explained == len(channels) else "plain",
+        "badges": badges,
+        "tiles": tiles,
+        "horizons": [horizon_name(h) for h in sorted(replays)],
+        "measure": horizon_name(measure),
+        "skipped": horizon_name(skipped),
+        "least": horizon_name(skipped + measure),
+        "basis": "the free run" if basis == FREE_RUN else horizon_name(basis),
+        "within": drawing.plots(_pair_panels(comparison, measure)) if measure in replays else [],
         "free": drawing.plots(_pair_panels(comparison, FREE_RUN)),
         "residual": drawing.plots(_residual_panels(comparison)),
-        "commands": drawing.plots(_command_panels(log)),
+        "commands": drawing.plots(_command_panels(comparison)),
         "autocorrelation": _autocorrelation(comparison, charts),
         "inputs": _input_correlation(comparison, charts),
-        "rows": [_row(c, horizons) for c in comparison.channels],
-        "quality": words.quality(findings),
+        "rows": [_row(c, sorted(replays)) for c in channels],
+        "quality": quality,
         "warnings": [f.whole for f in findings if f.severity != "note"],
         "notes": [Row(f.channel or "log", f.sentence) for f in findings if f.severity == "note"],
-        "starts": [_start(drive, n, v) for n, v in comparison.replays[FREE_RUN].starts[0].items()],
+        "starts": starts,
         "provenance": _provenance(comparison),
-        "repeat": shlex.join(_command(log, drive, passing)),
+        "repeat": shlex.join(["cosim", "replay", str(log.path), *words]),
         "data": charts.data(),  # after all drawings
         "version": __version__,
     }
 
 
-def _badges(comparison: Comparison) -> list[Badge]:
-    log = comparison.log
-    explained, warnings = sum(c.is_explained for c in comparison.channels), _warnings(comparison.findings)
-    badges = [
-        Badge(f"{explained} of {counted(len(comparison.channels), 'channel')} explained"),
-        Badge(f"{plain(float(log.time[-1] - log.time[0]))} s at {plain(1.0 / log.step)} Hz"),
-        Badge(counted(log.rows, "row")),
-    ]
-    return badges + ([Badge(counted(warnings, "warning"), "warn")] if warnings else [])
-
-
-def _warnings(findings: Sequence[Finding]) -> int:
-    return sum(f.severity == "warning" for f in findings)
-
-
-def _tile(channel: ChannelSummary) -> Row:
-    measure = channel.measure
-    value = size(channel.scores[measure].rmse, channel.unit)
-    over = "in a free run" if measure == FREE_RUN else f"rms over {words.horizon_name(measure)}"
-    noise = f", {plain(channel.excess, 2)} × what noise explains" if np.isfinite(channel.excess) else ""
-    return Row(channel.name, value, over + noise)
+# -- charts -----------------------------------------------------------------------------------
 
 
 def _pair_panels(comparison: Comparison, horizon: float) -> list[Panel]:
     """Return measured and model outputs, a panel per channel."""
     log, outputs = comparison.log, comparison.replays[horizon].outputs
-    label = "model, free run" if horizon == FREE_RUN else f"model, started anew every {words.horizon_name(horizon)}"
+    label = "model, free run" if horizon == FREE_RUN else f"model, started anew every {horizon_name(horizon)}"
     panels = []
     for name, measured in log.outputs.items():
         unit, factor = display(log.units[name])
@@ -149,13 +121,30 @@ def _residual_panels(comparison: Comparison) -> list[Panel]:
     return panels
 
 
-def _command_panels(log: Log) -> list[Panel]:
-    panels = []
-    for unit, names in by_unit(log.inputs, log.units.__getitem__, log.inputs.__getitem__):
+def _command_panels(comparison: Comparison) -> list[Panel]:
+    inputs, panels = comparison.log.inputs, []
+    for unit, names in by_unit(inputs, comparison.log.units.__getitem__, inputs.__getitem__):
         unit_text, factor = display(unit)
-        traces = [Trace(n, log.inputs[n] * factor, f"s{i}", held=True) for i, n in enumerate(names)]
+        traces = [Trace(n, inputs[n] * factor, f"s{i}", held=True) for i, n in enumerate(names)]
         panels.append(Panel(", ".join(names), unit_text or "1", traces))
     return panels
+
+
+def every_lag(count: int, most: int) -> Rows:
+    """Return about `most` of `count` lags [rows]."""
+    return np.arange(1, count + 1)[:: max(1, (count + 1) // most)]
+
+
+def lag_drawing(charts: Charts, rows: Rows, step: float) -> Drawing:
+    """Return panels over the lag [s], with half a lag free at both ends."""
+    half = 0.5 * (rows[1] - rows[0] if rows.size > 1 else 1)
+    ends = float(step * (rows[0] - half)), float(step * (rows[-1] + half))
+    return charts.over(step * rows.astype(np.float64), Abscissa(("lag", "s"), ends))
+
+
+def neighbours(test: Whiteness) -> str:
+    """Return the autocorrelation of neighbouring rows as text."""
+    return plain(float(test.rho[1]), 2) if test.rho.size > 1 else MISSING
 
 
 def _autocorrelation(comparison: Comparison, charts: Charts) -> list[Plot]:
@@ -188,28 +177,35 @@ def _input_correlation(comparison: Comparison, charts: Charts) -> list[Plot]:
     return plots
 
 
-def _row(channel: ChannelSummary, horizons: Sequence[float]) -> TableRow:
-    scores = tuple(
-        (size(s.rmse, channel.unit), f"{plain(s.fit)}\u00a0%" if np.isfinite(s.fit) else MISSING)
-        for s in (channel.scores[h] for h in horizons)
-    )
-    p = channel.whiteness.p_value
-    return TableRow(
-        name=channel.name,
-        noise=size(channel.noise, channel.unit),
-        scores=scores,
-        excess=f"{plain(channel.excess, 2)} ×" if np.isfinite(channel.excess) else MISSING,
-        matched=channel.is_matched,
-        neighbours=neighbours(channel.whiteness),
-        p_value="< 0.001" if p < 1e-3 else plain(p, 2),
-        white=words.whiteness_words(channel),
-        follows=words.input_words(channel),
-    )
+# -- tables -----------------------------------------------------------------------------------
 
 
-def _start(drive: Drive, name: str, value: Any) -> Row:
-    unit = next((v.unit or "" for v in drive.description.modelVariables if v.name == name), "")
-    return Row(name, amount(value, unit, 4) if isinstance(value, float) else str(value))
+def _row(c: ChannelSummary, horizons: list[float]) -> dict[str, Any]:
+    """Return one channel of the tables, as text."""
+    scores = [c.scores[h] for h in horizons]
+    p, white = c.whiteness.p_value, "no"
+    if math.isnan(p):
+        white = "too few rows to tell"
+    elif c.whiteness.white:
+        white = "yes"
+    elif c.is_matched:
+        white = "no, but no larger than noise and start explain"
+    follows = "no command moves"
+    if c.inputs:
+        first, distance = c.inputs[0], f"{plain(c.inputs[0].strength, 2)} times the band"
+        follows = f"{first.name}, {distance}"
+        if not first.stands_out:
+            follows = f"none ({first.name} comes closest, {distance})"
+    return {
+        "name": c.name,
+        "noise": size(c.noise, c.unit),
+        "scores": [(size(s.rmse, c.unit), f"{plain(s.fit)}\u00a0%" if np.isfinite(s.fit) else MISSING) for s in scores],
+        "excess": f"{plain(c.excess, 2)} ×" if np.isfinite(c.excess) else MISSING,
+        "neighbours": neighbours(c.whiteness),
+        "p_value": "< 0.001" if p < 1e-3 else plain(p, 2),
+        "white": white,
+        "follows": follows,
+    }
 
 
 def _provenance(comparison: Comparison) -> list[Row]:
@@ -224,5 +220,5 @@ def _provenance(comparison: Comparison) -> list[Row]:
     ]
     if drive.free_inputs:
         rows.append(Row("Not in the log", ", ".join(drive.free_inputs), "inputs at the start value of the FMU"))
-    measured = [(n, float(np.isfinite(v).mean())) for n, v in log.outputs.items()]
-    return [*rows, Row("Measured", ", ".join(f"{n} ({percent(share)})" for n, share in measured), "share of the rows")]
+    measured = [f"{n} ({percent(float(np.isfinite(v).mean()))})" for n, v in log.outputs.items()]
+    return [*rows, Row("Measured", ", ".join(measured), "share of the rows")]

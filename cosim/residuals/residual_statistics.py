@@ -53,34 +53,23 @@ class Whiteness:
 
 @dataclass(frozen=True, eq=False)
 class InputCorrelation:
-    """Correlation of the residual with an input `lags` rows earlier; negative lags show feedback."""
+    """Correlation of the residual with an input `lags` rows earlier; negative lags show feedback.
+
+    Attributes:
+        peak: Index of the largest causal |ρ|, at a positive lag.
+        strength: That |ρ| relative to the band.
+        ahead: Whether it clearly exceeds those at zero and negative lags.
+        stands_out: Whether it is too strong to be due to chance.
+    """
 
     name: str
     lags: Rows
     rho: Array
     band: float
-
-    @property
-    def peak(self) -> int:
-        """Return the index of the largest causal |ρ|, at a positive lag."""
-        causal = np.where((self.lags > 0) & np.isfinite(self.rho), np.abs(self.rho), -1.0)
-        return int(np.argmax(causal))
-
-    @property
-    def strength(self) -> float:
-        """Return the largest causal |ρ| relative to the band."""
-        return abs(float(self.rho[self.peak])) / self.band
-
-    @property
-    def ahead(self) -> bool:
-        """Return True if the largest causal correlation clearly exceeds those at zero and negative lags."""
-        before = np.abs(self.rho[(self.lags <= 0) & np.isfinite(self.rho)])
-        return abs(float(self.rho[self.peak])) > 1.2 * float(before.max(initial=0.0))
-
-    @property
-    def stands_out(self) -> bool:
-        """Return True if the correlation is too strong to be due to chance."""
-        return self.strength > STANDS_OUT
+    peak: int
+    strength: float
+    ahead: bool
+    stands_out: bool
 
 
 def rmse(*errors: Array) -> float:
@@ -144,14 +133,15 @@ def input_correlations(residual: Array, inputs: Mapping[str, Array], lags: int) 
         u = values - values.mean()
         if count < 3 or np.ptp(values) <= 1e-9 * max(1.0, float(np.abs(values).max())) or not np.any(z):
             continue
-        own_r, own_u = (
-            correlation(z, weight, z, weight, reach)[0],
-            correlation(u, everywhere, u, everywhere, reach)[0],
-        )
-        overlap = float(np.nansum(own_r * own_u))
+        own, _ = correlation(z, weight, z, weight, reach)
+        overlap = float(np.nansum(own * correlation(u, everywhere, u, everywhere, reach)[0]))
         rho, _ = correlation(u, everywhere, z, weight, lags)
         band = NORMAL_95 * math.sqrt(max(1.0, overlap) / count)
-        correlations.append(InputCorrelation(name, np.arange(-lags, lags + 1), rho, band))
+        apart, known = np.arange(-lags, lags + 1), np.isfinite(rho)
+        peak = int(np.argmax(np.where((apart > 0) & known, np.abs(rho), -1.0)))
+        highest, before = abs(float(rho[peak])), np.abs(rho[(apart <= 0) & known])
+        strength, ahead = highest / band, highest > 1.2 * float(before.max(initial=0.0))
+        correlations.append(InputCorrelation(name, apart, rho, band, peak, strength, ahead, strength > STANDS_OUT))
     return tuple(sorted(correlations, key=lambda c: -c.strength))
 
 

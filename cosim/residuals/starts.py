@@ -19,7 +19,7 @@ import numpy as np
 from cosim.base.arrays import Array, Rows
 from cosim.base.errors import SimulationError
 from cosim.base.linear_algebra import least_squares
-from cosim.fmi.state import MEMORY, STATE, Memory, Own
+from cosim.fmi.state import STATE
 from cosim.logs.channel_noise import least_noise_level, noise_level
 from cosim.logs.log import Log
 from cosim.model.namespaces import SCALAR
@@ -63,10 +63,14 @@ class StartParameter:
 def start_parameters(drive: Drive) -> dict[str, StartParameter]:
     """Return output → start parameter, determined by trial initializations.
 
-    `angle` and `angle_actual` may be set by `angle_start`, or `angle` by its own start value. Parameters without
-    proportional output are ignored.
+    `angle` and `angle_actual` may be set by `angle_start`, or `angle` by its own start value, which must be exact.
+    Parameters without proportional output are ignored.
     """
-    variables = {v.name: v for v in drive.description.modelVariables if _is_start(v)}
+    variables = {}
+    for v in drive.description.modelVariables:
+        is_state = v.causality == "output" and getattr(v, "initial", None) == "exact" and v.start is not None
+        if v.type in REALS and not getattr(v, "shape", None) and (v.causality == "parameter" or is_state):
+            variables[v.name] = v
     parameters = {}
     for output in drive.outputs:
         names = (f"{output}_start", f"{output.removesuffix('_actual')}_start", output)
@@ -74,14 +78,6 @@ def start_parameters(drive: Drive) -> dict[str, StartParameter]:
         if variable is not None and (parameter := _try_parameter(drive, output, variable)) is not None:
             parameters[output] = parameter
     return _with_places(drive, parameters)
-
-
-def _is_start(variable: Any) -> bool:
-    """Return whether a variable may be a start parameter: a real parameter, or an output with an exact start value."""
-    if variable.type not in REALS or getattr(variable, "shape", None):
-        return False
-    is_state = variable.causality == "output" and getattr(variable, "initial", None) == "exact"
-    return bool(variable.causality == "parameter" or (is_state and variable.start is not None))
 
 
 def _with_places(drive: Drive, parameters: dict[str, StartParameter]) -> dict[str, StartParameter]:
@@ -102,27 +98,22 @@ def _with_places(drive: Drive, parameters: dict[str, StartParameter]) -> dict[st
 
 def _try_parameter(drive: Drive, output: str, variable: Any) -> StartParameter | None:
     """Return the start parameter of an output, None for a variable without proportional effect."""
-    default, (low, high) = float(variable.start or 0.0), _limits(variable)
+    default = float(variable.start or 0.0)
+    low = -math.inf if variable.min is None else float(variable.min)
+    high = math.inf if variable.max is None else float(variable.max)
     width = 0.1 * max(1.0, abs(default))
-    tries = [
-        v for v in (default + width, default + 2 * width, default - width, default - 2 * width) if low <= v <= high
-    ]
+    tries = [v for v in (default + share * width for share in (1, 2, -1, -2)) if low <= v <= high][:2]
     if len(tries) < 2:
         return None
     try:
-        outputs = [drive.initial({variable.name: v}, 0)[output] for v in tries[:2]]
+        one, two = (drive.initial({variable.name: v}, 0)[output] for v in tries)
     except SimulationError:
         return None
-    gain = (outputs[1] - outputs[0]) / (tries[1] - tries[0])
-    proportional = abs(outputs[0] - gain * tries[0]) <= 1e-6 * max(map(abs, outputs))
+    gain = (two - one) / (tries[1] - tries[0])
+    proportional = abs(one - gain * tries[0]) <= 1e-6 * max(abs(one), abs(two))
     if not proportional or abs(gain) <= 1e-9:
         return None
     return StartParameter(variable.name, gain, low, high, (tries[0], tries[1]))
-
-
-def _limits(variable: Any) -> tuple[float, float]:
-    low, high = (None if v is None else float(v) for v in (variable.min, variable.max))
-    return -math.inf if low is None else low, math.inf if high is None else high
 
 
 def first_start(drive: Drive, parameters: Mapping[str, StartParameter]) -> dict[str, float]:
@@ -131,14 +122,12 @@ def first_start(drive: Drive, parameters: Mapping[str, StartParameter]) -> dict[
     Unmeasured states keep the FMU's start values.
     """
     log = drive.log
-    measured = {name: values[np.isfinite(values)] for name, values in log.outputs.items() if name in parameters}
     fixed = {p.name: drive.given[p.name] for p in parameters.values() if p.name in drive.given}
-    start = {
-        parameters[name].name: parameters[name].value(float(values[0])) for name, values in measured.items()
-    } | fixed
+    first = {n: float(v[np.isfinite(v)][0]) for n, v in log.outputs.items() if n in parameters}
+    start = {parameters[n].name: parameters[n].value(value) for n, value in first.items()} | fixed
     sigma = noise_levels(log)
     last = max(rows_of(log, 0, FIRST * log.slowness), min(FEWEST, log.rows - 1))
-    for _ in range(PASSES if measured else 0):
+    for _ in range(PASSES if first else 0):
         carrier = as_columns(drive.run(0, last, start), drive.outputs)
         state = {name: float(carrier[name][0]) for name in parameters}
         corrected = _corrections(drive, carrier, sigma, state, 0, np.arange(last + 1))
@@ -179,13 +168,6 @@ def noise_levels(log: Log, model: Mapping[str, Array] | None = None) -> dict[str
 def readable(parameters: Mapping[str, StartParameter]) -> bool:
     """Return True if some start parameter has known indices (`places`) in the FMU's state."""
     return any(p.places for p in parameters.values())
-
-
-def remaining_memory(own: Own, parameters: Mapping[str, StartParameter], start: Mapping[str, float]) -> Memory:
-    """Return the entries of a cosim FMU's state that the start values do not set."""
-    started = {(STATE, k) for p in parameters.values() if p.name in start for k in p.places}
-    whole = {(part, k): value for part in (STATE, MEMORY) for k, value in enumerate(own[part])}
-    return {place: value for place, value in whole.items() if place not in started}
 
 
 def _corrections(
@@ -238,41 +220,30 @@ def _parabola(log: Log, errors: Sequence[Error], at: int, rows: Rows) -> tuple[f
     """
     ahead = bool(rows.size and rows[-1] > at)
     estimate: tuple[float | None, float | None] = None, None
-    for reach in REACHES:
-        design, side = _equations(log, errors, at, rows, reach * log.slowness * (FIRST if ahead else PAST))
+    for share in REACHES:
+        reach = share * log.slowness * (FIRST if ahead else PAST)
+        designs, sides = [], []
+        for error, sigma, derived in errors:
+            good = np.isfinite(error)
+            tau = log.time[rows[good]] - log.time[at]
+            near = np.flatnonzero(np.abs(tau) <= reach + 1e-9)
+            if near.size < LEAST:  # of a slow sensor, the nearest few readings
+                nearest = np.argsort(np.abs(tau), kind="stable")[:LEAST]
+                near = np.sort(nearest[np.abs(tau[nearest]) <= OLDEST * log.slowness])
+            tau, one, zero = tau[near], np.ones(near.size), np.zeros(near.size)
+            designs.append(np.column_stack((zero, one, tau) if derived else (one, tau, 0.5 * tau**2)) / sigma)
+            sides.append(error[good][near] / sigma)
+        side = np.concatenate(sides)
         order = 3 if side.size >= FEWEST else 2 if side.size >= 3 else 1
         if side.size < order:
             break
-        design = design[:, :order]
+        design = np.vstack(designs)[:, :order]
         value, *rest = least_squares(design, side)
         estimate = float(value), float(rest[0]) if rest else None
         residual = side - design @ (value, *rest)
         if float(residual @ residual) <= FITS * max(1, side.size - order):
             break
     return estimate
-
-
-def _equations(log: Log, errors: Sequence[Error], at: int, rows: Rows, reach: float) -> tuple[Array, Array]:
-    """Return weighted equations of (value, slope, curvature) at row `at` from errors within `reach` seconds."""
-    designs, sides = [], []
-    for error, sigma, derived in errors:
-        good = np.isfinite(error)
-        near, values = _rows_near(log, rows[good], at, reach), error[good]
-        tau = log.time[rows[good]][near] - log.time[at]
-        one, zero = np.ones(tau.size), np.zeros(tau.size)
-        designs.append(np.column_stack((zero, one, tau) if derived else (one, tau, 0.5 * tau**2)) / sigma)
-        sides.append(values[near] / sigma)
-    return np.vstack(designs), np.concatenate(sides)
-
-
-def _rows_near(log: Log, rows: Rows, at: int, reach: float) -> Rows:
-    """Return the rows within `reach` seconds of row `at`, or the nearest few."""
-    distance = np.abs(log.time[rows] - log.time[at])
-    near: Rows = np.flatnonzero(distance <= reach + 1e-9)
-    if near.size < LEAST:
-        nearest = np.argsort(distance, kind="stable")[:LEAST]
-        near = np.sort(nearest[distance[nearest] <= OLDEST * log.slowness])
-    return near
 
 
 def sigma_of(values: Array, model: Array | None = None) -> float:

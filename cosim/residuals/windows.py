@@ -6,7 +6,7 @@ state estimated from past data, and lasts one horizon.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 from types import MappingProxyType
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.fmi.state import Memory, Own
+from cosim.fmi.state import MEMORY, STATE, Memory, Own
 from cosim.logs.log import Log, stretches
 from cosim.residuals.drive import Drive, as_columns, coarse_rounding, rows_of
 from cosim.residuals.residual_statistics import FREE_RUN
@@ -26,7 +26,6 @@ from cosim.residuals.starts import (
     first_start,
     noise_levels,
     readable,
-    remaining_memory,
     start_parameters,
     window_start,
 )
@@ -67,11 +66,7 @@ class Chain:
 
 
 def free_run(drive: Drive, start: Mapping[str, Any] | None = None) -> Replay:
-    """Return the whole log as one run.
-
-    Args:
-        start: Start values of FMU parameters; default: from the first measurements.
-    """
+    """Return the whole log as one run, with start values of its parameters or those of the first measurements."""
     log, parameters = drive.log, start_parameters(drive)
     chosen = first_start(drive, parameters) if start is None else start
     rows = {c.rows[0] for span in horizons(log) for c in chains(log, span)} if readable(parameters) else set()
@@ -120,25 +115,22 @@ def self_started(drive: Drive, parameters: Mapping[str, StartParameter], free: R
         own, carrier, since = free.states.get(chain.rows[0]), free.outputs, 0
         for first, last in pairwise(chain.rows):
             start = window_start(drive, parameters, sigma, carrier, since, first)
-            memory = None if own is None else remaining_memory(own, parameters, start)
+            memory = None
+            if own is not None:  # what the start values do not set
+                started = {(STATE, k) for p in parameters.values() if p.name in start for k in p.places}
+                whole = {(part, k): value for part in (STATE, MEMORY) for k, value in enumerate(own[part])}
+                memory = {place: value for place, value in whole.items() if place not in started}
             carried[first : last + 1] = drive.run(first, last, start, memory)
             own, carrier, since = own and drive.state(), dict(zip(drive.outputs, carried.T, strict=True)), first
             if first >= chain.begin:
                 starts[first] = start
                 table[first + 1 : last + 1] = carried[first + 1 : last + 1]
     for j, name in enumerate(drive.outputs):
-        if name in log.outputs:
-            table[: _first_predicted(log, name, list(starts)) + 1, j] = np.nan
+        if name in log.outputs:  # predicted from the first window with sufficient past measurements
+            times = log.time[np.isfinite(log.outputs[name])]
+            earliest = times[0] + SKIPPED * log.slowness - coarse_rounding(log) if times.size else np.inf
+            table[: min((k for k in starts if log.time[k] >= earliest), default=log.rows) + 1, j] = np.nan
     return Replay(log.time, horizon, starts, as_columns(table, drive.outputs), drive.units)
-
-
-def _first_predicted(log: Log, name: str, starts: Sequence[int]) -> int:
-    """Return the first window with sufficient past measurements of an output."""
-    times = log.time[np.isfinite(log.outputs[name])]
-    begins = [
-        k for k in starts if times.size and log.time[k] >= times[0] + SKIPPED * log.slowness - coarse_rounding(log)
-    ]
-    return min(begins, default=log.rows)
 
 
 def horizons(log: Log) -> tuple[float, ...]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import os
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from types import MappingProxyType
@@ -15,12 +16,13 @@ from cosim.base.drafts import is_full
 from cosim.base.errors import DiskFull, Terminated, stop_error
 from cosim.base.registry import BASE
 from cosim.base.scratch import temporary_folder
-from cosim.base.text import join_names
+from cosim.base.text import as_yaml, join_names
 from cosim.fmi.fmu_build import build as build_fmu
 from cosim.fmi.sampled import AUTHOR
 from cosim.isolation.limits import Limits, read_limits
 from cosim.isolation.process import Worker
 from cosim.loading.file import load_model
+from cosim.loading.refined import ANSWER, folder_of
 from cosim.logs.finding import SENSORS, Finding
 from cosim.logs.gate import gate, outliers, refuse_faults
 from cosim.logs.log import Log, read_column_names
@@ -29,7 +31,6 @@ from cosim.logs.unit_mistakes import input_unit_findings
 from cosim.report.template import render
 from cosim.residuals.compare import Comparison, compare, steps_of
 from cosim.residuals.drive import PLANT, Drive, StoppedReplay, as_columns, check_files, log_of_fmu
-from cosim.residuals.next_study import NEXT_STUDY, claimed_sensor_errors, lacks_something, next_study
 from cosim.residuals.remote_drive import MODULES, DriveApart
 from cosim.residuals.replay_sentences import verdict
 from cosim.residuals.replay_settings import start_values
@@ -46,10 +47,17 @@ from cosim.storage.files import (
     write_json,
     write_text,
 )
-from cosim.storage.folders import REPLAY, SCHEMA_VERSION, describe_run, remove_earlier
+from cosim.storage.folders import REPLAY, SCHEMA_VERSION, content_of, describe_run, remove_earlier
 from cosim.storage.results import Results, rows_name
 
 MEASURED = "log"  # component name of measurements, beside PLANT
+NEXT_STUDY = "study.yaml"
+HEAD = """\
+# Written by `cosim replay`. In this folder:
+#   cosim check study.yaml    what can be found with these logs
+#   cosim refine study.yaml   what the FMU lacks
+#   cosim fit study.yaml      its parameters
+"""
 
 
 @one_stop()
@@ -94,8 +102,6 @@ def replay(
         driven = Path(fmu) if fmu else build_fmu(load_model(BASE, Path()).recipe(), scratch / "plant.fmu")
         names = read_column_names(columns, Path(log))
         read = log_of_fmu(Path(log), driven, names)
-        goes_on = fmu is not None and not claimed_sensor_errors(driven)
-        proposed = next_study(place, driven, Path(log), names, start) if goes_on else ""
         return write_replay(
             place,
             read,
@@ -103,7 +109,7 @@ def replay(
             given=start_values(driven, start),
             report=report,
             passing=fmu is None,
-            proposed=proposed,
+            proposed="" if fmu is None else _next_study(place, driven, Path(log), names, start),
             worker=worker,
             limits=most,
             format_=format_,
@@ -117,9 +123,7 @@ def write_replay(
     log: Log,
     fmu: Path,
     *,
-    start: Mapping[str, Any] | None = None,
     given: Mapping[str, Any] = MappingProxyType({}),
-    rate: float | None = None,
     report: bool = True,
     passing: bool = False,
     proposed: str = "",
@@ -131,11 +135,9 @@ def write_replay(
     """Replay a log through an FMU and write results and report to `folder`.
 
     Args:
-        start: Start of the free run, instead of an estimate from its first rows.
         given: Start values and parameters of every run.
         passing: True if the FMU was built for this replay only.
         proposed: Study to write if the FMU lacks something.
-        rate: Required step of the log [s]; by default the FMU's own step only causes a warning.
         worker: Process of the FMU, within limits; default: this process.
 
     Raises:
@@ -149,14 +151,15 @@ def write_replay(
     report_step = None if progress is None else lambda done: progress(min(done, total), total)
     remote = None if worker is None else DriveApart(worker, log, fmu, report_step, limits=limits, given=given)
     with remote or Drive(log, fmu, report_step, given=given) as drive:
-        findings = _findings(drive, log, rate)
+        claimed = _claimed_sensor_errors(fmu)
+        findings = _findings(drive, claimed)
         written = "report.html", REPLAY, NEXT_STUDY
         check_writable(folder, (rows_file.name, residual_file.name, *written), (log.path, fmu))
         remove_earlier(folder, read=(log.path, fmu))
         sources = {"log": str(log.path), "fmu": "" if passing else str(fmu)}
         chosen = {"start": dict(given)} if given else {}
         describe_run(folder, {**sources, **chosen})
-        free = _free_run(drive, start, rows_file)
+        free = _free_run(drive, rows_file)
         try:
             release_stops()
             findings += outliers(log, find_spikes(log, lambda _: free.outputs))
@@ -165,14 +168,16 @@ def write_replay(
             errors.write(residual_file)
             units = {**results(drive, comparison.replays[FREE_RUN].outputs).units, **errors.units}
             _record(folder, {**sources, **chosen, "sentence": verdict(comparison), "units": units})
-            if proposed and lacks_something(comparison):
+            if proposed and not claimed and not all(c.is_explained for c in comparison.channels):
                 write_text(folder / NEXT_STUDY, proposed)
             if report:
                 write_text(folder / "report.html", render(TEMPLATE, context(comparison, passing=passing)))
         except OSError as error:
             if not is_full(error):
                 raise
-            raise _full(rows_file, residual_file, log) from None
+            missing = "no report" if residual_file.exists() else f"no {residual_file.name} and no report"
+            reason = f"the disk is full: all {log.rows} rows are in {rows_file.name}, there is {missing}"
+            raise DiskFull("the replay", float(log.time[-1]), reason) from None
         except (KeyboardInterrupt, Terminated) as stop:  # all rows of the free run are written
             ended = stop_error(stop, float(log.time[-1]), "the comparison")
             ended.left = folder
@@ -180,19 +185,35 @@ def write_replay(
     return comparison
 
 
-def _findings(drive: Drive, log: Log, rate: float | None) -> list[Finding]:
-    """Return the findings of the gate; raise InputError if the log has faults."""
-    findings = gate(log, rate or drive.rate, strict=rate is not None, traits=drive.traits, spikes={})
-    findings += [*_version_findings(drive), *_sensor_findings(drive)]
-    findings += input_unit_findings(log, drive.starts, drive.traits.bounds if drive.traits else {})
+def _findings(drive: Drive, claimed: Sequence[str]) -> list[Finding]:
+    """Return the findings before a run; raise InputError if the log has faults.
+
+    Args:
+        claimed: Errors of sensors, which the log has and the FMU has not.
+    """
+    log, traits = drive.log, drive.traits
+    findings = gate(log, drive.rate, traits=traits, spikes={})
+    if traits is None and drive.description.author == AUTHOR:
+        message = (
+            f"{drive.fmu.name} was built by an earlier version, which says nothing of frame, limits and state: "
+            "the log is checked less and windows start worse; build it again"
+        )
+        findings.append(Finding("warning", "older", "", message))
+    if claimed:
+        message = (
+            f"the readings have {join_names(claimed)}, which the refine beside {drive.fmu.name} claims and an FMU "
+            "does not hold; correct the readings, or see error.after in its refine.json"
+        )
+        findings.append(Finding("warning", SENSORS, "", message))
+    findings += input_unit_findings(log, drive.starts, traits.bounds if traits else {})
     refuse_faults(log, findings)
     return findings
 
 
-def _free_run(drive: Drive, start: Mapping[str, Any] | None, file: Path) -> Replay:
+def _free_run(drive: Drive, file: Path) -> Replay:
     """Run the FMU over the whole log and write its rows. After a failure, write the finished rows."""
     try:
-        free = free_run(drive, start)
+        free = free_run(drive)
         hold_stops()  # From here, rows exist that must not be lost.
     except StoppedReplay as failed:
         _write_rows(results(drive, as_columns(failed.done, drive.outputs)), file)
@@ -208,13 +229,6 @@ def _free_run(drive: Drive, start: Mapping[str, Any] | None, file: Path) -> Repl
         raise error from None
     _write_rows(results(drive, free.outputs), file)
     return free
-
-
-def _full(file: Path, residual: Path, log: Log) -> DiskFull:
-    """Return the error of a full disk."""
-    missing = "no report" if residual.exists() else f"no {residual.name} and no report"
-    reason = f"the disk is full: all {log.rows} rows are in {file.name}, there is {missing}"
-    return DiskFull("the replay", float(log.time[-1]), reason)
 
 
 def _write_rows(rows: Results, file: Path) -> None:
@@ -239,32 +253,37 @@ def _record(folder: Path, content: Mapping[str, Any]) -> None:
     write_json(folder / REPLAY, {"schema_version": SCHEMA_VERSION, **content}, indent=1)
 
 
-def _version_findings(drive: Drive) -> Iterator[Finding]:
-    """Yield a warning for an FMU built by an earlier version, treated as a foreign one."""
-    if drive.traits is None and drive.description.author == AUTHOR:
-        yield Finding(
-            "warning",
-            "older",
-            "",
-            (
-                f"{drive.fmu.name} was built by an earlier version, which says nothing of frame, limits and state: "
-                "the log is checked less and windows start worse; build it again"
-            ),
-        )
+def _claimed_sensor_errors(fmu: Path) -> list[str]:
+    """Return the errors of sensors that the refine beside an FMU claims; the FMU holds none of them."""
+    folder = folder_of(fmu)
+    claimed = content_of(folder / ANSWER).get("effects") if folder else None
+    entries = [e for e in claimed if isinstance(e, dict)] if isinstance(claimed, list) else []
+    return [str(e.get("name")) for e in entries if e.get("kind") == "sensor"]
 
 
-def _sensor_findings(drive: Drive) -> Iterator[Finding]:
-    """Yield a warning for the FMU of a refine that claims errors of sensors, which the log has and the FMU has not."""
-    if names := claimed_sensor_errors(drive.fmu):
-        yield Finding(
-            "warning",
-            SENSORS,
-            "",
-            (
-                f"the readings have {join_names(names)}, which the refine beside {drive.fmu.name} claims and an FMU "
-                "does not hold; correct the readings, or see error.after in its refine.json"
-            ),
-        )
+def _next_study(folder: Path, fmu: Path, log: Path, columns: Mapping[str, str], start: Sequence[str]) -> str:
+    """Return the text of a study for `folder` of an FMU and a log, to be completed by further logs.
+
+    Args:
+        columns: Name in the log → name in the FMU.
+        start: Values of the replay, NAME=VALUE, which a study of `cosim refine` does not have.
+    """
+
+    def written(path: Path) -> str:
+        try:
+            name = os.path.relpath(path.resolve(), folder.resolve())
+        except ValueError:  # on another drive of Windows
+            name = str(path.resolve())
+        return as_yaml(Path(name).as_posix())
+
+    lines = [HEAD, f"model: {written(fmu)}", "logs:"]
+    lines.append(f"  estimation: [{written(log)}] # add more logs; co-simulation needs two")
+    lines.append("  validation: [] # logs that decide nothing and prove the result")
+    if columns:
+        lines.append(f"columns: {as_yaml(dict(columns))}")
+    if start:
+        lines.append(f"# {', '.join(start)} of the replay: `cosim fit` takes such values as --start")
+    return "\n".join(lines) + "\n"
 
 
 def results(drive: Drive, outputs: Mapping[str, Array]) -> Results:

@@ -19,14 +19,9 @@ def base_parameters(subject: Subject, values: Mapping[str, float], tolerance: Ma
     Args:
         tolerance: Parameter → relative tolerance from the study; overrides the model's tolerance.
     """
-    stated = tolerances(subject, tolerance)
-    return [base_parameter(subject, name, values, share) for name, share in stated.items()]
-
-
-def tolerances(subject: Subject, tolerance: Mapping[str, float]) -> dict[str, float]:
-    """Return the tolerance of every recalibrated parameter."""
     stated = {p.name: p.tolerance for p in subject.parameters if p.tolerance is not None} | dict(tolerance)
-    return {**{name: stated.get(name, TOLERANCE) for name in subject.calibrated}, **stated}
+    every = {**{name: stated.get(name, TOLERANCE) for name in subject.calibrated}, **stated}
+    return [base_parameter(subject, name, values, share) for name, share in every.items()]
 
 
 def base_parameter(subject: Subject, name: str, values: Mapping[str, float], tolerance: float | None) -> Free:

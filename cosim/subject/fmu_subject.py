@@ -7,7 +7,7 @@ filter estimates the deviations of its outputs.
 from __future__ import annotations
 
 import math
-from collections.abc import Generator, Iterable, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from shutil import copyfile
@@ -15,7 +15,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-from cosim.base.arrays import Array, Rows
 from cosim.base.errors import InputError
 from cosim.blocks.description import read_description, takes_any_step
 from cosim.fmi.native.compiler import CompilerFailed, NoCompiler
@@ -30,12 +29,12 @@ from cosim.model.quantities import parameters_of
 from cosim.model.traits import Traits
 from cosim.probing.fmu_structure import StartValue, Structure
 from cosim.residuals.remote_drive import MODULES, DriveApart
-from cosim.residuals.starts import StartParameter, start_parameters
+from cosim.residuals.starts import start_parameters
 from cosim.residuals.windows import Replay
 from cosim.subject.candidates import Candidate
 from cosim.subject.interface import Predict, Replayer, Start, Workplace
 from cosim.subject.model_subject import FILES, ModelSubject
-from cosim.subject.probed_model import ProbedModel
+from cosim.subject.probed_model import probed_model
 from cosim.subject.start_state import start_state
 from cosim.terms.alike import experiments_for
 from cosim.terms.fmu_model import FmuModel, fmu_model
@@ -91,15 +90,29 @@ class FmuSubject(ModelSubject):
         """
         if structure.way == "co-simulation":
             with Worker(*MODULES) as worker, DriveApart(worker, logs[0], structure.fmu) as drive:
-                structure = _with_start_parameters(structure, start_parameters(drive))
-        loaded = LoadedModel(ProbedModel(structure, logs, terms).model(), str(structure.fmu))
-        return cls(loaded, structure, limits)
+                shown = start_parameters(drive)
+            # start parameters are start values, not parameters
+            known, variables = {s.shown for s in structure.starts}, {p.name: p.quantity for p in structure.parameters}
+            more = []
+            for k, output in enumerate(structure.outputs):
+                start = shown.get(output.name)
+                if start is not None and k not in known and start.name in variables:
+                    size = (structure.scales.get(output.name) or 1.0) / abs(start.gain)
+                    more.append(StartValue(variables[start.name], size, k, start.gain))
+            names = {p.name for p in shown.values()}
+            left = tuple(p for p in structure.parameters if p.name not in names)
+            structure = replace(structure, starts=(*structure.starts, *more), parameters=left)
+        return cls(LoadedModel(probed_model(structure, logs, terms), str(structure.fmu)), structure, limits)
+
+    @property
+    def _fmu_model(self) -> FmuModel:
+        assert isinstance(self.model, FmuModel)
+        return self.model
 
     @property
     def names(self) -> dict[str, str]:
         """Return variable of the FMU → name in the model."""
-        variables: Mapping[str, str] = self.model.variables  # type: ignore[attr-defined]
-        return {variable: name for name, variable in variables.items()}
+        return {variable: name for name, variable in self._fmu_model.variables.items()}
 
     @property
     def traits(self) -> Traits:
@@ -131,10 +144,8 @@ class FmuSubject(ModelSubject):
         if constant:
             raise InputError.at(
                 self.structure.fmu,
-                (
-                    f"{', '.join(constant)} cannot be estimated per log: the library of an FMU takes parameters "
-                    "before its initialization only; leave out per_log"
-                ),
+                f"{', '.join(constant)} cannot be estimated per log: the library of an FMU takes parameters before its "
+                "initialization only; leave out per_log",
             )
         return kernel(self.model, measured, unnamed, fmu=self._library_of(self.structure.fmu, self._description))
 
@@ -142,8 +153,7 @@ class FmuSubject(ModelSubject):
         """Return an FMU for a kernel, with the usual sizes and the start parameters."""
         sizes = [self.structure.scales.get(q.name, 0.0) for q in self.structure.states]
         starts = tuple((s.name, s.size) for s in self.structure.starts)
-        model = self.model
-        assert isinstance(model, FmuModel)
+        model = self._fmu_model
         turned = [k for k in model.catalogue if issubclass(k, Force) and k.place.direction is not None]
         neutral = {f"{k.name}.{p.name}": p.neutral for k in turned for p in parameters_of(k) if p.neutral is not None}
         return LibraryOf(fmu, description, sizes, starts, self.values, self.limits, model.directions, neutral)
@@ -184,9 +194,16 @@ class FmuSubject(ModelSubject):
     def replayer(self, place: Workplace) -> Replayer:
         """Return a replayer of the delivered FMU, or of the model if the FMU cannot be built."""
         delivered = self._delivered(place.folder) if self._can_begin_anywhere else None
+        outputs = [q.name for q in self.outputs]
         if delivered is None:
-            return LibraryReplayer(self, self.kernel([q.name for q in self.outputs]), "own")
-        return LibraryReplayer(self, self._kernel_of(delivered), "native")
+            return LibraryReplayer(self, self.kernel(outputs), "own")
+        # The delivered FMU holds terms and values itself.
+        model = self._fmu_model
+        kept = {"dependencies", "rates", "variables", "shown", "stepped", "starts", "substep", "integrator"}
+        attributes = {name: getattr(type(model), name) for name in kept}
+        plain = fmu_model(model.title, (model.base_states, model.inputs, model.outputs), (), (), **attributes)
+        of_fmu = self._library_of(delivered, read_description(delivered))
+        return LibraryReplayer(self, kernel(plain, outputs, fmu=of_fmu), "native")
 
     def quick_replayer(self, place: Workplace) -> LibraryReplayer | None:
         """Return a replayer of the model."""
@@ -201,42 +218,22 @@ class FmuSubject(ModelSubject):
 
     def _delivered(self, folder: Path) -> Path | None:
         """Return the FMU with the terms, built once; None if it cannot be built, with the reason in `undelivered`."""
-        if self.undelivered:
-            return None
-        if self.fmu is None or not self.fmu.is_file():
-            try:
-                self._wrap(folder / f"replayed{len([*folder.glob('replayed*.fmu')])}.fmu")
-            except (CannotWrap, NoCompiler, CompilerFailed) as error:
-                self.undelivered = f"There is no refined FMU: {error}"
-                return None
-        return self.fmu
-
-    def _wrap(self, path: Path) -> None:
-        """Build the FMU with the terms.
-
-        Raises:
-            CannotWrap, NoCompiler, CompilerFailed: It cannot be built.
-        """
-        model, own = self.model, {p.name for p in self.parameters}
-        assert isinstance(model, FmuModel)
+        if self.undelivered or (self.fmu is not None and self.fmu.is_file()):
+            return None if self.undelivered else self.fmu
+        model, own = self._fmu_model, {p.name for p in self.parameters}
         signals = self.structure.outputs if self.is_stepped else self.structure.states
         code = term_code(model, [e.name for e in model.awake], [q.name for q in signals])
         values = {model.variables[n] if n in own else n: float(v) for n, v in self.loaded.parameters.items()}
         known = {*(p.name for p in code.parameters), *model.variables.values()}
-        substep = self.rate / self.substeps(self.rate)
-        kept = {n: v for n, v in values.items() if n in known}
-        wrapped = wrap(self.structure.fmu, code, kept, path, substep=substep)
+        path = folder / f"replayed{len([*folder.glob('replayed*.fmu')])}.fmu"
+        substep, kept = self.rate / self.substeps(self.rate), {n: v for n, v in values.items() if n in known}
+        try:
+            wrapped = wrap(self.structure.fmu, code, kept, path, substep=substep)
+        except (CannotWrap, NoCompiler, CompilerFailed) as error:
+            self.undelivered = f"There is no refined FMU: {error}"
+            return None
         self.fmu, self.missing_platforms = path, tuple(wrapped.left_out)
-
-    def _kernel_of(self, fmu: Path) -> Kernel:
-        """Return the kernel of a delivered FMU, which holds terms and values itself."""
-        model = self.model
-        assert isinstance(model, FmuModel)
-        kept = {"dependencies", "rates", "variables", "shown", "stepped", "starts", "substep", "integrator"}
-        attributes = {name: getattr(type(model), name) for name in kept}
-        plain = fmu_model(model.title, (model.base_states, model.inputs, model.outputs), (), (), **attributes)
-        of_fmu = self._library_of(fmu, read_description(fmu))
-        return kernel(plain, [q.name for q in self.outputs], fmu=of_fmu)
+        return path
 
     def write(self, scratch: Path, folder: Path, name: str) -> Sequence[Path]:
         """Write plant.fmu or nearest.fmu: the original with the terms and values."""
@@ -265,54 +262,30 @@ class LibraryReplayer(Replayer):
     ) -> Generator[Replay, None, None]:
         """Yield one replay for each horizon."""
         units = {q.name: q.unit for q in self.subject.outputs}
-        kernel = self.kernel
-        layout, grid = kernel.layout, np.asarray(log.grid, np.intp)
+        kernel, layout, grid = self.kernel, self.kernel.layout, np.asarray(log.grid, np.intp)
         clean = {n: float(p.default) for n, p in self.subject.sensor_parameters.items()}
         given = {**self.subject.values, **values, **clean}
         p = np.array([given.get(n, 1.0) for n in layout.parameters])
         for horizon, begins in starts.items():
             table = np.full((log.rows, len(units)), np.nan)
             if not self.subject.is_stepped:
-                self._fill_windows(table, data, grid, p, begins)
+                rows = sorted(begins)
+                ends, runs = [*rows[1:], len(grid) - 1], list[Begin]()
+                for k, last in zip(rows, ends, strict=False):
+                    state = begins[k].states
+                    known = [0.0 if n.startswith(DISTURBANCE) else state.get(n, 0.0) for n in layout.states]
+                    memory = np.asarray(begins[k].memory, float)[: layout.memory]
+                    runs.append((data.rows(0, int(grid[last]) + 1), p, np.array(known), memory, None, int(grid[k])))
+                for k, last, run in zip(rows, ends, simulate_all(kernel, runs), strict=False):
+                    table[k + 1 : last + 1] = run.outputs[grid[k + 1 : last + 1]]
             elif math.isinf(horizon):  # a library begins at the start of a log only
-                x0 = start_state(self.subject, replace(data, y=_readings(log, units, grid)), [*units], layout.states)
+                readings = np.full((int(grid[-1]) + 1, len(units)), np.nan)
+                for j, name in enumerate(units):
+                    readings[grid, j] = log.outputs.get(name, np.nan)
+                x0 = start_state(self.subject, replace(data, y=readings), [*units], layout.states)
                 estimated = begins[min(begins)].states
                 x0[layout.start_places] = [estimated[layout.states[k]] for k in layout.start_places]
                 first = min(begins) + 1
                 table[first:] = kernel.simulate(data, p, x0, np.zeros(layout.memory)).outputs[grid[first:]]
             begun = {k: {n: v for n, v in start.states.items() if "." not in n} for k, start in begins.items()}
             yield Replay(log.time, horizon, begun, dict(zip(units, table.T, strict=True)), units)
-
-    def _fill_windows(self, table: Array, data: Data, grid: Rows, p: Array, begins: Mapping[int, Start]) -> None:
-        """Write the outputs of the run from each start to the next one into `table`."""
-        layout, rows = self.kernel.layout, sorted(begins)
-        ends, runs = [*rows[1:], len(grid) - 1], list[Begin]()
-        for k, last in zip(rows, ends, strict=False):
-            known = [0.0 if n.startswith(DISTURBANCE) else begins[k].states.get(n, 0.0) for n in layout.states]
-            memory = np.asarray(begins[k].memory, float)[: layout.memory]
-            runs.append((data.rows(0, int(grid[last]) + 1), p, np.array(known), memory, None, int(grid[k])))
-        for k, last, run in zip(rows, ends, simulate_all(self.kernel, runs), strict=False):
-            table[k + 1 : last + 1] = run.outputs[grid[k + 1 : last + 1]]
-
-
-def _with_start_parameters(structure: Structure, shown: Mapping[str, StartParameter]) -> Structure:
-    """Return the structure with start parameters as start values, not as parameters."""
-    known = {s.shown for s in structure.starts}
-    variables = {p.name: p.quantity for p in structure.parameters}
-    more = []
-    for k, output in enumerate(structure.outputs):
-        parameter = shown.get(output.name)
-        if parameter is not None and k not in known and parameter.name in variables:
-            size = (structure.scales.get(output.name) or 1.0) / abs(parameter.gain)
-            more.append(StartValue(variables[parameter.name], size, k, parameter.gain))
-    names = {p.name for p in shown.values()}
-    left = tuple(p for p in structure.parameters if p.name not in names)
-    return replace(structure, starts=(*structure.starts, *more), parameters=left)
-
-
-def _readings(log: Log, names: Iterable[str], grid: Rows) -> Array:
-    """Return the readings of outputs in equal steps, NaN without one."""
-    table = np.full((int(grid[-1]) + 1, len([*names])), np.nan)
-    for j, name in enumerate(names):
-        table[grid, j] = log.outputs.get(name, np.nan)
-    return table

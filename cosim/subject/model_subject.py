@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -26,7 +26,7 @@ from cosim.model.quantities import Parameter, parameters_of
 from cosim.model.symbolic.symbols import symbolic
 from cosim.model.traits import Traits
 from cosim.subject.base_parameters import base_parameter
-from cosim.subject.candidates import Candidate, Kind, effect
+from cosim.subject.candidates import Candidate, effect
 from cosim.subject.fmu_replayer import FmuReplayer, shaping_effects
 from cosim.subject.interface import Predict, Replayer, Subject, Workplace
 
@@ -81,33 +81,29 @@ class ModelSubject(Subject):
 
     def candidates(self, varied: Sequence[str]) -> list[Candidate]:
         """Return effects, sensor errors and base parameters as candidates."""
-        return [*map(self._candidate, (*self.model.catalogue, *self.model.sensors)), *self._suspects(varied)]
-
-    def _candidate(self, kind: type[Any]) -> Candidate:
-        """Return an effect or sensor error as a candidate."""
-        of: Kind = "sensor" if kind in self.model.sensors else "effect"
-        c = effect(
-            kind.name,
-            parameters_of(kind),
-            self.values,
-            kind=of,
-            starts=kind.starts,
-            above=kind.at_least,
-            resolved=kind.resolved,
-            gain=issubclass(kind, Gain),
-        )
-        if c.name not in self.present:
-            whole = getattr(kind, "complete", None)
-            return c if whole is None else replace(c, complete=dict.fromkeys(c.parameters, whole))
-        # an effect of the model is recalibrated from its values
-        return replace(c, starts=({name: self.values[name] for name in c.parameters},))
-
-    def _suspects(self, varied: Sequence[str]) -> Iterator[Candidate]:
-        """Yield base parameters as candidates, without parameters invisible for lack of a varying input."""
+        found: list[Candidate] = []
+        for kind in (*self.model.catalogue, *self.model.sensors):
+            c = effect(
+                kind.name,
+                parameters_of(kind),
+                self.values,
+                kind="sensor" if kind in self.model.sensors else "effect",
+                starts=kind.starts,
+                above=kind.at_least,
+                resolved=kind.resolved,
+                gain=issubclass(kind, Gain),
+            )
+            if c.name in self.present:  # an effect of the model is recalibrated from its values
+                c = replace(c, starts=({name: self.values[name] for name in c.parameters},))
+            elif (whole := getattr(kind, "complete", None)) is not None:
+                c = replace(c, complete=dict.fromkeys(c.parameters, whole))
+            found.append(c)
+        # parameters are invisible without the variation of some input
         suspects = [name for name, inputs in self.model.suspect.items() if any(i in varied for i in inputs)]
         for name in (*self.model.calibrated, *suspects):
             free = base_parameter(self, name, self.values, None)
-            yield Candidate(name, "parameter", (free,), ({name: self.values[name]},))
+            found.append(Candidate(name, "parameter", (free,), ({name: self.values[name]},)))
+        return found
 
     def kernel(self, measured: Sequence[str], *, unnamed: bool = False, constant: Sequence[str] = ()) -> Kernel:
         """Return the compiled filter generated from the equations."""

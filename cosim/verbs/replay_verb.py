@@ -93,9 +93,9 @@ def command(*, open: bool = False, json: bool = False, **given: Any) -> None:
     Example: cosim replay log.csv --plant motor.fmu --column speed=w
     """
     from cosim.base.text import plain, size
-    from cosim.residuals.comparison_data import as_json
-    from cosim.residuals.next_study import NEXT_STUDY
+    from cosim.residuals.compare import as_json
     from cosim.residuals.replay_sentences import horizon_name, verdict
+    from cosim.residuals.workflow import NEXT_STUDY
     from cosim.storage.results import rows_in
 
     with progress_bar("replaying") as progress:

@@ -15,7 +15,7 @@ from cosim.logs.channel_noise import NORMAL_95
 from cosim.refinement.refinement import Refinement
 from cosim.report.charts import Charts, Drawing, Plot
 from cosim.report.panels import Band, Panel, Trace
-from cosim.residuals.lags import every_lag, lag_drawing, neighbours
+from cosim.residuals.report import every_lag, lag_drawing, neighbours
 from cosim.residuals.residual_statistics import Whiteness, lags_of, rmse, whiteness
 
 STEMS = 50  # about, lags of an autocorrelation

@@ -1,0 +1,238 @@
+"""Parameters of an FMU for model exchange that tell how forces act.
+
+A settable parameter that brakes a coordinate tells how any force there acts. A force between two bodies accelerates
+each by the body's inertia, so a fit that changes a mass changes the ratio of both accelerations. Most inertias are
+products or sums of parameters: two trials of each parameter tell a power from a sum.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.base.errors import SimulationError
+from cosim.probing.exchange_points import CONSTANT, LARGE, PLACES, SMALL, Points, reactions
+from cosim.probing.fmu_structure import Connection, Damping, Pair, ProbedParameter
+from cosim.probing.log_runs import SAME, Course
+from cosim.probing.prober import Prober
+from cosim.terms.language import RatioFactor
+
+NEARLY = 1e-6  # relative difference up to which a change is proportional to velocity and parameter
+# Changes of a parameter as multiples of its size; the first is taken that the bounds allow twice.
+CHANGES = (1.0, 0.1, -0.25)
+RATIO_PLACES = 4  # points at which ratios are measured
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """Points about which one velocity moves, with reactions of the FMU as it is.
+
+    Attributes:
+        index: Index of the velocity.
+        speed: Usual speed V.
+        slopes: Input → rates per input, shape (points, states), of the inputs that act on the velocity.
+        places: At each point with the velocity 0, V, 2·V, and V while other velocities and the inputs are elsewhere.
+    """
+
+    pair: Pair
+    states: Sequence[str]
+    index: int
+    speed: float
+    slopes: Mapping[str, Array]
+    places: list[tuple[float, Array, Array]]
+
+
+def dampings(
+    prober: Prober, course: Course, points: Points, pairs: Sequence[Pair], parameters: Sequence[ProbedParameter]
+) -> tuple[Damping, ...]:
+    """Return the settable damping of each pair on which no input acts alone.
+
+    With another value of it, the rates change in proportion to this velocity and to the change of the parameter,
+    whatever the other velocities and the inputs are, and no output changes directly.
+    """
+    states, inputs, _ = prober.fmu.names
+    velocities = [states.index(p.velocity) for p in pairs]
+    shared = (p for p in pairs if not any(port.is_alone for port in p.ports))
+    trials = [*filter(None, (_trial_of(p, (states, inputs), velocities, points) for p in shared))]
+    able = [p for p in parameters if p.acts and not p.starts and not p.failure]
+    if not trials or not able:
+        return ()
+    places = [place for trial in trials for place in trial.places]
+
+    def react(values: Mapping[str, float]) -> Array:
+        """Return the reactions with parameter values, shape (trials, points, 4, columns)."""
+        table: Array = prober.call(reactions, prober.with_values(values), course, places)[1]
+        return table.reshape(len(trials), -1, 4, table.shape[1])
+
+    base, found = react({}), dict[str, Damping]()
+    for parameter in able:
+        name, (low, high) = parameter.name, parameter.quantity.bounds
+        value = float(prober.values.get(name, parameter.quantity.start))
+        size = abs(value) or abs(parameter.tried)
+        change = next((c * size for c in CHANGES if low <= value + 2.0 * c * size <= high), 0.0)
+        if not change:  # the bounds allow none
+            continue
+        with suppress(SimulationError):
+            once = react({name: value + change}) - base
+            likely = [_damping(o, 2.0 * o, trial, name, change, points) for o, trial in zip(once, trials, strict=True)]
+            if not any(likely):
+                continue
+            twice = react({name: value + 2.0 * change}) - base
+            for o, t, trial in zip(once, twice, trials, strict=True):
+                if (damping := _damping(o, t, trial, name, change, points)) is not None:
+                    found.setdefault(damping.pair.velocity, damping)
+    return tuple(found.values())
+
+
+def _trial_of(
+    pair: Pair, names: tuple[Sequence[str], Sequence[str]], velocities: Sequence[int], points: Points
+) -> _Trial | None:
+    """Return the points of a pair; None if its velocity may not have both speeds and 0.
+
+    Args:
+        names: Names of the states, and of the inputs.
+        velocities: Indices of all velocities.
+    """
+    states, inputs = names
+    n, index = len(states), states.index(pair.velocity)
+    speed, every = float(points.scale[index]), points.spacing(PLACES)
+    if not points.low[index] <= 0.0 < 2.0 * speed <= points.high[index]:
+        return None
+    elsewhere, places = [*(k for k in velocities if k != index), *range(n, n + len(inputs))], []
+    for t, x, u in points.places[::every]:
+        for multiple in (0.0, 1.0, 2.0):
+            moved = x.copy()
+            moved[index] = multiple * speed
+            places.append((t, moved, u))
+        z, rng = np.concatenate([x, u]), np.random.default_rng(len(places))
+        z[elsewhere] += LARGE * points.scale[elsewhere] * rng.uniform(-1.0, 1.0, len(elsewhere))
+        z[index] = speed
+        z = np.clip(z, points.low, points.high)
+        places.append((t, z[:n], z[n:]))
+    slopes = np.array(points.slopes[::every])
+    acting = {port.input: slopes[:, :n, n + inputs.index(port.input)] for port in pair.ports}
+    return _Trial(pair, states, index, speed, acting, places)
+
+
+def _damping(once: Array, twice: Array, trial: _Trial, parameter: str, change: float, points: Points) -> Damping | None:
+    """Return the damping from changes of the reactions; None if they are those of something else.
+
+    Args:
+        once, twice: Changes of rates and outputs by the change of the parameter and by twice this change, shape
+            (points, 4, columns).
+    """
+    usable = np.isfinite(once).all(axis=(1, 2)) & np.isfinite(twice).all(axis=(1, 2))
+    once, twice = once[usable], twice[usable]
+    if not len(once):
+        return None
+    usual, noise, force = once[:, 1], SAME * points.size, -change * trial.speed
+    near = noise + NEARLY * np.abs(usual).max(axis=0)
+    equal = (once[:, 0], 0.0), (once[:, 2], 2.0 * usual), (once[:, 3], usual), (twice[:, 1], 2.0 * usual)
+    if any((np.abs(one - other) > near).any() for one, other in equal):
+        return None
+    affected, own = np.flatnonzero((np.abs(usual) > noise).any(axis=0)), usual[:, trial.index] / force
+    if affected.max(initial=-1) >= len(trial.states) or (own * abs(force) <= noise[trial.index]).any():
+        return None
+    gain, rates = float(np.median(own)), tuple(trial.states[k] for k in affected.tolist())
+    is_constant = len(rates) == 1 and bool(np.ptp(own) <= CONSTANT * gain)
+    direction = usual[:, : len(trial.states)] / force
+    port = ""
+    for name, slopes in trial.slopes.items():  # an input whose slopes are a constant multiple of the direction
+        along = slopes[usable]
+        factor = float((along * direction).sum() / (direction**2).sum())
+        if np.abs(along - factor * direction).max() <= CONSTANT * np.abs(along).max():
+            port = name
+            break
+    return Damping(trial.pair, parameter, gain, rates, is_constant, port, change, trial.speed)
+
+
+# -- ratios ---------------------------------------------------------------------------------------
+
+
+def with_factors(
+    prober: Prober,
+    course: Course,
+    points: Points,
+    connections: Sequence[Connection],
+    parameters: Sequence[ProbedParameter],
+) -> tuple[Connection, ...]:
+    """Return connections with the factors of parameters in their ratios."""
+    if not connections:
+        return ()
+    states = prober.fmu.names[0]
+    pairs = [(c.first, c.second) for c in connections]
+    velocities = [[states.index(p.velocity) for p in both] for both in pairs]
+    displaced = [states.index(name) for both in pairs for p in both for name in (p.position, p.velocity)]
+    places = [
+        (t, points.moved(np.concatenate([x, u]), k, by)[: x.size], u)
+        for t, x, u in points.places[:: points.spacing(RATIO_PLACES)]
+        for k in displaced
+        for by in (SMALL, -SMALL)
+    ]
+
+    def ratios(changed: dict[str, float]) -> Array:
+        """Return the ratios from positions and from velocities with other parameters, times a constant.
+
+        Returns:
+            Array of shape (connections, points, 2), NaN without an answer of an end.
+        """
+        table: Array = prober.call(reactions, prober.with_values(changed), course, places)[1]
+        # point, connection, end that is displaced, position or velocity, ahead or behind, rate
+        sides = table.reshape(-1, len(pairs), 2, 2, 2, table.shape[1])
+        found = np.full((len(pairs), len(sides), 2), np.nan)
+        for c, (first, second) in enumerate(velocities):
+            answers = sides[:, c, :, :, 0] - sides[:, c, :, :, 1]
+            one, other = answers[:, 1, :, first], answers[:, 0, :, second]
+            both = (one > 0.0) & (other > 0.0)
+            found[c][both] = other[both] / one[both]
+        return found
+
+    begin = time.monotonic()
+    given = ratios({})
+    found: list[list[RatioFactor]] = [[] for _ in connections]
+    with prober.hurry(time.monotonic() - begin):
+        for p in parameters:
+            value = float(prober.values.get(p.name, p.quantity.start))
+            low, high = p.quantity.bounds
+            tried = p.tried, value + 2.0 * (p.tried - value)
+            if not p.acts or p.tried == value:
+                continue
+            changes = np.full((2, len(pairs)), np.nan)
+            for row, v in zip(changes, tried, strict=True):
+                if low <= v <= high:
+                    with suppress(SimulationError):  # the FMU refuses the value
+                        for c, change in enumerate(ratios({p.name: v}) / given):
+                            row[c] = np.nanmedian(change) if np.isfinite(change).any() else np.nan
+            for factors, of_ratio in zip(found, changes.T.tolist(), strict=True):
+                factors += _factor(p.name, value, tried, of_ratio)
+    return tuple(replace(c, factors=tuple(factors)) for c, factors in zip(connections, found, strict=True))
+
+
+def _factor(name: str, value: float, tried: Sequence[float], changes: Sequence[float]) -> Iterator[RatioFactor]:
+    """Yield the factor of a parameter, if it changes a ratio.
+
+    Args:
+        tried: Two values of the parameter.
+        changes: Ratio with each tried value over the given one; NaN if refused.
+    """
+    once, twice = changes
+    if not (once > 0.0 and abs(math.log(once)) > CONSTANT):
+        return
+    factors = []
+    if value and tried[0] / value > 0.0:
+        power = math.log(once) / math.log(tried[0] / value)
+        half = round(2.0 * power) / 2.0
+        factors.append(RatioFactor(name, value, 0.0, half if abs(half - power) < CONSTANT else power))
+    for power in (1.0, -1.0):  # of a sum, in which others stand beside it
+        times = once**power
+        factors.append(RatioFactor(name, value, (tried[0] - times * value) / (times - 1.0), power))
+    able = [f for f in factors if f.shift + value != 0.0 and (f.shift + tried[1]) / (f.shift + value) > 0.0]
+    if math.isfinite(twice):
+        able.sort(key=lambda f: max(CONSTANT, abs(math.log(f.at(tried[1]) / twice))))
+    yield from able[:1]
