@@ -37,7 +37,7 @@ RUN_PAGE = Page(
 IDENTIFY = Verb(
     command="plant.identification.command:command",
     function="plant.identification.workflow:identify",
-    artefacts="plant.identification.artefacts:ARTEFACTS",
+    artefacts="plant.identification:ARTEFACTS",
     group="Craft example",
 )
 CONSISTENCY = Verb(

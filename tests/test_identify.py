@@ -156,9 +156,9 @@ def test_the_nominal_duty_follows_the_new_thrust_line(found: tuple[Path, Any]) -
 @pytest.mark.thorough
 def test_another_propeller_is_identified_from_its_csvs(measured: Path, tmp_path: Path) -> None:
     outcome = identify(measured / "protocol.yaml", tmp_path)
-    for name, e in outcome.estimates_by_name.items():
+    for e in outcome.estimates.values():
         assert e.truth != e.truth, "nobody knows the truth of what was measured"
-        assert e.low <= OTHER[name] <= e.high, (name, e)
+        assert e.low <= OTHER[e.name] <= e.high, e
     assert read_model(tmp_path / "powertrain.yaml").parameters["propeller_radius"] == 0.1
 
 

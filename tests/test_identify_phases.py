@@ -10,7 +10,7 @@ import pytest
 
 from cosim.base.errors import InputError
 from cosim.verbs.check_verb import check as check_files
-from plant.identification.thrust_line import dead_end
+from plant.identification.thrust import dead_end
 from tests.test_identify import PROTOCOL, short, written
 
 # the test, its changes, and the keys at fault
@@ -26,7 +26,6 @@ CASES: dict[str, tuple[str, dict[str, Any], int]] = {
     "a window that ends with the step": ("step", {"window": [5.9, 6.1]}, 1),
     "rest under thrust": ("step", {"rest": [4, 5.9]}, 1),
     "a validation without thrust": ("ground_effect", {"validation_duty": 5}, 1),
-    "a validation that is none": ("ground_effect", {"validation_duty": 6.3}, 1),
     "equal heights": ("ground_effect", {"heights": [0.68, 0.68, 0.68]}, 2),
     "heights in the ground": ("ground_effect", {"heights": [0.2, 1.25]}, 1),
     "a free height that is none": ("ground_effect", {"free_height": 0.05}, 1),

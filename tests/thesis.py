@@ -19,7 +19,7 @@ from controller.kalman import discrete_model
 from cosim.base.arrays import Array
 from cosim.model.namespaces import arrays
 from plant.bench import Bench
-from plant.identification.thrust_line import least_degree
+from plant.identification.thrust import least_degree
 from plant.powertrain import assembly_moment, ground_effect
 
 BENCH = Bench()
