@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from controller.gains import Settings
 from controller.loop import Loop
+from controller.settings import Settings
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.blocks.profile import Change, Profile, profile_function

@@ -15,8 +15,7 @@ from ruamel.yaml import YAML
 from scipy.optimize import brentq
 
 from controller.design_model import design_model
-from controller.gains import Settings
-from controller.variants import PredictiveSettings
+from controller.settings import PredictiveSettings, Settings
 from cosim.linearization.linear_model import Linear
 from cosim.linearization.system_structure import controllability
 from cosim.linearization.workflow import linearize

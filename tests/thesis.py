@@ -13,9 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from controller.design_model import measurement_matrix
-from controller.gains import Settings
-from controller.kalman import discrete_model
+from controller.design_model import discrete_model, measurement_matrix
+from controller.settings import Settings
 from cosim.base.arrays import Array
 from cosim.model.namespaces import arrays
 from plant.bench import Bench

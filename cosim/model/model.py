@@ -30,9 +30,12 @@ class Parametric:
         """Return the prefix of parameter names in messages."""
         return ""
 
+    def invalid_values(self) -> list[str]:
+        """Return a sentence on each impossible value."""
+        return [self.prefix + fault for p in parameters_of(self) if (fault := p.fault(getattr(self, p.name)))]
+
     def __post_init__(self) -> None:
-        faults = [self.prefix + fault for p in parameters_of(self) if (fault := p.fault(getattr(self, p.name)))]
-        if faults:
+        if faults := self.invalid_values():
             raise ValueError("; ".join(faults))
 
 

@@ -320,8 +320,8 @@ def _path(run: Log, model: Model, output: str) -> Array:
 
 def _observer_distance(run: Log, model: Model, parameter: str, output: str) -> Callable[[float], float] | None:
     """Return the distance of the craft's observer (App. F), None for other models or missing sensors."""
-    from controller.gains import Settings
-    from controller.kalman import kalman_filter
+    from controller.observers import kalman_filter
+    from controller.settings import Settings
     from controller.synthesis import numbers_of
     from plant.hovercraft import Hovercraft
 
