@@ -23,7 +23,7 @@ class Slopes:
     """Jacobians ∂f/∂x (`state`), ∂f/∂u (`command`) and ∂h/∂x (`output`) of a craft at given states and commands.
 
     Args:
-        printed: Loaded module of `cosim.model.symbolic.jacobian.printed_jacobians` for the craft.
+        printed: Loaded module of `cosim.model.symbolic.linearize.printed_jacobians` for the craft.
     """
 
     def __init__(self, craft: Hovercraft, printed: Mapping[str, Any]) -> None:
@@ -64,7 +64,7 @@ class FilterEquations(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy i
     G = I, except for the world position, moved by the noise of x and y with (cos ψ, sin ψ), (sin ψ, −cos ψ).
 
     Args:
-        jacobians: Loaded module of `cosim.model.symbolic.jacobian.printed_jacobians` for this model and (a_x).
+        jacobians: Loaded module of `cosim.model.symbolic.linearize.printed_jacobians` for this model and (a_x).
     """
 
     def __init__(self, model: Hovercraft, settings: ExtendedSettings, jacobians: Mapping[str, Any]) -> None:

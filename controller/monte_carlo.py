@@ -203,7 +203,7 @@ _STEPPER = Stepper(Hovercraft())
 
 @cache
 def _jacobians() -> Mapping[str, Any]:
-    from cosim.model.symbolic.jacobian import load_names, printed_jacobians
+    from cosim.model.symbolic.linearize import load_names, printed_jacobians
 
     return load_names(printed_jacobians(Hovercraft(), ("ax",)))
 

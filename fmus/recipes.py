@@ -129,7 +129,7 @@ def extended_recipe() -> Recipe:
 
 def jacobians() -> str:
     """Return ∂f/∂x, ∂f/∂u and ∂a_x/∂x of the craft as a cached Python module."""
-    from cosim.model.symbolic.jacobian import printed_jacobians
+    from cosim.model.symbolic.linearize import printed_jacobians
     from cosim.storage.cache import fingerprint, load_or_make
     from plant.hovercraft import Hovercraft
 

@@ -34,7 +34,7 @@ from controller.settings import (
 from controller.stability import FlownLoop, LoopMode
 from cosim.blocks.profile import Change, Profile, profile_function
 from cosim.model import SCALAR, Moment, Parameter, Stepper, parameters_of
-from cosim.model.symbolic.jacobian import load_names
+from cosim.model.symbolic.linearize import load_names
 from fmus.recipes import HEAVY, jacobians
 from plant.hovercraft import SENSOR_VARIANCE, Hovercraft
 

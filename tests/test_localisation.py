@@ -23,7 +23,7 @@ from controller.observers import LinearFilter
 from controller.settings import PLANT_STATES, ExtendedSettings, Settings
 from cosim.fmi.fmu_build import build
 from cosim.model import Stepper
-from cosim.model.symbolic.jacobian import load_names
+from cosim.model.symbolic.linearize import load_names
 from cosim.simulation.run_signals import Run
 from fmus.estimator_fmu import INPUTS, OUTPUTS
 from fmus.recipes import extended_recipe, filter_recipe, jacobians

@@ -20,6 +20,7 @@ class Language:
         skipped, either: Format of an expression that is 0 unless one of some conditions is true.
         local, store: Format of a common subexpression and of a result.
         assign: Format of an assignment to a declared symbol.
+        declared: Format of a declaration of symbols without values, "" for none.
         when, otherwise: Start of the branches of an active effect (place, title) and of a dormant one.
         end: End of the branches.
         angle, power: Evaluation of sine and cosine, and of a power, near a point (place, symbols, arguments).
@@ -30,15 +31,12 @@ class Language:
     local: str
     store: str
     assign: str
+    declared: str
     when: str
     otherwise: str
     end: str
     angle: str
     power: str
-
-    def declare(self, names: Sequence[str]) -> list[str]:
-        """Return the lines that declare symbols without values."""
-        raise NotImplementedError
 
     def function(
         self,
@@ -92,12 +90,10 @@ class C(Language):
 
     skipped, either = "(({}) ? {} : 0.0)", " || "
     local, store, assign = "const double {} = {};", "out[{}] = {};", "{} = {};"
+    declared = "double {};"
     when, otherwise, end = "if (awake[{}]) {{ /* {} */", "} else {", "}"
     angle = "double {1}, {2}; near_angle(near + {0}, {3}, &{1}, &{2});"
     power = "const double {1} = near_power(near + {0}, {2}, {3});"
-
-    def declare(self, names: Sequence[str]) -> list[str]:  # noqa: D102
-        return [f"double {', '.join(names)};"]
 
     def printer(self, places: Mapping[Any, str], conditions: Mapping[Any, str] | None = None) -> Any:  # noqa: D102 - said once, above
         from sympy import Function
@@ -168,11 +164,8 @@ class Python(Language):
     """Python printer with the functions of `math`."""
 
     skipped, either = "({1} if {0} else 0.0)", " or "
-    local, store, assign = "{} = {}", "out[{}] = {}", "{} = {}"
+    local, store, assign, declared = "{} = {}", "out[{}] = {}", "{} = {}", ""
     when, otherwise, end = "if awake[{}]:  # {}", "else:", ""
-
-    def declare(self, names: Sequence[str]) -> list[str]:  # noqa: D102
-        return []
 
     def printer(self, places: Mapping[Any, str], conditions: Mapping[Any, str] | None = None) -> Any:  # noqa: D102 - said once, above
         from sympy.printing.pycode import PythonCodePrinter
