@@ -32,13 +32,6 @@ TESTS = Path(__file__).resolve().parent
 ROOT = TESTS.parent
 PAGE = ROOT / "docs" / "seed.md"
 BENCH = ROOT / "examples" / "bench" / "protocol.yaml"
-STATUSES = {"reproduced", "corrected", "not software"}
-
-
-def rows() -> list[list[str]]:
-    lines = PAGE.read_text(encoding="utf-8").splitlines()
-    cells = [[c.strip() for c in line.strip("|").split(" | ")] for line in lines if line.startswith("| ")]
-    return [c for c in cells if len(c) >= 5 and c[1] in STATUSES]
 
 
 def asked_for() -> list[list[str]]:
