@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple, get_args
 
 import numpy as np
 from pydantic import AfterValidator, Field
@@ -47,7 +47,7 @@ from plant.hovercraft import Hovercraft
 Controller = Literal[
     "controller.fmu", "controller-pole.fmu", "controller-lqi.fmu", "controller-mpc.fmu", "controller-ltv-mpc.fmu"
 ]
-LQR, PLACED, INTEGRAL, PREDICTIVE, TIME_VARIANT = Controller.__args__  # type: ignore[attr-defined]
+LQR, PLACED, INTEGRAL, PREDICTIVE, TIME_VARIANT = get_args(Controller)
 SETTINGS: Mapping[str, type[Settings]] = {
     LQR: Settings,
     PLACED: Settings,

@@ -48,7 +48,7 @@ class Estimator(Stateful):
         nis, fix_nis: Normalised squared innovation of the last sample, and of the last fix.
     """
 
-    memory = ("filter.x", "filter.P", "fix", "nis")
+    memory: ClassVar[tuple[str, ...]] = ("filter.x", "filter.P", "fix", "nis")
     filter: Any
     fix, nis, fix_nis = 0.0, 0.0, 0.0
 

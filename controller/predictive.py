@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import daqp
 import numpy as np
@@ -84,7 +84,8 @@ class Predicting(Law):
         given_up: Failures of the solver: number, first sample, its flag.
     """
 
-    memory = ("last", "hot", "iterations", "solved", "samples", "given_up")
+    memory: ClassVar[tuple[str, ...]] = ("last", "hot", "iterations", "solved", "samples", "given_up")
+    P: Matrix
 
     def __init__(self, p: PredictionSettings) -> None:
         self.rest = np.array([p.duty_nominal, p.duty_nominal, 0.0, 0.0])

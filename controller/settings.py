@@ -291,7 +291,7 @@ NOISE = {p.name: p for p in parameters_of(ExtendedSettings)}
 PUSH, TURN, ROLL = 5e-7, 7e-5, 8.4e-5
 
 
-def equation_noise(default: float, unit: str, of: str) -> float:
+def equation_noise(default: float, unit: str, of: str) -> Any:
     """Declare the variance of the equations' error at each sample."""
     return variance(default, unit, f"process noise of {of} per step, what 1 % of a propeller's thrust makes")
 

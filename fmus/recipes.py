@@ -104,8 +104,10 @@ def _estimator(slave: str, about: str, *documented: str) -> Recipe:
     from fmus.estimator_fmu import DEPENDENCIES, initial_dependencies
 
     kind = resolve(f"fmus.estimator_fmu:{slave}")
-    times = {"step": 0.02, "stop": 10.0, "variable_step": False, "sampled": "sample_time"}
-    description = Description(about, kind.ports, DEPENDENCIES, initial_dependencies(kind.ports), **times)
+    depends = DEPENDENCIES, initial_dependencies(kind.ports)
+    description = Description(
+        about, kind.ports, *depends, step=0.02, stop=10.0, variable_step=False, sampled="sample_time"
+    )
     parts = (resolve(f"controller.{name}") for name in documented)
     return Recipe((kind.__module__, kind.__name__), PACKAGES, description, docstrings_html(*parts, kind))
 

@@ -7,8 +7,6 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any
 from weakref import WeakKeyDictionary
 
-INFINITY = math.inf
-
 
 @dataclass(frozen=True)
 class Quantity:
@@ -18,7 +16,7 @@ class Quantity:
     unit: str
     doc: str
     start: float = 0.0
-    bounds: tuple[float, float] = (-INFINITY, INFINITY)
+    bounds: tuple[float, float] = (-math.inf, math.inf)
 
     @property
     def is_bounded(self) -> bool:
@@ -40,7 +38,7 @@ class Parameter:
     default: float | bool
     unit: str
     doc: str
-    bounds: tuple[float, float] = (-INFINITY, INFINITY)
+    bounds: tuple[float, float] = (-math.inf, math.inf)
     neutral: float | None = None
     typical: float | None = None
     tolerance: float | None = None
@@ -67,7 +65,7 @@ def parameter(
     *,
     unit: str,
     doc: str,
-    bounds: tuple[float, float] = (-INFINITY, INFINITY),
+    bounds: tuple[float, float] = (-math.inf, math.inf),
     neutral: float | None = None,
     typical: float | None = None,
     tolerance: float | None = None,

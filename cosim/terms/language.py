@@ -277,6 +277,3 @@ def unit_of(expression: str, units: Mapping[str, str]) -> str:
 def with_place(text: str) -> str:
     """Return a variable's name as part of a term's name: letters, digits and underscores only."""
     return re.sub(r"\W", "_", text, flags=re.ASCII)
-
-
-__all__ = ["Force", "InputTerm", "Place", "RateTerm", "RememberingTerm", "Term", "bind", "scaled"]

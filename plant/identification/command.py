@@ -42,7 +42,8 @@ def command(
 
     name = protocol.stem if protocol.is_file() else ""
     with suppress(InputError):  # reported below
-        name = str(YamlFile(protocol).root.get("name", name))
+        given = YamlFile(protocol).root.get("name")
+        name = given if isinstance(given, str) else name
     with new_run(out, name, "cosim identify", force=force) as place, stages() as progress:
         outcome = identify_bench(protocol, place, progress, report=report, seed=seed)
     for text in outcome.warnings:

@@ -327,7 +327,7 @@ def _test_faults(
             if height in heights[:k] or height < MIN_HEIGHT:
                 text = f"{height:g} radii are listed twice, or below {MIN_HEIGHT:g}, where eq 4.28 is not valid"
                 yield yaml.fault((*at, "heights", k), f"{text}; give another height")
-        if "heights" not in yaml.root["tests"]["ground_effect"] or len(heights) == 1:
+        if len(heights) == 1 or not yaml.root["tests"]["ground_effect"].get("heights"):
             yield yaml.fault((*at, "heights"), "two heights are needed at least; add one")
         elif test.free_height <= highest:
             text = f"{test.free_height:g} m is not above the heights near the ground, which reach {highest:.3g} m"
