@@ -105,7 +105,7 @@ def test_integrals_stand_still_while_a_tilt_is_saturated() -> None:
     law = IntegralFeedback(INTEGRAL_SETTINGS)
     far = LawInput(5.0, 0.0, started=True)
     assert law.command([0.0] * 5, far) == (law.limit, law.limit)
-    assert law.integrals == (0.0, 0.0)
+    assert law.integrals == [0.0, 0.0]
     near = far._replace(x_ref=0.01)
     law.command([0.0] * 5, near)
     assert law.integrals[0] == pytest.approx(-0.01 * STEP)

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any
 from weakref import WeakKeyDictionary
 
+INFINITY = math.inf
+
 
 @dataclass(frozen=True)
 class Quantity:
@@ -16,7 +18,7 @@ class Quantity:
     unit: str
     doc: str
     start: float = 0.0
-    bounds: tuple[float, float] = (-math.inf, math.inf)
+    bounds: tuple[float, float] = (-INFINITY, INFINITY)
 
     @property
     def is_bounded(self) -> bool:
@@ -38,7 +40,7 @@ class Parameter:
     default: float | bool
     unit: str
     doc: str
-    bounds: tuple[float, float] = (-math.inf, math.inf)
+    bounds: tuple[float, float] = (-INFINITY, INFINITY)
     neutral: float | None = None
     typical: float | None = None
     tolerance: float | None = None
@@ -65,7 +67,7 @@ def parameter(
     *,
     unit: str,
     doc: str,
-    bounds: tuple[float, float] = (-math.inf, math.inf),
+    bounds: tuple[float, float] = (-INFINITY, INFINITY),
     neutral: float | None = None,
     typical: float | None = None,
     tolerance: float | None = None,
