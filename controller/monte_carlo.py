@@ -163,17 +163,26 @@ def squares_of(case: FlightCase, runs: int, steps: int, rng: np.random.Generator
         truth = linear_truth(runs, u, rng)
     else:
         truth = plant_truth(runs, u, rng, disturbed=case.truth == "disturbed")
+    craft = Hovercraft()
+    stepper = Stepper(craft)
     nees, nis, fixed = (np.zeros((runs, steps)) for _ in range(3))
     for r in range(runs):
         estimator: LinearFilter | ExtendedFilter
         if case.estimator in ESTIMATORS:
             estimator = LinearFilter(Settings(estimator=case.estimator), (0.0,) * 5)
         else:
-            estimator = ExtendedFilter(Hovercraft(), ExtendedSettings(), _jacobians(), {})
+            estimator = ExtendedFilter(craft, ExtendedSettings(), _jacobians(), {})
         for k in range(steps):
             fix = float((k + 1) // FIX_EVERY) if case.fixes else 0.0
             estimator.step(truth.sensors[k, r], truth.commands[k], fix, truth.fixes[k, r])
-            e, P = _error(estimator, truth.states[k, r])
+            kf, state = estimator.filter, truth.states[k, r]
+            e, P = kf.x - state[: len(kf.x)], kf.P
+            if isinstance(estimator, ExtendedFilter):
+                e, P = e[OWN], P[np.ix_(OWN, OWN)]
+            elif len(state) > len(kf.x):  # the plant's thrust acceleration (F_Rx + F_Lx)/m is a_x without friction
+                ax = float(stepper.output(0.0, tuple(state.tolist()), ())[SENSED_AT[2]])
+                a = ax + craft.friction / craft.mass * float(state[AT("vx")])
+                e = kf.x - np.array([*(state[AT(name)] for name in ESTIMATED), a])
             nees[r, k] = e @ np.linalg.solve(P, e)
             nis[r, k], fixed[r, k] = estimator.nis, estimator.fix_nis
     settled, with_fix = slice(SETTLING, None), slice(SETTLING + FIX_EVERY - 1, None, FIX_EVERY)
@@ -198,25 +207,8 @@ def _with_noise(
     return Truth(states, readings, position + rng.normal(0.0, noise, position.shape), u)
 
 
-_STEPPER = Stepper(Hovercraft())
-
-
 @cache
 def _jacobians() -> Mapping[str, Any]:
     from cosim.model.symbolic.linearize import load_names, printed_jacobians
 
     return load_names(printed_jacobians(Hovercraft(), ("ax",)))
-
-
-def _error(estimator: Any, state: Matrix) -> tuple[Matrix, Matrix]:
-    """Return x̂ − x and P of the estimated states."""
-    kf = estimator.filter
-    if isinstance(estimator, ExtendedFilter):
-        return (kf.x - state)[OWN], kf.P[np.ix_(OWN, OWN)]
-    if len(state) == len(kf.x):
-        return kf.x - state, kf.P
-    # the plant's thrust acceleration (F_Rx + F_Lx)/m is a_x without friction
-    outputs = _STEPPER.output(0.0, tuple(state.tolist()), ())
-    craft = Hovercraft()
-    a = float(outputs[SENSED_AT[2]]) + craft.friction / craft.mass * float(state[AT("vx")])
-    return kf.x - np.array([*(state[AT(name)] for name in ESTIMATED), a]), kf.P
